@@ -1,0 +1,135 @@
+"""Speed and memory: ``python benchmarks/speed.py``. Prints Markdown, kept in RESULTS.md with the machine.
+
+The whole pipeline on a 4096 x 4096 scene is timed against bare ONNX Runtime on the same 25 tiles, in turns.
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import onnxruntime
+
+from vehanchor.detection import Detector
+from vehanchor.imagery import open_raster
+from vehanchor.model_zoo import resolve_model
+from vehanchor.obb import oriented_nms
+from vehanchor.perception import analyse_scale
+from vehanchor.scene import render_scene
+from vehanchor.tiling import tile_grid
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_SIDE_PX = 4096
+
+
+def _large_scene() -> NDArray[np.uint8]:
+    """One rendered 1024 px scene repeated: what matters here is the number of pixels and cars."""
+    scene = render_scene(0.15, width_px=1024, height_px=1024, seed=5, layout="parking")
+    return np.ascontiguousarray(np.tile(scene.image, (4, 4, 1)))
+
+
+def _bare(session: onnxruntime.InferenceSession, tiles: list[NDArray[np.float32]]) -> float:
+    started = time.perf_counter()
+    for tile in tiles:
+        session.run(None, {"images": tile})
+    return time.perf_counter() - started
+
+
+def pipeline(rounds: int) -> list[str]:
+    """Whole pipeline against bare ONNX Runtime."""
+    image = _large_scene()
+    detector = Detector(resolve_model())
+    tiles = []
+    with open_raster(image) as raster:
+        for window in tile_grid(_SIDE_PX, _SIDE_PX):
+            tiles.append(np.asarray(cv2.dnn.blobFromImage(raster.read(window), 1 / 255.0), dtype=np.float32))
+    session = onnxruntime.InferenceSession(str(detector.path), providers=["CPUExecutionProvider"])
+    _bare(session, tiles[:2])
+    analyse_scale(image[:1024, :1024], detector=detector)
+    bare, whole = [], []
+    for _ in range(rounds):
+        bare.append(_bare(session, tiles))
+        started = time.perf_counter()
+        analysis = analyse_scale(image, detector=detector)
+        whole.append(time.perf_counter() - started)
+    ratio = statistics.median(w / b for w, b in zip(whole, bare, strict=True))
+    return [
+        f"| pipeline, 4096 x 4096, {len(analysis.detections.boxes)} boxes | {statistics.median(whole):.2f} s |",
+        f"| bare ONNX Runtime, the same 25 tiles | {statistics.median(bare):.2f} s |",
+        f"| pipeline / bare (median of {rounds} pairs) | {ratio:.3f} |",
+    ]
+
+
+def peak_memory() -> str:
+    """Peak resident memory of a fresh process that estimates a 4096 x 4096 PNG."""
+    import tempfile
+    from pathlib import Path
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "large.png"
+        cv2.imwrite(str(path), _large_scene()[:, :, ::-1])
+        code = f"import resource, vehanchor; vehanchor.estimate_gsd({str(path)!r}); " + (
+            "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+        )
+        kib = int(subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout)
+    return f"| peak memory, 4096 x 4096 PNG | {kib / 1024:.0f} MiB |"
+
+
+def nms_time() -> str:
+    """Oriented NMS of 50,000 boxes at the density of a full car park."""
+    rng = np.random.default_rng(0)
+    n = 50_000
+    boxes = np.column_stack(
+        [rng.uniform(0, 6700, (n, 2)), rng.normal(30, 3, n), rng.normal(12, 1, n), rng.uniform(0, np.pi, n)]
+    )
+    scores = rng.uniform(0.1, 1, n)
+    times = []
+    for _ in range(3):
+        started = time.perf_counter()
+        kept = oriented_nms(boxes, scores)
+        times.append(time.perf_counter() - started)
+    return f"| oriented NMS, 50,000 boxes ({len(kept)} kept) | {statistics.median(times):.2f} s |"
+
+
+def _command_time(*command: str) -> float:
+    times = []
+    for _ in range(5):
+        started = time.perf_counter()
+        subprocess.run([sys.executable, *command], check=True, capture_output=True)
+        times.append(time.perf_counter() - started)
+    return statistics.median(times)
+
+
+def start_up() -> list[str]:
+    """Import and help times, the bare interpreter's taken off for the import."""
+    interpreter = _command_time("-c", "pass")
+    return [
+        f"| import vehanchor | {_command_time('-c', 'import vehanchor') - interpreter:.2f} s |",
+        f"| vehanchor --help | {_command_time('-m', 'vehanchor', '--help'):.2f} s |",
+    ]
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=5)
+    options = parser.parse_args()
+    print(f"{platform.machine()}, onnxruntime {onnxruntime.__version__}, OpenCV {cv2.__version__}\n")
+    print("| what | measured |\n|---|---|")
+    for line in [*pipeline(options.rounds), peak_memory(), nms_time(), *start_up()]:
+        print(line, flush=True)
+    print(f"\nPeak memory of this benchmark: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""The confidence a planner acts on: four terms with the paper's weights, and the resolution guard.
+
+The paper gives the weights (section III-D); the terms' shapes are ours, fitted on the held-out tenth of the train split
+by ``training/detector/fit_confidence.py``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.records import ConfidenceTerms
+from vehanchor.scale import MIN_KDE_VEHICLES
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+__all__ = [
+    "FALLBACK_CONFIDENCE",
+    "GUARD_CONFIDENCE",
+    "GUARD_GSD_M_PER_PX",
+    "composite",
+    "confidence_terms",
+    "guard_length",
+]
+
+FALLBACK_CONFIDENCE = 0.5  # paper, section III-E: below it a planner must fall back
+GUARD_GSD_M_PER_PX = 0.3  # paper, GSD_max
+GUARD_CONFIDENCE = 0.3  # paper: C = min(C_raw, 0.3)
+_WEIGHTS = ConfidenceTerms.model_construct(sample=0.35, concentration=0.35, quality=0.20, plausibility=0.10)  # paper
+
+_SAMPLE_SCALE = 8.0  # vehicles; 1 - exp(-n / 8): 5 give 0.46, 20 give 0.92
+_CV_FULL, _CV_NONE = 0.08, 0.40  # coefficient of variation: a clean fleet; lengths that say nothing
+_SCORE_NONE, _SCORE_FULL = 0.25, 0.75  # median detection score
+_FADE = 1.5  # factor outside the trained range over which plausibility falls to 0
+
+
+def _ramp(value: float, zero_at: float, one_at: float) -> float:
+    return float(np.clip((value - zero_at) / (one_at - zero_at), 0.0, 1.0))
+
+
+def confidence_terms(
+    lengths: ArrayLike, scores: ArrayLike, mode_px: float, length_range_px: tuple[float, float]
+) -> ConfidenceTerms:
+    """The four terms, each in [0, 1].
+
+    * sample: ``1 - exp(-n / 8)``.
+    * concentration: 1 at a coefficient of variation of 0.08, 0 at 0.40, linear between; 0 with fewer than 5 vehicles,
+      since one false alarm has no spread. Together with the sample term this keeps C below 0.5 for N' < 5.
+    * quality: median score, 0 at 0.25, 1 at 0.75.
+    * plausibility: 1 while ``mode_px`` is in the model's range, falling to 0 over a factor of 1.5 outside it.
+
+    Args:
+        lengths: ``[n]`` pixels of the kept vehicles.
+        scores: ``[n]`` their detection scores.
+        mode_px: ``P_mode``.
+        length_range_px: shortest and longest vehicle the model measures well.
+
+    Returns:
+        The terms; all zero for no vehicles.
+    """
+    values, score = np.asarray(lengths, dtype=np.float64), np.asarray(scores, dtype=np.float64)
+    if len(values) == 0:
+        return ConfidenceTerms(sample=0.0, concentration=0.0, quality=0.0, plausibility=0.0)
+    variation = float(np.std(values) / np.mean(values))
+    shortest, longest = length_range_px
+    outside = max(np.log(shortest / mode_px), np.log(mode_px / longest), 0.0)
+    return ConfidenceTerms(
+        sample=float(1.0 - np.exp(-len(values) / _SAMPLE_SCALE)),
+        concentration=_ramp(variation, _CV_NONE, _CV_FULL) if len(values) >= MIN_KDE_VEHICLES else 0.0,
+        quality=_ramp(float(np.median(score)), _SCORE_NONE, _SCORE_FULL),
+        plausibility=_ramp(outside, float(np.log(_FADE)), 0.0),
+    )
+
+
+def guard_length(reference_length_m: float, min_length_px: float = 0.0) -> float:
+    """``P_thresh`` of the resolution guard (paper, equation 6), raised where the model needs longer vehicles.
+
+    Args:
+        reference_length_m: ``L_ref``.
+        min_length_px: the shortest length the model measures without bias.
+
+    Returns:
+        Pixels: ``max(L_ref / 0.3, min_length_px)``.
+    """
+    return max(reference_length_m / GUARD_GSD_M_PER_PX, min_length_px)
+
+
+def composite(terms: ConfidenceTerms, *, guarded: bool) -> float:
+    """Weighted sum of the terms (paper, equation 5), capped at 0.3 where the resolution guard holds."""
+    total = (
+        _WEIGHTS.sample * terms.sample
+        + _WEIGHTS.concentration * terms.concentration
+        + _WEIGHTS.quality * terms.quality
+        + _WEIGHTS.plausibility * terms.plausibility
+    )
+    return min(total, GUARD_CONFIDENCE) if guarded else min(total, 1.0)

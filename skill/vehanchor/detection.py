@@ -1,0 +1,427 @@
+"""Vehicle detection: an ONNX oriented-box model, run over the tiles of an image, to boxes in image pixels.
+
+One decoder reads the bundled model and any YOLOv8, YOLO11 or YOLO26 OBB file that a user exports with Ultralytics:
+
+* raw, ``[1, 4 + nc + 1, anchors]``: a column is cx, cy, w, h, nc scores, angle;
+* end to end, ``[1, n, 7]``: a row is cx, cy, w, h, score, class, angle, padded with zeros to n (300 in practice).
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+import onnxruntime
+
+from vehanchor.errors import (
+    InvalidParameterError,
+    ModelContractError,
+    ModelNotFoundError,
+    ProviderUnavailableError,
+)
+from vehanchor.obb import NMS_IOU, box_corners, canonical_boxes, oriented_nms
+from vehanchor.tiling import TILE_OVERLAP, TILE_SIZE_PX, tile_grid
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from vehanchor.imagery import Raster, Window
+
+__all__ = ["Detections", "Detector", "DetectorCard", "detect_vehicles", "load_detector"]
+
+DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
+MIN_SCORE = 0.1  # paper, section III-B
+REFERENCE_LENGTH_M = 5.045  # paper, section III-F: KDE mode of the DOTA v1.5 training labels
+REFERENCE_LENGTH_SD_M = 0.25  # half of the paper's +-0.5 m sweep, taken as two standard deviations between regions
+LENGTH_RANGE_PX = (9.0, 120.0)  # what a DOTA-trained model at 1024 px has seen of small vehicles
+_REGION_RATIOS = {"europe": 4.5 / 5.045, "north_america": 5.5 / 5.045}  # paper, section IV-D
+_VEHICLE_NAMES = ("small vehicle", "car", "vehicle")  # in this order, the first that the model knows
+_DOTA_NAMES = (
+    "plane", "ship", "storage tank", "baseball diamond", "tennis court", "basketball court", "ground track field",
+    "harbor", "bridge", "large vehicle", "small vehicle", "helicopter", "roundabout", "soccer ball field",
+    "swimming pool",
+)  # fmt: skip
+_PADDING_LEVEL = 114  # the grey that Ultralytics pads with
+_ANGLE_LIMIT = 1e4  # a finite, sane angle in radians before it is taken modulo pi
+
+
+@dataclass(frozen=True)
+class DetectorCard:
+    """What a detector's file says of itself; foreign models get the paper's values.
+
+    Attributes:
+        name: the model's name.
+        sha256: of the file.
+        class_names: class index to name.
+        reference_length_m: ``L_ref``, the length that the modal box of this model stands for.
+        reference_length_sd_m: its standard deviation between regions.
+        region_lengths_m: reference length by region.
+        length_range_px: shortest and longest vehicle, in pixels, that the model was trained on.
+        min_length_px: shortest length measured without bias; 0 where nothing is known.
+        min_score: detections below it are dropped.
+        licence: of the weights, as the file states it.
+    """
+
+    name: str
+    sha256: str
+    class_names: Mapping[int, str]
+    reference_length_m: float
+    reference_length_sd_m: float
+    region_lengths_m: Mapping[str, float]
+    length_range_px: tuple[float, float]
+    min_length_px: float
+    min_score: float
+    licence: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """Vehicles found in an image.
+
+    Attributes:
+        boxes: ``[n, 5]`` float64 rows ``(x, y, length, width, angle)`` in image pixels and radians, best score first.
+        scores: ``[n]`` float64 in [0, 1].
+        n_tiles: tiles that were searched.
+        n_capped_tiles: tiles in which an end-to-end model had no row left, so that vehicles may be missing.
+    """
+
+    boxes: NDArray[np.float64]
+    scores: NDArray[np.float64]
+    n_tiles: int = 1
+    n_capped_tiles: int = 0
+
+
+def _number(metadata: Mapping[str, str], key: str, default: float) -> float:
+    text = metadata.get(f"vehanchor.{key}")
+    if text is None:
+        return default
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or value < 0:
+        raise ModelContractError(f"metadata vehanchor.{key} is {text!r}: expected a finite number >= 0")
+    return value
+
+
+def _class_names(metadata: Mapping[str, str]) -> dict[int, str]:
+    """``names`` is the repr of a Python dict (or list) in Ultralytics' exports."""
+    text = metadata.get("names")
+    if not text:
+        return {}
+    try:
+        value = ast.literal_eval(text)
+        pairs = value.items() if isinstance(value, dict) else enumerate(value)
+        return {int(index): str(name) for index, name in pairs}
+    except (ValueError, SyntaxError, TypeError):
+        raise ModelContractError(f"metadata 'names' is {text[:80]!r}: expected a Python dict of class names") from None
+
+
+def _canonical_name(name: str) -> str:
+    return name.lower().replace("-", " ").replace("_", " ").strip()
+
+
+def _read_card(path: Path, sha256: str, metadata: Mapping[str, str]) -> DetectorCard:
+    reference = _number(metadata, "reference_length_m", REFERENCE_LENGTH_M)
+    regions = {name: reference * ratio for name, ratio in _REGION_RATIOS.items()}
+    range_text = metadata.get("vehanchor.length_range_px")
+    try:
+        if "vehanchor.region_lengths_m" in metadata:
+            regions |= {str(k): float(v) for k, v in json.loads(metadata["vehanchor.region_lengths_m"]).items()}
+        shortest, longest = map(float, range_text.split(",")) if range_text else LENGTH_RANGE_PX
+    except (ValueError, AttributeError) as error:
+        raise ModelContractError(f"{path}: the vehanchor.* metadata cannot be read: {error}") from None
+    return DetectorCard(
+        name=metadata.get("vehanchor.name", path.stem),
+        sha256=sha256,
+        class_names=_class_names(metadata),
+        reference_length_m=reference,
+        reference_length_sd_m=_number(metadata, "reference_length_sd_m", REFERENCE_LENGTH_SD_M),
+        region_lengths_m=regions,
+        length_range_px=(shortest, longest),
+        min_length_px=_number(metadata, "min_length_px", 0.0),
+        min_score=_number(metadata, "min_score", MIN_SCORE),
+        licence=metadata.get("license"),
+    )
+
+
+class Detector:
+    """An oriented-box vehicle detector: an ONNX Runtime session and what its file says of itself.
+
+    Args:
+        path: the ONNX file.
+        classes: class names (either spelling) or indices that count as vehicles; default "small vehicle", else "car" or
+            "vehicle", else a single class whatever its name.
+        threads: CPU threads of the session; None leaves it to ONNX Runtime.
+        providers: ONNX Runtime execution providers in order of preference.
+
+    Raises:
+        ModelNotFoundError: there is no such file.
+        ModelContractError: the file is not an oriented-box detector of a known layout.
+        ProviderUnavailableError: an execution provider is not installed.
+        InvalidParameterError: bad ``threads`` or ``classes``.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        classes: Sequence[str | int] | None = None,
+        threads: int | None = None,
+        providers: Sequence[str] = DEFAULT_PROVIDERS,
+    ) -> None:
+        self.path = Path(path)
+        content = _read_model(self.path)
+        self._session = _open_session(self.path, content, threads, providers)
+        metadata = self._session.get_modelmeta().custom_metadata_map
+        self.card = _read_card(self.path, hashlib.sha256(content).hexdigest(), metadata)
+        self._input = self._checked_input()
+        self._dtype = np.float16 if self._input.type == "tensor(float16)" else np.float32
+        batch, _, height, width = (side if isinstance(side, int) else None for side in self._input.shape)
+        if batch not in (None, 1):
+            raise ModelContractError(
+                f"{self.path}: batch size is fixed at {batch}; export with batch=1 or dynamic=True"
+            )
+        self.fixed_size: tuple[int, int] | None = (height, width) if height and width else None
+        self._stride = self._model_stride(metadata)
+        self._rows, self._n_classes = self._layout()
+        self._classes = self._vehicle_classes(classes)
+
+    def _refuse(self, found: str) -> ModelContractError:
+        return ModelContractError(
+            f"{self.path} is not an oriented-box detector: {found}. Expected one float input [1, 3, h, w] and an "
+            "output [1, 4+classes+1, anchors] or [1, n, 7], as 'yolo export model=yolo11l-obb.pt format=onnx' writes it"
+        )
+
+    def _checked_input(self) -> Any:
+        inputs = self._session.get_inputs()
+        if len(inputs) != 1:
+            raise self._refuse(f"it has {len(inputs)} inputs ({', '.join(i.name for i in inputs)})")
+        first = inputs[0]
+        if first.type not in ("tensor(float)", "tensor(float16)"):
+            raise self._refuse(f"input {first.name!r} is {first.type}")
+        if len(first.shape) != 4 or (first.shape[1] not in (3, None) and not isinstance(first.shape[1], str)):
+            raise self._refuse(f"input {first.name!r} has shape {first.shape}")
+        return first
+
+    def _model_stride(self, metadata: Mapping[str, str]) -> int:
+        try:
+            return max(1, int(float(metadata.get("stride", "32"))))
+        except ValueError:
+            raise self._refuse(f"metadata 'stride' is {metadata['stride']!r}") from None
+
+    def _layout(self) -> tuple[bool, int]:
+        """Whether the output is end-to-end rows, and the number of classes; a blank probe where shapes are symbolic."""
+        shape = list(self._session.get_outputs()[0].shape)
+        known = len(self.card.class_names)
+        if len(shape) != 3 or not all(isinstance(side, int) for side in shape[1:]):
+            height, width = self.fixed_size or (self._stride * 4, self._stride * 4)
+            try:
+                shape = list(self._run(np.zeros((1, 3, height, width), dtype=self._dtype)).shape)
+            except Exception as error:  # whatever ONNX Runtime raises: the graph does not take an image
+                raise self._refuse(f"it fails on a blank {width} x {height} image ({error})") from None
+        if len(shape) != 3:
+            raise self._refuse(f"its output has shape {shape}")
+        if shape[1] == known + 5 and known:
+            return False, known
+        if shape[2] == 7:
+            return True, known
+        if not known and 6 <= shape[1] < shape[2]:
+            return False, shape[1] - 5
+        raise self._refuse(f"its output has shape {shape}, with {known} class names in the metadata")
+
+    def _vehicle_classes(self, wanted: Sequence[str | int] | None) -> NDArray[np.intp]:
+        names = {index: _canonical_name(name) for index, name in self.card.class_names.items()}
+        if not names and self._n_classes == len(_DOTA_NAMES):
+            names = dict(enumerate(_DOTA_NAMES))
+        if wanted is not None:
+            chosen = [i for w in wanted for i in self._indices_of(w, names)]
+            return np.unique(np.array(chosen, dtype=np.intp))
+        for name in _VEHICLE_NAMES:
+            matching = [index for index, known in names.items() if known == name]
+            if matching:
+                return np.array(matching, dtype=np.intp)
+        if len(names) == 1 or self._n_classes == 1:
+            return np.array([next(iter(names), 0)], dtype=np.intp)
+        listed = ", ".join(self.card.class_names.values()) or "no names"
+        raise ModelContractError(
+            f"{self.path}: no class is a small vehicle (it has {listed}); name the classes to use with classes=[...]"
+        )
+
+    def _indices_of(self, wanted: str | int, names: Mapping[int, str]) -> list[int]:
+        if isinstance(wanted, int):
+            known = wanted in names if names else wanted >= 0 and (wanted < self._n_classes or self._rows)
+            found = [wanted] if known else []
+        else:
+            found = [index for index, name in names.items() if name == _canonical_name(wanted)]
+        if not found:
+            raise InvalidParameterError(
+                f"class {wanted!r} is not in the model; it has {dict(names) or self._n_classes}"
+            )
+        return found
+
+    def _run(self, batch: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray(self._session.run(None, {self._input.name: batch})[0])
+
+    def _prepared(self, tile: NDArray[np.uint8]) -> NDArray[Any]:
+        """``[h, w, 3]`` uint8 to the model's ``[1, 3, H, W]`` in 0..1, padded right and below."""
+        height, width = tile.shape[:2]
+        if self.fixed_size:
+            full_h, full_w = self.fixed_size
+        else:
+            full_h, full_w = (-(-side // self._stride) * self._stride for side in (height, width))
+        if (full_h, full_w) != (height, width):
+            padded = np.full((full_h, full_w, 3), _PADDING_LEVEL, dtype=np.uint8)
+            padded[:height, :width] = tile
+            tile = padded
+        blob = cv2.dnn.blobFromImage(tile, 1 / 255.0)
+        return np.asarray(blob, dtype=self._dtype)
+
+    def detect_tile(
+        self, tile: NDArray[np.uint8], min_score: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
+        """Detect vehicles in one tile, before non-maximum suppression.
+
+        Args:
+            tile: ``[h, w, 3]`` uint8 RGB, no larger than the model's input where that is fixed.
+            min_score: detections below it are dropped.
+
+        Returns:
+            ``[n, 5]`` canonical boxes in tile pixels, ``[n]`` scores, and whether the model's rows ran out.
+        """
+        output = self._run(self._prepared(tile))[0]
+        capped = False
+        if self._rows:
+            table = output.astype(np.float64)
+            wanted = (table[:, 4] >= max(min_score, 1e-9)) & np.isin(table[:, 5].astype(np.intp), self._classes)
+            capped = bool(len(table) and (table[:, 4] > 0).all())
+            boxes, scores = table[wanted][:, [0, 1, 2, 3, 6]], table[wanted, 4]
+        else:
+            class_scores = output[4 + self._classes]
+            best = class_scores[0] if len(class_scores) == 1 else class_scores.max(axis=0)
+            wanted = np.flatnonzero(best >= min_score)
+            boxes = output[:, wanted][[0, 1, 2, 3, -1]].T.astype(np.float64)
+            scores = best[wanted].astype(np.float64)
+        sane = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:4] > 0).all(axis=1) & (np.abs(boxes[:, 4]) < _ANGLE_LIMIT)
+        height, width = tile.shape[:2]
+        sane &= (boxes[:, 0] >= 0) & (boxes[:, 0] <= width) & (boxes[:, 1] >= 0) & (boxes[:, 1] <= height)
+        return canonical_boxes(boxes[sane]), np.clip(scores[sane], 0.0, 1.0), capped
+
+
+def _read_model(path: Path) -> bytes:
+    if not path.is_file():
+        raise ModelNotFoundError(
+            f"no model file at {path}; pass the path of an ONNX file, or see 'vehanchor models list'"
+        )
+    return path.read_bytes()
+
+
+def _open_session(
+    path: Path, content: bytes, threads: int | None, providers: Sequence[str]
+) -> onnxruntime.InferenceSession:
+    available = onnxruntime.get_available_providers()
+    missing = [name for name in providers if name not in available]
+    if missing:
+        raise ProviderUnavailableError(
+            f"ONNX Runtime has no {missing[0]} here; it has {', '.join(available)}. Install the matching "
+            "onnxruntime build"
+        )
+    if threads is not None and (threads < 1 or threads != int(threads)):
+        raise InvalidParameterError(f"threads is {threads}: use a whole number >= 1, or None for all cores")
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 4  # fatal only: a broken file is reported by our own error
+    if threads is not None:
+        options.intra_op_num_threads = threads
+        options.inter_op_num_threads = 1
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=list(providers))
+    except Exception as error:  # ONNX Runtime's own exception types are private
+        raise ModelContractError(f"{path} is not an ONNX model that ONNX Runtime can load: {error}") from None
+
+
+@functools.lru_cache(maxsize=4)
+def load_detector(
+    path: Path, *, threads: int | None = None, providers: tuple[str, ...] = DEFAULT_PROVIDERS
+) -> Detector:
+    """Open a detector once per path, thread count and providers; see ``Detector``."""
+    return Detector(path, threads=threads, providers=providers)
+
+
+def _cut_by_tile(boxes: NDArray[np.float64], tile: Window, raster: Raster, overlap_px: int) -> NDArray[np.bool_]:
+    """Boxes cut by a tile's inner edge, which the next tile sees whole: their length is not the vehicle's."""
+    corners = box_corners(boxes)
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    over = np.zeros(len(boxes), dtype=bool)
+    if tile.x_px > 0:
+        over |= low[:, 0] < 1
+    if tile.y_px > 0:
+        over |= low[:, 1] < 1
+    if tile.x_px + tile.width_px < raster.width_px:
+        over |= high[:, 0] > tile.width_px - 1
+    if tile.y_px + tile.height_px < raster.height_px:
+        over |= high[:, 1] > tile.height_px - 1
+    return over & (boxes[:, 2] < overlap_px)
+
+
+def detect_vehicles(
+    raster: Raster,
+    detector: Detector,
+    *,
+    min_score: float | None = None,
+    tile_px: int | None = None,
+    stride_px: int | None = None,
+    nms_iou: float = NMS_IOU,
+    progress: Callable[[int, int], None] | None = None,
+) -> Detections:
+    """Search an image tile by tile and merge the results (paper, section III-B).
+
+    Args:
+        raster: the image; only one tile of it is held at a time.
+        detector: the model.
+        min_score: lowest detection score; default the model's own, 0.1 for foreign models.
+        tile_px: side of the tiles; default 1024, or the model's input where that is fixed.
+        stride_px: step between tiles; default three quarters of ``tile_px``.
+        nms_iou: IoU above which the lower-scored of two boxes is dropped.
+        progress: called with (tiles done, tiles in all); an exception it raises ends the search.
+
+    Returns:
+        Boxes in image pixels after oriented non-maximum suppression.
+
+    Raises:
+        InvalidParameterError: a tile larger than the model's fixed input, a stride beyond the tile.
+    """
+    if tile_px is None:
+        tile_px = min(detector.fixed_size) if detector.fixed_size else TILE_SIZE_PX
+    if detector.fixed_size and tile_px > min(detector.fixed_size):
+        raise InvalidParameterError(f"tile_px is {tile_px}, but the model's input is fixed at {detector.fixed_size}")
+    stride = round(tile_px * (1 - TILE_OVERLAP)) if stride_px is None else stride_px
+    if tile_px < 32 or not 1 <= stride <= tile_px:
+        raise InvalidParameterError(f"tile_px {tile_px}, stride_px {stride}: use a tile >= 32 and a stride within it")
+    threshold = detector.card.min_score if min_score is None else min_score
+    tiles = tile_grid(raster.width_px, raster.height_px, tile_px=tile_px, stride_px=stride)
+    boxes, scores, n_capped = [np.zeros((0, 5))], [np.zeros(0)], 0
+    for done, tile in enumerate(tiles):
+        if progress:
+            progress(done, len(tiles))
+        local, score, capped = detector.detect_tile(raster.read(tile), threshold)
+        n_capped += capped
+        whole = ~_cut_by_tile(local, tile, raster, tile_px - stride)
+        local[:, 0] += tile.x_px
+        local[:, 1] += tile.y_px
+        boxes.append(local[whole])
+        scores.append(score[whole])
+    if progress:
+        progress(len(tiles), len(tiles))
+    found, found_scores = np.concatenate(boxes), np.concatenate(scores)
+    kept = oriented_nms(found, found_scores, iou_threshold=nms_iou)
+    return Detections(found[kept], found_scores[kept], len(tiles), n_capped)

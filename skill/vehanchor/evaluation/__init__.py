@@ -1,0 +1,1 @@
+"""Reading benchmark data and measuring against it."""

@@ -1,0 +1,320 @@
+"""The geometric perception skill: an image in, its metric scale out.
+
+Raster -> tiles -> boxes -> lengths -> mode -> GSD -> confidence -> record. Stateless but for loaded models, and
+deterministic: the same image and model give the same record, whatever the number of threads.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.confidence import FALLBACK_CONFIDENCE, composite, confidence_terms, guard_length
+from vehanchor.detection import Detections, Detector, detect_vehicles, load_detector
+from vehanchor.errors import FrameError, InvalidParameterError
+from vehanchor.imagery import ImageLimits, ImageSource, open_raster
+from vehanchor.model_zoo import resolve_model
+from vehanchor.obb import NMS_IOU
+from vehanchor.records import Aggregation, FrameScale, GsdEstimate, Notice
+from vehanchor.scale import OUTLIER_ALPHA, gsd_interval, inlier_mask, modal_length
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from vehanchor.detection import DetectorCard
+    from vehanchor.imagery import Raster
+
+__all__ = ["ScaleAnalysis", "ScaleOptions", "analyse_scale", "estimate_gsd"]
+
+_GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale and the estimate may differ by this before a warning
+DEFAULT_LIMITS = ImageLimits()
+_AGGREGATIONS = ("kde", "weighted_kde", "median", "mean")
+
+
+@dataclass(frozen=True)
+class ScaleOptions:
+    """Every choice of the method; the defaults are the paper's, or the model's own where that is None.
+
+    Attributes:
+        min_score: lowest detection score; None takes the model's (0.1, the paper's, for foreign models).
+        tile_px: tile side; None is 1024, or the model's input where that is fixed.
+        stride_px: step between tiles; None is three quarters of the tile.
+        nms_iou: IoU above which the weaker of two boxes is dropped.
+        alpha: outlier filter, ``P_i <= alpha * median``; None switches it off.
+        aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean``.
+        reference_length_m: ``L_ref``; None takes the model's.
+        region: take the model's reference length for this region (``europe``, ``north_america``, ...) instead.
+        frame_width_px: width of the resized copy the caller works in; with ``frame_height_px``.
+        frame_height_px: its height.
+        bands: three 1-based bands to take as red, green, blue; None takes the first three.
+        limits: what an image may cost, checked before decoding.
+    """
+
+    min_score: float | None = None
+    tile_px: int | None = None
+    stride_px: int | None = None
+    nms_iou: float = NMS_IOU
+    alpha: float | None = OUTLIER_ALPHA
+    aggregation: Aggregation = "kde"
+    reference_length_m: float | None = None
+    region: str | None = None
+    frame_width_px: int | None = None
+    frame_height_px: int | None = None
+    bands: tuple[int, int, int] | None = None
+    limits: ImageLimits = DEFAULT_LIMITS
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, (int, float)) and not (math.isfinite(value) and value > 0):
+                allowed_zero = field.name in ("min_score", "nms_iou") and value == 0
+                if not allowed_zero:
+                    raise InvalidParameterError(f"{field.name} is {value}: use a finite number > 0")
+        for name, value in (("min_score", self.min_score), ("nms_iou", self.nms_iou)):
+            if value is not None and value > 1:
+                raise InvalidParameterError(f"{name} is {value}: it lies in 0..1")
+        if self.aggregation not in _AGGREGATIONS:
+            raise InvalidParameterError(f"aggregation is {self.aggregation!r}: use one of {', '.join(_AGGREGATIONS)}")
+        if self.reference_length_m is not None and self.region is not None:
+            raise InvalidParameterError("give reference_length_m or region, not both: each sets the reference length")
+        if (self.frame_width_px is None) != (self.frame_height_px is None):
+            raise InvalidParameterError("a frame needs both frame_width_px and frame_height_px")
+
+
+@dataclass(frozen=True, eq=False)
+class ScaleAnalysis:
+    """An estimate together with the detections it came from.
+
+    Attributes:
+        estimate: the record.
+        detections: all vehicles found.
+        kept: ``[n]`` bool, those that passed the outlier filter.
+    """
+
+    estimate: GsdEstimate
+    detections: Detections
+    kept: NDArray[np.bool_]
+
+
+def estimate_gsd(
+    image: ImageSource,
+    *,
+    detector: Detector | str | os.PathLike[str] | None = None,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    min_score: float | None = None,
+    tile_px: int | None = None,
+    stride_px: int | None = None,
+    nms_iou: float = NMS_IOU,
+    alpha: float | None = OUTLIER_ALPHA,
+    aggregation: Aggregation = "kde",
+    reference_length_m: float | None = None,
+    region: str | None = None,
+    frame_width_px: int | None = None,
+    frame_height_px: int | None = None,
+    bands: tuple[int, int, int] | None = None,
+    limits: ImageLimits = DEFAULT_LIMITS,
+) -> GsdEstimate:
+    """Estimate the ground sampling distance of an aerial image from the cars in it.
+
+    Args:
+        image: path, encoded bytes, binary file object, or array (H x W x 3 RGB or H x W; uint8, uint16 or float).
+        detector: a bundled model's name, the path of an ONNX oriented-box model, or a loaded ``Detector``; default the
+            bundled one.
+        threads: CPU threads for the model; None leaves it to ONNX Runtime. Ignored for a loaded ``Detector``.
+        progress: called with (tiles done, tiles in all).
+        min_score: see ``ScaleOptions``, as all that follow.
+        tile_px: tile side, pixels.
+        stride_px: step between tiles, pixels.
+        nms_iou: IoU of the non-maximum suppression.
+        alpha: factor of the outlier filter, None for off.
+        aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean``.
+        reference_length_m: the fleet's modal vehicle length, metres.
+        region: take the model's reference length for a region.
+        frame_width_px: width of the caller's resized copy.
+        frame_height_px: its height.
+        bands: three 1-based bands.
+        limits: limits on bytes and pixels.
+
+    Returns:
+        The record; ``gsd_m_per_px`` is None, never a guess, where no vehicle is found.
+
+    Raises:
+        ImageError: the image cannot be used; see ``vehanchor.errors`` for its kinds.
+        ModelError: the detector cannot be used.
+        InvalidParameterError: an option has no meaning.
+        FrameError: the frame has another aspect ratio than the image.
+    """
+    options = ScaleOptions(
+        min_score=min_score,
+        tile_px=tile_px,
+        stride_px=stride_px,
+        nms_iou=nms_iou,
+        alpha=alpha,
+        aggregation=aggregation,
+        reference_length_m=reference_length_m,
+        region=region,
+        frame_width_px=frame_width_px,
+        frame_height_px=frame_height_px,
+        bands=bands,
+        limits=limits,
+    )
+    return analyse_scale(image, options, detector=detector, threads=threads, progress=progress).estimate
+
+
+def analyse_scale(
+    image: ImageSource,
+    options: ScaleOptions | None = None,
+    *,
+    detector: Detector | str | os.PathLike[str] | None = None,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> ScaleAnalysis:
+    """As ``estimate_gsd``, with the detections behind the number.
+
+    Args:
+        image: as in ``estimate_gsd``.
+        options: every choice of the method; None for the defaults.
+        detector: as in ``estimate_gsd``.
+        threads: as in ``estimate_gsd``.
+        progress: as in ``estimate_gsd``.
+
+    Returns:
+        The record, the detections and which of them were kept.
+
+    Raises:
+        VehAnchorError: as ``estimate_gsd``.
+    """
+    chosen = options or ScaleOptions()
+    if not isinstance(detector, Detector):
+        path = resolve_model(None if detector is None else str(detector))
+        detector = load_detector(path, threads=threads)
+    _reference_length(detector.card, chosen)  # a bad region is told before the work, not after
+    with open_raster(image, bands=chosen.bands, limits=chosen.limits) as raster:
+        check_frame(chosen, raster.width_px, raster.height_px)
+        detections = detect_vehicles(
+            raster,
+            detector,
+            min_score=chosen.min_score,
+            tile_px=chosen.tile_px,
+            stride_px=chosen.stride_px,
+            nms_iou=chosen.nms_iou,
+            progress=progress,
+        )
+        return _conclude(raster, detector.card, detections, chosen)
+
+
+def _conclude(raster: Raster, card: DetectorCard, detections: Detections, options: ScaleOptions) -> ScaleAnalysis:
+    """Lengths to record."""
+    kept = inlier_mask(detections.boxes[:, 2], options.alpha)
+    lengths, scores = detections.boxes[kept, 2], detections.scores[kept]
+    reference_m, reference_sd_m = _reference_length(card, options)
+    notices = [Notice(code=note.code, message=note.message) for note in raster.warnings]
+    if detections.n_capped_tiles:
+        notices.append(
+            Notice(
+                code="detections_capped",
+                message=f"{detections.n_capped_tiles} of {detections.n_tiles} tiles reached the model's largest "
+                "number of boxes: vehicles may be missing. Export the model without nms=True, or use smaller tiles.",
+            )
+        )
+    gsd = mode_px = interval = None
+    aggregation, guarded = options.aggregation, False
+    if len(lengths):
+        mode_px, aggregation = modal_length(lengths, scores, options.aggregation)
+        gsd = reference_m / mode_px
+        interval = gsd_interval(lengths, mode_px, reference_m, reference_sd_m)
+        guarded = mode_px < guard_length(reference_m, card.min_length_px)
+    terms = confidence_terms(
+        lengths,
+        scores,
+        mode_px or math.nan,
+        (max(card.min_length_px, card.length_range_px[0]), card.length_range_px[1]),
+    )
+    confidence = composite(terms, guarded=guarded)
+    truth = raster.georeference_gsd_m_per_px
+    if gsd is not None and truth is not None and abs(gsd - truth) > _GEOREFERENCE_TOLERANCE * truth:
+        notices.append(
+            Notice(
+                code="georeference_differs",
+                message=f"The file's own scale is {truth:.4g} m/px, the vehicles say {gsd:.4g} m/px: "
+                f"{100 * (gsd / truth - 1):+.0f} %. Check which of the two is wrong before using either.",
+            )
+        )
+    estimate = GsdEstimate(
+        status="no_anchor" if gsd is None else "ok" if confidence >= FALLBACK_CONFIDENCE else "low_confidence",
+        gsd_m_per_px=gsd,
+        confidence=confidence,
+        n_vehicles=len(lengths),
+        mode_length_px=mode_px,
+        gsd_ci95_low_m_per_px=interval and interval.low,
+        gsd_ci95_high_m_per_px=interval and interval.high,
+        n_detections=len(detections.boxes),
+        aggregation=aggregation,
+        reference_length_m=reference_m,
+        resolution_guard=guarded,
+        confidence_terms=terms,
+        image_width_px=raster.width_px,
+        image_height_px=raster.height_px,
+        georeference_gsd_m_per_px=truth,
+        frame=_frame_scale(options, raster.width_px, gsd, interval),
+        model=card.name,
+        model_sha256=card.sha256,
+        warnings=tuple(notices),
+    )
+    return ScaleAnalysis(estimate, detections, kept)
+
+
+def _reference_length(card: DetectorCard, options: ScaleOptions) -> tuple[float, float]:
+    """Reference length and its standard deviation, metres.
+
+    A caller who names the length or the region has settled most of what differs between regions: half of it remains.
+    """
+    if options.reference_length_m is not None:
+        return options.reference_length_m, card.reference_length_sd_m / 2
+    if options.region is not None:
+        if options.region not in card.region_lengths_m:
+            raise InvalidParameterError(
+                f"region is {options.region!r}: this model knows {', '.join(sorted(card.region_lengths_m))}; "
+                "or give reference_length_m"
+            )
+        return card.region_lengths_m[options.region], card.reference_length_sd_m / 2
+    return card.reference_length_m, card.reference_length_sd_m
+
+
+def check_frame(options: ScaleOptions, width_px: int, height_px: int) -> None:
+    """Refuse a frame whose aspect ratio is not the image's, beyond the rounding of one pixel.
+
+    Raises:
+        FrameError: it differs; the message gives the height that would fit.
+    """
+    if options.frame_width_px is None or options.frame_height_px is None:
+        return
+    fitting = options.frame_width_px * height_px / width_px
+    slack = 1.0 + height_px / width_px  # one pixel of rounding in either side
+    if abs(options.frame_height_px - fitting) > slack:
+        raise FrameError(
+            f"the frame is {options.frame_width_px} x {options.frame_height_px} px, the image {width_px} x {height_px} "
+            f"px: a copy of that width would be {round(fitting)} px high. Give the size of an uncropped copy"
+        )
+
+
+def _frame_scale(
+    options: ScaleOptions, width_px: int, gsd: float | None, interval: tuple[float, float] | None
+) -> FrameScale | None:
+    if options.frame_width_px is None or options.frame_height_px is None:
+        return None
+    factor = width_px / options.frame_width_px
+    return FrameScale(
+        width_px=options.frame_width_px,
+        height_px=options.frame_height_px,
+        gsd_m_per_px=None if gsd is None else gsd * factor,
+        gsd_ci95_low_m_per_px=None if interval is None else interval[0] * factor,
+        gsd_ci95_high_m_per_px=None if interval is None else interval[1] * factor,
+    )

@@ -1,0 +1,79 @@
+"""The records that callers get: frozen pydantic models, the single source of every schema.
+
+Numbers are finite or null, units are in the names, and nothing is a bare array of numbers.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+__all__ = ["Aggregation", "ConfidenceTerms", "FrameScale", "GsdEstimate", "Notice", "Status"]
+
+Status = Literal["ok", "low_confidence", "no_anchor"]
+Aggregation = Literal["kde", "weighted_kde", "median", "mean"]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Notice(_Record):
+    """Something a caller should know about a result that is valid all the same."""
+
+    code: str = Field(description="Stable identifier of the warning.")
+    message: str = Field(description="What was noticed, with its value, and what it means for the result.")
+
+
+class ConfidenceTerms(_Record):
+    """The four terms of the confidence before weighting, each in 0..1 (paper, section III-D)."""
+
+    sample: float = Field(ge=0, le=1, description="Sample sufficiency, weight 0.35: grows with the number of vehicles.")
+    concentration: float = Field(
+        ge=0, le=1, description="Weight 0.35: falls with the lengths' coefficient of variation; 0 below 5 vehicles."
+    )
+    quality: float = Field(ge=0, le=1, description="Weight 0.20: from the median detection score.")
+    plausibility: float = Field(
+        ge=0, le=1, description="Weight 0.10: 1 where the modal length lies in the range the model measures well."
+    )
+
+
+class FrameScale(_Record):
+    """The scale in the resized copy that the caller works in."""
+
+    width_px: int = Field(gt=0, description="Width of the caller's copy of the image, pixels.")
+    height_px: int = Field(gt=0, description="Height of the caller's copy of the image, pixels.")
+    gsd_m_per_px: float | None = Field(description="Metres per pixel of that copy; null without an anchor.")
+    gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
+    gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
+
+
+class GsdEstimate(_Record):
+    """Metric scale of an aerial image, the paper's record <GSD, C, N', P_mode> and where it comes from."""
+
+    status: Status = Field(
+        description="ok: confidence >= 0.5. low_confidence: below 0.5, fall back. no_anchor: no vehicle, no scale."
+    )
+    gsd_m_per_px: float | None = Field(
+        description="Ground sampling distance, metres per pixel of the full image; null without an anchor."
+    )
+    confidence: float = Field(ge=0, le=1, description="Composite confidence C in 0..1; below 0.5 use another anchor.")
+    n_vehicles: int = Field(ge=0, description="N': vehicles kept after the outlier filter.")
+    mode_length_px: float | None = Field(description="P_mode: modal vehicle length, pixels; null without an anchor.")
+    gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of the 95 % interval of the GSD.")
+    gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of the 95 % interval of the GSD.")
+    n_detections: int = Field(ge=0, description="N: vehicles detected, before the outlier filter.")
+    aggregation: Aggregation = Field(description="How lengths became one: the mode, or the median below 5 vehicles.")
+    reference_length_m: float = Field(gt=0, description="L_ref: vehicle length that P_mode stands for, metres.")
+    resolution_guard: bool = Field(description="Whether the resolution guard capped the confidence at 0.3.")
+    confidence_terms: ConfidenceTerms = Field(description="The terms that the confidence is the weighted sum of.")
+    image_width_px: int = Field(gt=0, description="Width of the full image, pixels.")
+    image_height_px: int = Field(gt=0, description="Height of the full image, pixels.")
+    georeference_gsd_m_per_px: float | None = Field(
+        description="Scale that the file itself carries (geotransform), for comparison; never used for the estimate."
+    )
+    frame: FrameScale | None = Field(description="The scale in the caller's resized copy, where one was named.")
+    model: str = Field(description="Name of the detector.")
+    model_sha256: str = Field(description="SHA-256 of the detector's file.")
+    warnings: tuple[Notice, ...] = Field(description="What else to know about this result.")

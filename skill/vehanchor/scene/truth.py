@@ -1,0 +1,148 @@
+"""What a rendered scene is known to contain, and how that is written to files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, cast, get_args
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vehanchor.errors import InvalidParameterError
+
+__all__ = ["CATEGORIES", "Category", "Layout", "Scene", "SceneObject", "SceneVehicle", "VehicleKind"]
+
+VehicleKind = Literal["small-vehicle", "large-vehicle"]
+Layout = Literal["urban", "parking", "countryside"]
+Category = Literal["swimming-pool", "building", "sports-court", "field", "parking-lot"]
+CATEGORIES: tuple[Category, ...] = get_args(Category)
+
+_SUFFIXES = (".png", ".jpg", ".jpeg")
+_JPEG_QUALITY = 95
+
+
+@dataclass(frozen=True)
+class SceneVehicle:
+    """One drawn vehicle, bumper to bumper, without its shadow.
+
+    Pixel coordinates are continuous: the image spans [0, width] x [0, height], the first pixel's centre is (0.5, 0.5).
+    """
+
+    kind: VehicleKind
+    x_px: float
+    y_px: float
+    length_px: float
+    width_px: float
+    angle_rad: float
+    """Direction of the long axis towards the front, from +x, clockwise as seen (y points down)."""
+    difficult: bool = False
+    """Cut by the image's edge, or more than 40 % hidden by a tree."""
+
+    def corners(self) -> NDArray[np.float64]:
+        """The four corners [4,2] in pixels: front left, front right, rear right, rear left."""
+        along = np.array([np.cos(self.angle_rad), np.sin(self.angle_rad)]) * self.length_px / 2
+        across = np.array([-np.sin(self.angle_rad), np.cos(self.angle_rad)]) * self.width_px / 2
+        centre = np.array([self.x_px, self.y_px])
+        offsets = np.array([along - across, along + across, -along + across, -along - across])
+        return cast("NDArray[np.float64]", centre + offsets)
+
+
+@dataclass(frozen=True)
+class SceneObject:
+    """One masked object and its areas."""
+
+    category: Category
+    instance: int
+    """Its value in the category's mask; 1, 2, ..."""
+    area_m2: float
+    """What the image shows of it: the mask's pixels times the squared GSD."""
+    full_area_m2: float
+    """The whole outline, also what lies outside the image or below a tree."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A rendered image and the truth about it.
+
+    Attributes:
+        image: [H,W,3] RGB.
+        gsd_m_per_px: size of a pixel on the ground.
+        vehicles: every drawn vehicle whose centre is inside the image.
+        masks: category -> [H,W] instance numbers, 0 where there is none. Pools are their water, buildings their roofs,
+            both without what trees hide; courts are the whole surfaced enclosure; fields and parking lots the whole
+            ground, whatever stands on it.
+        objects: what the masks hold, with areas.
+        seed: the scene's seed.
+        parameters: the other arguments of ``render_scene``, and what was drawn from the seed.
+    """
+
+    image: NDArray[np.uint8]
+    gsd_m_per_px: float
+    vehicles: tuple[SceneVehicle, ...]
+    masks: Mapping[Category, NDArray[np.uint16]]
+    objects: tuple[SceneObject, ...]
+    seed: int
+    parameters: Mapping[str, float | int | str | None]
+
+    def dota_text(self) -> str:
+        """The vehicles in DOTA's format: a ``gsd:`` line, then four corners, class and 1 if difficult, per line."""
+        lines = [f"gsd:{self.gsd_m_per_px:.10g}"]
+        for vehicle in self.vehicles:
+            corners = " ".join(f"{value:.3f}" for value in vehicle.corners().ravel())
+            lines.append(f"{corners} {vehicle.kind} {int(vehicle.difficult)}")
+        return "\n".join(lines) + "\n"
+
+    def write(self, path: Path) -> list[Path]:
+        """Writes the image and, beside it, everything that is known about it.
+
+        Args:
+            path: of the image, ending in ``.png``, ``.jpg`` or ``.jpeg``; its folder exists.
+
+        Returns:
+            The files written: the image, ``<stem>.json`` (scale, size, parameters, areas), ``<stem>.txt`` (vehicles,
+            DOTA format) and one 16-bit ``<stem>_<category>.png`` per category.
+
+        Raises:
+            InvalidParameterError: another suffix.
+            OSError: the files cannot be written.
+        """
+        path = Path(path)
+        if path.suffix.lower() not in _SUFFIXES:
+            raise InvalidParameterError(f"a scene is written as {', '.join(_SUFFIXES)}, not as {path.name!r}")
+        written = [_write_image(path, np.ascontiguousarray(self.image[:, :, ::-1]))]
+        record = {
+            "gsd_m_per_px": self.gsd_m_per_px,
+            "width_px": self.image.shape[1],
+            "height_px": self.image.shape[0],
+            "seed": self.seed,
+            "parameters": dict(self.parameters),
+            "objects": [
+                {
+                    "category": item.category,
+                    "instance": item.instance,
+                    "area_m2": item.area_m2,
+                    "full_area_m2": item.full_area_m2,
+                }
+                for item in self.objects
+            ],
+        }
+        facts = path.with_suffix(".json")
+        facts.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+        labels = path.with_suffix(".txt")
+        labels.write_text(self.dota_text(), encoding="utf-8")
+        written += [facts, labels]
+        for category, mask in self.masks.items():
+            written.append(_write_image(path.with_name(f"{path.stem}_{category}.png"), mask))
+        return written
+
+
+def _write_image(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> Path:
+    """Encodes in memory, so that any path that Python can write works."""
+    quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if path.suffix.lower() != ".png" else []
+    _, encoded = cv2.imencode(path.suffix.lower(), image, quality)
+    path.write_bytes(encoded.tobytes())
+    return path

@@ -1,0 +1,295 @@
+"""Detectors for tests: tiny ONNX graphs that really read their boxes from the picture.
+
+``paint_vehicles`` draws a grey body for each box and, from the box's centre to the right, a beacon of five pixels that
+spells the box out:
+
+    pixel 0   (255, 0, 255), the mark; it is the pixel that holds the box's centre
+    pixel 1   length in pixels: whole, 256ths; width, whole
+    pixel 2   width, 256ths; angle in pi / 65536: high byte, low byte
+    pixel 3   score in 255ths; class index; 0
+    pixel 4   the centre within the mark's pixel: x and y in 256ths; 0
+
+``write_detector`` writes a graph that finds marks, reads the numbers beside them and puts them out in either layout of
+Ultralytics' exports. What it finds is exact, up to those units. A beacon that is resampled, compressed with loss or cut
+by a tile's edge is not found; of two marks in one cell of ``cell_px`` the numbers mix.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import cv2
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+from vehanchor.obb import box_corners, canonical_boxes
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["BEACON_PX", "blank_image", "paint_vehicle", "paint_vehicles", "write_detector", "write_other_model"]
+
+BEACON_PX = 5
+_MARK = (255, 0, 255)
+_BODY = (150, 158, 170)
+_OPSET, _IR_VERSION = 17, 8
+
+
+def blank_image(width_px: int, height_px: int, level: int = 70) -> NDArray[np.uint8]:
+    """``[h, w, 3]`` uint8 of one grey."""
+    return np.full((height_px, width_px, 3), level, np.uint8)
+
+
+def paint_vehicle(
+    image: NDArray[np.uint8], box: ArrayLike, *, score: float = 0.9, class_index: int = 0
+) -> NDArray[np.float64]:
+    """Paint one vehicle; see ``paint_vehicles``. Returns ``[5]``, the box as a detector finds it."""
+    return paint_vehicles(image, np.reshape(box, (1, 5)), scores=[score], classes=[class_index]).reshape(5)
+
+
+def paint_vehicles(
+    image: NDArray[np.uint8],
+    boxes: ArrayLike,
+    *,
+    scores: Sequence[float] | None = None,
+    classes: Sequence[int] | None = None,
+) -> NDArray[np.float64]:
+    """Paint vehicles into an image, all bodies before all beacons, so that overlapping vehicles are all found.
+
+    Args:
+        image: ``[h, w, 3]`` uint8 RGB, changed in place.
+        boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)``: pixels counted from the image's corner, sides below
+            256, radians. The five pixels from the centre to the right lie inside the image.
+        scores: ``[n]`` in 1/255..1; default 0.9 each.
+        classes: ``[n]`` class indices; default 0 each.
+
+    Returns:
+        ``[n, 5]`` float64 canonical boxes, rounded as the beacons hold them: what a detector finds, in the same order.
+        The scores it finds are ``round(255 * score) / 255``.
+    """
+    rows = canonical_boxes(np.asarray(boxes, dtype=np.float64))
+    levels = [round(255 * score) for score in (scores if scores is not None else [0.9] * len(rows))]
+    kinds = list(classes) if classes is not None else [0] * len(rows)
+    assert len(levels) == len(kinds) == len(rows)
+    assert all(1 <= level <= 255 for level in levels)
+    corners = np.rint((box_corners(rows) - 0.5) * 16).astype(np.int32)
+    for corner in corners:
+        cv2.fillPoly(image, [corner], _BODY, shift=4)
+    found = rows.copy()
+    for i, (row, level, kind) in enumerate(zip(rows, levels, kinds, strict=True)):
+        x, y = int(row[0]), int(row[1])
+        assert 0 <= y < image.shape[0], f"{row} is outside the image"
+        assert 0 <= x <= image.shape[1] - BEACON_PX, f"{row} has no room for its beacon"
+        length, width = (int(np.rint(side * 256)) for side in row[2:4])
+        assert length < 65536, f"{row} is longer than 255 px"
+        angle = int(np.rint(row[4] / np.pi * 65536)) % 65536
+        part_x, part_y = (min(255, int(np.rint((value - whole) * 256))) for value, whole in ((row[0], x), (row[1], y)))
+        image[y, x : x + BEACON_PX] = [
+            _MARK,
+            (length >> 8, length & 255, width >> 8),
+            (width & 255, angle >> 8, angle & 255),
+            (level, kind, 0),
+            (part_x, part_y, 0),
+        ]
+        found[i] = x + part_x / 256, y + part_y / 256, length / 256, width / 256, angle * np.pi / 65536
+    return found
+
+
+def write_detector(
+    path: Path,
+    *,
+    layout: Literal["raw", "end2end"] = "raw",
+    names: Mapping[int, str] | None = {0: "small vehicle"},
+    n_classes: int | None = None,
+    fixed_size: int | tuple[int, int] | None = None,
+    dtype: Literal["float32", "float16"] = "float32",
+    metadata: Mapping[str, str | None] | None = None,
+    cap: int = 300,
+    cell_px: int = 4,
+    swap_sides: bool = False,
+    angle_offset: float = 0.0,
+) -> Path:
+    """Write a detector of painted vehicles.
+
+    Args:
+        path: of the ONNX file.
+        layout: ``raw`` puts out ``[1, 4 + nc + 1, anchors]``; ``end2end`` rows ``[1, cap, 7]``, best first, then zeros.
+        names: class names for the metadata; None leaves the entry out.
+        n_classes: classes of the raw layout; default as many as names, 1 without.
+        fixed_size: side, or (height, width), of the input in pixels, a multiple of ``cell_px``; None leaves batch,
+            height and width symbolic, and the raw layout's output shape too.
+        dtype: of input and output; the arithmetic between is float32.
+        metadata: entries to add or replace; None as a value removes one. Without it the file has what Ultralytics
+            writes: task, stride, imgsz, names.
+        cap: rows of the end-to-end layout.
+        cell_px: one anchor per square of this side; the input's sides are multiples of it.
+        swap_sides: put out width before length, the angle turned by a quarter: the same boxes.
+        angle_offset: added to every angle, for example whole turns.
+
+    Returns:
+        The path.
+    """
+    n_out = n_classes if n_classes is not None else max(len(names or {}), 1)
+    graph = _Graph()
+    x = graph.add("Cast", ["images"], to=TensorProto.FLOAT)
+    codes = graph.add("Round", [graph.add("Mul", [x, graph.constant([255.0])])])
+    reads = [codes] + [_shifted_left(graph, codes, k) for k in range(1, BEACON_PX)]
+    pixel = [graph.split(read, 3, axis=1) for read in reads]
+    mark = _mark_mask(graph, pixel[0])
+    column, row = _pixel_indices(graph, mark)
+
+    def combined(*terms: tuple[str, float]) -> str:
+        scaled = [graph.add("Mul", [name, graph.constant([factor])]) for name, factor in terms]
+        return graph.add("Sum", scaled)
+
+    length = combined((pixel[1][0], 1.0), (pixel[1][1], 1 / 256))
+    width = combined((pixel[1][2], 1.0), (pixel[2][0], 1 / 256))
+    angle = combined((pixel[2][1], np.pi / 256), (pixel[2][2], np.pi / 65536))
+    fields = [
+        combined((column, 1.0), (pixel[4][0], 1 / 256)),
+        combined((row, 1.0), (pixel[4][1], 1 / 256)),
+        *((width, length) if swap_sides else (length, width)),
+        combined((pixel[3][0], 1 / 255)),
+        pixel[3][1],
+        graph.add("Add", [angle, graph.constant([angle_offset + (np.pi / 2 if swap_sides else 0.0)])]),
+    ]
+    # A beacon cut by the edge reads zeros: without a score it is no vehicle.
+    visible = graph.add(
+        "Mul", [mark, graph.add("Cast", [graph.add("Greater", [pixel[3][0], graph.constant([0.0])])], to=1)]
+    )
+    table = graph.add("Mul", [graph.add("Concat", fields, axis=1), visible])
+    # Only marks are not zero, so the sum over a cell is its mark's value; unlike a maximum it keeps negative angles.
+    pooled = graph.add("AveragePool", [table], kernel_shape=[cell_px] * 2, strides=[cell_px] * 2)
+    cells = graph.add("Mul", [pooled, graph.constant([float(cell_px**2)])])
+    flat = graph.add("Reshape", [cells, graph.constant([0, 7, -1], np.int64)])  # [b, 7, anchors]
+    result = _raw_rows(graph, flat, n_out) if layout == "raw" else _end_to_end_rows(graph, flat, cap)
+    element = TensorProto.FLOAT if dtype == "float32" else TensorProto.FLOAT16
+    graph.add("Cast", [result], output="output0", to=element)
+
+    size = (fixed_size, fixed_size) if isinstance(fixed_size, int) else fixed_size
+    batch = 1 if size else "batch"
+    anchors = (size[0] // cell_px) * (size[1] // cell_px) if size else "anchors"
+    shape_out = [batch, 4 + n_out + 1, anchors] if layout == "raw" else [batch, cap, 7]
+    entries: dict[str, str | None] = {
+        "description": "test detector",
+        "task": "obb",
+        "stride": "32",
+        "imgsz": repr(list(size or (1024, 1024))),
+        "names": None if names is None else repr(dict(names)),
+        **(metadata or {}),
+    }
+    return _save(
+        path,
+        graph.nodes,
+        [helper.make_tensor_value_info("images", element, [batch, 3, *(size or ("height", "width"))])],
+        [helper.make_tensor_value_info("output0", element, shape_out)],
+        graph.constants,
+        entries,
+    )
+
+
+def write_other_model(path: Path, *, metadata: Mapping[str, str | None] | None = None) -> Path:
+    """Write a sound ONNX model that is no detector: an image classifier, ``[1, 3, h, w]`` to ``[1, 3]``."""
+    mean = helper.make_node("ReduceMean", ["image"], ["logits"], axes=[2, 3], keepdims=0)
+    return _save(
+        path,
+        [mean],
+        [helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, "height", "width"])],
+        [helper.make_tensor_value_info("logits", TensorProto.FLOAT, [1, 3])],
+        [],
+        metadata or {},
+    )
+
+
+class _Graph:
+    """Nodes and constants of a graph under construction; names are made up as it grows."""
+
+    def __init__(self) -> None:
+        self.nodes: list[onnx.NodeProto] = []
+        self.constants: list[onnx.TensorProto] = []
+
+    def add(self, operator: str, inputs: Sequence[str], *, output: str | None = None, **attributes: Any) -> str:
+        name = output or f"v{len(self.nodes)}"
+        self.nodes.append(helper.make_node(operator, list(inputs), [name], **attributes))
+        return name
+
+    def split(self, name: str, parts: int, *, axis: int) -> list[str]:
+        outputs = [f"v{len(self.nodes)}_{k}" for k in range(parts)]
+        ones = self.constant([1] * parts, np.int64)
+        self.nodes.append(helper.make_node("Split", [name, ones], outputs, axis=axis))
+        return outputs
+
+    def constant(self, values: ArrayLike, dtype: type[np.generic] = np.float32) -> str:
+        name = f"c{len(self.constants)}"
+        self.constants.append(numpy_helper.from_array(np.asarray(values, dtype=dtype), name))
+        return name
+
+
+def _shifted_left(graph: _Graph, name: str, k: int) -> str:
+    """At each pixel the value ``k`` pixels to its right, zero beyond the edge."""
+    padded = graph.add("Pad", [name, graph.constant([0, 0, 0, 0, 0, 0, 0, k], np.int64)])
+    start, end, axis = (graph.constant([value], np.int64) for value in (k, np.iinfo(np.int64).max, 3))
+    return graph.add("Slice", [padded, start, end, axis])
+
+
+def _mark_mask(graph: _Graph, channels: Sequence[str]) -> str:
+    hits = [
+        graph.add("Equal", [name, graph.constant([float(level)])]) for name, level in zip(channels, _MARK, strict=True)
+    ]
+    return graph.add("Cast", [graph.add("And", [graph.add("And", hits[:2]), hits[2]])], to=TensorProto.FLOAT)
+
+
+def _pixel_indices(graph: _Graph, like: str) -> tuple[str, str]:
+    """Column and row of every pixel."""
+    ones = graph.add("Add", [graph.add("Mul", [like, graph.constant([0.0])]), graph.constant([1.0])])
+    return tuple(  # type: ignore[return-value]
+        graph.add("Sub", [graph.add("CumSum", [ones, graph.constant(axis, np.int64)]), graph.constant([1.0])])
+        for axis in (3, 2)
+    )
+
+
+def _raw_rows(graph: _Graph, flat: str, n_classes: int) -> str:
+    """``[b, 7, anchors]`` to cx, cy, w, h, one score per class, angle."""
+    cx, cy, w, h, score, kind, angle = graph.split(flat, 7, axis=1)
+    scores = []
+    for index in range(n_classes):
+        of_class = graph.add("Cast", [graph.add("Equal", [kind, graph.constant([float(index)])])], to=TensorProto.FLOAT)
+        scores.append(graph.add("Mul", [score, of_class]))
+    return graph.add("Concat", [cx, cy, w, h, *scores, angle], axis=1)
+
+
+def _end_to_end_rows(graph: _Graph, flat: str, cap: int) -> str:
+    """``[b, 7, anchors]`` to the ``cap`` best rows."""
+    padded = graph.add("Pad", [flat, graph.constant([0, 0, 0, 0, 0, cap], np.int64)])  # never fewer anchors than rows
+    start, end, axis = (graph.constant([value], np.int64) for value in (4, 5, 1))
+    score = graph.add("Slice", [padded, start, end, axis])
+    values, indices = f"top{len(graph.nodes)}", f"at{len(graph.nodes)}"
+    graph.nodes.append(
+        helper.make_node(
+            "TopK", [score, graph.constant([cap], np.int64)], [values, indices], axis=2, largest=1, sorted=1
+        )
+    )
+    wide = graph.add("Tile", [indices, graph.constant([1, 7, 1], np.int64)])
+    best = graph.add("GatherElements", [padded, wide], axis=2)
+    return graph.add("Transpose", [best], perm=[0, 2, 1])
+
+
+def _save(
+    path: Path,
+    nodes: Sequence[onnx.NodeProto],
+    inputs: Sequence[onnx.ValueInfoProto],
+    outputs: Sequence[onnx.ValueInfoProto],
+    constants: Sequence[onnx.TensorProto],
+    metadata: Mapping[str, str | None],
+) -> Path:
+    graph = helper.make_graph(list(nodes), "test", list(inputs), list(outputs), list(constants))
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", _OPSET)])
+    model.ir_version = _IR_VERSION
+    helper.set_model_props(model, {key: value for key, value in metadata.items() if value is not None})
+    onnx.checker.check_model(model, full_check=True)
+    onnx.save(model, str(path))
+    return path

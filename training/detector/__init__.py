@@ -1,0 +1,1 @@
+"""The bundled oriented-box vehicle detector: data, network, loss, training, export."""

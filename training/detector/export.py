@@ -1,0 +1,103 @@
+"""Write the trained network as ONNX in the Ultralytics OBB layout: ``python -m training.detector.export RUN OUT.onnx``.
+
+The graph ends where Ultralytics' does, ``[1, 4 + 1 + 1, anchors]`` with cx, cy, w, h, score, angle, so one decoder
+reads both. Scores of cells that are not the highest of their 3 x 3 neighbourhood are set to zero inside the graph.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import onnx
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from training.detector.network import STRIDE_PX, VehicleNet
+
+OPSET = 17
+_LICENCE = "Apache-2.0"
+
+
+class UltralyticsLayout(nn.Module):
+    """The network with its dense output decoded to ``[b, 6, anchors]``."""
+
+    def __init__(self, network: VehicleNet) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Decode heat map and shape to boxes in input pixels."""
+        heat, shape = self.network(images)
+        score = heat.sigmoid()
+        score = score * (functional.max_pool2d(score, 3, 1, 1) == score)
+        rows = torch.arange(score.shape[2], device=score.device, dtype=score.dtype).view(1, 1, -1, 1)
+        cols = torch.arange(score.shape[3], device=score.device, dtype=score.dtype).view(1, 1, 1, -1)
+        x = (cols + 0.5 + shape[:, 0:1]) * STRIDE_PX
+        y = (rows + 0.5 + shape[:, 1:2]) * STRIDE_PX
+        sides = shape[:, 2:4].clamp(0.0, 7.0).exp()
+        angle = 0.5 * torch.atan2(shape[:, 5:6], shape[:, 4:5])
+        return torch.cat([x, y, sides, score, angle], dim=1).flatten(2)
+
+
+def load_network(run: Path) -> VehicleNet:
+    """The exponential moving average of a training run, in evaluation mode."""
+    network = VehicleNet()
+    state = torch.load(run / "checkpoint.pt", map_location="cpu", weights_only=True)
+    network.load_state_dict(state["averaged"])
+    return network.eval()
+
+
+def write_metadata(path: Path, metadata: dict[str, str]) -> None:
+    """Replace the custom metadata of an ONNX file."""
+    model = onnx.load(path)
+    del model.metadata_props[:]
+    onnx.helper.set_model_props(model, metadata)
+    model.producer_name, model.producer_version, model.doc_string = "vehanchor", "", ""
+    onnx.save(model, path)
+
+
+def export(run: Path, out: Path, calibration: dict[str, object]) -> None:
+    """Export a run with its calibration (see ``calibrate.py``) as metadata."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    torch.onnx.export(
+        UltralyticsLayout(load_network(run)).eval(),
+        (torch.zeros(1, 3, 256, 256),),
+        str(out),
+        input_names=["images"],
+        output_names=["output0"],
+        dynamic_axes={"images": {0: "batch", 2: "height", 3: "width"}, "output0": {0: "batch", 2: "anchors"}},
+        opset_version=OPSET,
+        dynamo=False,
+    )
+    metadata = {
+        "description": "VehAnchor oriented-box vehicle detector",
+        "author": "VehAnchor",
+        "license": _LICENCE,
+        "task": "obb",
+        "stride": "32",
+        "batch": "1",
+        "imgsz": "[1024, 1024]",
+        "names": "{0: 'small vehicle'}",
+        "end2end": "False",
+    }
+    for key, value in calibration.items():
+        metadata[f"vehanchor.{key}"] = value if isinstance(value, str) else json.dumps(value)
+    write_metadata(out, metadata)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--calibration", type=Path, help="JSON of vehanchor.* metadata, written by calibrate.py")
+    options = parser.parse_args()
+    export(options.run, options.out, json.loads(options.calibration.read_text()) if options.calibration else {})
+    print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,92 @@
+"""A compact one-class oriented-box network: heat map, sub-pixel offset, log length, log width, double angle.
+
+Encoder to stride 32 for context, decoder back to stride 4 for localisation; plain 3 x 3 convolutions with batch
+normalisation and ReLU, which ONNX Runtime fuses on a CPU.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+STRIDE_PX = 4
+_CHANNELS = (16, 32, 64, 128, 192)  # at strides 2, 4, 8, 16, 32
+_BOTTLENECK = (32, 64, 96, 96)  # inner width of the residual blocks at strides 4 to 32
+_BLOCKS = (1, 2, 2, 2)
+_DECODER = (96, 64, 32)
+
+
+class Prediction(NamedTuple):
+    """Dense output at stride 4.
+
+    Attributes:
+        heat: ``[b, 1, h, w]`` logits of "a vehicle's centre is in this cell".
+        shape: ``[b, 6, h, w]`` offset x, offset y (cells), log length, log width (log px), cos 2t, sin 2t.
+    """
+
+    heat: Tensor
+    shape: Tensor
+
+
+def _conv(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=False),
+        nn.BatchNorm2d(outputs),
+        nn.ReLU(inplace=True),
+    )
+
+
+class _Residual(nn.Module):
+    def __init__(self, channels: int, inner: int) -> None:
+        super().__init__()
+        self.enter = _conv(channels, inner)
+        self.leave = nn.Sequential(nn.Conv2d(inner, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return functional.relu(x + self.leave(self.enter(x)))
+
+
+class VehicleNet(nn.Module):
+    """The detector network; input ``[b, 3, h, w]`` RGB in 0..1, sides divisible by 32."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stem = _conv(3, _CHANNELS[0], stride=2)
+        self.stages = nn.ModuleList(
+            nn.Sequential(
+                _conv(_CHANNELS[k], _CHANNELS[k + 1], stride=2),
+                *(_Residual(_CHANNELS[k + 1], _BOTTLENECK[k]) for _ in range(_BLOCKS[k])),
+            )
+            for k in range(4)
+        )
+        wide, middle, narrow = _DECODER
+        self.laterals = nn.ModuleList(
+            _conv(inputs, outputs, kernel=1)
+            for inputs, outputs in zip(_CHANNELS[:0:-1], (wide, wide, middle, narrow), strict=True)
+        )
+        self.merges = nn.ModuleList([_conv(wide, middle), _conv(middle, narrow), _conv(narrow, narrow)])
+        self.heat_head = nn.Sequential(_conv(narrow, 32), nn.Conv2d(32, 1, 1))
+        self.shape_head = nn.Sequential(_conv(narrow, 32), nn.Conv2d(32, 6, 1))
+        heat_out, shape_out = self.heat_head[-1], self.shape_head[-1]
+        assert isinstance(heat_out, nn.Conv2d)
+        assert isinstance(shape_out, nn.Conv2d)
+        assert heat_out.bias is not None
+        assert shape_out.bias is not None
+        nn.init.constant_(heat_out.bias, -4.6)  # a cell holds a centre about once in a hundred: start there
+        with torch.no_grad():
+            shape_out.bias.copy_(torch.tensor([0.0, 0.0, 3.2, 2.3, 0.0, 0.0]))  # exp(3.2) = 25 px by 10 px
+
+    def forward(self, image: Tensor) -> Prediction:
+        """Predict heat and shape at stride 4."""
+        x = self.stem(image)
+        levels = []
+        for stage in self.stages:
+            x = stage(x)
+            levels.append(x)
+        y = self.laterals[0](levels[3])
+        for k, merge in enumerate(self.merges):
+            y = merge(self.laterals[k + 1](levels[2 - k]) + functional.interpolate(y, scale_factor=2.0, mode="nearest"))
+        return Prediction(self.heat_head(y), self.shape_head(y))
