@@ -249,7 +249,7 @@ def estimate(
                     _print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
                 rows.append((source, analysis.estimate))
                 try:
-                    _write_pictures(source, analysis, options, model, outputs[number])
+                    _write_pictures(source, analysis, options, outputs[number])
                 except VehAnchorError as error:
                     n_failed += 1
                     _report(error, source if len(images) > 1 else "")
@@ -321,8 +321,9 @@ def _scale_options(**choices: Any) -> ScaleOptions:
 def _open_detector(
     model: str | None, classes: Sequence[str] | None, threads: int | None, providers: Sequence[str] | None
 ) -> Detector:
-    from vehanchor.detection import DEFAULT_PROVIDERS, Detector
+    from vehanchor.detection import Detector
     from vehanchor.model_zoo import resolve_model
+    from vehanchor.onnx_session import DEFAULT_PROVIDERS
 
     wanted = [int(name) if name.isdecimal() else name for name in classes] if classes else None
     return Detector(resolve_model(model), classes=wanted, threads=threads, providers=providers or DEFAULT_PROVIDERS)
@@ -336,9 +337,7 @@ def _analyse(
     return analyse_scale(source, options, detector=model, progress=progress)
 
 
-def _write_pictures(
-    source: str, analysis: ScaleAnalysis, options: ScaleOptions, model: Detector, outputs: _Outputs
-) -> None:
+def _write_pictures(source: str, analysis: ScaleAnalysis, options: ScaleOptions, outputs: _Outputs) -> None:
     if outputs.overlay is not None:
         from vehanchor.imagery import open_raster
         from vehanchor.overlay import draw_overlay, read_reduced, write_picture
@@ -349,7 +348,7 @@ def _write_pictures(
     if outputs.plot is not None:
         from vehanchor.plot import plot_scale, write_plot
 
-        write_plot(outputs.plot, plot_scale(analysis, min_length_px=model.card.min_length_px))
+        write_plot(outputs.plot, plot_scale(analysis))
 
 
 @contextmanager

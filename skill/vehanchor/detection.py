@@ -19,27 +19,22 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-import onnxruntime
 
-from vehanchor.errors import (
-    InvalidParameterError,
-    ModelContractError,
-    ModelNotFoundError,
-    ProviderUnavailableError,
-)
+from vehanchor.errors import InvalidParameterError, ModelContractError
 from vehanchor.obb import NMS_IOU, box_corners, canonical_boxes, oriented_nms
+from vehanchor.onnx_session import DEFAULT_PROVIDERS, check_model_file, open_session
 from vehanchor.tiling import TILE_OVERLAP, TILE_SIZE_PX, tile_grid
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.imagery import Raster, Window
 
 __all__ = ["Detections", "Detector", "DetectorCard", "detect_vehicles", "load_detector"]
 
-DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
 MIN_SCORE = 0.1  # paper, section III-B
 REFERENCE_LENGTH_M = 5.045  # paper, section III-F: KDE mode of the DOTA v1.5 training labels
 REFERENCE_LENGTH_SD_M = 0.25  # half of the paper's +-0.5 m sweep, taken as two standard deviations between regions
@@ -181,8 +176,9 @@ class Detector:
         providers: Sequence[str] = DEFAULT_PROVIDERS,
     ) -> None:
         self.path = Path(path)
-        content = _read_model(self.path)
-        self._session = _open_session(self.path, content, threads, providers)
+        check_model_file(self.path)
+        content = self.path.read_bytes()
+        self._session = open_session(self.path, content=content, threads=threads, providers=providers)
         metadata = self._session.get_modelmeta().custom_metadata_map
         self.card = _read_card(self.path, hashlib.sha256(content).hexdigest(), metadata)
         self._input = self._checked_input()
@@ -270,8 +266,8 @@ class Detector:
             )
         return found
 
-    def _run(self, batch: NDArray[Any]) -> NDArray[Any]:
-        return np.asarray(self._session.run(None, {self._input.name: batch})[0])
+    def _run(self, batch: NDArray[Any], run_options: onnxruntime.RunOptions | None = None) -> NDArray[Any]:
+        return np.asarray(self._session.run(None, {self._input.name: batch}, run_options)[0])
 
     def _prepared(self, tile: NDArray[np.uint8]) -> NDArray[Any]:
         """``[h, w, 3]`` uint8 to the model's ``[1, 3, H, W]`` in 0..1, padded right and below."""
@@ -288,18 +284,19 @@ class Detector:
         return np.asarray(blob, dtype=self._dtype)
 
     def detect_tile(
-        self, tile: NDArray[np.uint8], min_score: float
+        self, tile: NDArray[np.uint8], min_score: float, run_options: onnxruntime.RunOptions | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
         """Detect vehicles in one tile, before non-maximum suppression.
 
         Args:
             tile: ``[h, w, 3]`` uint8 RGB, no larger than the model's input where that is fixed.
             min_score: detections below it are dropped.
+            run_options: of ONNX Runtime; setting their ``terminate`` from another thread ends a run within a layer.
 
         Returns:
             ``[n, 5]`` canonical boxes in tile pixels, ``[n]`` scores, and whether the model's rows ran out.
         """
-        output = self._run(self._prepared(tile))[0]
+        output = self._run(self._prepared(tile), run_options)[0]
         capped = False
         if self._rows:
             table = output.astype(np.float64)
@@ -316,37 +313,6 @@ class Detector:
         height, width = tile.shape[:2]
         sane &= (boxes[:, 0] >= 0) & (boxes[:, 0] <= width) & (boxes[:, 1] >= 0) & (boxes[:, 1] <= height)
         return canonical_boxes(boxes[sane]), np.clip(scores[sane], 0.0, 1.0), capped
-
-
-def _read_model(path: Path) -> bytes:
-    if not path.is_file():
-        raise ModelNotFoundError(
-            f"no model file at {path}; pass the path of an ONNX file, or see 'vehanchor models list'"
-        )
-    return path.read_bytes()
-
-
-def _open_session(
-    path: Path, content: bytes, threads: int | None, providers: Sequence[str]
-) -> onnxruntime.InferenceSession:
-    available = onnxruntime.get_available_providers()
-    missing = [name for name in providers if name not in available]
-    if missing:
-        raise ProviderUnavailableError(
-            f"ONNX Runtime has no {missing[0]} here; it has {', '.join(available)}. Install the matching "
-            "onnxruntime build"
-        )
-    if threads is not None and (threads < 1 or threads != int(threads)):
-        raise InvalidParameterError(f"threads is {threads}: use a whole number >= 1, or None for all cores")
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 4  # fatal only: a broken file is reported by our own error
-    if threads is not None:
-        options.intra_op_num_threads = threads
-        options.inter_op_num_threads = 1
-    try:
-        return onnxruntime.InferenceSession(content, options, providers=list(providers))
-    except Exception as error:  # ONNX Runtime's own exception types are private
-        raise ModelContractError(f"{path} is not an ONNX model that ONNX Runtime can load: {error}") from None
 
 
 @functools.lru_cache(maxsize=4)
@@ -382,6 +348,7 @@ def detect_vehicles(
     stride_px: int | None = None,
     nms_iou: float = NMS_IOU,
     progress: Callable[[int, int], None] | None = None,
+    run_options: onnxruntime.RunOptions | None = None,
 ) -> Detections:
     """Search an image tile by tile and merge the results (paper, section III-B).
 
@@ -393,6 +360,7 @@ def detect_vehicles(
         stride_px: step between tiles; default three quarters of ``tile_px``.
         nms_iou: IoU above which the lower-scored of two boxes is dropped.
         progress: called with (tiles done, tiles in all); an exception it raises ends the search.
+        run_options: see ``Detector.detect_tile``.
 
     Returns:
         Boxes in image pixels after oriented non-maximum suppression.
@@ -413,7 +381,7 @@ def detect_vehicles(
     for done, tile in enumerate(tiles):
         if progress:
             progress(done, len(tiles))
-        local, score, capped = detector.detect_tile(raster.read(tile), threshold)
+        local, score, capped = detector.detect_tile(raster.read(tile), threshold, run_options)
         n_capped += capped
         whole = ~_cut_by_tile(local, tile, raster, tile_px - stride)
         local[:, 0] += tile.x_px

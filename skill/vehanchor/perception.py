@@ -25,12 +25,13 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Callable
 
+    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.detection import DetectorCard
     from vehanchor.imagery import Raster
 
-__all__ = ["ScaleAnalysis", "ScaleOptions", "analyse_scale", "estimate_gsd"]
+__all__ = ["ScaleAnalysis", "ScaleOptions", "analyse_scale", "estimate_gsd", "scale_from_detections"]
 
 _GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale and the estimate may differ by this before a warning
 DEFAULT_LIMITS = ImageLimits()
@@ -95,11 +96,13 @@ class ScaleAnalysis:
         estimate: the record.
         detections: all vehicles found.
         kept: ``[n]`` bool, those that passed the outlier filter.
+        guard_length_px: ``P_thresh`` of the resolution guard.
     """
 
     estimate: GsdEstimate
     detections: Detections
     kept: NDArray[np.bool_]
+    guard_length_px: float
 
 
 def estimate_gsd(
@@ -175,6 +178,7 @@ def analyse_scale(
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
+    run_options: onnxruntime.RunOptions | None = None,
 ) -> ScaleAnalysis:
     """As ``estimate_gsd``, with the detections behind the number.
 
@@ -184,6 +188,7 @@ def analyse_scale(
         detector: as in ``estimate_gsd``.
         threads: as in ``estimate_gsd``.
         progress: as in ``estimate_gsd``.
+        run_options: ONNX Runtime's, for a caller that may have to end a running model (``terminate``).
 
     Returns:
         The record, the detections and which of them were kept.
@@ -192,32 +197,91 @@ def analyse_scale(
         VehAnchorError: as ``estimate_gsd``.
     """
     chosen = options or ScaleOptions()
+    model = open_detector(detector, chosen, threads=threads)
+    with open_raster(image, bands=chosen.bands, limits=chosen.limits) as raster:
+        return analyse_raster(raster, model, chosen, progress=progress, run_options=run_options)
+
+
+def open_detector(
+    detector: Detector | str | os.PathLike[str] | None, options: ScaleOptions, *, threads: int | None = None
+) -> Detector:
+    """The detector that a caller names, after a check that it knows the region of the options: before the work."""
     if not isinstance(detector, Detector):
         path = resolve_model(None if detector is None else str(detector))
         detector = load_detector(path, threads=threads)
-    _reference_length(detector.card, chosen)  # a bad region is told before the work, not after
-    with open_raster(image, bands=chosen.bands, limits=chosen.limits) as raster:
-        check_frame(chosen, raster.width_px, raster.height_px)
-        detections = detect_vehicles(
-            raster,
-            detector,
-            min_score=chosen.min_score,
-            tile_px=chosen.tile_px,
-            stride_px=chosen.stride_px,
-            nms_iou=chosen.nms_iou,
-            progress=progress,
-        )
-        return _conclude(raster, detector.card, detections, chosen)
+    _reference_length(detector.card, options)
+    return detector
 
 
-def _conclude(raster: Raster, card: DetectorCard, detections: Detections, options: ScaleOptions) -> ScaleAnalysis:
-    """Lengths to record."""
+def analyse_raster(
+    raster: Raster,
+    detector: Detector,
+    options: ScaleOptions,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    run_options: onnxruntime.RunOptions | None = None,
+) -> ScaleAnalysis:
+    """As ``analyse_scale``, of an image that is open already."""
+    check_frame(options, raster.width_px, raster.height_px)
+    detections = detect_vehicles(
+        raster,
+        detector,
+        min_score=options.min_score,
+        tile_px=options.tile_px,
+        stride_px=options.stride_px,
+        nms_iou=options.nms_iou,
+        progress=progress,
+        run_options=run_options,
+    )
+    return scale_from_detections(
+        detections,
+        detector.card,
+        options,
+        image_width_px=raster.width_px,
+        image_height_px=raster.height_px,
+        georeference_gsd_m_per_px=raster.georeference_gsd_m_per_px,
+        notices=raster_notices(raster),
+    )
+
+
+def raster_notices(raster: Raster) -> tuple[Notice, ...]:
+    """What the raster has to tell, as the records hold it."""
+    return tuple(Notice(code=note.code, message=note.message) for note in raster.warnings)
+
+
+def scale_from_detections(
+    detections: Detections,
+    card: DetectorCard,
+    options: ScaleOptions,
+    *,
+    image_width_px: int,
+    image_height_px: int,
+    georeference_gsd_m_per_px: float | None = None,
+    notices: tuple[Notice, ...] = (),
+) -> ScaleAnalysis:
+    """The second half of the skill: vehicles found to record, so that one search can serve several options.
+
+    Args:
+        detections: vehicles in image pixels, as ``detect_vehicles`` returns them.
+        card: of the model that found them.
+        options: every choice of the method.
+        image_width_px: width of the image.
+        image_height_px: its height.
+        georeference_gsd_m_per_px: the scale that the file carries, to compare with.
+        notices: warnings so far.
+
+    Returns:
+        The record, the detections and which of them were kept.
+
+    Raises:
+        InvalidParameterError: the model does not know the region.
+    """
     kept = inlier_mask(detections.boxes[:, 2], options.alpha)
     lengths, scores = detections.boxes[kept, 2], detections.scores[kept]
     reference_m, reference_sd_m = _reference_length(card, options)
-    notices = [Notice(code=note.code, message=note.message) for note in raster.warnings]
+    warnings = list(notices)
     if detections.n_capped_tiles:
-        notices.append(
+        warnings.append(
             Notice(
                 code="detections_capped",
                 message=f"{detections.n_capped_tiles} of {detections.n_tiles} tiles reached the model's largest "
@@ -225,12 +289,13 @@ def _conclude(raster: Raster, card: DetectorCard, detections: Detections, option
             )
         )
     gsd = mode_px = interval = None
-    aggregation, guarded = options.aggregation, False
+    aggregation = options.aggregation
+    shortest_px = guard_length(reference_m, card.min_length_px)
     if len(lengths):
         mode_px, aggregation = modal_length(lengths, scores, options.aggregation)
         gsd = reference_m / mode_px
         interval = gsd_interval(lengths, mode_px, reference_m, reference_sd_m)
-        guarded = mode_px < guard_length(reference_m, card.min_length_px)
+    guarded = mode_px is not None and mode_px < shortest_px
     terms = confidence_terms(
         lengths,
         scores,
@@ -238,9 +303,9 @@ def _conclude(raster: Raster, card: DetectorCard, detections: Detections, option
         (max(card.min_length_px, card.length_range_px[0]), card.length_range_px[1]),
     )
     confidence = composite(terms, guarded=guarded)
-    truth = raster.georeference_gsd_m_per_px
+    truth = georeference_gsd_m_per_px
     if gsd is not None and truth is not None and abs(gsd - truth) > _GEOREFERENCE_TOLERANCE * truth:
-        notices.append(
+        warnings.append(
             Notice(
                 code="georeference_differs",
                 message=f"The file's own scale is {truth:.4g} m/px, the vehicles say {gsd:.4g} m/px: "
@@ -260,15 +325,15 @@ def _conclude(raster: Raster, card: DetectorCard, detections: Detections, option
         reference_length_m=reference_m,
         resolution_guard=guarded,
         confidence_terms=terms,
-        image_width_px=raster.width_px,
-        image_height_px=raster.height_px,
+        image_width_px=image_width_px,
+        image_height_px=image_height_px,
         georeference_gsd_m_per_px=truth,
-        frame=_frame_scale(options, raster.width_px, gsd, interval),
+        frame=_frame_scale(options, image_width_px, gsd, interval),
         model=card.name,
         model_sha256=card.sha256,
-        warnings=tuple(notices),
+        warnings=tuple(warnings),
     )
-    return ScaleAnalysis(estimate, detections, kept)
+    return ScaleAnalysis(estimate, detections, kept, shortest_px)
 
 
 def _reference_length(card: DetectorCard, options: ScaleOptions) -> tuple[float, float]:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehanchor.confidence import guard_length
 from vehanchor.errors import MissingExtraError
 from vehanchor.overlay import write_picture
 from vehanchor.scale import MIN_KDE_VEHICLES, kde_density
@@ -43,13 +42,11 @@ def require_plots() -> type[Figure]:
     return Figure
 
 
-def plot_scale(analysis: ScaleAnalysis, *, min_length_px: float = 0.0) -> Figure:
+def plot_scale(analysis: ScaleAnalysis) -> Figure:
     """Plot how vehicle lengths became a scale.
 
     Args:
         analysis: what to plot.
-        min_length_px: shortest length that the model measures without bias (``DetectorCard.min_length_px``): it raises
-            the resolution guard's threshold.
 
     Returns:
         A matplotlib figure that belongs to no global state.
@@ -67,7 +64,7 @@ def plot_scale(analysis: ScaleAnalysis, *, min_length_px: float = 0.0) -> Figure
         axes.text(0.5, 0.5, "no scale: no vehicle found", ha="center", va="center", fontsize=14, color=_INK)
         return figure
     gsd, mode = estimate.gsd_m_per_px, estimate.mode_length_px
-    guard = guard_length(estimate.reference_length_m, min_length_px)
+    guard = analysis.guard_length_px
     lengths = analysis.detections.boxes[:, 2]
     ends, interval = [guard, mode, float(lengths.min()), float(lengths.max())], ""
     if estimate.gsd_ci95_low_m_per_px is not None and estimate.gsd_ci95_high_m_per_px is not None:

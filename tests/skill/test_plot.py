@@ -57,7 +57,7 @@ def test_the_curve_is_the_density_of_the_kept_lengths() -> None:
 
 
 def test_a_models_own_shortest_length_moves_the_guard() -> None:
-    figure = plot_scale(make_analysis(_boxes([30.0] * 8), 800, 600), min_length_px=22.0)
+    figure = plot_scale(make_analysis(_boxes([30.0] * 8), 800, 600, min_length_px=22.0))
     assert "resolution guard 22.0 px" in _labels(figure)
 
 

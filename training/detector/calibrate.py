@@ -32,7 +32,7 @@ from vehanchor.obb import boxes_from_corners
 from vehanchor.scale import inlier_mask, kde_mode, modal_length
 
 NAME = "vehicles"
-_REGION_OF_SET = {"cannes": "europe", "saopaulo": "south_america", "ucm": "north_america"}
+REGION_OF_SET = {"cannes": "europe", "saopaulo": "south_america", "ucm": "north_america"}
 _THRESHOLDS = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6)
 _SEARCH_SCORE = 0.1
 _PLAUSIBLE_M = (2.5, 7.0)
@@ -51,7 +51,7 @@ class Found(NamedTuple):
 def region_lengths(found: list[Found], min_score: float) -> dict[str, float]:
     """KDE mode of the detections' metric lengths for each region."""
     out = {}
-    for set_name, region in _REGION_OF_SET.items():
+    for set_name, region in REGION_OF_SET.items():
         metres = []
         for image, detections in found:
             if image.set == set_name:
@@ -68,7 +68,7 @@ def mean_error(found: list[Found], min_score: float) -> float:
     lengths_m = region_lengths(found, min_score)
     errors = []
     for image, detections in found:
-        if image.set not in _REGION_OF_SET or not image.labelled_vehicles:
+        if image.set not in REGION_OF_SET or not image.labelled_vehicles:
             continue
         wanted = detections.scores >= min_score
         length, score = detections.boxes[wanted, 2], detections.scores[wanted]
@@ -77,7 +77,7 @@ def mean_error(found: list[Found], min_score: float) -> float:
             continue
         kept = inlier_mask(length)
         mode, _ = modal_length(length[kept], score[kept])
-        errors.append(min(1.0, abs(lengths_m[_REGION_OF_SET[image.set]] / mode / image.gsd_m_per_px - 1)))
+        errors.append(min(1.0, abs(lengths_m[REGION_OF_SET[image.set]] / mode / image.gsd_m_per_px - 1)))
     return float(np.mean(errors))
 
 

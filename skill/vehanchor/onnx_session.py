@@ -1,0 +1,74 @@
+"""Opening an ONNX file with ONNX Runtime, every failure as an error of ours."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import onnxruntime
+
+from vehanchor.errors import InvalidParameterError, ModelContractError, ModelNotFoundError, ProviderUnavailableError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+__all__ = ["DEFAULT_PROVIDERS", "check_model_file", "open_session"]
+
+DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
+
+
+def check_model_file(path: Path) -> None:
+    """Make sure that there is a file to open.
+
+    Raises:
+        ModelNotFoundError: there is none.
+    """
+    if not path.is_file():
+        raise ModelNotFoundError(
+            f"no model file at {path}; pass the path of an ONNX file, or see 'vehanchor models list'"
+        )
+
+
+def open_session(
+    path: Path,
+    *,
+    content: bytes | None = None,
+    threads: int | None = None,
+    providers: Sequence[str] = DEFAULT_PROVIDERS,
+) -> onnxruntime.InferenceSession:
+    """Open a model.
+
+    Args:
+        path: of the file; weights kept in files beside it are found through it.
+        content: the file's bytes where they are read already: then these are what is run.
+        threads: CPU threads; None leaves it to ONNX Runtime.
+        providers: execution providers in order of preference.
+
+    Returns:
+        The session.
+
+    Raises:
+        ModelContractError: ONNX Runtime cannot load it.
+        ProviderUnavailableError: an execution provider is not installed.
+        InvalidParameterError: bad ``threads``.
+    """
+    available = onnxruntime.get_available_providers()
+    missing = [name for name in providers if name not in available]
+    if missing:
+        raise ProviderUnavailableError(
+            f"ONNX Runtime has no {missing[0]} here; it has {', '.join(available)}. Install the matching "
+            "onnxruntime build"
+        )
+    if threads is not None and (threads < 1 or threads != int(threads)):
+        raise InvalidParameterError(f"threads is {threads}: use a whole number >= 1, or None for all cores")
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 4  # fatal only: a broken file is reported by our own error
+    if threads is not None:
+        options.intra_op_num_threads = threads
+        options.inter_op_num_threads = 1
+    try:
+        return onnxruntime.InferenceSession(
+            str(path) if content is None else content, options, providers=list(providers)
+        )
+    except Exception as error:  # ONNX Runtime's own exception types are private
+        raise ModelContractError(f"{path} is not an ONNX model that ONNX Runtime can load: {error}") from None
