@@ -207,8 +207,8 @@ def photometric(rng: np.random.Generator, image: NDArray[np.uint8]) -> NDArray[n
     x = np.clip(x, 0, 1) ** np.float32(np.exp(rng.uniform(-0.4, 0.4)))
     x = (x - x.mean()) * np.float32(rng.uniform(0.6, 1.45)) + x.mean() + np.float32(rng.uniform(-0.15, 0.15))
     if rng.random() < 0.15:  # a shadow or haze gradient across the crop
-        ramp = np.linspace(-1, 1, x.shape[0], dtype=np.float32)
-        field = ramp[:, None] * np.float32(rng.uniform(-1, 1)) + ramp[None, :] * np.float32(rng.uniform(-1, 1))
+        down, right = (np.linspace(-1, 1, side, dtype=np.float32) for side in x.shape[:2])
+        field = down[:, None] * np.float32(rng.uniform(-1, 1)) + right * np.float32(rng.uniform(-1, 1))
         x = x * (1 + 0.3 * field[:, :, None])
     draw = rng.random()
     if draw < 0.35:

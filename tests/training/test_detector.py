@@ -1,0 +1,164 @@
+"""The detector's training code, where PyTorch is installed (extra ``train``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+onnxruntime = pytest.importorskip("onnxruntime")
+
+from training.detector.data import (  # noqa: E402 - PyTorch may be missing
+    CROP_PX,
+    Crop,
+    CropStream,
+    TrainImage,
+    dense_target,
+    draw_crop,
+    group_of,
+    is_dev,
+    lay_over,
+    load_scenes,
+    photometric,
+)
+from training.detector.export import UltralyticsLayout, export  # noqa: E402
+from training.detector.loss import detection_loss  # noqa: E402
+from training.detector.network import STRIDE_PX, Prediction, VehicleNet  # noqa: E402
+from vehanchor.detection import Detector  # noqa: E402
+from vehanchor.scene import render_scene  # noqa: E402
+
+pytestmark = pytest.mark.slow
+
+
+def _sample() -> TrainImage:
+    """Three grey cars on black, so that a crop's picture and its boxes can be compared."""
+    import cv2
+
+    from vehanchor.obb import box_corners
+
+    boxes = np.array([[150.0, 120, 40, 16, 0.5], [260, 200, 38, 15, 2.0], [90, 240, 42, 17, 1.2]])
+    image = np.zeros((320, 400, 3), np.uint8)
+    for corners in box_corners(boxes):
+        cv2.fillPoly(image, [np.round((corners - 0.5) * 256).astype(np.int32)], (200, 200, 200), shift=8)
+    return TrainImage("ucm", image, boxes, np.zeros((0, 4, 2)))
+
+
+def test_crops_move_picture_and_boxes_alike() -> None:
+    from vehanchor.obb import box_corners
+
+    rng = np.random.default_rng(0)
+    seen = 0
+    for _ in range(40):
+        crop = draw_crop(rng, _sample())
+        lit = crop.image[:, :, 0] > 100
+        for box in crop.boxes:
+            corners = box_corners(box[None])[0]
+            if box[2] < 20 or (corners < 2).any() or (corners > CROP_PX - 2).any():
+                continue
+            rows, cols = np.mgrid[0:CROP_PX, 0:CROP_PX] + 0.5
+            dx, dy = cols - box[0], rows - box[1]
+            along = np.abs(dx * np.cos(box[4]) + dy * np.sin(box[4]))
+            across = np.abs(-dx * np.sin(box[4]) + dy * np.cos(box[4]))
+            inside = (along < box[2] / 2 - 1) & (across < box[3] / 2 - 1)
+            ring = (
+                (along < box[2] / 2 + 3)
+                & (across < box[3] / 2 + 3)
+                & ~((along < box[2] / 2 + 1) & (across < box[3] / 2 + 1))
+            )
+            assert lit[inside].mean() > 0.97
+            assert lit[ring].mean() < 0.2
+            seen += 1
+    assert seen > 15
+
+
+def test_targets_hold_the_boxes_numbers_at_their_centres() -> None:
+    boxes = np.array([[100.0, 50.0, 40.0, 16.0, 0.7]])
+    ignore = np.array([[[200.0, 200], [240, 200], [240, 220], [200, 220]]])
+    target = dense_target(boxes, ignore)
+    row, col = int(50 // STRIDE_PX), int(100 // STRIDE_PX)
+    assert target.heat[0, row, col] == 1
+    assert (target.heat == 1).sum() == 1
+    shape = target.shape[:, row, col].numpy()
+    assert (col + 0.5 + shape[0]) * STRIDE_PX == pytest.approx(100)
+    assert (row + 0.5 + shape[1]) * STRIDE_PX == pytest.approx(50)
+    assert np.exp(shape[2:4]) == pytest.approx([40, 16])
+    assert 0.5 * np.arctan2(shape[5], shape[4]) == pytest.approx(0.7)
+    assert target.care[0, 210 // STRIDE_PX, 220 // STRIDE_PX] == 0
+    assert target.care.sum() > 0.98 * target.care.numel()
+
+
+def test_the_loss_is_small_for_the_truth_and_grows_with_errors() -> None:
+    target = dense_target(np.array([[100.0, 50.0, 40.0, 16.0, 0.7]]), np.zeros((0, 4, 2)))
+    batch = type(target)(*(part[None] for part in target))
+    logits = torch.where(batch.heat == 1, 8.0, -8.0)
+    heat, shape = detection_loss(Prediction(logits, batch.shape.clone()), batch)
+    assert heat < 0.01
+    assert shape == 0
+    longer = batch.shape.clone()
+    longer[:, 2] += 0.1
+    assert detection_loss(Prediction(logits, longer), batch)[1] > 0.1
+    assert detection_loss(Prediction(-logits, batch.shape), batch)[0] > 5
+
+
+def test_one_image_fills_what_another_leaves_open() -> None:
+    def crop(value: int, covered: np.ndarray, x: float) -> Crop:
+        image = np.full((CROP_PX, CROP_PX, 3), value, np.uint8)
+        return Crop(image, np.array([[x, 160.0, 30, 12, 0.0]]), np.zeros((0, 4, 2)), covered)
+
+    left = np.zeros((CROP_PX, CROP_PX), bool)
+    left[:, :160] = True
+    everywhere = np.ones_like(left)
+    both = lay_over(crop(10, left, 80.0), crop(20, everywhere, 240.0))
+    assert both.image[0, 0, 0] == 10
+    assert both.image[0, -1, 0] == 20
+    assert len(both.boxes) == 2
+    hidden = lay_over(crop(10, left, 80.0), crop(20, everywhere, 60.0))
+    assert len(hidden.boxes) == 1
+    cut = lay_over(crop(10, left, 80.0), crop(20, everywhere, 160.0))
+    assert (len(cut.boxes), len(cut.ignore)) == (1, 1)
+
+
+def test_the_stream_is_seeded() -> None:
+    first, second = (next(iter(CropStream([_sample()], seed=4))) for _ in range(2))
+    assert torch.equal(first[0], second[0])
+    assert torch.equal(first[1].heat, second[1].heat)
+    assert photometric(np.random.default_rng(1), _sample().image).shape == (320, 400, 3)
+
+
+def test_neighbouring_images_stay_on_one_side_of_the_held_out_line() -> None:
+    assert group_of("images/cannes_100.jpg", "cannes") == group_of("images/cannes_101.jpg", "cannes")
+    assert group_of("saopaulo_3315-214_tiles_0_1.jpg", "saopaulo") == group_of("saopaulo_3315-214_x.jpg", "saopaulo")
+    held_out = [is_dev(f"ucm_freeway{k:02d}.jpg", "ucm") for k in range(400)]
+    assert 0.05 < np.mean(held_out) < 0.16
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter, which needs no onnxscript
+def test_an_exported_network_gives_the_detector_what_the_network_saw(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    network = VehicleNet().eval()
+    torch.save({"averaged": network.state_dict()}, tmp_path / "checkpoint.pt")
+    path = tmp_path / "m.onnx"
+    export(tmp_path, path, {"reference_length_m": 4.5, "length_range_px": "9,64"})
+    detector = Detector(path)
+    assert detector.card.reference_length_m == 4.5
+    image = np.random.default_rng(0).integers(0, 255, (128, 160, 3), dtype=np.uint8)
+    with torch.no_grad():
+        tensor = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))[None].float() / 255
+        columns = UltralyticsLayout(network)(tensor)[0].numpy()
+    found = onnxruntime.InferenceSession(path).run(None, {"images": tensor.numpy()})[0][0]
+    np.testing.assert_allclose(found[[0, 1, 2, 3, 5]], columns[[0, 1, 2, 3, 5]], atol=1e-3)
+    boxes, scores, _ = detector.detect_tile(image, 1e-6)
+    assert len(boxes) == (found[4] > 0).sum() == pytest.approx((columns[4] > 0).sum(), abs=5)  # untrained: near ties
+    assert scores.max() == pytest.approx(columns[4].max(), abs=1e-5)
+
+
+def test_scenes_are_read_as_training_images(tmp_path: Path) -> None:
+    scene = render_scene(0.15, width_px=256, height_px=256, seed=2, layout="parking")
+    scene.write(tmp_path / "scene_1.jpg")
+    (sample,) = load_scenes(tmp_path)
+    small = [v for v in scene.vehicles if v.kind == "small-vehicle"]
+    assert sample.set == "scene"
+    assert 0 < len(sample.boxes) <= len(small)
+    assert set(np.round(sample.boxes[:, 2], 0)) <= {round(v.length_px, 0) for v in small}
