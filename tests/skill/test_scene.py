@@ -100,7 +100,7 @@ def test_a_larger_image_is_painted_in_tiles_without_a_seam(layout: Layout, monke
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("gsd", [0.01, 0.04, 0.3, 1.0])
+@pytest.mark.parametrize("gsd", [0.01, 0.3, 1.0])
 def test_every_layout_renders_at_every_scale(gsd: float, layout: Layout) -> None:
     scene = render_scene(gsd, width_px=96, height_px=64, seed=7, layout=layout)
     assert scene.image.std() > 2
@@ -158,19 +158,19 @@ def test_corners_start_at_the_front_left_and_span_length_and_width() -> None:
 @pytest.mark.parametrize("mean", [4.2, 4.6, 5.0])
 def test_the_fleet_has_the_mean_and_mode_the_docstring_says(mean: float) -> None:
     fleet = Fleet(mean, np.random.default_rng(0))
-    models = [fleet.small() for _ in range(8_000)]
+    models = [fleet.small() for _ in range(5_000)]
     lengths = np.array([model.length_m for model in models])
-    assert lengths.mean() == pytest.approx(mean, rel=0.004)
-    assert lengths.std() / mean == pytest.approx(0.087, abs=0.003)
+    assert lengths.mean() == pytest.approx(mean, rel=0.005)
+    assert lengths.std() / mean == pytest.approx(0.087, abs=0.004)
     assert lengths.max() <= fleet.max_length_m
     grid = np.linspace(0.8, 1.2, 401) * mean
     density = np.exp(-(((grid[:, None] - lengths) / (0.02 * mean)) ** 2) / 2).sum(axis=1)
-    assert grid[density.argmax()] / mean == pytest.approx(1.010, abs=0.008)
+    assert grid[density.argmax()] / mean == pytest.approx(1.010, abs=0.012)
     widths = np.array([model.width_m for model in models])
     assert (widths / lengths).mean() == pytest.approx(0.40, abs=0.01)
 
 
-@pytest.mark.parametrize("mean", [4.2, 4.6, 5.0])
+@pytest.mark.parametrize("mean", [4.2, 5.0])
 def test_the_cars_of_scenes_have_the_mean_length_asked_for(mean: float) -> None:
     lengths = []
     for seed in range(2):
@@ -183,9 +183,8 @@ def test_the_cars_of_scenes_have_the_mean_length_asked_for(mean: float) -> None:
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("mean", [4.0, 5.4])
-def test_vehicles_overlap_neither_each_other_nor_buildings(layout: Layout, mean: float) -> None:
-    for seed in range(2):
+def test_vehicles_overlap_neither_each_other_nor_buildings(layout: Layout) -> None:
+    for seed, mean in enumerate((4.0, 5.4)):
         rng = np.random.default_rng(seed)
         world = lay_out(rng, layout, 100.0, 100.0, Fleet(mean, rng))
         boxes = [
@@ -217,8 +216,8 @@ def test_more_vehicles_than_there_are_leaves_them_all(parking: Scene) -> None:
     assert same.vehicles == parking.vehicles
 
 
-@pytest.mark.parametrize("gsd", [0.04, 0.15, 0.3, 0.8])
-@pytest.mark.parametrize("body", ["city", "hatchback", "sedan", "estate", "suv", "van", "pickup", "truck", "caravan"])
+@pytest.mark.parametrize("gsd", [0.05, 0.17, 0.6])
+@pytest.mark.parametrize("body", ["city", "sedan", "van", "pickup", "truck", "caravan"])
 def test_a_drawn_vehicle_is_exactly_as_long_as_its_record(
     gsd: float, body: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -242,10 +241,9 @@ def _coverage(body: str, length: float, width: float, gsd: float, turn: float) -
     floor = np.array([[-50.0, -50], [50, -50], [50, 50], [-50, 50]])
     looks = []
     for level, vehicles in ((0, [placed]), (200, [placed]), (200, [])):
-        world = World(surfaces=[Surface(floor, (level, level, level), Material.PLAIN)], vehicles=vehicles)
-        tile = Painter(world, Sun(0.3, 1.0), np.random.default_rng(0), over / gsd).paint(
-            0, 0, pixels * over, pixels * over
-        )
+        world = World(surfaces=[Surface(floor, (level,) * 3, Material.PLAIN)], vehicles=vehicles)
+        side = pixels * over
+        tile = Painter(world, Sun(0.3, 1.0), np.random.default_rng(0), over / gsd).paint(0, 0, side, side)
         looks.append(cv2.resize(tile.rgb, (pixels, pixels), interpolation=cv2.INTER_AREA)[:, :, 1].astype(float))
     black, bright, empty = looks
     return np.asarray(1 - (bright - black) / empty, dtype=np.float64)
@@ -259,7 +257,7 @@ def _edges(profile: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def test_masks_agree_with_the_objects() -> None:
-    scene = render_scene(0.25, width_px=700, height_px=700, seed=4, layout="urban")
+    scene = render_scene(0.25, width_px=512, height_px=512, seed=4, layout="urban")
     seen = dict.fromkeys(CATEGORIES, 0)
     for item in scene.objects:
         seen[item.category] += 1
@@ -273,7 +271,7 @@ def test_masks_agree_with_the_objects() -> None:
 
 
 def test_a_whole_object_in_view_has_its_true_area() -> None:
-    scene = render_scene(0.5, width_px=600, height_px=600, seed=4, layout="parking")
+    scene = render_scene(0.5, width_px=256, height_px=256, seed=2, layout="urban")
     checked = 0
     for item in scene.objects:
         mask = scene.masks[item.category] == item.instance

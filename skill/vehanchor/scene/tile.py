@@ -87,9 +87,8 @@ class Painter:
         self._coarse = noise_texture(rng, 256, 1.5)
         largest = max((tree.radius for tree in self.world.trees), default=1.0)
         size = int(np.clip(2 ** math.ceil(math.log2(2 * largest * self.px_per_m)), 16, 512))
-        self._crowns = [
-            _pyramid(crown_sprite(rng, size, self.sun, conical=look >= _LOOKS - 2)) for look in range(_LOOKS)
-        ]
+        looks = range(_LOOKS) if self.world.trees else ()
+        self._crowns = [_pyramid(crown_sprite(rng, size, self.sun, conical=look >= _LOOKS - 2)) for look in looks]
         reach = np.array(self.sun.shadow(1.0))
         self._boxes = {
             "surfaces": _bounds([s.points for s in self.world.surfaces]),
