@@ -30,9 +30,9 @@ GUARD_GSD_M_PER_PX = 0.3  # paper, GSD_max
 GUARD_CONFIDENCE = 0.3  # paper: C = min(C_raw, 0.3)
 _WEIGHTS = ConfidenceTerms.model_construct(sample=0.35, concentration=0.35, quality=0.20, plausibility=0.10)  # paper
 
-_SAMPLE_SCALE = 8.0  # vehicles; 1 - exp(-n / 8): 5 give 0.46, 20 give 0.92
-_CV_FULL, _CV_NONE = 0.08, 0.40  # coefficient of variation: a clean fleet; lengths that say nothing
-_SCORE_NONE, _SCORE_FULL = 0.25, 0.75  # median detection score
+_SAMPLE_SCALE = 12.0  # vehicles; 1 - exp(-n / 12): 5 give 0.34, 20 give 0.81
+_CV_FULL, _CV_NONE = 0.05, 0.25  # coefficient of variation: a clean fleet; lengths that say nothing
+_SCORE_NONE, _SCORE_FULL = 0.55, 0.75  # median detection score
 _FADE = 1.5  # factor outside the trained range over which plausibility falls to 0
 
 
@@ -45,10 +45,10 @@ def confidence_terms(
 ) -> ConfidenceTerms:
     """The four terms, each in [0, 1].
 
-    * sample: ``1 - exp(-n / 8)``.
-    * concentration: 1 at a coefficient of variation of 0.08, 0 at 0.40, linear between; 0 with fewer than 5 vehicles,
+    * sample: ``1 - exp(-n / 12)``.
+    * concentration: 1 at a coefficient of variation of 0.05, 0 at 0.25, linear between; 0 with fewer than 5 vehicles,
       since one false alarm has no spread. Together with the sample term this keeps C below 0.5 for N' < 5.
-    * quality: median score, 0 at 0.25, 1 at 0.75.
+    * quality: median score, 0 at 0.55, 1 at 0.75.
     * plausibility: 1 while ``mode_px`` is in the model's range, falling to 0 over a factor of 1.5 outside it.
 
     Args:

@@ -5,8 +5,8 @@ Writes the ``vehanchor.*`` metadata that ``export.py --calibration`` puts into t
 * ``min_score``: of a few thresholds the one with the smallest mean error on the held-out tenth of train;
 * ``region_lengths_m``: per region the KDE mode of ``P_i * GSD`` over the detections on its train images (the paper's
   calibration with detections for labels, so that the way this model draws its boxes is included);
-* ``reference_length_m``: the geometric middle of the shortest and the longest of them;
-* ``reference_length_sd_m``: half of their range, the error that an unknown region can make;
+* ``reference_length_m``: their geometric mean, each region counting once, however many images it has;
+* ``reference_length_sd_m``: their standard deviation, likewise;
 * ``min_length_px``: the shortest length from which boxes are unbiased against labels, on train images made coarser.
 """
 
@@ -157,7 +157,7 @@ def main() -> None:
     for threshold, error in errors.items():
         print(f"min_score {threshold}: mean error {error:.4f} on the held-out tenth")
     lengths = region_lengths(found, min_score)
-    shortest, longest = min(lengths.values()), max(lengths.values())
+    logs = np.log(list(lengths.values()))
     bias = length_bias(options.data / "vehicles", detector, min_score)
     for low, (count, value) in bias.items():
         print(f"labelled length from {low} px: {count} boxes, median log error {value:+.3f}")
@@ -167,8 +167,8 @@ def main() -> None:
     calibration = {
         "name": NAME,
         "min_score": min_score,
-        "reference_length_m": round(float(np.sqrt(shortest * longest)), 4),
-        "reference_length_sd_m": round((longest - shortest) / 2, 4),
+        "reference_length_m": round(float(np.exp(np.mean(logs))), 4),
+        "reference_length_sd_m": round(float(np.exp(np.mean(logs)) * np.std(logs, ddof=1)), 4),
         "region_lengths_m": {region: round(length, 4) for region, length in lengths.items()},
         "length_range_px": ",".join(f"{side:g}" for side in LENGTH_RANGE_PX),
         "min_length_px": float(first_good),
