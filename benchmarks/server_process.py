@@ -1,0 +1,81 @@
+"""Servers to measure, and images to send them."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from vehanchor.scene import render_scene
+
+__all__ = ["SERVE", "child_processes", "http_server", "resident_mib", "write_images", "write_large_image"]
+
+SERVE = [sys.executable, "-c", "import typer; from vehanchor_server.command import serve; typer.run(serve)"]
+START_S = 120
+_PAGE_BYTES = 4096
+
+
+def write_images(directory: Path) -> list[Path]:
+    """Scenes of several sizes and scales, one of them without vehicles."""
+    paths = []
+    for name, gsd, side, seed in (("parking", 0.15, 1024, 5), ("town", 0.12, 768, 6), ("coarse", 0.28, 512, 7)):
+        path = directory / f"{name}.png"
+        _write(path, render_scene(gsd, width_px=side, height_px=side, seed=seed).image)
+        paths.append(path)
+    _write(directory / "blank.png", np.full((640, 640, 3), 90, np.uint8))
+    return [*paths, directory / "blank.png"]
+
+
+def write_large_image(directory: Path, side_px: int = 4096) -> Path:
+    """One scene repeated: what matters is the number of pixels."""
+    tile = render_scene(0.15, width_px=1024, height_px=1024, seed=5).image
+    path = directory / "large.png"
+    _write(path, np.tile(tile, (side_px // 1024, side_px // 1024, 1)))
+    return path
+
+
+def _write(path: Path, image: np.ndarray) -> None:
+    assert cv2.imwrite(str(path), image[:, :, ::-1])
+
+
+@contextlib.contextmanager
+def http_server(*flags: str) -> Iterator[tuple[str, int]]:
+    """A server on a free port, ready: its URL and its process."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    process = subprocess.Popen([*SERVE, "--http", "--port", str(port), *flags], stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + START_S
+    try:
+        while True:
+            with contextlib.suppress(OSError), urllib.request.urlopen(f"http://127.0.0.1:{port}/readyz"):
+                break
+            if process.poll() is not None or time.monotonic() > deadline:
+                sys.exit("the server did not start")
+            time.sleep(0.1)
+        yield f"http://127.0.0.1:{port}/mcp", process.pid
+    finally:
+        process.terminate()
+        try:
+            process.wait(20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+
+
+def child_processes(pid: int) -> list[int]:
+    """The children of a process that serve (Linux); multiprocessing's resource tracker is not one of them."""
+    children = [int(text) for text in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    return [child for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
+
+
+def resident_mib(pid: int) -> float:
+    """Memory of a process, MiB (Linux)."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE_BYTES / (1 << 20)

@@ -1,0 +1,171 @@
+"""Who may call over HTTP: holders of a token from the operator's file, or of a JWT from the operator's issuer."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import logging
+import time
+from collections.abc import Awaitable, Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import anyio
+import httpx2 as httpx
+import jwt
+from mcp.server.auth.provider import AccessToken, TokenVerifier
+
+from vehanchor_server.settings import Settings, SettingsError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+__all__ = ["OidcVerifier", "StaticTokenVerifier", "read_tokens", "token_verifier"]
+
+MIN_TOKEN_CHARS = 16  # shorter ones can be guessed
+KEYS_AGE_S = 3600.0  # keys are fetched anew after this long
+KEYS_RETRY_S = 30.0  # and at most this often, whatever key a token asks for
+_ALGORITHMS = ("RS256", "RS384", "RS512", "PS256", "PS384", "PS512", "ES256", "ES384", "ES512", "EdDSA")
+_LEEWAY_S = 30
+_FETCH_TIMEOUT_S = 10.0
+
+_logger = logging.getLogger(__name__)
+
+
+def token_verifier(settings: Settings) -> TokenVerifier | None:
+    """What the settings ask for; None where callers need no token.
+
+    Raises:
+        SettingsError: the token file cannot be used.
+    """
+    if settings.token_file is not None:
+        return StaticTokenVerifier(read_tokens(settings.token_file))
+    if settings.oidc_issuer is not None and settings.oidc_audience is not None:
+        return OidcVerifier(settings.oidc_issuer, settings.oidc_audience)
+    return None
+
+
+def read_tokens(path: Path) -> list[str]:
+    """The tokens of a file, one a line; blank lines and those that begin with ``#`` are left out.
+
+    Raises:
+        SettingsError: the file cannot be read, holds no token, or one that is too short.
+    """
+    try:
+        lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+    except (OSError, UnicodeDecodeError) as error:
+        raise SettingsError(f"token file {path} cannot be read: {error}") from None
+    tokens = [line for line in lines if line and not line.startswith("#")]
+    if not tokens:
+        raise SettingsError(f"token file {path} holds no token; write one with: openssl rand -hex 32 > {path}")
+    if any(len(token) < MIN_TOKEN_CHARS for token in tokens):
+        raise SettingsError(f"token file {path}: a token is shorter than {MIN_TOKEN_CHARS} characters; use longer ones")
+    return tokens
+
+
+class StaticTokenVerifier(TokenVerifier):
+    """Compares with known tokens, in a time that does not depend on which one or on how much of it agrees.
+
+    Args:
+        tokens: the tokens.
+    """
+
+    def __init__(self, tokens: Sequence[str]) -> None:
+        self._digests = [_digest(token) for token in tokens]
+
+    async def verify_token(self, token: str) -> AccessToken | None:
+        """The access that a token gives, None without."""
+        shown = _digest(token)
+        matches = [hmac.compare_digest(shown, known) for known in self._digests]
+        if not any(matches):
+            return None
+        return AccessToken(token=token, client_id=f"token-{matches.index(True) + 1}", scopes=[])
+
+
+def _digest(token: str) -> bytes:
+    return hashlib.sha256(token.encode("utf-8", "surrogateescape")).digest()
+
+
+async def _get_json(url: str) -> dict[str, Any]:
+    async with httpx.AsyncClient(timeout=_FETCH_TIMEOUT_S, follow_redirects=False) as client:
+        answer = await client.get(url)
+        answer.raise_for_status()
+        document = answer.json()
+    if not isinstance(document, dict):
+        raise ValueError("not a JSON object")
+    return document
+
+
+class OidcVerifier(TokenVerifier):
+    """Accepts JWTs that an OpenID Connect issuer signed for this server.
+
+    Args:
+        issuer: the issuer's URL; its keys are found by ``/.well-known/openid-configuration``.
+        audience: what ``aud`` must contain.
+        get_json: fetches a JSON document.
+    """
+
+    def __init__(
+        self, issuer: str, audience: str, *, get_json: Callable[[str], Awaitable[dict[str, Any]]] = _get_json
+    ) -> None:
+        self._issuer = issuer
+        self._audience = audience
+        self._get_json = get_json
+        self._keys: dict[str | None, jwt.PyJWK] = {}
+        self._fetched_at = -KEYS_AGE_S
+        self._lock: anyio.Lock | None = None
+
+    async def verify_token(self, token: str) -> AccessToken | None:
+        """The access that a token gives, None without; why not is in the log."""
+        try:
+            header = jwt.get_unverified_header(token)
+            if header.get("alg") not in _ALGORITHMS:
+                raise jwt.InvalidAlgorithmError(f"alg {header.get('alg')!r} is not accepted")
+            key = await self._key(header.get("kid"))
+            claims = jwt.decode(
+                token,
+                key,
+                algorithms=[header["alg"]],
+                audience=self._audience,
+                issuer=self._issuer,
+                leeway=_LEEWAY_S,
+                options={"require": ["exp", "iss", "aud"]},
+            )
+        except jwt.PyJWTError as error:
+            _logger.info("bearer token refused: %s", type(error).__name__)
+            return None
+        scope = claims.get("scope", claims.get("scp", ""))
+        subject = claims.get("sub")
+        return AccessToken(
+            token=token,
+            client_id=str(claims.get("azp") or claims.get("client_id") or subject or "unknown"),
+            scopes=scope.split() if isinstance(scope, str) else [str(part) for part in scope],
+            expires_at=int(claims["exp"]) + _LEEWAY_S,
+            subject=None if subject is None else str(subject),
+            claims=claims,
+        )
+
+    async def _key(self, kid: str | None) -> jwt.PyJWK:
+        """The issuer's key of that name; fetched anew when it is unknown, but not again and again."""
+        if self._lock is None:
+            self._lock = anyio.Lock()
+        async with self._lock:
+            age = time.monotonic() - self._fetched_at
+            if age > KEYS_AGE_S or (kid not in self._keys and age > KEYS_RETRY_S):
+                await self._fetch_keys()
+        if kid not in self._keys:
+            raise jwt.InvalidKeyError("the issuer has no such key")
+        return self._keys[kid]
+
+    async def _fetch_keys(self) -> None:
+        self._fetched_at = time.monotonic()
+        try:
+            configuration = await self._get_json(self._issuer.rstrip("/") + "/.well-known/openid-configuration")
+            if configuration.get("issuer") != self._issuer:
+                raise ValueError(f"the document is {configuration.get('issuer')!r}'s")
+            address = str(configuration["jwks_uri"])
+            if not address.startswith("https://"):
+                raise ValueError("jwks_uri is not https")
+            found = jwt.PyJWKSet.from_dict(await self._get_json(address)).keys
+            self._keys = {key.key_id: key for key in found if key.public_key_use in (None, "sig")}
+        except (httpx.HTTPError, jwt.PyJWTError, KeyError, ValueError, OSError) as error:
+            _logger.error("the keys of %s cannot be fetched: %s", self._issuer, error)

@@ -1,0 +1,36 @@
+"""Why a call failed, as the model that made it reads it: ``code: what is wrong. what to do``.
+
+The library's own codes (``vehanchor.errors``) pass through unchanged. The server adds:
+
+* CallError (ToolError)
+  x ``invalid_arguments``   an argument is missing, unknown, or of the wrong form
+  x ``source_disabled``     this server does not take images of that ``kind``
+  x ``path_not_allowed``    the path is not below an allowed root, or its form cannot be trusted
+  x ``base64_invalid``      the data is not base64
+  x ``url_not_allowed``     not https, a host that is not listed, or an address that is not public
+  x ``fetch_failed``        the host did not deliver the image
+  x ``busy``                every place is taken: try again
+  x ``deadline_exceeded``   the call took longer than the server allows
+  x ``server_stopping``     the server is shutting down
+  x ``model_unavailable``   the operator's model cannot be loaded
+  x ``internal_error``      a bug; the details are in the server's log only
+"""
+
+from __future__ import annotations
+
+from mcp.server.mcpserver.exceptions import ToolError
+
+__all__ = ["CallError"]
+
+
+class CallError(ToolError):
+    """A call failed for a reason that its caller can act on; ``code`` is stable.
+
+    Args:
+        code: the stable identifier.
+        message: what is wrong, with its value, and what to do.
+    """
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(f"{code}: {message}")
+        self.code = code

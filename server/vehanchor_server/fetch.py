@@ -1,0 +1,159 @@
+"""Fetching an image from a web server that the operator allows.
+
+What a caller's URL could be made to reach is decided here, on every hop: https only, hosts on the list only, and the
+address that the name resolves to must be public. The connection is made to the address that was checked, not to the
+name, so that a second answer of the name server changes nothing; the certificate is still verified for the name.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+from urllib.parse import SplitResult, urljoin, urlsplit
+
+import anyio
+import httpcore2 as httpcore
+
+from vehanchor_server.errors import CallError
+
+if TYPE_CHECKING:
+    import ssl
+
+__all__ = ["Fetcher", "is_public_address", "resolve_host"]
+
+MAX_REDIRECTS = 3
+_REDIRECTS = (301, 302, 303, 307, 308)
+_HTTPS_PORT = 443
+_NAT64 = ipaddress.ip_network("64:ff9b::/96")  # an IPv4 address inside an IPv6 one: routed to wherever that one is
+_HEADERS = ((b"Accept", b"image/*, */*;q=0.5"), (b"Accept-Encoding", b"identity"), (b"User-Agent", b"vehanchor"))
+
+
+def is_public_address(address: str) -> bool:
+    """Whether an IP address is on the public internet: not private, loopback, link-local, multicast or reserved.
+
+    Addresses that carry an IPv4 address within are judged by that one, or refused.
+    """
+    try:
+        ip = ipaddress.ip_address(address.partition("%")[0])
+    except ValueError:
+        return False
+    if isinstance(ip, ipaddress.IPv6Address):
+        if ip.ipv4_mapped is not None:
+            return is_public_address(str(ip.ipv4_mapped))
+        if ip.sixtofour is not None or ip.teredo is not None or ip in _NAT64:
+            return False
+    return ip.is_global and not (ip.is_multicast or ip.is_reserved or ip.is_unspecified)
+
+
+async def resolve_host(host: str, port: int) -> list[str]:
+    """The addresses of a host, in the order in which the system would try them."""
+    found = await anyio.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    return [str(entry[4][0]) for entry in found]
+
+
+@dataclass(frozen=True)
+class Fetcher:
+    """Fetches images by URL.
+
+    Attributes:
+        hosts: allowed hosts, ``name`` (port 443) or ``name:port``; none refuses every URL.
+        max_bytes: size of an image.
+        timeout_s: time that a fetch may take, redirects included.
+        ssl_context: what certificates are verified with; None for the system's authorities.
+        resolve: host and port to addresses.
+        is_public: whether an address may be connected to.
+    """
+
+    hosts: tuple[str, ...]
+    max_bytes: int
+    timeout_s: float
+    ssl_context: ssl.SSLContext | None = None
+    resolve: Callable[[str, int], Awaitable[list[str]]] = resolve_host
+    is_public: Callable[[str], bool] = is_public_address
+
+    async def fetch(self, url: str) -> bytes:
+        """The bytes at a URL.
+
+        Raises:
+            CallError: ``source_disabled``, ``url_not_allowed``, ``fetch_failed``, or the library's ``image_too_large``.
+        """
+        if not self.hosts:
+            raise CallError(
+                "source_disabled",
+                "this server fetches no images by URL. Use another kind, or start it with --image-host HOST.",
+            )
+        with anyio.move_on_after(self.timeout_s):
+            backend = _PinnedBackend(self)
+            async with httpcore.AsyncConnectionPool(ssl_context=self.ssl_context, network_backend=backend) as pool:
+                for _ in range(MAX_REDIRECTS + 1):
+                    answer = await self._request(pool, self._checked(url))
+                    if isinstance(answer, bytes):
+                        return answer
+                    url = urljoin(url, answer)
+            raise CallError("fetch_failed", f"more than {MAX_REDIRECTS} redirects. Give the image's final address.")
+        raise CallError("fetch_failed", f"the image did not arrive within {self.timeout_s:g} s. Try again, or send it.")
+
+    def _checked(self, url: str) -> SplitResult:
+        """The URL's parts, if its form and its host are allowed."""
+        try:
+            parts = urlsplit(url)
+            host, port = (parts.hostname or "").lower(), parts.port or _HTTPS_PORT
+        except ValueError:
+            raise CallError("url_not_allowed", "the URL cannot be read. Give https://host/path.") from None
+        if parts.scheme != "https" or parts.username is not None or parts.password is not None:
+            raise CallError("url_not_allowed", "only https:// URLs without a user name are fetched. Give such a URL.")
+        if not (url.isascii() and url.isprintable()) or " " in url:
+            raise CallError("url_not_allowed", "the URL contains characters that must be percent-encoded. Encode them.")
+        if f"{host}:{port}" not in self.hosts and not (port == _HTTPS_PORT and host in self.hosts):
+            raise CallError("url_not_allowed", f"host {host!r} is not allowed. Allowed here: {', '.join(self.hosts)}.")
+        return parts
+
+    async def _request(self, pool: httpcore.AsyncConnectionPool, parts: SplitResult) -> bytes | str:
+        """The body, or where a redirect leads."""
+        url = parts._replace(fragment="").geturl()
+        try:
+            async with pool.stream("GET", url, headers=_HEADERS) as response:
+                if response.status in _REDIRECTS:
+                    location = next((value for name, value in response.headers if name.lower() == b"location"), b"")
+                    return location.decode("latin-1")
+                if response.status != 200:
+                    raise CallError("fetch_failed", f"the host answered {response.status}. Check the URL.")
+                return await self._body(response)
+        except (httpcore.NetworkError, httpcore.ProtocolError, httpcore.TimeoutException, OSError) as error:
+            raise CallError("fetch_failed", f"{type(error).__name__} at the host. Check the URL, or retry.") from error
+
+    async def _body(self, response: httpcore.Response) -> bytes:
+        declared = next((value for name, value in response.headers if name.lower() == b"content-length"), b"0")
+        too_large = CallError("image_too_large", f"the image has more than {self.max_bytes} bytes. Send a smaller one.")
+        if declared.isdigit() and int(declared) > self.max_bytes:
+            raise too_large
+        body = bytearray()
+        async for chunk in response.aiter_stream():
+            body += chunk
+            if len(body) > self.max_bytes:
+                raise too_large
+        return bytes(body)
+
+
+class _PinnedBackend(httpcore.AnyIOBackend):
+    """Connects to the checked address of a host."""
+
+    def __init__(self, fetcher: Fetcher) -> None:
+        self._fetcher = fetcher
+
+    async def connect_tcp(
+        self,
+        host: str,
+        port: int,
+        timeout: float | None = None,
+        local_address: str | None = None,
+        socket_options: Iterable[Any] | None = None,
+    ) -> httpcore.AsyncNetworkStream:
+        addresses = await self._fetcher.resolve(host, port)
+        if not addresses or not all(map(self._fetcher.is_public, addresses)):
+            # One private address among public ones is refused as well: no host that serves images has such a mixture.
+            raise CallError("url_not_allowed", f"host {host!r} does not resolve to public addresses. Use another URL.")
+        return await super().connect_tcp(addresses[0], port, timeout, local_address, socket_options)

@@ -1,0 +1,84 @@
+"""The tools' contracts as files: JSON Schemas, and the same tools as Anthropic and OpenAI definitions.
+
+* ``<tool>.input.json``, ``<tool>.output.json``: JSON Schema 2020-12 of arguments and structured result
+* ``anthropic.json``: a list for ``tools`` of the Messages API
+* ``openai.json``: a list for ``tools`` of the Responses API, strict; for Chat Completions, put all but ``type`` below
+  ``function``
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from vehanchor_server.app import create_services
+from vehanchor_server.portable_schema import portable_schema
+from vehanchor_server.settings import Settings
+from vehanchor_server.strict_tool import StrictTool
+from vehanchor_server.tools import tools
+
+__all__ = ["anthropic_definition", "openai_definition", "schema_files", "write_schemas"]
+
+_NOT_IN_STRICT_MODE = ("default", "minLength", "maxLength")
+
+
+def write_schemas(directory: Path) -> list[Path]:
+    """Write all files.
+
+    Args:
+        directory: made if it is not there.
+
+    Returns:
+        The files.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, text in schema_files().items():
+        path = directory / name
+        path.write_text(text, encoding="utf-8")
+        written.append(path)
+    return written
+
+
+def schema_files() -> dict[str, str]:
+    """Every file's name and text."""
+    contract = tools(create_services(Settings()))
+    documents: dict[str, Any] = {}
+    for tool in contract:
+        documents[f"{tool.name}.input.json"] = portable_schema(tool.parameters, dialect=True)
+        documents[f"{tool.name}.output.json"] = portable_schema(tool.output_schema or {}, dialect=True)
+    documents["anthropic.json"] = [anthropic_definition(tool) for tool in contract]
+    documents["openai.json"] = [openai_definition(tool) for tool in contract]
+    return {name: json.dumps(document, indent=2, ensure_ascii=False) + "\n" for name, document in documents.items()}
+
+
+def anthropic_definition(tool: StrictTool) -> dict[str, Any]:
+    """The tool as Anthropic's Messages API takes it."""
+    return {"name": tool.name, "description": tool.description, "input_schema": tool.parameters}
+
+
+def openai_definition(tool: StrictTool) -> dict[str, Any]:
+    """The tool as OpenAI's Responses API takes it, in strict mode: what may be left out is required but nullable."""
+    return {
+        "type": "function",
+        "name": tool.name,
+        "description": tool.description,
+        "parameters": _strict(tool.parameters),
+        "strict": True,
+    }
+
+
+def _strict(node: Any) -> Any:
+    if isinstance(node, list):
+        return [_strict(item) for item in node]
+    if not isinstance(node, dict):
+        return node
+    result = {
+        key: {name: _strict(property_) for name, property_ in value.items()} if key == "properties" else _strict(value)
+        for key, value in node.items()
+        if key not in _NOT_IN_STRICT_MODE
+    }
+    if "properties" in result:
+        result["required"] = list(result["properties"])
+    return result

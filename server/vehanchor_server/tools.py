@@ -1,0 +1,144 @@
+"""The tools: what a planner can ask, and what it is told about when to ask it."""
+
+# Annotations are evaluated here on purpose: the SDK reads the result's schema from them.
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeVar
+
+from mcp.server.mcpserver import Context, Image
+from mcp.types import CallToolResult, TextContent, ToolAnnotations
+from pydantic import Field
+
+from vehanchor.records import GsdEstimate
+from vehanchor_server.capacity import Capacity, Stop
+from vehanchor_server.estimation import ScaleQuestion, estimate
+from vehanchor_server.image_argument import AnyImage, Frame, ImageArgument
+from vehanchor_server.image_source import ImageSources, OpenedImage
+from vehanchor_server.job import PERCENT_DONE, Job
+from vehanchor_server.models import Models
+from vehanchor_server.sentences import describe_estimate
+from vehanchor_server.settings import Settings
+from vehanchor_server.strict_tool import StrictTool
+
+__all__ = ["Services", "estimate_gsd_tool", "tools"]
+
+Result = TypeVar("Result")
+
+POLICY = (
+    "Rule for planners: use the scale where confidence >= 0.5. Below 0.5 do not act on it: fall back to another anchor "
+    "(known altitude, visual odometry, an object of known size). Confidence 0 means that no vehicle was found and "
+    "there is no estimate: gsd_m_per_px is null, never a guess."
+)
+
+_ESTIMATE_GSD = (
+    "Measures the metric scale (ground sampling distance, metres per pixel) of a near-nadir aerial or satellite image "
+    "from the cars in it; no camera metadata is needed. Call it before any distance, length or area is derived from an "
+    "aerial image whose scale is unknown or doubtful; never estimate the scale by eye. Needs visible cars and about "
+    f"0.3 m/px or finer. {POLICY} Multiply pixel distances by gsd_m_per_px and pixel areas by its square. If you see a "
+    "resized copy of the image, give the copy's size as frame and use frame.gsd_m_per_px for distances in that copy. "
+    "Very large images take up to a minute."
+)
+
+
+@dataclass(frozen=True)
+class Services:
+    """What tools work with; one for each server.
+
+    Attributes:
+        settings: the operator's options.
+        models: the operator's models.
+        sources: where images come from.
+        capacity: how much runs at once.
+    """
+
+    settings: Settings
+    models: Models
+    sources: ImageSources
+    capacity: Capacity
+
+
+def tools(services: Services) -> list[StrictTool]:
+    """All tools of the server."""
+    return [estimate_gsd_tool(services)]
+
+
+def estimate_gsd_tool(services: Services) -> StrictTool:
+    """The tool that measures an image's scale."""
+
+    async def estimate_gsd(
+        image: Annotated[ImageArgument, Field(description="The whole image, uncropped; kind says where it is.")],
+        ctx: Context[Any, Any],
+        region: Annotated[
+            str | None,
+            Field(
+                max_length=64,
+                description="Where the image was taken, if known: europe or north_america; cars differ in length.",
+            ),
+        ] = None,
+        reference_length_m: Annotated[
+            float | None,
+            Field(
+                gt=0,
+                le=100,
+                allow_inf_nan=False,
+                description="Typical car length there in metres, if better known; not with region.",
+            ),
+        ] = None,
+        frame: Annotated[
+            Frame | None,
+            Field(description="Size of the resized copy that you see; its aspect ratio is the image's."),
+        ] = None,
+        include_overlay: Annotated[
+            bool, Field(description="Also return a picture with the vehicles that were measured and a scale bar.")
+        ] = False,
+    ) -> Annotated[CallToolResult, GsdEstimate]:
+        question = ScaleQuestion(region, reference_length_m, frame, include_overlay)
+
+        def work(job: Job, source: OpenedImage) -> tuple[GsdEstimate, bytes | None]:
+            return estimate(services.settings, services.models, job, source, question)
+
+        record, overlay = await _run(services, ctx, image, work)
+        return _result(record, describe_estimate(record), overlay)
+
+    return StrictTool.strict(
+        estimate_gsd,
+        title="Measure the scale of an aerial image",
+        description=_ESTIMATE_GSD,
+        annotations=_annotations("Measure the scale of an aerial image"),
+    )
+
+
+async def _run(
+    services: Services, ctx: Context[Any, Any], image: AnyImage, work: Callable[[Job, OpenedImage], Result]
+) -> Result:
+    """Find a place, fetch and open the image, and do the work in a thread, with progress from start to end."""
+
+    async def call(stop: Stop) -> Result:
+        await ctx.report_progress(0, PERCENT_DONE, "reading the image")
+        fetched = await services.sources.fetched(image)
+
+        def in_thread() -> Result:
+            with services.sources.open(image, fetched) as source, Job(ctx, stop) as job:
+                return work(job, source)
+
+        result = await services.capacity.in_thread(stop, in_thread)
+        await ctx.report_progress(PERCENT_DONE, PERCENT_DONE, "done")
+        return result
+
+    return await services.capacity.run(call)
+
+
+def _annotations(title: str) -> ToolAnnotations:
+    """Every tool only looks: it changes nothing, and the same call gives the same answer."""
+    return ToolAnnotations(
+        title=title, read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False
+    )
+
+
+def _result(record: GsdEstimate, sentence: str, overlay: bytes | None) -> CallToolResult:
+    """The record for programs, the sentence for models, the picture for those who asked."""
+    content: list[Any] = [TextContent(type="text", text=sentence)]
+    if overlay is not None:
+        content.append(Image(data=overlay, format="jpeg").to_image_content())
+    return CallToolResult(content=content, structured_content=record.model_dump(mode="json"))

@@ -1,0 +1,121 @@
+"""A real server on a real, tiny detector, and images it finds vehicles in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from mcp.server import MCPServer
+
+from tests.models import blank_image, paint_vehicles, write_detector
+from vehanchor_server.app import create_server, create_services
+from vehanchor_server.settings import Settings
+from vehanchor_server.tools import Services
+
+LENGTH_PX = 33.0
+N_VEHICLES = 24
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+@pytest.fixture(autouse=True)
+def _no_operator_variables(monkeypatch: pytest.MonkeyPatch) -> None:
+    import os
+
+    for name in [name for name in os.environ if name.startswith("VEHANCHOR_")]:
+        monkeypatch.delenv(name)
+
+
+def paint_scene(width_px: int, height_px: int, n_vehicles: int = N_VEHICLES) -> np.ndarray:
+    """An RGB image with vehicles of nearly one length."""
+    image = blank_image(width_px, height_px)
+    generator = np.random.default_rng(7)
+    columns = max(1, (width_px - 100) // 70)
+    boxes = [
+        (
+            60 + 70 * (i % columns),
+            60 + 70 * (i // columns),
+            LENGTH_PX + generator.normal(0, 0.8),
+            14,
+            generator.uniform(0, 3),
+        )
+        for i in range(n_vehicles)
+    ]
+    if boxes:
+        paint_vehicles(image, boxes)
+    return image
+
+
+def write_image(path: Path, image: np.ndarray) -> Path:
+    """Write an RGB image without loss."""
+    assert cv2.imwrite(str(path), image[:, :, ::-1])
+    return path
+
+
+@pytest.fixture(scope="session")
+def detector_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    # A small input: many tiles in small images, each of them quick.
+    return write_detector(tmp_path_factory.mktemp("models") / "test.onnx", fixed_size=256)
+
+
+@pytest.fixture(scope="session")
+def _images(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("images").resolve()
+    write_image(root / "cars.png", paint_scene(640, 512))
+    write_image(root / "empty.png", paint_scene(640, 512, 0))
+    write_image(root / "small.png", paint_scene(250, 250, 4))
+    write_image(root / "two.png", paint_scene(640, 512, 2))
+    write_image(root / "large.png", paint_scene(900, 900))
+    (root / "sub dir").mkdir()
+    write_image(root / "sub dir" / "cars é.png", paint_scene(640, 512))
+    (root / "notes.txt").write_text("not an image")
+    return root
+
+
+@pytest.fixture(scope="session")
+def images(_images: Path) -> Path:
+    """The allowed root; tests that change files make a directory of their own."""
+    return _images
+
+
+@pytest.fixture
+def settings(images: Path, detector_path: Path) -> Settings:
+    return Settings(roots=(images,), detector=str(detector_path), threads=1)
+
+
+@pytest.fixture
+def services(settings: Settings) -> Services:
+    return create_services(settings)
+
+
+@pytest.fixture
+def server(services: Services) -> MCPServer[object]:
+    return create_server(services)
+
+
+@pytest.fixture
+def slow_tiles(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Makes every tile take a given time: how long a call runs is then no matter of the machine."""
+    import time
+
+    from vehanchor.detection import Detector
+
+    original = Detector.detect_tile
+    delay = [0.0]
+
+    def slowed(self: Detector, *args: object, **kwargs: object) -> object:
+        time.sleep(delay[0])
+        return original(self, *args, **kwargs)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Detector, "detect_tile", slowed)
+
+    def set_delay(seconds: float) -> None:
+        delay[0] = seconds
+
+    return set_delay

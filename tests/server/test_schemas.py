@@ -1,0 +1,151 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from mcp import Client
+from mcp.server import MCPServer
+
+import vehanchor
+from tests.server.test_tools import by_path
+from vehanchor.detection import load_detector
+from vehanchor_server.portable_schema import portable_schema
+from vehanchor_server.schemas import schema_files, write_schemas
+
+PUBLISHED = Path(__file__).parents[2] / "schemas"
+
+
+def nodes(schema: Any) -> Iterator[dict[str, Any]]:
+    """Every subschema."""
+    if isinstance(schema, dict):
+        yield schema
+        for value in schema.values():
+            yield from nodes(value)
+    elif isinstance(schema, list):
+        for value in schema:
+            yield from nodes(value)
+
+
+@pytest.fixture(scope="module")
+def files() -> dict[str, Any]:
+    return {name: json.loads(text) for name, text in schema_files().items()}
+
+
+def test_the_published_files_are_current() -> None:
+    expected = schema_files()
+    found = {path.name: path.read_text(encoding="utf-8") for path in PUBLISHED.glob("*.json")}
+    assert found == expected, "run: vehanchor schemas schemas"
+
+
+def test_writing_makes_the_directory(tmp_path: Path) -> None:
+    written = write_schemas(tmp_path / "new")
+    assert {path.name: path.read_text(encoding="utf-8") for path in written} == schema_files()
+
+
+def test_the_schemas_are_valid_2020_12_that_every_host_reads(files: dict[str, Any]) -> None:
+    for name in ("estimate_gsd.input.json", "estimate_gsd.output.json"):
+        schema = files[name]
+        jsonschema.Draft202012Validator.check_schema(schema)
+        assert schema["type"] == "object"
+        for node in nodes(schema):
+            assert not {"$ref", "$defs", "oneOf", "allOf", "discriminator", "prefixItems", "title"} & set(node)
+            if node.get("type") == "object":
+                assert node["additionalProperties"] is False
+
+
+@pytest.mark.anyio
+async def test_the_server_publishes_the_same(server: MCPServer[object], files: dict[str, Any]) -> None:
+    async with Client(server) as client:
+        (tool,) = (await client.list_tools()).tools
+    for published, name in ((tool.input_schema, "input"), (tool.output_schema, "output")):
+        expected = {key: value for key, value in files[f"estimate_gsd.{name}.json"].items() if key != "$schema"}
+        assert published == expected
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("image", ["cars.png", "two.png", "empty.png"])
+async def test_real_results_are_valid(
+    server: MCPServer[object], images: Path, files: dict[str, Any], image: str, detector_path: Path
+) -> None:
+    arguments = {**by_path(images / image), "frame": {"width_px": 320, "height_px": 256}}
+    jsonschema.validate(arguments, files["estimate_gsd.input.json"])
+    jsonschema.validate(arguments, files["anthropic.json"][0]["input_schema"])
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", arguments)
+    schema = files["estimate_gsd.output.json"]
+    jsonschema.validate(result.structured_content, schema)
+    record = vehanchor.estimate_gsd(images / image, detector=load_detector(detector_path, threads=1))
+    jsonschema.validate(json.loads(record.model_dump_json()), schema)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {},
+        {"image": "/a.png"},
+        {"image": {"path": "/a.png"}},
+        {"image": {"kind": "base64", "path": "/a.png"}},
+        {"image": {"kind": "path", "path": "/a.png"}, "detector": "x"},
+        {"image": {"kind": "path", "path": "/a.png"}, "reference_length_m": 0},
+    ],
+)
+def test_what_the_server_would_refuse_is_invalid(files: dict[str, Any], arguments: dict[str, Any]) -> None:
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(arguments, files["estimate_gsd.input.json"])
+
+
+def test_the_openai_definition_is_strict_compatible(files: dict[str, Any]) -> None:
+    for definition in files["openai.json"]:
+        assert definition["strict"] is True
+        assert set(definition) == {"type", "name", "description", "parameters", "strict"}
+        schema = definition["parameters"]
+        jsonschema.Draft202012Validator.check_schema(schema)
+        assert "anyOf" not in schema
+        for node in nodes(schema):
+            assert not {"default", "minLength", "maxLength", "oneOf", "$ref"} & (set(node) - set(_properties(node)))
+            if node.get("type") == "object":
+                assert node["additionalProperties"] is False
+                assert sorted(node["required"]) == sorted(node["properties"])
+
+
+def _properties(node: dict[str, Any]) -> set[str]:
+    return set(node.get("properties", {}))
+
+
+@pytest.mark.anyio
+async def test_what_strict_mode_makes_a_model_send_is_accepted(
+    server: MCPServer[object], images: Path, files: dict[str, Any]
+) -> None:
+    arguments = {
+        **by_path(images / "cars.png"),
+        "region": None,
+        "reference_length_m": None,
+        "frame": None,
+        "include_overlay": False,
+    }
+    jsonschema.validate(arguments, files["openai.json"][0]["parameters"])
+    async with Client(server) as client:
+        assert not (await client.call_tool("estimate_gsd", arguments)).is_error
+
+
+def test_the_anthropic_definition_has_what_the_api_takes(files: dict[str, Any]) -> None:
+    for definition in files["anthropic.json"]:
+        assert set(definition) == {"name", "description", "input_schema"}
+        assert definition["input_schema"]["type"] == "object"
+
+
+def test_a_property_may_be_named_like_a_keyword() -> None:
+    schema = {
+        "type": "object",
+        "title": "Dropped",
+        "properties": {"title": {"type": "string"}, "oneOf": {"$ref": "#/$defs/Part", "description": "kept"}},
+        "$defs": {"Part": {"const": 3, "title": "Part"}},
+    }
+    assert portable_schema(schema) == {
+        "type": "object",
+        "properties": {"title": {"type": "string"}, "oneOf": {"const": 3, "description": "kept", "type": "integer"}},
+    }
