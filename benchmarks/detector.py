@@ -40,6 +40,13 @@ def _row(name: str, trials: list[ScaleTrial]) -> str:
     )
 
 
+def _correlation(trials: list[ScaleTrial]) -> tuple[float, float]:
+    """Spearman's and Pearson's correlation of confidence and error."""
+    confidence = [t.analysis.estimate.confidence for t in trials]
+    error = [t.error for t in trials]
+    return float(spearmanr(confidence, error).statistic), float(np.corrcoef(confidence, error)[0, 1])
+
+
 def report(trials: list[ScaleTrial], regional: list[ScaleTrial]) -> list[str]:
     """The tables as Markdown lines."""
     sets = sorted({t.image.set for t in trials})
@@ -57,11 +64,15 @@ def report(trials: list[ScaleTrial], regional: list[ScaleTrial]) -> list[str]:
         if some:
             lines.append(_row(name, some))
 
-    known = [t for t in trials if t.analysis.estimate.gsd_m_per_px is not None and t.image.labelled_vehicles]
-    confidence = np.array([t.analysis.estimate.confidence for t in known])
-    error = np.array([t.error for t in known])
+    known, known_regional = (
+        [t for t in some if t.analysis.estimate.gsd_m_per_px is not None and t.image.labelled_vehicles]
+        for some in (trials, regional)
+    )
+    rho, r = _correlation(known)
+    rho_regional, r_regional = _correlation(known_regional)
     covered = [bool(t.covered) for t in known]
     covered_labelled = [bool(t.covered) for t in known if _labelled(t)]
+    covered_regional = [bool(t.covered) for t in known_regional]
     mistakes = [t for t in trials if (t.error > 0.2 or not t.image.labelled_vehicles)]
     confident = [t for t in mistakes if t.analysis.estimate.confidence >= 0.5]
     good = [
@@ -71,10 +82,11 @@ def report(trials: list[ScaleTrial], regional: list[ScaleTrial]) -> list[str]:
     found = [t.analysis.estimate.n_vehicles > 0 for t in trials if t.image.labelled_vehicles]
     lines += [
         "",
-        f"- Spearman's rho of confidence and error: {spearmanr(confidence, error).statistic:+.3f}; Pearson's r "
-        f"{np.corrcoef(confidence, error)[0, 1]:+.3f} ({len(known)} images with cars and an estimate)",
+        f"- Spearman's rho of confidence and error: {rho:+.3f}, Pearson's r {r:+.3f}; with the region given "
+        f"{rho_regional:+.3f}, {r_regional:+.3f} ({len(known)} images with cars and an estimate)",
         f"- true scale inside the 95 % interval: {np.mean(covered):.1%} of {len(covered)} images with cars; "
-        f"{np.mean(covered_labelled):.1%} of the {len(covered_labelled)} with at least five",
+        f"{np.mean(covered_labelled):.1%} of the {len(covered_labelled)} with at least five; with the region given "
+        f"{np.mean(covered_regional):.1%}",
         f"- confidence >= 0.5 on {len(confident)} of {len(mistakes)} images without cars or with error > 20 % "
         f"({len(confident) / max(1, len(trials)):.1%} of all {len(trials)} images)",
         f"- confidence >= 0.5 on {len(sure)} of {len(good)} images with GSD < 0.3, >= 20 cars, error < 10 %",

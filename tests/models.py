@@ -31,7 +31,16 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["BEACON_PX", "blank_image", "paint_vehicle", "paint_vehicles", "write_detector", "write_other_model"]
+__all__ = [
+    "BEACON_PX",
+    "Graph",
+    "blank_image",
+    "paint_vehicle",
+    "paint_vehicles",
+    "save_model",
+    "write_detector",
+    "write_other_model",
+]
 
 BEACON_PX = 5
 _MARK = (255, 0, 255)
@@ -134,7 +143,7 @@ def write_detector(
         The path.
     """
     n_out = n_classes if n_classes is not None else max(len(names or {}), 1)
-    graph = _Graph()
+    graph = Graph()
     x = graph.add("Cast", ["images"], to=TensorProto.FLOAT)
     codes = graph.add("Round", [graph.add("Mul", [x, graph.constant([255.0])])])
     reads = [codes] + [_shifted_left(graph, codes, k) for k in range(1, BEACON_PX)]
@@ -182,7 +191,7 @@ def write_detector(
         "names": None if names is None else repr(dict(names)),
         **(metadata or {}),
     }
-    return _save(
+    return save_model(
         path,
         graph.nodes,
         [helper.make_tensor_value_info("images", element, [batch, 3, *(size or ("height", "width"))])],
@@ -195,7 +204,7 @@ def write_detector(
 def write_other_model(path: Path, *, metadata: Mapping[str, str | None] | None = None) -> Path:
     """Write a sound ONNX model that is no detector: an image classifier, ``[1, 3, h, w]`` to ``[1, 3]``."""
     mean = helper.make_node("ReduceMean", ["image"], ["logits"], axes=[2, 3], keepdims=0)
-    return _save(
+    return save_model(
         path,
         [mean],
         [helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, "height", "width"])],
@@ -205,7 +214,7 @@ def write_other_model(path: Path, *, metadata: Mapping[str, str | None] | None =
     )
 
 
-class _Graph:
+class Graph:
     """Nodes and constants of a graph under construction; names are made up as it grows."""
 
     def __init__(self) -> None:
@@ -229,21 +238,21 @@ class _Graph:
         return name
 
 
-def _shifted_left(graph: _Graph, name: str, k: int) -> str:
+def _shifted_left(graph: Graph, name: str, k: int) -> str:
     """At each pixel the value ``k`` pixels to its right, zero beyond the edge."""
     padded = graph.add("Pad", [name, graph.constant([0, 0, 0, 0, 0, 0, 0, k], np.int64)])
     start, end, axis = (graph.constant([value], np.int64) for value in (k, np.iinfo(np.int64).max, 3))
     return graph.add("Slice", [padded, start, end, axis])
 
 
-def _mark_mask(graph: _Graph, channels: Sequence[str]) -> str:
+def _mark_mask(graph: Graph, channels: Sequence[str]) -> str:
     hits = [
         graph.add("Equal", [name, graph.constant([float(level)])]) for name, level in zip(channels, _MARK, strict=True)
     ]
     return graph.add("Cast", [graph.add("And", [graph.add("And", hits[:2]), hits[2]])], to=TensorProto.FLOAT)
 
 
-def _pixel_indices(graph: _Graph, like: str) -> tuple[str, str]:
+def _pixel_indices(graph: Graph, like: str) -> tuple[str, str]:
     """Column and row of every pixel."""
     ones = graph.add("Add", [graph.add("Mul", [like, graph.constant([0.0])]), graph.constant([1.0])])
     return tuple(  # type: ignore[return-value]
@@ -252,7 +261,7 @@ def _pixel_indices(graph: _Graph, like: str) -> tuple[str, str]:
     )
 
 
-def _raw_rows(graph: _Graph, flat: str, n_classes: int) -> str:
+def _raw_rows(graph: Graph, flat: str, n_classes: int) -> str:
     """``[b, 7, anchors]`` to cx, cy, w, h, one score per class, angle."""
     cx, cy, w, h, score, kind, angle = graph.split(flat, 7, axis=1)
     scores = []
@@ -262,7 +271,7 @@ def _raw_rows(graph: _Graph, flat: str, n_classes: int) -> str:
     return graph.add("Concat", [cx, cy, w, h, *scores, angle], axis=1)
 
 
-def _end_to_end_rows(graph: _Graph, flat: str, cap: int) -> str:
+def _end_to_end_rows(graph: Graph, flat: str, cap: int) -> str:
     """``[b, 7, anchors]`` to the ``cap`` best rows."""
     padded = graph.add("Pad", [flat, graph.constant([0, 0, 0, 0, 0, cap], np.int64)])  # never fewer anchors than rows
     start, end, axis = (graph.constant([value], np.int64) for value in (4, 5, 1))
@@ -278,7 +287,7 @@ def _end_to_end_rows(graph: _Graph, flat: str, cap: int) -> str:
     return graph.add("Transpose", [best], perm=[0, 2, 1])
 
 
-def _save(
+def save_model(
     path: Path,
     nodes: Sequence[onnx.NodeProto],
     inputs: Sequence[onnx.ValueInfoProto],
@@ -286,6 +295,7 @@ def _save(
     constants: Sequence[onnx.TensorProto],
     metadata: Mapping[str, str | None],
 ) -> Path:
+    """Write a checked ONNX file; None as a metadata value leaves the entry out."""
     graph = helper.make_graph(list(nodes), "test", list(inputs), list(outputs), list(constants))
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", _OPSET)])
     model.ir_version = _IR_VERSION

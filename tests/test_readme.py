@@ -37,7 +37,9 @@ def test_the_vehanchor_commands_run(monkeypatch: pytest.MonkeyPatch, tmp_path: P
         for part in line[2:].split("&&")
         if part.strip().startswith("vehanchor ")
     ]
-    ours = [command for command in commands if "yolo11l" not in command]  # needs a model of the user's own
+    # Left out: what needs a model of the user's own, and the server, which runs until it is stopped (tests/server).
+    theirs = ("yolo11l", "--segmenter", " serve ")
+    ours = [command for command in commands if not any(part in command for part in theirs)]
     assert len(ours) >= 2
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)

@@ -20,11 +20,15 @@ from vehanchor.errors import VehAnchorError
 if TYPE_CHECKING:
     from vehanchor.detection import Detections, Detector
     from vehanchor.imagery import ImageLimits
+    from vehanchor.measurement import AreaAnalysis, analyse_area, measure_area
     from vehanchor.perception import ScaleAnalysis, ScaleOptions, analyse_scale, estimate_gsd
-    from vehanchor.records import GsdEstimate
+    from vehanchor.records import AreaMeasurement, GsdEstimate
     from vehanchor.scene import Scene, render_scene
+    from vehanchor.segmentation import Segmenter
 
 __all__ = [
+    "AreaAnalysis",
+    "AreaMeasurement",
     "Detections",
     "Detector",
     "GsdEstimate",
@@ -32,16 +36,21 @@ __all__ = [
     "ScaleAnalysis",
     "ScaleOptions",
     "Scene",
+    "Segmenter",
     "VehAnchorError",
     "__version__",
+    "analyse_area",
     "analyse_scale",
     "estimate_gsd",
+    "measure_area",
     "render_scene",
 ]
 
 __version__ = version("vehanchor")
 
 _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
+    "AreaAnalysis": "measurement",
+    "AreaMeasurement": "records",
     "Detections": "detection",
     "Detector": "detection",
     "GsdEstimate": "records",
@@ -49,8 +58,11 @@ _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing un
     "ScaleAnalysis": "perception",
     "ScaleOptions": "perception",
     "Scene": "scene",
+    "Segmenter": "segmentation",
+    "analyse_area": "measurement",
     "analyse_scale": "perception",
     "estimate_gsd": "perception",
+    "measure_area": "measurement",
     "render_scene": "scene",
 }
 

@@ -1,4 +1,4 @@
-"""The command line: ``vehanchor estimate | scene | models``.
+"""The command line: ``vehanchor estimate | measure | scene | models | serve | schemas``.
 
 Results go to stdout, everything else (progress, errors, warnings) to stderr. Exit status: 0 with a result, also where
 an image has no anchor; 2 for bad input, bad options or an output that cannot be written; 130 after Ctrl-C; 1 for
@@ -9,11 +9,9 @@ Whatever is slow to load (OpenCV, ONNX Runtime, tables) is imported by the comma
 
 from __future__ import annotations
 
-import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -21,7 +19,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from vehanchor.cli_measure import PointsCommand, measure
 from vehanchor.errors import InvalidParameterError, ModelError, OutputError, VehAnchorError
+from vehanchor.terminal import (
+    BAD_INPUT,
+    INTERRUPTED,
+    STATUS_TEXTS,
+    UNFORESEEN,
+    facts_table,
+    failure,
+    print_json,
+    print_table,
+    print_warnings,
+    printable,
+    report,
+    scale_text,
+    tile_progress,
+    told_errors,
+)
+from vehanchor_server.command import schemas, serve
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -32,7 +48,6 @@ if TYPE_CHECKING:
 
 __all__ = ["app", "main"]
 
-_BAD_INPUT, _UNFORESEEN, _INTERRUPTED = 2, 1, 130
 _STEM = "{stem}"
 _SHORT_SHA = 12
 
@@ -72,9 +87,9 @@ def main() -> None:
             sys.stdout.flush()
     except BrokenPipeError:  # `| head` has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains on its way out
-        sys.exit(_UNFORESEEN)
+        sys.exit(UNFORESEEN)
     except KeyboardInterrupt:
-        sys.exit(_INTERRUPTED)
+        sys.exit(INTERRUPTED)
 
 
 def _show_version(wanted: bool) -> None:
@@ -92,38 +107,6 @@ def _root(
     ] = False,
 ) -> None:
     del version  # its callback has printed it
-
-
-# --- Errors ----------------------------------------------------------------------------------------------------------
-
-
-def _report(error: VehAnchorError, about: str = "") -> None:
-    message = str(error)
-    prefix = f"{about}: " if about and about not in message else ""
-    print(f"error[{error.code}]: {prefix}{message}", file=sys.stderr, flush=True)
-
-
-@contextmanager
-def _told_errors() -> Iterator[None]:
-    """What a command raises becomes one line on stderr and an exit status."""
-    try:
-        yield
-    except VehAnchorError as error:
-        _report(error)
-        raise typer.Exit(_BAD_INPUT) from None
-    except KeyboardInterrupt:
-        raise typer.Exit(_INTERRUPTED) from None
-    except (typer.Exit, typer.Abort, typer.BadParameter, BrokenPipeError):
-        raise
-    except Exception as error:
-        if os.environ.get("VEHANCHOR_TRACEBACK"):
-            raise
-        reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        print(
-            f"error[internal_error]: {reason}. This is a defect of vehanchor; set VEHANCHOR_TRACEBACK=1 to see where",
-            file=sys.stderr,
-        )
-        raise typer.Exit(_UNFORESEEN) from None
 
 
 # --- estimate --------------------------------------------------------------------------------------------------------
@@ -211,7 +194,7 @@ def estimate(
     ] = None,
 ) -> None:
     """Estimate the ground sampling distance (metres per pixel) of aerial images from the cars in them."""
-    with _told_errors():
+    with told_errors():
         try:
             outputs = _outputs(images, overlay, plot)
             options = _scale_options(
@@ -231,34 +214,34 @@ def estimate(
         except VehAnchorError as error:
             if as_json:  # every image gets its line
                 for source in images:
-                    _print_json(_failure(source, error))
+                    print_json(failure(source, error))
             raise
         rows: list[tuple[str, GsdEstimate]] = []
         n_failed = 0
-        with _progress(len(images), lines_on_terminal=as_json and sys.stdout.isatty()) as step:
+        with tile_progress(len(images), lines_on_terminal=as_json and sys.stdout.isatty()) as step:
             for number, source in enumerate(images):
                 try:
                     analysis = _analyse(source, options, model, step(number, source))
                 except VehAnchorError as error:
                     n_failed += 1
-                    _report(error, source if len(images) > 1 else "")
+                    report(error, source if len(images) > 1 else "")
                     if as_json:
-                        _print_json(_failure(source, error))
+                        print_json(failure(source, error))
                     continue
                 if as_json:
-                    _print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
+                    print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
                 rows.append((source, analysis.estimate))
                 try:
                     _write_pictures(source, analysis, options, outputs[number])
                 except VehAnchorError as error:
                     n_failed += 1
-                    _report(error, source if len(images) > 1 else "")
+                    report(error, source if len(images) > 1 else "")
         if rows and not as_json:
-            _print_table(_summary_table(rows) if len(images) > 1 else _estimate_table(*rows[0]))
+            print_table(_summary_table(rows) if len(images) > 1 else _estimate_table(*rows[0]))
             for source, record in rows:
-                _print_warnings(record, source if len(images) > 1 else "")
+                print_warnings(record, source if len(images) > 1 else "")
         if n_failed:
-            raise typer.Exit(_BAD_INPUT)
+            raise typer.Exit(BAD_INPUT)
 
 
 @dataclass(frozen=True)
@@ -351,92 +334,14 @@ def _write_pictures(source: str, analysis: ScaleAnalysis, options: ScaleOptions,
         write_plot(outputs.plot, plot_scale(analysis))
 
 
-@contextmanager
-def _progress(
-    n_images: int, *, lines_on_terminal: bool
-) -> Iterator[Callable[[int, str], Callable[[int, int], None] | None]]:
-    """A progress bar on stderr where that is a terminal free for it; gives, per image, the callback of its tiles."""
-    if lines_on_terminal or not sys.stderr.isatty():
-        yield lambda _number, _source: None
-        return
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeRemainingColumn(),
-    )
-    # Left to itself, rich would take what is printed to stdout and show it on stderr.
-    with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
-        task = bar.add_task("", total=None)
-
-        def step(number: int, source: str) -> Callable[[int, int], None]:
-            count = f"{number + 1}/{n_images} " if n_images > 1 else ""
-            bar.reset(task, total=None, description=escape(_printable(count + Path(source).name)))
-            return lambda done, total: bar.update(task, completed=done, total=total)
-
-        yield step
-
-
-def _failure(source: str, error: VehAnchorError) -> dict[str, Any]:
-    return {"source": source, "error": {"code": error.code, "message": str(error)}}
-
-
-def _print_json(record: Mapping[str, Any]) -> None:
-    print(json.dumps(record, allow_nan=False), flush=True)  # ASCII only: the same bytes in every locale
-
-
 # --- Tables ----------------------------------------------------------------------------------------------------------
-
-
-def _printable(text: str) -> str:
-    """File names may hold bytes that are no text."""
-    return text.encode("utf-8", "backslashreplace").decode("utf-8")
-
-
-def _print_table(table: Table) -> None:
-    from rich.console import Console
-
-    Console(soft_wrap=False, highlight=False).print(table)
-
-
-def _facts_table(title: str, facts: Sequence[tuple[str, str]]) -> Table:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(
-        box=box.SIMPLE_HEAD, show_header=False, title=Text(_printable(title)), title_justify="left", title_style="bold"
-    )
-    table.add_column(style="cyan", no_wrap=True)
-    table.add_column(overflow="fold")
-    for name, value in facts:
-        table.add_row(name, Text(_printable(value)))
-    return table
-
-
-def _scale_text(gsd: float | None, low: float | None, high: float | None) -> str:
-    if gsd is None:
-        return "none: no vehicle found"
-    interval = "" if low is None or high is None else f"   (95 %: {low:.4g} to {high:.4g})"
-    return f"{gsd:.4g} m/px{interval}"
-
-
-_STATUS = {
-    "ok": "ok",
-    "low_confidence": "low: use another anchor",
-    "no_anchor": "no anchor: use another source of scale",
-}
 
 
 def _estimate_table(source: str, record: GsdEstimate) -> Table:
     guard = "; capped by the resolution guard" if record.resolution_guard else ""
     facts = [
-        ("scale", _scale_text(record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px)),
-        ("confidence", f"{record.confidence:.2f}   {_STATUS[record.status]}{guard}"),
+        ("scale", scale_text(record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px)),
+        ("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}{guard}"),
         ("vehicles", f"{record.n_vehicles} kept of {record.n_detections} found"),
     ]
     size = f"{record.image_width_px} x {record.image_height_px} px"
@@ -452,12 +357,12 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
     facts.append(("image", size))
     if record.frame is not None:
         seen = record.frame
-        scale = _scale_text(seen.gsd_m_per_px, seen.gsd_ci95_low_m_per_px, seen.gsd_ci95_high_m_per_px)
+        scale = scale_text(seen.gsd_m_per_px, seen.gsd_ci95_low_m_per_px, seen.gsd_ci95_high_m_per_px)
         facts.append(("your frame", f"{seen.width_px} x {seen.height_px} px: {scale}"))
     if record.georeference_gsd_m_per_px is not None:
         facts.append(("file's own scale", f"{record.georeference_gsd_m_per_px:.4g} m/px"))
     facts.append(("model", f"{record.model} ({record.model_sha256[:_SHORT_SHA]})"))
-    return _facts_table(source, facts)
+    return facts_table(source, facts)
 
 
 def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:
@@ -473,7 +378,7 @@ def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:
     for source, record in rows:
         low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
         table.add_row(
-            Text(_printable(source)),
+            Text(printable(source)),
             "-" if record.gsd_m_per_px is None else f"{record.gsd_m_per_px:.4g}",
             "-" if low is None or high is None else f"{low:.4g} to {high:.4g}",
             f"{record.confidence:.2f}",
@@ -481,12 +386,6 @@ def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:
             record.status,
         )
     return table
-
-
-def _print_warnings(record: GsdEstimate, about: str) -> None:
-    prefix = f"{about}: " if about else ""
-    for notice in record.warnings:
-        print(f"warning[{notice.code}]: {prefix}{notice.message}", file=sys.stderr)
 
 
 # --- scene -----------------------------------------------------------------------------------------------------------
@@ -508,7 +407,7 @@ def scene(
     layout: Annotated[_Layout | None, typer.Option(help="Kind of place. Default: the seed decides.")] = None,
 ) -> None:
     """Render an aerial scene of exactly known scale, with its truth: GSD, oriented boxes (DOTA text), masks."""
-    with _told_errors():
+    with told_errors():
         from vehanchor.overlay import check_picture_path
         from vehanchor.scene import render_scene
 
@@ -530,7 +429,7 @@ def scene(
         n_large = len(drawn.vehicles) - n_small
         print(f"{size[0]} x {size[1]} px at {gsd:g} m/px, {n_small} small and {n_large} large vehicles:")
         for path in written:
-            print(_printable(f"  {path}"))
+            print(printable(f"  {path}"))
 
 
 # --- models ----------------------------------------------------------------------------------------------------------
@@ -541,7 +440,7 @@ def list_models(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object per model and line.")] = False,
 ) -> None:
     """List the bundled detectors."""
-    with _told_errors():
+    with told_errors():
         from vehanchor.model_zoo import DEFAULT_DETECTOR, bundled_models
 
         files = bundled_models()
@@ -553,15 +452,15 @@ def list_models(
                 card = _open_detector(str(path), None, None, None).card
             except ModelError as error:
                 if as_json:
-                    _print_json(_failure(str(path), error))
+                    print_json(failure(str(path), error))
                 else:
-                    print(_printable(f"{name}: {path}\n  not a detector: {error}"))
+                    print(printable(f"{name}: {path}\n  not a detector: {error}"))
                 continue
             if as_json:
-                _print_json({"file": str(path), "default": default, **_card_record(card)})
+                print_json({"file": str(path), "default": default, **_card_record(card)})
             else:
                 facts = [("file", str(path)), *_card_facts(card, sha_digits=_SHORT_SHA)]
-                _print_table(_facts_table(f"{name} (default)" if default else name, facts))
+                print_table(facts_table(f"{name} (default)" if default else name, facts))
 
 
 @_models.command("info")
@@ -576,15 +475,15 @@ def show_model(
     ] = None,
 ) -> None:
     """Show all that a detector's file says of itself; the paper's values stand in where it is silent."""
-    with _told_errors():
+    with told_errors():
         try:
             model = _open_detector(file, classes, None, None)
         except VehAnchorError as error:
             if as_json:
-                _print_json(_failure(file, error))
+                print_json(failure(file, error))
             raise
         if as_json:
-            _print_json({"file": str(model.path), "fixed_size_px": model.fixed_size, **_card_record(model.card)})
+            print_json({"file": str(model.path), "fixed_size_px": model.fixed_size, **_card_record(model.card)})
             return
         card = model.card
         size = "any" if model.fixed_size is None else f"{model.fixed_size[1]} x {model.fixed_size[0]} px"
@@ -596,7 +495,7 @@ def show_model(
             *_card_facts(card, sha_digits=len(card.sha256)),
             ("regions", regions),
         ]
-        _print_table(_facts_table(card.name, facts))
+        print_table(facts_table(card.name, facts))
 
 
 def _card_facts(card: DetectorCard, *, sha_digits: int) -> list[tuple[str, str]]:
@@ -615,3 +514,10 @@ def _card_record(card: DetectorCard) -> dict[str, Any]:
     from dataclasses import asdict
 
     return asdict(card)
+
+
+# --- Commands of their own modules -----------------------------------------------------------------------------------
+
+app.command(cls=PointsCommand)(measure)
+app.command()(serve)
+app.command()(schemas)

@@ -12,7 +12,6 @@ import ast
 import functools
 import hashlib
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +21,7 @@ import numpy as np
 
 from vehanchor.errors import InvalidParameterError, ModelContractError
 from vehanchor.obb import NMS_IOU, box_corners, canonical_boxes, oriented_nms
-from vehanchor.onnx_session import DEFAULT_PROVIDERS, check_model_file, open_session
+from vehanchor.onnx_session import DEFAULT_PROVIDERS, check_model_file, metadata_number, open_session
 from vehanchor.tiling import TILE_OVERLAP, TILE_SIZE_PX, tile_grid
 
 if TYPE_CHECKING:
@@ -96,19 +95,6 @@ class Detections:
     n_capped_tiles: int = 0
 
 
-def _number(metadata: Mapping[str, str], key: str, default: float) -> float:
-    text = metadata.get(f"vehanchor.{key}")
-    if text is None:
-        return default
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value) or value < 0:
-        raise ModelContractError(f"metadata vehanchor.{key} is {text!r}: expected a finite number >= 0")
-    return value
-
-
 def _class_names(metadata: Mapping[str, str]) -> dict[int, str]:
     """``names`` is the repr of a Python dict (or list) in Ultralytics' exports."""
     text = metadata.get("names")
@@ -127,7 +113,7 @@ def _canonical_name(name: str) -> str:
 
 
 def _read_card(path: Path, sha256: str, metadata: Mapping[str, str]) -> DetectorCard:
-    reference = _number(metadata, "reference_length_m", REFERENCE_LENGTH_M)
+    reference = metadata_number(metadata, "reference_length_m", REFERENCE_LENGTH_M)
     regions = {name: reference * ratio for name, ratio in _REGION_RATIOS.items()}
     range_text = metadata.get("vehanchor.length_range_px")
     try:
@@ -141,11 +127,11 @@ def _read_card(path: Path, sha256: str, metadata: Mapping[str, str]) -> Detector
         sha256=sha256,
         class_names=_class_names(metadata),
         reference_length_m=reference,
-        reference_length_sd_m=_number(metadata, "reference_length_sd_m", REFERENCE_LENGTH_SD_M),
+        reference_length_sd_m=metadata_number(metadata, "reference_length_sd_m", REFERENCE_LENGTH_SD_M),
         region_lengths_m=regions,
         length_range_px=(shortest, longest),
-        min_length_px=_number(metadata, "min_length_px", 0.0),
-        min_score=_number(metadata, "min_score", MIN_SCORE),
+        min_length_px=metadata_number(metadata, "min_length_px", 0.0),
+        min_score=metadata_number(metadata, "min_score", MIN_SCORE),
         licence=metadata.get("license"),
     )
 
@@ -280,8 +266,10 @@ class Detector:
             padded = np.full((full_h, full_w, 3), _PADDING_LEVEL, dtype=np.uint8)
             padded[:height, :width] = tile
             tile = padded
-        blob = cv2.dnn.blobFromImage(tile, 1 / 255.0)
-        return np.asarray(blob, dtype=self._dtype)
+        batch = np.empty((1, 3, full_h, full_w), dtype=self._dtype)
+        for plane, channel in zip(batch[0], cv2.split(tile), strict=True):
+            np.multiply(channel, np.float32(1 / 255), out=plane, casting="unsafe")
+        return batch
 
     def detect_tile(
         self, tile: NDArray[np.uint8], min_score: float, run_options: onnxruntime.RunOptions | None = None

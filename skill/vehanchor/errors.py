@@ -2,6 +2,7 @@
 
 * VehAnchorError
   x InvalidParameterError (ValueError)   ``invalid_parameter``  an option without meaning: negative, NaN, unknown
+    - PromptError                        ``invalid_prompt``     a box or point that names nothing in the image
   x FrameError (ValueError)              ``frame_mismatch``     the frame has another aspect ratio than the image
   x ImageError (ValueError)
     - ImageNotFoundError                 ``image_not_found``    no file there, or it is a directory
@@ -33,6 +34,7 @@ __all__ = [
     "ModelError",
     "ModelNotFoundError",
     "OutputError",
+    "PromptError",
     "ProviderUnavailableError",
     "VehAnchorError",
 ]
@@ -48,6 +50,12 @@ class InvalidParameterError(VehAnchorError, ValueError):
     """An option has no meaning: negative, NaN, out of range, or an unknown name."""
 
     code = "invalid_parameter"
+
+
+class PromptError(InvalidParameterError):
+    """The box or points cannot name an object: outside the image, reversed, empty, not finite, none or both given."""
+
+    code = "invalid_prompt"
 
 
 class FrameError(VehAnchorError, ValueError):

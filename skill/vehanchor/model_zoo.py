@@ -6,15 +6,22 @@ from pathlib import Path
 
 from vehanchor.errors import ModelNotFoundError
 
-__all__ = ["DEFAULT_DETECTOR", "bundled_models", "resolve_model"]
+__all__ = ["DEFAULT_DETECTOR", "bundled_models", "bundled_segmenter", "resolve_model", "resolve_segmenter"]
 
 DEFAULT_DETECTOR = "vehicles"
+_SEGMENTER = "segmenter-encoder.onnx", "segmenter-decoder.onnx"
 _BUNDLED = Path(__file__).parent / "bundled"
 
 
 def bundled_models() -> dict[str, Path]:
-    """Names of the bundled models and their files."""
-    return {path.stem: path for path in sorted(_BUNDLED.glob("*.onnx"))}
+    """Names of the bundled detectors and their files."""
+    return {path.stem: path for path in sorted(_BUNDLED.glob("*.onnx")) if path.name not in _SEGMENTER}
+
+
+def bundled_segmenter() -> tuple[Path, Path] | None:
+    """Encoder and decoder of the bundled segmenter, None where this installation has none."""
+    encoder, decoder = (_BUNDLED / name for name in _SEGMENTER)
+    return (encoder, decoder) if encoder.is_file() and decoder.is_file() else None
 
 
 def resolve_model(model: str | Path | None = None) -> Path:
@@ -30,6 +37,31 @@ def resolve_model(model: str | Path | None = None) -> Path:
     path = Path(name)
     if not path.is_file():
         raise ModelNotFoundError(
-            f"no model {name!r}: not a file, and not one of the bundled models ({', '.join(bundled) or 'none'})"
+            f"no model {name!r}: not a file, and not one of the bundled detectors ({', '.join(bundled) or 'none'})"
         )
     return path
+
+
+def resolve_segmenter(files: tuple[str | Path, str | Path] | None = None) -> tuple[Path, Path]:
+    """Encoder and decoder of a segmenter given by their paths; the bundled one for None.
+
+    Raises:
+        ModelNotFoundError: a path is no file, or no segmenter is bundled.
+    """
+    if files is None:
+        bundled = bundled_segmenter()
+        if bundled is None:
+            raise ModelNotFoundError(
+                f"this installation has no bundled segmenter in {_BUNDLED}; bring one, MobileSAM for example: export "
+                "its encoder with samexporter ('python -m samexporter.export_encoder --checkpoint mobile_sam.pt "
+                "--model-type mobile --use-preprocess --output encoder.onnx'), its decoder with MobileSAM's own script "
+                "('python scripts/export_onnx_model.py --checkpoint mobile_sam.pt --model-type vit_t "
+                "--output decoder.onnx'), "
+                "and pass both: segmenter=('encoder.onnx', 'decoder.onnx') or --segmenter encoder.onnx decoder.onnx"
+            )
+        return bundled
+    encoder, decoder = (Path(file) for file in files)
+    for path in (encoder, decoder):
+        if not path.is_file():
+            raise ModelNotFoundError(f"no segmenter file at {str(path)!r}; pass the paths of its encoder and decoder")
+    return encoder, decoder

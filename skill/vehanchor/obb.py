@@ -158,8 +158,9 @@ def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = 
 
     Boxes are visited from the highest score down (equal scores: by position and size, so that the input's order does
     not matter); one is dropped if its IoU with a kept box exceeds ``iou_threshold``. Pairs are gated by a k-d tree on
-    the centres within size classes (one huge box does not widen everybody's gate) and by the ratio of areas, which
-    bounds the IoU from above; what passes is intersected exactly, and only against boxes that were kept.
+    the centres within size classes (one huge box does not widen everybody's gate), by the ratio of areas and by the
+    boxes' extents in each other's frame, which bound the IoU from above; what passes is intersected exactly, and only
+    against boxes that were kept.
 
     Args:
         boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)``.
@@ -189,8 +190,24 @@ def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = 
     return result
 
 
+def _shared_bound(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Upper bound of the area that each box of ``a`` shares with that of ``b``: the extent of ``b`` along a's sides."""
+    turn = b[:, 4] - a[:, 4]
+    cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    dx, dy = (b[:, :2] - a[:, :2]).T
+    along = np.abs(dx * np.cos(a[:, 4]) + dy * np.sin(a[:, 4]))
+    across = np.abs(dy * np.cos(a[:, 4]) - dx * np.sin(a[:, 4]))
+    bound = np.ones(len(a))
+    for side, extent, distance in (
+        (a[:, 2], b[:, 2] * cosine + b[:, 3] * sine, along),
+        (a[:, 3], b[:, 2] * sine + b[:, 3] * cosine, across),
+    ):
+        bound *= np.clip((side + extent) / 2 - distance, 0.0, np.minimum(side, extent))
+    return bound
+
+
 def _overlap_candidates(rows: NDArray[np.float64], iou_threshold: float) -> list[list[int]]:
-    """For each box the later ones that might exceed the threshold, by distance and by area ratio."""
+    """For each box the later ones that might exceed the threshold, by distance, area ratio and extent."""
     length, width = rows[:, 2], rows[:, 3]
     radius = np.hypot(length, width) / 2
     area = length * width
@@ -208,9 +225,10 @@ def _overlap_candidates(rows: NDArray[np.float64], iou_threshold: float) -> list
                 pairs = trees[c].query_ball_tree(trees[d], reach)
                 local = np.array([(i, j) for i, near in enumerate(pairs) for j in near], dtype=np.intp).reshape(-1, 2)
             first, second = members[c][local[:, 0]], members[d][local[:, 1]]
-            gap = np.linalg.norm(rows[first, :2] - rows[second, :2], axis=1)
             ratio = np.minimum(area[first], area[second]) / np.maximum(np.maximum(area[first], area[second]), 1e-12)
-            possible = (gap < radius[first] + radius[second]) & (ratio > iou_threshold)
+            first, second = first[ratio > iou_threshold], second[ratio > iou_threshold]
+            shared = np.minimum(_shared_bound(rows[first], rows[second]), _shared_bound(rows[second], rows[first]))
+            possible = shared > iou_threshold / (1 + iou_threshold) * (area[first] + area[second]) * (1 - 1e-9)
             for i, j in zip(first[possible].tolist(), second[possible].tolist(), strict=True):
                 later[min(i, j)].append(max(i, j))
     return later

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import onnxruntime
@@ -9,10 +10,10 @@ import onnxruntime
 from vehanchor.errors import InvalidParameterError, ModelContractError, ModelNotFoundError, ProviderUnavailableError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-__all__ = ["DEFAULT_PROVIDERS", "check_model_file", "open_session"]
+__all__ = ["DEFAULT_PROVIDERS", "check_model_file", "metadata_number", "open_session"]
 
 DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
 
@@ -72,3 +73,21 @@ def open_session(
         )
     except Exception as error:  # ONNX Runtime's own exception types are private
         raise ModelContractError(f"{path} is not an ONNX model that ONNX Runtime can load: {error}") from None
+
+
+def metadata_number(metadata: Mapping[str, str], key: str, default: float) -> float:
+    """A number that a model's file states under ``vehanchor.<key>``.
+
+    Raises:
+        ModelContractError: it is not a finite number >= 0.
+    """
+    text = metadata.get(f"vehanchor.{key}")
+    if text is None:
+        return default
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or value < 0:
+        raise ModelContractError(f"metadata vehanchor.{key} is {text!r}: expected a finite number >= 0")
+    return value

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
 import numpy as np
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from vehanchor.imagery import Raster
     from vehanchor.perception import ScaleAnalysis
     from vehanchor.records import GsdEstimate
+
+CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
+"""Texts of one line, each with the colour of the swatch before it."""
 
 __all__ = ["PICTURE_SUFFIXES", "check_picture_path", "draw_overlay", "read_reduced", "write_picture"]
 
@@ -52,19 +55,24 @@ def draw_overlay(image: NDArray[np.uint8], analysis: ScaleAnalysis) -> NDArray[n
         ``[h', w', 3]`` RGB, at most 2048 px a side before the caption is added.
     """
     estimate = analysis.estimate
+    picture = fit_for_eyes(image)
+    scale = np.array([picture.shape[1] / estimate.image_width_px, picture.shape[0] / estimate.image_height_px])
+    draw_vehicles(picture, analysis, scale)
+    picture = with_margins(picture)
+    if estimate.gsd_m_per_px is not None:
+        draw_scale_bar(picture, estimate.gsd_m_per_px / float(scale[0]))
+    return np.concatenate([picture, caption_panel(picture.shape[1], _caption_lines(analysis))])
+
+
+def fit_for_eyes(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A copy to draw into, enlarged where the image is small and reduced where it is large."""
     height, width = image.shape[:2]
     factor = _picture_factor(width, height)
     size = max(1, round(width * factor)), max(1, round(height * factor))
-    picture = np.array(image)  # drawn into: never the caller's own
-    if size != (width, height):
-        method = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
-        picture = cv2.resize(image, size, interpolation=method).astype(np.uint8, copy=False)
-    scale = np.array([size[0] / estimate.image_width_px, size[1] / estimate.image_height_px])
-    _draw_boxes(picture, analysis, scale)
-    picture = _with_margins(picture)
-    if estimate.gsd_m_per_px is not None:
-        _draw_scale_bar(picture, estimate.gsd_m_per_px / float(scale[0]))
-    return np.concatenate([picture, _caption(picture.shape[1], analysis)])
+    if size == (width, height):
+        return np.array(image)  # never the caller's own
+    method = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
+    return cv2.resize(image, size, interpolation=method).astype(np.uint8, copy=False)
 
 
 def read_reduced(raster: Raster) -> NDArray[np.uint8]:
@@ -142,7 +150,8 @@ def _picture_factor(width_px: int, height_px: int) -> float:
     return min(max(1.0, MIN_WIDTH_PX / width_px), MAX_SIDE_PX / longest)
 
 
-def _draw_boxes(picture: NDArray[np.uint8], analysis: ScaleAnalysis, scale: NDArray[np.float64]) -> None:
+def draw_vehicles(picture: NDArray[np.uint8], analysis: ScaleAnalysis, scale: NDArray[np.float64]) -> None:
+    """Kept vehicles in blue, dropped outliers crossed in orange; ``scale`` is pixels of the picture per image pixel."""
     boxes = analysis.detections.boxes
     if not len(boxes):
         return
@@ -161,7 +170,7 @@ def _draw_boxes(picture: NDArray[np.uint8], analysis: ScaleAnalysis, scale: NDAr
             cv2.polylines(picture, list(shapes), closed, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def _with_margins(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def with_margins(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Room around a strip of an image for the scale bar and the caption."""
     height, width = picture.shape[:2]
     across = max(0, _MIN_CANVAS_PX - width)
@@ -195,7 +204,7 @@ def _text_width(text: str, capital_px: float) -> int:
     return int(cv2.getTextSize(text, _FONT, _font_scale(capital_px), _stroke(capital_px))[0][0])
 
 
-def _draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
+def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
     """A bar of round length at the lower left, white with a black rim, its length above it."""
     height, width = picture.shape[:2]
     metres = _round_length(_BAR_SHARE * width * m_per_px)
@@ -228,20 +237,25 @@ def _headline(estimate: GsdEstimate) -> str:
     return text
 
 
-def _caption(width_px: int, analysis: ScaleAnalysis) -> NDArray[np.uint8]:
-    """The panel below the picture: scale and interval; confidence; the legend of both colours."""
+def _caption_lines(analysis: ScaleAnalysis) -> list[CaptionLine]:
+    """Scale and interval; confidence; the legend of both colours."""
     estimate = analysis.estimate
     low = " - low: use another anchor" if estimate.status == "low_confidence" else ""
     n_dropped = estimate.n_detections - estimate.n_vehicles
     legend = [(KEPT_RGB, f"{estimate.n_vehicles} vehicle{'s' * (estimate.n_vehicles != 1)}")]
     if n_dropped:
         legend.append((DROPPED_RGB, f"{n_dropped} outlier{'s' * (n_dropped != 1)}, dropped"))
-    lines: list[list[tuple[tuple[int, int, int] | None, str]]] = [
+    lines: list[CaptionLine] = [
         [(None, _headline(estimate))],
         [(None, f"confidence {estimate.confidence:.2f}{low}")],
     ]
     if estimate.n_detections:
         lines.append([*legend])
+    return lines
+
+
+def caption_panel(width_px: int, lines: list[CaptionLine]) -> NDArray[np.uint8]:
+    """The panel below a picture: lines of texts, some behind a swatch of their colour; the first line is bold."""
     capital = float(_text_px(width_px))
     while capital > 8 and max(_line_width(line, capital) for line in lines) > width_px - 2 * capital:
         capital -= 1
@@ -260,6 +274,6 @@ def _caption(width_px: int, analysis: ScaleAnalysis) -> NDArray[np.uint8]:
     return panel
 
 
-def _line_width(line: list[tuple[tuple[int, int, int] | None, str]], capital_px: float) -> float:
+def _line_width(line: CaptionLine, capital_px: float) -> float:
     swatches = sum(1.7 * capital_px for colour, _ in line if colour is not None)
     return sum(_text_width(text, capital_px) for _, text in line) + swatches + 2 * capital_px * (len(line) - 1)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ScaleAnalysis", "ScaleOptions", "analyse_scale", "estimate_gsd", "scale_from_detections"]
 
-_GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale and the estimate may differ by this before a warning
+GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale and the estimate may differ by this before a warning
 DEFAULT_LIMITS = ImageLimits()
 _AGGREGATIONS = ("kde", "weighted_kde", "median", "mean")
 
@@ -304,7 +304,7 @@ def scale_from_detections(
     )
     confidence = composite(terms, guarded=guarded)
     truth = georeference_gsd_m_per_px
-    if gsd is not None and truth is not None and abs(gsd - truth) > _GEOREFERENCE_TOLERANCE * truth:
+    if gsd is not None and truth is not None and abs(gsd - truth) > GEOREFERENCE_TOLERANCE * truth:
         warnings.append(
             Notice(
                 code="georeference_differs",

@@ -9,10 +9,25 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-__all__ = ["Aggregation", "ConfidenceTerms", "FrameScale", "GsdEstimate", "Notice", "Status"]
+__all__ = [
+    "Aggregation",
+    "AreaMeasurement",
+    "BoundingBox",
+    "ConfidenceTerms",
+    "FrameArea",
+    "FrameScale",
+    "GsdEstimate",
+    "ImagePoint",
+    "Notice",
+    "OutlinePolygon",
+    "OutlineRing",
+    "ScaleSource",
+    "Status",
+]
 
 Status = Literal["ok", "low_confidence", "no_anchor"]
 Aggregation = Literal["kde", "weighted_kde", "median", "mean"]
+ScaleSource = Literal["estimated", "given"]
 
 
 class _Record(BaseModel):
@@ -77,3 +92,87 @@ class GsdEstimate(_Record):
     model: str = Field(description="Name of the detector.")
     model_sha256: str = Field(description="SHA-256 of the detector's file.")
     warnings: tuple[Notice, ...] = Field(description="What else to know about this result.")
+
+
+class ImagePoint(_Record):
+    """A place in the image; the first pixel spans 0 to 1."""
+
+    x_px: float = Field(description="Pixels from the left edge.")
+    y_px: float = Field(description="Pixels from the upper edge.")
+
+
+class BoundingBox(_Record):
+    """An upright box; the first pixel spans 0 to 1."""
+
+    x1_px: float = Field(description="Left side, pixels from the left edge.")
+    y1_px: float = Field(description="Upper side, pixels from the upper edge.")
+    x2_px: float = Field(description="Right side, pixels from the left edge.")
+    y2_px: float = Field(description="Lower side, pixels from the upper edge.")
+
+
+class OutlineRing(_Record):
+    """A closed line; the last point is joined to the first."""
+
+    points: tuple[ImagePoint, ...] = Field(description="Its corners in order, pixels of the full image.")
+
+
+class OutlinePolygon(_Record):
+    """One piece of an object's outline."""
+
+    exterior: OutlineRing = Field(description="The line around the piece.")
+    holes: tuple[OutlineRing, ...] = Field(description="The lines around its holes.")
+
+
+class FrameArea(_Record):
+    """The object in the resized copy that the caller works in."""
+
+    width_px: int = Field(gt=0, description="Width of the caller's copy of the image, pixels.")
+    height_px: int = Field(gt=0, description="Height of the caller's copy of the image, pixels.")
+    gsd_m_per_px: float | None = Field(description="Metres per pixel of that copy; null without a scale.")
+    bounding_box: BoundingBox | None = Field(description="The object's box in pixels of that copy; null for no mask.")
+
+
+class AreaMeasurement(_Record):
+    """Area of one object: the pixels of its mask times the square of the scale, and where both come from."""
+
+    status: Status = Field(
+        description="ok. low_confidence: the scale's confidence is below 0.5, or the mask's score below the model's "
+        "limit, or there is no mask. no_anchor: no scale, so pixels only."
+    )
+    area_m2: float | None = Field(description="mask_area_px times GSD squared, square metres; null without a scale.")
+    area_ci95_low_m2: float | None = Field(description="Lower end of its 95 % interval: scale and mask together.")
+    area_ci95_high_m2: float | None = Field(description="Upper end of its 95 % interval.")
+    confidence: float | None = Field(
+        ge=0, le=1, description="The scale's composite confidence C in 0..1; null for a scale that the caller gave."
+    )
+    gsd_m_per_px: float | None = Field(
+        description="Ground sampling distance, metres per pixel of the full image; null without an anchor."
+    )
+    n_vehicles: int | None = Field(ge=0, description="N': vehicles behind the scale; null for a given scale.")
+    mode_length_px: float | None = Field(description="P_mode: modal vehicle length, pixels; null without an estimate.")
+    scale_source: ScaleSource = Field(description="estimated: from the vehicles. given: the caller's own scale.")
+    mask_area_px: int = Field(ge=0, description="N_px: pixels of the mask in the full image.")
+    mask_score: float = Field(ge=0, le=1, description="The segmenter's own estimate of the mask's overlap (IoU).")
+    perimeter_m: float | None = Field(description="Length of the mask's outline with its holes, metres.")
+    length_m: float | None = Field(description="Longer side of the smallest rotated rectangle around it, metres.")
+    width_m: float | None = Field(description="Shorter side of that rectangle, metres.")
+    inscribed_diameter_m: float | None = Field(
+        description="Diameter of the largest circle inside the mask, metres: what a landing needs."
+    )
+    inscribed_diameter_ci95_low_m: float | None = Field(description="Lower end of its 95 % interval.")
+    inscribed_diameter_ci95_high_m: float | None = Field(description="Upper end of its 95 % interval.")
+    inscribed_center: ImagePoint | None = Field(
+        description="Centre of that circle, pixels of the full image; null for no mask."
+    )
+    bounding_box: BoundingBox | None = Field(description="The mask's box, pixels of the full image; null for no mask.")
+    outline: tuple[OutlinePolygon, ...] = Field(
+        description="The mask's outline, largest piece first, simplified to 200 points at most: for drawing. Areas "
+        "come from the mask itself."
+    )
+    image_width_px: int = Field(gt=0, description="Width of the full image, pixels.")
+    image_height_px: int = Field(gt=0, description="Height of the full image, pixels.")
+    frame: FrameArea | None = Field(description="The object in the caller's resized copy, where one was named.")
+    scale: GsdEstimate | None = Field(description="The whole estimate of the scale; null for a given scale.")
+    segmenter: str = Field(description="Name of the segmenter.")
+    segmenter_sha256: str = Field(description="SHA-256 of the segmenter's encoder file followed by its decoder file.")
+    warnings: tuple[Notice, ...] = Field(description="What else to know about this result, the scale's included.")

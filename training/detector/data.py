@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 CROP_PX = 320
 LENGTH_RANGE_PX = (9.0, 64.0)  # crops are scaled so that the car length is log-uniform in this range
 _MAX_ENLARGEMENT = 2.6  # beyond it an enlarged image is only blur
-_SET_WEIGHT = {"ucm": 0.27, "cannes": 0.25, "jekhor": 0.20, "saopaulo": 0.12, "empty": 0.06, "scene": 0.10}
+_SET_WEIGHT = {"ucm": 0.27, "cannes": 0.25, "jekhor": 0.20, "saopaulo": 0.12, "empty": 0.06, "scene": 0.15}
 _DEV_SHARE = 10  # one train group in ten is held out: thresholds and confidence are fitted there
 HELD_OUT = 0
 

@@ -1,8 +1,9 @@
 """Fit the confidence terms and the interval: ``python -m training.detector.fit_confidence MODEL.onnx``.
 
 Uses the held-out tenth of the train split, each image at several resolutions (so that coarse and fine scales occur),
-with its region's reference length for the confidence: what no detector can know about a fleet is the interval's business. It
-prints what to write into ``vehanchor/confidence.py`` and ``vehanchor/scale.py``; nothing is read from the val split.
+with its region's reference length for the confidence: what no detector can know about a fleet is the interval's
+business. It prints what to write into ``vehanchor/confidence.py`` and ``vehanchor/scale.py``; nothing is read from the
+val split.
 """
 
 from __future__ import annotations

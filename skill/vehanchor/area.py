@@ -1,0 +1,267 @@
+"""The shape of a mask: area, perimeter, extents, the largest circle inside, outline. Pure functions, in pixels.
+
+A pixel is a unit square: the first one of an array spans 0 to 1 both ways, and a mask is the union of its squares. The
+area is the pixel sum, never a polygon's. What follows the squares' sides works on a lattice of half pixels, on which
+their corners, the middles of their sides and their centres all are points: outlines and distances are exact there.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["Circle", "OutlinePart", "PixelBounds", "inscribed_circle", "mask_bounds", "mask_pieces", "outline_parts",
+           "perimeter", "rotated_extents", "touches_edge"]  # fmt: skip
+
+MAX_OUTLINE_POINTS = 200
+PERIMETER_TOLERANCE_PX = 1.2  # steps of the pixel grid up to this size are no part of the object's outline
+_LATTICE_PX = 2_000_000  # larger masks (their bounding box) are reduced before the lattice of half pixels is made
+_TOLERANCE_GROWTH = 1.6
+_RIM = 2  # free lattice points around a mask: OpenCV traces no contour at an array's edge. Even: corners stay even
+
+
+@dataclass(frozen=True)
+class PixelBounds:
+    """The smallest box of whole pixels around a mask: its sides, in pixels from the array's corner."""
+
+    x1: int
+    y1: int
+    x2: int
+    y2: int
+
+
+@dataclass(frozen=True)
+class Circle:
+    """A circle; pixels from the array's corner."""
+
+    x: float
+    y: float
+    diameter: float
+
+
+@dataclass(frozen=True, eq=False)
+class OutlinePart:
+    """One piece of an outline: ``[n, 2]`` x, y in pixels around it, and around each of its holes."""
+
+    exterior: NDArray[np.float64]
+    holes: tuple[NDArray[np.float64], ...]
+
+
+def mask_bounds(mask: NDArray[np.bool_]) -> PixelBounds | None:
+    """The box of whole pixels around a mask ``[h, w]``; None for an empty one."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not len(rows):
+        return None
+    return PixelBounds(int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1)
+
+
+def touches_edge(mask: NDArray[np.bool_]) -> bool:
+    """Whether a mask ``[h, w]`` reaches the first or last row or column of its array."""
+    return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
+
+
+def mask_pieces(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Areas in pixels of a mask's separate pieces, the largest first; pixels that share a corner hang together."""
+    bounds = mask_bounds(mask)
+    if bounds is None:
+        return np.zeros(0, dtype=np.int64)
+    _, _, stats, _ = cv2.connectedComponentsWithStats(_cut(mask, bounds), connectivity=8)
+    return np.sort(stats[1:, cv2.CC_STAT_AREA].astype(np.int64))[::-1]
+
+
+def perimeter(mask: NDArray[np.bool_]) -> float:
+    """Length of the outline of a mask ``[h, w]``, holes included, pixels.
+
+    The sides of the pixels alone would be 4 / pi too long for a circle: they are first replaced by straight lines that
+    stay within 1.2 px of them (Douglas and Peucker). Exact for upright rectangles; within 1 % for straight sides of
+    any direction and circles of 50 px radius, 2 % at 15 px, 5 % at 5 px.
+    """
+    traced = _traced(mask)
+    cell_px = traced[0].cell_px if traced else 1  # larger where a huge mask was reduced: its steps are larger too
+    parts = _simplified(traced, PERIMETER_TOLERANCE_PX * cell_px)
+    rings = [ring for part in parts for ring in (part.exterior, *part.holes)]
+    return float(sum(np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1).sum() for ring in rings))
+
+
+def rotated_extents(mask: NDArray[np.bool_]) -> tuple[float, float]:
+    """Length and width of the smallest rotated rectangle (by area) around a mask ``[h, w]``, pixels, length first.
+
+    Around the middles of the outer pixels' sides: exact for upright masks, and for slanted ones without the corners by
+    which a staircase overshoots the straight side it stands for. (0, 0) for an empty mask.
+    """
+    bounds = mask_bounds(mask)
+    if bounds is None:
+        return 0.0, 0.0
+    upright = bounds.x2 - bounds.x1, bounds.y2 - bounds.y1
+    if min(upright) == 1:  # a single line of pixels has no slant
+        return float(max(upright)), 1.0
+    hull = cv2.convexHull(_side_middles(_cut(mask, bounds))).reshape(-1, 2).astype(np.float64) / 2
+    sides = np.roll(hull, -1, axis=0) - hull
+    along = sides / np.linalg.norm(sides, axis=1, keepdims=True)
+    across = along[:, ::-1] * [-1.0, 1.0]
+    # A smallest rectangle has one of its sides along one of the hull's: try them all.
+    lengths, widths = (np.ptp(hull @ axes.T, axis=0) for axes in (along, across))
+    best = int(np.argmin(lengths * widths))
+    first, second = float(lengths[best]), float(widths[best])
+    return max(first, second), min(first, second)
+
+
+def inscribed_circle(mask: NDArray[np.bool_]) -> Circle | None:
+    """The largest circle wholly inside a mask ``[h, w]``; nothing outside the array is inside. None for an empty mask.
+
+    From the exact Euclidean distance to the nearest background square, with the centre on the lattice of half pixels.
+    Masks of more than two million pixels (bounding box) use whole pixels, and may miss up to one pixel of diameter.
+    """
+    bounds = mask_bounds(mask)
+    if bounds is None:
+        return None
+    inside = np.pad(_cut(mask, bounds), 1)
+    fine = inside.size <= _LATTICE_PX
+    free = 1 - _closed_lattice(1 - inside) if fine else inside
+    distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    row, column = np.unravel_index(int(np.argmax(distance)), distance.shape)
+    largest = float(distance[row, column])
+    step, origin, diameter = (0.5, 0.0, largest) if fine else (1.0, 0.5, 2 * largest - 1)
+    x, y = (float(at) * step + origin - 1 for at in (column, row))  # the border of one pixel taken off again
+    return Circle(bounds.x1 + x, bounds.y1 + y, diameter)
+
+
+def outline_parts(mask: NDArray[np.bool_], max_points: int = MAX_OUTLINE_POINTS) -> tuple[OutlinePart, ...]:
+    """The outline of a mask ``[h, w]`` along its pixels' sides, simplified to at most so many points in all.
+
+    The tolerance starts at half a pixel and grows until the points suffice; what still does not fit (a scatter of tiny
+    pieces) is left out, smallest first. The largest piece comes first.
+    """
+    n_rings = max_points // 4  # no tolerance makes a ring vanish
+    traced = [replace(part, holes=part.holes[:n_rings]) for part in _traced(mask)[:n_rings]]
+    tolerance = 0.5
+    parts = _simplified(traced, tolerance)
+    while _n_points(parts) > max_points and tolerance < max(mask.shape):
+        tolerance *= _TOLERANCE_GROWTH
+        parts = _simplified(traced, tolerance)
+    return _within(parts, max_points)
+
+
+def _n_points(parts: tuple[OutlinePart, ...]) -> int:
+    return sum(len(ring) for part in parts for ring in (part.exterior, *part.holes))
+
+
+def _within(parts: tuple[OutlinePart, ...], max_points: int) -> tuple[OutlinePart, ...]:
+    """The parts in their order while there are points left for them, each with as many of its holes as go in."""
+    kept, left = [], max_points
+    for part in parts:
+        left -= len(part.exterior)
+        if left < 0:
+            break
+        holes = []
+        for hole in part.holes:
+            if len(hole) <= left:
+                holes.append(hole)
+                left -= len(hole)
+        kept.append(OutlinePart(part.exterior, tuple(holes)))
+    return tuple(kept)
+
+
+def _cut(mask: NDArray[np.bool_], bounds: PixelBounds) -> NDArray[np.uint8]:
+    return np.ascontiguousarray(mask[bounds.y1 : bounds.y2, bounds.x1 : bounds.x2]).view(np.uint8)
+
+
+def _closed_lattice(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """``[2h + 1, 2w + 1]``: 1 on the points of the half-pixel lattice that belong to a set square, rims included."""
+    height, width = cells.shape
+    lattice = np.zeros((2 * height + 1, 2 * width + 1), np.uint8)
+    for dy in range(3):
+        for dx in range(3):
+            lattice[dy : dy + 2 * height : 2, dx : dx + 2 * width : 2] |= cells
+    return lattice
+
+
+def _side_middles(cells: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """``[n, 2]`` in half pixels: middles of the outer sides of each row's and column's first and last set pixel."""
+    points = []
+    for table, swap in ((cells, False), (cells.T, True)):
+        lines = np.flatnonzero(table.any(axis=1))
+        first = np.argmax(table[lines], axis=1)
+        last = table.shape[1] - 1 - np.argmax(table[lines, ::-1], axis=1)
+        for ends in (2 * first, 2 * last + 2):
+            pair = np.stack([ends, 2 * lines + 1], axis=1)
+            points.append(pair[:, ::-1] if swap else pair)
+    return np.concatenate(points).astype(np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class _TracedPart:
+    """Every corner of one piece's rings, ``[n, 1, 2]`` in steps of half a cell from ``origin``."""
+
+    exterior: NDArray[np.int32]
+    holes: tuple[NDArray[np.int32], ...]
+    origin: NDArray[np.float64]
+    cell_px: int
+
+
+def _traced(mask: NDArray[np.bool_]) -> list[_TracedPart]:
+    """Outlines along the pixels' sides, the largest piece first and in it the largest hole."""
+    bounds = mask_bounds(mask)
+    if bounds is None:
+        return []
+    cells = _cut(mask, bounds)
+    cell_px = max(1, math.ceil(math.sqrt(cells.size / _LATTICE_PX)))
+    if cell_px > 1:
+        cells = np.ascontiguousarray(cells[cell_px // 2 :: cell_px, cell_px // 2 :: cell_px])
+    lattice = np.pad(_closed_lattice(cells), _RIM)
+    rings, hierarchy = cv2.findContours(lattice, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    if hierarchy is None:
+        return []
+    origin = np.array([bounds.x1, bounds.y1]) - _RIM / 2 * cell_px
+    links = hierarchy.reshape(-1, 4)  # next, previous, first child, parent
+    exact = [_with_corners(np.asarray(ring, dtype=np.int32).reshape(-1, 2)) for ring in rings]
+    size = [cv2.contourArea(ring) for ring in exact]
+    children: dict[int, list[int]] = {index: [] for index, link in enumerate(links) if link[3] < 0}
+    for index, link in enumerate(links):
+        if link[3] >= 0:
+            children[int(link[3])].append(index)
+    return [
+        _TracedPart(
+            exact[outer],
+            tuple(exact[k] for k in sorted(children[outer], key=size.__getitem__, reverse=True)),
+            origin,
+            cell_px,
+        )
+        for outer in sorted(children, key=size.__getitem__, reverse=True)
+    ]
+
+
+def _with_corners(ring: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Put back the pixels' corners that a contour cut: of a slanted step, the one whose coordinates are both even."""
+    ahead = np.roll(ring, -1, axis=0)
+    slanted = (ring != ahead).all(axis=1)
+    even = ring % 2 == 0
+    corner = np.where(even, ring, ahead)
+    doubled = np.stack([ring, corner], axis=1).reshape(-1, 2)
+    kept = np.stack([np.ones(len(ring), dtype=bool), slanted], axis=1).reshape(-1)
+    return np.ascontiguousarray(doubled[kept]).reshape(-1, 1, 2)
+
+
+def _simplified(traced: list[_TracedPart], tolerance_px: float) -> tuple[OutlinePart, ...]:
+    """By Douglas and Peucker; rings too small for it become their upright box."""
+
+    def ring(part: _TracedPart, points: NDArray[np.int32]) -> NDArray[np.float64]:
+        simple = cv2.approxPolyDP(points, 2 * tolerance_px / part.cell_px, True).reshape(-1, 2)
+        chosen = simple if len(simple) >= 3 else _upright_box(points.reshape(-1, 2))
+        return part.origin + chosen * (part.cell_px / 2)
+
+    return tuple(
+        OutlinePart(ring(part, part.exterior), tuple(ring(part, hole) for hole in part.holes)) for part in traced
+    )
+
+
+def _upright_box(points: NDArray[np.int32]) -> NDArray[np.int32]:
+    (x1, y1), (x2, y2) = points.min(axis=0), points.max(axis=0)
+    return np.array([[x1, y1], [x2, y1], [x2, y2], [x1, y2]], dtype=np.int32)

@@ -1,0 +1,159 @@
+"""What all commands share: how results, errors, warnings and progress are told."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from vehanchor.errors import VehAnchorError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from vehanchor.records import AreaMeasurement, GsdEstimate
+
+__all__ = [
+    "BAD_INPUT",
+    "INTERRUPTED",
+    "STATUS_TEXTS",
+    "UNFORESEEN",
+    "facts_table",
+    "failure",
+    "print_json",
+    "print_table",
+    "print_warnings",
+    "printable",
+    "report",
+    "scale_text",
+    "tile_progress",
+    "told_errors",
+]
+
+BAD_INPUT, UNFORESEEN, INTERRUPTED = 2, 1, 130  # exit statuses
+
+
+def report(error: VehAnchorError, about: str = "") -> None:
+    """Tell an error in one line on stderr, with what it is about where its message does not say."""
+    message = str(error)
+    prefix = f"{about}: " if about and about not in message else ""
+    print(f"error[{error.code}]: {prefix}{message}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def told_errors() -> Iterator[None]:
+    """What a command raises becomes one line on stderr and an exit status."""
+    try:
+        yield
+    except VehAnchorError as error:
+        report(error)
+        raise typer.Exit(BAD_INPUT) from None
+    except KeyboardInterrupt:
+        raise typer.Exit(INTERRUPTED) from None
+    except (typer.Exit, typer.Abort, typer.BadParameter, BrokenPipeError):
+        raise
+    except Exception as error:
+        if os.environ.get("VEHANCHOR_TRACEBACK"):
+            raise
+        reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        print(
+            f"error[internal_error]: {reason}. This is a defect of vehanchor; set VEHANCHOR_TRACEBACK=1 to see where",
+            file=sys.stderr,
+        )
+        raise typer.Exit(UNFORESEEN) from None
+
+
+@contextmanager
+def tile_progress(
+    n_images: int, *, lines_on_terminal: bool
+) -> Iterator[Callable[[int, str], Callable[[int, int], None] | None]]:
+    """A progress bar on stderr where that is a terminal free for it; gives, per image, the callback of its tiles."""
+    if lines_on_terminal or not sys.stderr.isatty():
+        yield lambda _number, _source: None
+        return
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(),
+    )
+    # Left to itself, rich would take what is printed to stdout and show it on stderr.
+    with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
+        task = bar.add_task("", total=None)
+
+        def step(number: int, source: str) -> Callable[[int, int], None]:
+            count = f"{number + 1}/{n_images} " if n_images > 1 else ""
+            bar.reset(task, total=None, description=escape(printable(count + Path(source).name)))
+            return lambda done, total: bar.update(task, completed=done, total=total)
+
+        yield step
+
+
+def failure(source: str, error: VehAnchorError) -> dict[str, Any]:
+    """The line of JSON of an image that failed."""
+    return {"source": source, "error": {"code": error.code, "message": str(error)}}
+
+
+def print_json(record: Mapping[str, Any]) -> None:
+    """One object on a line of stdout."""
+    print(json.dumps(record, allow_nan=False), flush=True)  # ASCII only: the same bytes in every locale
+
+
+def printable(text: str) -> str:
+    """File names may hold bytes that are no text."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def print_table(table: Table) -> None:
+    """A table to stdout, as wide as the terminal."""
+    from rich.console import Console
+
+    Console(soft_wrap=False, highlight=False).print(table)
+
+
+def facts_table(title: str, facts: Sequence[tuple[str, str]]) -> Table:
+    """Names and values in two columns."""
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(
+        box=box.SIMPLE_HEAD, show_header=False, title=Text(printable(title)), title_justify="left", title_style="bold"
+    )
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, value in facts:
+        table.add_row(name, Text(printable(value)))
+    return table
+
+
+def scale_text(gsd: float | None, low: float | None, high: float | None) -> str:
+    """A scale with its interval."""
+    if gsd is None:
+        return "none: no vehicle found"
+    interval = "" if low is None or high is None else f"   (95 %: {low:.4g} to {high:.4g})"
+    return f"{gsd:.4g} m/px{interval}"
+
+
+STATUS_TEXTS = {
+    "ok": "ok",
+    "low_confidence": "low: use another anchor",
+    "no_anchor": "no anchor: use another source of scale",
+}
+
+
+def print_warnings(record: GsdEstimate | AreaMeasurement, about: str) -> None:
+    """The warnings of a record, one a line, to stderr."""
+    prefix = f"{about}: " if about else ""
+    for notice in record.warnings:
+        print(f"warning[{notice.code}]: {prefix}{notice.message}", file=sys.stderr)

@@ -1,0 +1,147 @@
+"""Write a run as SAM-contract ONNX: ``python -m training.segmenter.export RUN FOLDER [--calibration JSON]``.
+
+Makes ``segmenter-encoder.onnx`` (``input_image`` ``[256, 256, 3]`` RGB 0..255, preprocessing inside) and
+``segmenter-decoder.onnx`` with Meta's names. An image that is not square is scaled until its longer side is 256 and
+padded with zeros at the right and the bottom, as for SAM; the decoder undoes both from ``orig_im_size``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from training.detector.export import write_metadata
+from training.segmenter.network import EMBEDDING_CHANNELS, STRIDE_PX, Prompt, Segmenter
+
+OPSET = 17
+INPUT_PX = 256
+NAME = "vehanchor-segmenter"
+_LICENCE = "Apache-2.0"
+
+
+class EncoderGraph(nn.Module):
+    """``[s, s, 3]`` RGB in 0..255 to the embedding."""
+
+    def __init__(self, network: Segmenter) -> None:
+        super().__init__()
+        self.encoder = network.encoder
+
+    def forward(self, input_image: Tensor) -> Tensor:
+        """Encode."""
+        out: Tensor = self.encoder(input_image.permute(2, 0, 1).unsqueeze(0) / 255.0)
+        return out
+
+
+class DecoderGraph(nn.Module):
+    """SAM's decoder signature; one mask a prompt."""
+
+    def __init__(self, network: Segmenter, side_px: int) -> None:
+        super().__init__()
+        self.decoder = network.decoder
+        self.side_px = side_px
+
+    def forward(
+        self,
+        image_embeddings: Tensor,
+        point_coords: Tensor,
+        point_labels: Tensor,
+        mask_input: Tensor,
+        has_mask_input: Tensor,
+        orig_im_size: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Masks are logits at the original size."""
+        points = point_coords + 0.5  # SAM's coordinates are pixel indices
+        found = self.decoder(image_embeddings, Prompt(points, point_labels, mask_input, has_mask_input))
+        large = functional.interpolate(found.mask, (self.side_px, self.side_px), mode="bilinear", align_corners=False)
+        size = orig_im_size.to(torch.float32)
+        used = torch.floor(size * (self.side_px / torch.max(size)) + 0.5).to(torch.int64)
+        large = large[:, :, : used[0], : used[1]]
+        whole = orig_im_size.to(torch.int64)
+        masks = functional.interpolate(large, [whole[0], whole[1]], mode="bilinear", align_corners=False)  # type: ignore[list-item]  # traced
+        return masks, found.iou, found.mask
+
+
+def load_network(run: Path) -> Segmenter:
+    """The exponential moving average of a training run, in evaluation mode."""
+    network = Segmenter()
+    state = torch.load(run / "checkpoint.pt", map_location="cpu", weights_only=True)
+    network.load_state_dict(state["averaged"])
+    return network.eval()
+
+
+def export(run: Path, folder: Path, calibration: dict[str, object]) -> tuple[Path, Path]:
+    """Export a run; ``calibration`` (see ``calibrate.py``) becomes ``vehanchor.*`` metadata of both files."""
+    network = load_network(run)
+    folder.mkdir(parents=True, exist_ok=True)
+    encoder, decoder = folder / "segmenter-encoder.onnx", folder / "segmenter-decoder.onnx"
+    cells = INPUT_PX // STRIDE_PX
+    torch.onnx.export(
+        EncoderGraph(network).eval(),
+        (torch.zeros(INPUT_PX, INPUT_PX, 3),),
+        str(encoder),
+        input_names=["input_image"],
+        output_names=["image_embeddings"],
+        opset_version=OPSET,
+        dynamo=False,
+    )
+    torch.onnx.export(
+        DecoderGraph(network, INPUT_PX).eval(),
+        (
+            torch.zeros(1, EMBEDDING_CHANNELS, cells, cells),
+            torch.tensor([[[40.0, 50.0], [200.0, 180.0], [120.0, 100.0]]]),
+            torch.tensor([[2.0, 3.0, 1.0]]),
+            torch.zeros(1, 1, cells, cells),
+            torch.zeros(1),
+            torch.tensor([300.0, 400.0]),
+        ),
+        str(decoder),
+        input_names=[
+            "image_embeddings",
+            "point_coords",
+            "point_labels",
+            "mask_input",
+            "has_mask_input",
+            "orig_im_size",
+        ],
+        output_names=["masks", "iou_predictions", "low_res_masks"],
+        dynamic_axes={
+            "point_coords": {1: "num_points"},
+            "point_labels": {1: "num_points"},
+            "masks": {2: "height", 3: "width"},
+        },
+        opset_version=OPSET,
+        dynamo=False,
+    )
+    metadata = {
+        "description": "VehAnchor promptable segmenter",
+        "author": "VehAnchor",
+        "license": _LICENCE,
+        "vehanchor.name": NAME,
+        "vehanchor.input_size_px": str(INPUT_PX),
+    }
+    for key, value in calibration.items():
+        metadata[f"vehanchor.{key}"] = value if isinstance(value, str) else json.dumps(value)
+    for path in (encoder, decoder):
+        write_metadata(path, metadata)
+    return encoder, decoder
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--calibration", type=Path, help="JSON of vehanchor.* metadata, written by calibrate.py")
+    options = parser.parse_args()
+    calibration = json.loads(options.calibration.read_text()) if options.calibration else {}
+    for path in export(options.run, options.folder, calibration):
+        print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
+
+
+if __name__ == "__main__":
+    main()

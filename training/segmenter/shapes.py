@@ -1,0 +1,194 @@
+"""Composited shapes: something with an outline and a surface of its own, pasted on a real background.
+
+They teach "the closed thing that touches the sides of the box" beyond the two categories with real masks: irregular
+roofs, blobs, discs with rings, stadium ovals, rows of panels, with aprons, shadows and look-alikes around them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+_FINE = 2  # outlines are drawn at twice the resolution and reduced: soft edges
+_SHIFT = 4  # fractional bits of OpenCV's drawing coordinates
+_LEAST_CONTRAST = 14.0  # grey levels between the shape and what surrounds it
+
+
+def _turned(points: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+    angle = rng.uniform(0, 2 * np.pi)
+    cos, sin = np.cos(angle), np.sin(angle)
+    out: NDArray[np.float64] = points @ np.array([[cos, -sin], [sin, cos]])
+    return out
+
+
+def _rectangle(wide: float, high: float) -> NDArray[np.float64]:
+    return np.array([[-wide, -high], [wide, -high], [wide, high], [-wide, high]])
+
+
+def _ellipse(wide: float, high: float, power: float = 2.0) -> NDArray[np.float64]:
+    t = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    cos, sin = np.cos(t), np.sin(t)
+    return np.column_stack(
+        [
+            wide * np.sign(cos) * np.abs(cos) ** (2 / power),
+            high * np.sign(sin) * np.abs(sin) ** (2 / power),
+        ]
+    )
+
+
+def _outline(rng: np.random.Generator) -> list[NDArray[np.float64]]:
+    """Polygons (their union is the shape) of about unit half size, not yet turned."""
+    kind = rng.choice(7, p=(0.22, 0.14, 0.16, 0.12, 0.12, 0.12, 0.12))
+    ratio = float(rng.uniform(0.3, 1.0))
+    if kind == 0:  # wings of a building
+        parts = [_rectangle(1.0, ratio)]
+        for _ in range(rng.integers(0, 3)):
+            wing = _rectangle(float(rng.uniform(0.2, 0.6)), float(rng.uniform(0.2, 0.6)))
+            parts.append(wing + np.array([rng.uniform(-0.8, 0.8), rng.choice([-1, 1]) * ratio]))
+        return parts
+    if kind == 1:  # blob
+        t = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+        radius = np.ones_like(t)
+        for order in range(2, 6):
+            radius += rng.normal(0, 0.32 / order) * np.cos(order * t + rng.uniform(0, 2 * np.pi))
+        radius = np.maximum(radius, 0.25)
+        return [np.column_stack([radius * np.cos(t), ratio * radius * np.sin(t)])]
+    if kind == 2:  # tank, roundabout
+        return [_ellipse(1.0, 1.0)]
+    if kind == 3:
+        return [_ellipse(1.0, ratio, float(rng.choice([2.0, 4.0])))]
+    if kind == 4:  # running track
+        shift = np.array([1.0 - ratio, 0.0])
+        return [
+            _rectangle(1.0 - ratio, ratio),
+            _ellipse(ratio, ratio) + shift,
+            _ellipse(ratio, ratio) - shift,
+        ]
+    if kind == 5:  # any convex quadrilateral or more
+        t = np.sort(rng.uniform(0, 2 * np.pi, rng.integers(4, 8)))
+        return [np.column_stack([np.cos(t), np.sin(t)])]
+    return [_rectangle(1.0, ratio)]
+
+
+def _filled(polygons: list[NDArray[np.float64]], side: int) -> NDArray[np.float32]:
+    fine = np.zeros((side * _FINE, side * _FINE), np.uint8)
+    for polygon in polygons:
+        scaled = np.round((polygon * _FINE - 0.5) * 2**_SHIFT).astype(np.int32)
+        cv2.fillPoly(fine, [scaled], 255, shift=_SHIFT)
+    coarse = cv2.resize(fine, (side, side), interpolation=cv2.INTER_AREA)
+    out: NDArray[np.float32] = np.divide(coarse, 255.0, dtype=np.float32)
+    return out
+
+
+def _colour(rng: np.random.Generator) -> NDArray[np.float32]:
+    level = rng.uniform(15, 240)
+    colour: NDArray[np.float64] = level + rng.normal(0, 1, 3) * rng.choice([8.0, 45.0])
+    return np.clip(colour, 0, 255).astype(np.float32)
+
+
+def _surface(
+    rng: np.random.Generator, texture: NDArray[np.uint8], polygons: list[NDArray[np.float64]]
+) -> NDArray[np.float32]:
+    """What covers a shape: a colour or real texture, then ridges, a grid, rings or stripes."""
+    side = texture.shape[0]
+    grain = texture.astype(np.float32)
+    draw = rng.random()
+    if draw < 0.35:
+        out = grain * np.float32(rng.uniform(0.7, 1.2)) + rng.normal(0, 15, 3).astype(np.float32)
+    else:
+        grain -= grain.mean(axis=(0, 1))
+        out = _colour(rng) + grain * np.float32(rng.uniform(0.0, 0.35))
+    rows, cols = np.mgrid[0:side, 0:side].astype(np.float32)
+    corners = np.concatenate(polygons)
+    centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    size = float(np.ptp(corners, axis=0).max())
+    first = polygons[0][1] - polygons[0][0] if len(polygons[0]) < 10 else rng.normal(0, 1, 2)
+    along = first / max(1e-6, float(np.hypot(*first)))
+    u = (cols - centre[0]) * along[0] + (rows - centre[1]) * along[1]
+    v = -(cols - centre[0]) * along[1] + (rows - centre[1]) * along[0]
+    if rng.random() < 0.35:  # two slopes, one in the light
+        out = np.where((v > rng.normal(0, 0.05) * size)[:, :, None], out, out * np.float32(rng.uniform(0.65, 0.92)))
+    draw = rng.random()
+    if draw < 0.22:  # panels, tiles
+        pitch_u, pitch_v = rng.uniform(3, 14, 2)
+        line = ((u % pitch_u) < rng.uniform(0.8, 1.8)) | ((v % pitch_v) < rng.uniform(0.8, 1.8))
+        out = np.where(line[:, :, None], out + np.float32(rng.uniform(-50, 70)), out)
+    elif draw < 0.37:  # corrugation, markings
+        out = out + np.float32(rng.uniform(5, 30)) * np.sin(2 * np.pi * v / rng.uniform(3, 16))[:, :, None]
+    elif draw < 0.62:  # an inner shape: islands, infields, roof lights
+        inner = [(p - centre) * rng.uniform(0.3, 0.85) + centre for p in polygons]
+        out = out + _filled(inner, side)[:, :, None] * (_colour(rng) - out) * np.float32(rng.uniform(0.4, 1.0))
+    if rng.random() < 0.3:
+        out = out * (1 + np.float32(rng.uniform(-0.3, 0.3) / size) * u[:, :, None])
+    return out.astype(np.float32)
+
+
+def composite(
+    rng: np.random.Generator,
+    background: NDArray[np.uint8],
+    texture: Callable[[], NDArray[np.uint8]],
+    length_px: float,
+    focus: NDArray[np.float64],
+) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Paste a shape whose longer side is about ``length_px`` at ``focus``, with company.
+
+    Args:
+        rng: the only source of chance.
+        background: ``[side, side, 3]``.
+        texture: draws surfaces of the background's size.
+        length_px: longer side of the shape's bounding box.
+        focus: x, y of its centre.
+
+    Returns:
+        The image and the shape's coverage ``[side, side]`` in 0..1.
+    """
+    side = background.shape[0]
+    image = background.astype(np.float32)
+    outline = _outline(rng)
+    turn = _turned(np.concatenate(outline), rng)
+    outline = np.split(turn, np.cumsum([len(p) for p in outline])[:-1])
+    turn_size = np.ptp(turn, axis=0).max()
+    middle = 0.5 * (turn.min(axis=0) + turn.max(axis=0))
+    placed = [(p - middle) * (length_px / turn_size) + focus for p in outline]
+    mask = _filled(placed, side)
+    shadow = rng.uniform(-0.12, 0.12, 2) * length_px
+    dark = np.float32(rng.uniform(0.35, 0.75))
+    soft = float(rng.uniform(0.4, 1.2))
+
+    def paste(polygons: list[NDArray[np.float64]], cover: NDArray[np.float32], cast: bool) -> None:
+        nonlocal image
+        if cast:
+            moved = _filled([p + shadow for p in polygons], side)[:, :, None]
+            image = image * (1 - moved * (1 - dark))
+        surface = _surface(rng, texture(), polygons)
+        inside = cover > 0.5
+        ring = cv2.dilate(inside.astype(np.uint8), np.ones((7, 7), np.uint8)).astype(bool) & ~inside
+        if inside.any() and ring.any():
+            gap = surface[inside].mean(axis=0) - image[ring].mean(axis=0)
+            size = float(np.abs(gap).mean())
+            if size < _LEAST_CONTRAST:
+                surface = surface + (_LEAST_CONTRAST - size) * (1.0 if gap.mean() >= 0 else -1.0)
+        edge = cv2.GaussianBlur(cover, (0, 0), soft)[:, :, None]
+        image = image + edge * (surface - image)
+
+    if rng.random() < 0.3:  # an apron, a roof under panels, a kerb
+        apron = [(p - focus) * rng.uniform(1.15, 1.7) + focus + rng.normal(0, 0.04, 2) * length_px for p in placed]
+        paste(apron, _filled(apron, side), rng.random() < 0.5)
+    for _ in range(rng.integers(0, 4)):  # neighbours, alike or not, that stop short of the shape
+        away = rng.uniform(0, 2 * np.pi)
+        shift = np.array([np.cos(away), np.sin(away)]) * length_px * rng.uniform(0.75, 1.4)
+        other = [(p - focus) * rng.uniform(0.4, 1.0) + focus + shift for p in placed]
+        paste(other, _filled(other, side), rng.random() < 0.5)
+    paste(placed, mask, rng.random() < 0.6)
+    if rng.random() < 0.25:  # a neighbour's shadow across
+        strip = _turned(_rectangle(length_px, float(rng.uniform(0.1, 0.4)) * length_px), rng)
+        across = cv2.GaussianBlur(_filled([strip + focus + rng.uniform(-0.6, 0.6, 2) * length_px], side), (0, 0), 1.0)
+        image = image * (1 - across[:, :, None] * (1 - dark))
+    return np.clip(image + 0.5, 0, 255).astype(np.uint8), mask
