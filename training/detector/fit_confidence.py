@@ -120,7 +120,7 @@ def main() -> None:
 
     print("interval: coverage of exp(+-1.96 sigma), sigma^2 = (fleet^2 / n) + region^2, no bootstrap term")
     several = n >= 1
-    for fleet, region in itertools.product((0.09, 0.11, 0.15, 0.2, 0.3), (0.0, 0.04, 0.06, 0.08, 0.1)):
+    for fleet, region in itertools.product((0.1, 0.2, 0.3, 0.4, 0.5), (0.0, 0.06, 0.09, 0.12)):
         known = np.abs(error[several]) < 1.96 * np.sqrt(fleet**2 / n[several] + (region / 2) ** 2)
         unknown = np.abs(error_unknown[several]) < 1.96 * np.sqrt(fleet**2 / n[several] + region**2)
         print(f"  fleet {fleet}, region {region}: known {known.mean():.3f}, unknown {unknown.mean():.3f}")
