@@ -12,9 +12,11 @@ onnxruntime = pytest.importorskip("onnxruntime")
 
 from training.detector.data import (  # noqa: E402 - PyTorch may be missing
     CROP_PX,
+    Correction,
     Crop,
     CropStream,
     TrainImage,
+    corrected,
     dense_target,
     draw_crop,
     group_of,
@@ -26,6 +28,8 @@ from training.detector.data import (  # noqa: E402 - PyTorch may be missing
 from training.detector.export import UltralyticsLayout, export  # noqa: E402
 from training.detector.loss import detection_loss  # noqa: E402
 from training.detector.network import STRIDE_PX, Prediction, VehicleNet  # noqa: E402
+from training.detector.relabel import Consensus, agree, corrections, restored, symmetric  # noqa: E402
+from training.detector.warm_start import load_exported  # noqa: E402
 from vehanchor.detection import Detector  # noqa: E402
 from vehanchor.scene import render_scene  # noqa: E402
 
@@ -42,7 +46,7 @@ def _sample() -> TrainImage:
     image = np.zeros((320, 400, 3), np.uint8)
     for corners in box_corners(boxes):
         cv2.fillPoly(image, [np.round((corners - 0.5) * 256).astype(np.int32)], (200, 200, 200), shift=8)
-    return TrainImage("ucm", image, boxes, np.zeros((0, 4, 2)))
+    return TrainImage("ucm", image, boxes, np.zeros((0, 4, 2)), np.zeros((0, 2)))
 
 
 def test_crops_move_picture_and_boxes_alike() -> None:
@@ -162,3 +166,64 @@ def test_scenes_are_read_as_training_images(tmp_path: Path) -> None:
     assert sample.set == "scene"
     assert 0 < len(sample.boxes) <= len(small)
     assert set(np.round(sample.boxes[:, 2], 0)) <= {round(v.length_px, 0) for v in small}
+
+
+def test_boxes_found_in_a_turned_or_mirrored_image_return_to_the_image() -> None:
+    from vehanchor.obb import canonical_boxes
+
+    image = np.zeros((60, 100, 3), np.uint8)
+    image[10:14, 70:90] = 255
+    for k in range(8):
+        rows, cols = np.nonzero(symmetric(image, k)[:, :, 0])
+        sides = np.ptp(cols) + 1, np.ptp(rows) + 1
+        found = canonical_boxes(np.array([[cols.mean() + 0.5, rows.mean() + 0.5, *sides, 0.0]]))
+        np.testing.assert_allclose(restored(found, k, 100, 60), [[80, 12, 20, 4, 0]], atol=1e-9)
+
+
+def test_symmetries_agree_on_what_each_saw_once() -> None:
+    boxes = np.array([[50.0, 50, 20, 8, 0.1], [51, 50, 22, 8, 0.1], [50, 51, 21, 8, 0.1], [120, 80, 20, 8, 3.1]])
+    merged = agree(boxes, np.array([0.8, 0.6, 0.6, 0.4]), np.array([0, 1, 1, 2]))
+    np.testing.assert_allclose(merged.scores, [(0.8 + 0.6) / 8, 0.4 / 8])
+    assert merged.boxes[0, 2] == pytest.approx(21)
+    assert len(merged.boxes) == 2
+
+
+def test_corrections_tell_cars_from_doubt_and_clutter() -> None:
+    cars = np.array([[100.0, 100, 20, 9, 0.0], [300, 300, 20, 9, 0.0]])
+    places = ((101.0, 100, 20, 9), (150, 40, 21, 9), (30, 200, 20, 9), (200, 200, 8, 4))
+    boxes = np.array([(*place, 0.0) for place in places])
+    found = Consensus(boxes, np.array([0.9, 0.8, 0.4, 0.6]))
+    kinds = [kind for kind, _, _ in corrections(found, cars, np.zeros((0, 5)), gsd_m_per_px=0.2)]
+    assert kinds == ["car", "ignore", "clutter", "unseen"]
+
+
+def test_corrected_labels_enter_the_training_image() -> None:
+    sample = _sample()
+    first = tuple(float(v) for v in sample.boxes[0])
+    fresh = (30.0, 40.0, 40.0, 16.0, 0.3)
+    out = corrected(sample, [Correction("unseen", first), Correction("car", fresh), Correction("clutter", fresh)])
+    assert len(out.boxes) == 3
+    assert not (out.boxes == sample.boxes[0]).all(axis=1).any()
+    assert len(out.ignore) == 1
+    assert out.clutter.tolist() == [[30.0, 40.0]]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_network_started_from_an_exported_file_computes_what_the_file_computes(tmp_path: Path) -> None:
+    torch.manual_seed(1)
+    source = VehicleNet().train()
+    crops = torch.rand(4, 3, 64, 64)
+    with torch.no_grad():
+        for _ in range(30):
+            source(crops)  # normalisations that are not the identity
+    source.eval()
+    torch.save({"averaged": source.state_dict()}, tmp_path / "checkpoint.pt")
+    export(tmp_path, tmp_path / "m.onnx", {})
+    network = VehicleNet()
+    load_exported(network, tmp_path / "m.onnx", crops)
+    with torch.no_grad():
+        ours, theirs = network.eval()(crops), source(crops)
+    torch.testing.assert_close(ours.heat, theirs.heat, atol=2e-3, rtol=1e-3)
+    torch.testing.assert_close(ours.shape, theirs.shape, atol=2e-3, rtol=1e-3)
+    with torch.no_grad():  # and with the batch's own statistics, as in training
+        torch.testing.assert_close(network.train()(crops).heat, theirs.heat, atol=5e-2, rtol=1e-2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import zlib
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
@@ -17,8 +18,7 @@ from vehanchor.evaluation.dota import read_labels
 from vehanchor.obb import box_corners, boxes_from_corners
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -28,6 +28,8 @@ _MAX_ENLARGEMENT = 2.6  # beyond it an enlarged image is only blur
 _SET_WEIGHT = {"ucm": 0.27, "cannes": 0.25, "jekhor": 0.20, "saopaulo": 0.12, "empty": 0.06, "scene": 0.15}
 _DEV_SHARE = 10  # one train group in ten is held out: thresholds and confidence are fitted there
 HELD_OUT = 0
+_CLUTTER_SHARE = 0.35  # of the crops of images that have some
+CORRECTIONS = Path(__file__).with_name("corrections.csv")
 
 
 class TrainImage(NamedTuple):
@@ -37,6 +39,7 @@ class TrainImage(NamedTuple):
     image: NDArray[np.uint8]  # [h, w, 3] RGB
     boxes: NDArray[np.float64]  # [n, 5] small vehicles
     ignore: NDArray[np.float64]  # [m, 4, 2] corners of what is neither car nor background
+    clutter: NDArray[np.float64]  # [k, 2] where an earlier detector saw a car that cannot be one
 
 
 def group_of(name: str, set_name: str) -> str:
@@ -56,15 +59,49 @@ def is_dev(name: str, set_name: str) -> bool:
     return set_name != "jekhor" and zlib.crc32(group_of(name, set_name).encode()) % _DEV_SHARE == HELD_OUT
 
 
-def load_train_images(vehicles: Path) -> list[TrainImage]:
-    """Load the training part of ``shared/data/vehicles`` without its held-out tenth."""
+class Correction(NamedTuple):
+    """One line of ``corrections.csv`` (see ``relabel.py``): ``kind`` is car, ignore, clutter or unseen."""
+
+    kind: str
+    box: tuple[float, ...]
+
+
+def read_corrections(path: Path) -> dict[str, list[Correction]]:
+    """Corrections of the train labels by the image's file name."""
+    out: dict[str, list[Correction]] = {}
+    with path.open(newline="") as handle:
+        for row in csv.DictReader(handle):
+            box = tuple(float(row[name]) for name in ("x", "y", "length", "width", "angle"))
+            out.setdefault(row["file"], []).append(Correction(row["kind"], box))
+    return out
+
+
+def load_train_images(vehicles: Path, corrections: Path = CORRECTIONS) -> list[TrainImage]:
+    """Load the training part of ``shared/data/vehicles`` without its held-out tenth, its labels corrected."""
+    known = read_corrections(corrections)
     out = []
     with (vehicles / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["split"] == "train"]
     for row in rows:
         if not is_dev(row["file"], row["set"]):
-            out.append(_load(vehicles / row["file"], row["set"], vehicles / "labels"))
+            sample = _load(vehicles / row["file"], row["set"], vehicles / "labels")
+            out.append(corrected(sample, known.get(Path(row["file"]).name, [])))
     return out
+
+
+def corrected(sample: TrainImage, corrections: Sequence[Correction]) -> TrainImage:
+    """An image with its labels corrected: cars added, doubtful places and labels that nobody sees ignored."""
+
+    def of(*kinds: str) -> NDArray[np.float64]:
+        return np.asarray([c.box for c in corrections if c.kind in kinds], np.float64).reshape(-1, 5)
+
+    unseen = of("unseen")
+    gap = np.linalg.norm(sample.boxes[:, None, :2] - unseen[None, :, :2], axis=2)
+    return sample._replace(
+        boxes=np.concatenate([sample.boxes[~(gap < 1.0).any(axis=1)], of("car")]),
+        ignore=np.concatenate([sample.ignore, box_corners(of("ignore", "unseen"))]),
+        clutter=of("clutter")[:, :2],
+    )
 
 
 def load_scenes(folder: Path) -> list[TrainImage]:
@@ -84,6 +121,7 @@ def _load(path: Path, set_name: str, labels_folder: Path) -> TrainImage:
         np.ascontiguousarray(image[:, :, ::-1]),
         boxes_from_corners(labels.corners[car]),
         labels.corners[~car],
+        np.zeros((0, 2)),
     )
 
 
@@ -102,7 +140,9 @@ def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
     native = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else float(rng.uniform(14, 40))
     target = float(np.exp(rng.uniform(*np.log(LENGTH_RANGE_PX))))
     scale = min(target / native, _MAX_ENLARGEMENT * float(rng.uniform(0.6, 1.0)))
-    if len(sample.boxes) and rng.random() < 0.75:
+    if len(sample.clutter) and rng.random() < _CLUTTER_SHARE:
+        focus = sample.clutter[rng.integers(len(sample.clutter))] + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
+    elif len(sample.boxes) and rng.random() < 0.75:
         focus = sample.boxes[rng.integers(len(sample.boxes)), :2] + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
     else:
         focus = rng.uniform(0, 1, 2) * (width, height)
@@ -151,7 +191,7 @@ def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
     ).astype(bool)
 
     def moved(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        return points @ forward[:, :2].T + forward[:, 2]
+        return np.asarray(points @ forward[:, :2].T + forward[:, 2])
 
     boxes = boxes_from_corners(moved(box_corners(sample.boxes)))
     ignore = moved(sample.ignore)
@@ -291,7 +331,7 @@ class CropStream(IterableDataset):  # type: ignore[type-arg]
             by_set.setdefault(sample.set, []).append(sample)
         names = sorted(by_set)
         share = np.array([_SET_WEIGHT[name] for name in names])
-        pick = {name: np.array([1.0 + np.sqrt(len(s.boxes)) for s in by_set[name]]) for name in names}
+        pick = {name: np.array([1.0 + np.sqrt(len(s.boxes) + len(s.clutter)) for s in by_set[name]]) for name in names}
         while True:
             name = names[rng.choice(len(names), p=share / share.sum())]
 

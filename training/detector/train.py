@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import copy
+import itertools
 import math
 import time
 from pathlib import Path
@@ -17,19 +18,20 @@ from torch.utils.data import DataLoader
 from training.detector.data import CropStream, Target, load_scenes, load_train_images
 from training.detector.loss import detection_loss
 from training.detector.network import VehicleNet
+from training.detector.warm_start import load_exported
 
-_PEAK_RATE = 2e-3
 _WARM_UP_STEPS = 200
 _EMA_DECAY = 0.998
 _CHECKPOINT_EVERY = 200
+_STATISTICS_CROPS = 64
 
 
-def learning_rate(step: int, steps: int) -> float:
+def learning_rate(step: int, steps: int, peak: float) -> float:
     """Linear warm-up, then a cosine down to 2 % of the peak."""
     if step < _WARM_UP_STEPS:
-        return _PEAK_RATE * (step + 1) / _WARM_UP_STEPS
+        return peak * (step + 1) / _WARM_UP_STEPS
     progress = (step - _WARM_UP_STEPS) / max(1, steps - _WARM_UP_STEPS)
-    return _PEAK_RATE * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(1.0, progress))))
+    return peak * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(1.0, progress))))
 
 
 def main() -> None:
@@ -40,7 +42,10 @@ def main() -> None:
     parser.add_argument("--run", type=Path, default=Path("runs/detector"))
     parser.add_argument("--steps", type=int, default=7000)
     parser.add_argument("--batch", type=int, default=12)
+    parser.add_argument("--start", type=Path, help="exported detector to begin with instead of random weights")
+    parser.add_argument("--rate", type=float, default=2e-3, help="peak learning rate")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--bfloat16", action="store_true", help="mixed precision: faster where the processor has it")
     options = parser.parse_args()
 
     options.run.mkdir(parents=True, exist_ok=True)
@@ -54,6 +59,10 @@ def main() -> None:
 
     network = VehicleNet().to(device)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # missing in torch's stub
+    if options.start:
+        sample = CropStream(images, seed=options.seed)
+        crops = torch.stack([crop for crop, _ in itertools.islice(sample, _STATISTICS_CROPS)])
+        load_exported(network, options.start, crops.to(device).float().div(255.0))
     averaged = copy.deepcopy(network).eval()
     decay = [p for p in network.parameters() if p.ndim > 1]
     plain = [p for p in network.parameters() if p.ndim <= 1]
@@ -73,10 +82,12 @@ def main() -> None:
     sums, started = [0.0, 0.0], time.monotonic()
     for step in range(first, options.steps):
         for group in optimizer.param_groups:
-            group["lr"] = learning_rate(step, options.steps)
+            group["lr"] = learning_rate(step, options.steps, options.rate)
         image, raw = next(loader)
         target = Target(*(part.to(device) for part in raw))
-        prediction = network(image.to(device).float().div(255.0).contiguous(memory_format=torch.channels_last))
+        pixels = image.to(device).float().div(255.0).contiguous(memory_format=torch.channels_last)
+        with torch.autocast(device.type, torch.bfloat16, enabled=options.bfloat16):
+            prediction = network(pixels)
         heat, shape = detection_loss(prediction, target)
         optimizer.zero_grad(set_to_none=True)
         (heat + shape).backward()  # type: ignore[no-untyped-call]

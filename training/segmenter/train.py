@@ -17,7 +17,7 @@ from torch.utils.data import DataLoader
 
 from training.segmenter.data import BatchStream, is_dev, load_scenes, load_segments
 from training.segmenter.loss import segmentation_loss
-from training.segmenter.network import Prompt, Segmenter
+from training.segmenter.network import Prompt, Segmentation, Segmenter
 
 _PEAK_RATE = 2e-3
 _WARM_UP_STEPS = 80
@@ -42,6 +42,7 @@ def main() -> None:
     until.add_argument("--steps", type=int)
     until.add_argument("--minutes", type=float, help="of wall time spent in steps, all resumed parts together")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--bfloat16", action="store_true", help="mixed precision: faster where the processor has it")
     options = parser.parse_args()
 
     options.run.mkdir(parents=True, exist_ok=True)
@@ -82,7 +83,9 @@ def main() -> None:
         batch = next(loader)
         prompt = Prompt(*(part.to(device) for part in batch.prompt))
         image = batch.image.to(device).float().div(255.0).contiguous(memory_format=torch.channels_last)
-        loss = segmentation_loss(network(image, prompt), batch.target.to(device))
+        with torch.autocast(device.type, torch.bfloat16, enabled=options.bfloat16):
+            found = network(image, prompt)
+        loss = segmentation_loss(Segmentation(found.mask.float(), found.iou.float()), batch.target.to(device))
         optimizer.zero_grad(set_to_none=True)
         (loss.mask + loss.iou).backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)

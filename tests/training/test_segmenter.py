@@ -1,0 +1,195 @@
+"""The segmenter's training code, where PyTorch is installed (extra ``train``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from benchmarks.segmenter import Trial  # noqa: E402 - PyTorch may be missing
+from training.segmenter.calibrate import least_trusted_score, mask_area_log_sd  # noqa: E402
+from training.segmenter.data import (  # noqa: E402
+    BatchStream,
+    MaskImage,
+    MaskObject,
+    box_of,
+    cut,
+    draw_prompt,
+    group_of,
+    is_dev,
+    is_sound,
+    load_scenes,
+    objects_of,
+)
+from training.segmenter.export import export  # noqa: E402
+from training.segmenter.loss import overlap_of, segmentation_loss  # noqa: E402
+from training.segmenter.network import (  # noqa: E402
+    BOTTOM_RIGHT,
+    NEGATIVE,
+    PADDING,
+    POSITIVE,
+    TOP_LEFT,
+    Prompt,
+    Segmentation,
+    Segmenter,
+    prompt_maps,
+)
+from training.segmenter.shapes import composite  # noqa: E402
+from vehanchor.imagery import open_raster  # noqa: E402
+from vehanchor.scene import render_scene  # noqa: E402
+from vehanchor.segmentation import Prompt as UserPrompt  # noqa: E402
+from vehanchor.segmentation import Segmenter as OnnxSegmenter  # noqa: E402
+
+pytestmark = pytest.mark.slow
+
+
+def _sample() -> MaskImage:
+    """A bright L on dark ground, so that picture and mask can be compared."""
+    mask = np.zeros((200, 240), np.uint16)
+    mask[60:140, 80:120] = 3
+    mask[110:140, 80:180] = 3
+    image = np.full((200, 240, 3), 30, np.uint8)
+    image[mask > 0] = 210
+    return MaskImage("real", "building", "group", image, mask)
+
+
+def _prompt(points: list[tuple[float, float]], labels: list[float], side: int) -> Prompt:
+    cells = side // 2
+    return Prompt(torch.tensor([points]), torch.tensor([labels]), torch.zeros(1, 1, cells, cells), torch.zeros(1))
+
+
+def test_crops_move_picture_and_mask_alike() -> None:
+    sample, rng = _sample(), np.random.default_rng(0)
+    assert objects_of([sample]) == [MaskObject(0, 3, 80, 60, 180, 140)]
+    for scale in (0.4, 0.8, 1.7):
+        example = cut(rng, sample, 160, scale, (130.0, 100.0), 3)
+        inner, outer = example.mask > 0.98, example.mask < 0.02
+        near = outer & (cv2.dilate(example.mask, np.ones((9, 9))) > 0.5)
+        assert inner.sum() > 0.7 * 5000 * scale**2
+        assert np.median(example.image[inner]) > 190
+        assert np.percentile(example.image[near], 60) < 60
+
+
+def test_prompts_are_drawn_from_the_mask() -> None:
+    mask = np.zeros((160, 160), np.float32)
+    mask[40:100, 50:130] = 1
+    box = box_of(mask)
+    assert box is not None
+    assert box.tolist() == [50, 40, 130, 100]
+    rng, seen = np.random.default_rng(1), set()
+    for _ in range(300):
+        points, labels = draw_prompt(rng, mask, box)
+        for (x, y), label in zip(points, labels, strict=True):
+            seen.add(float(label))
+            if label == POSITIVE:
+                assert mask[int(y), int(x)] == 1
+            elif label == NEGATIVE:
+                assert mask[int(y), int(x)] == 0
+            elif label == TOP_LEFT:
+                assert abs(x - 50) <= 8.01
+                assert abs(y - 40) <= 6.01
+    assert seen == {POSITIVE, NEGATIVE, TOP_LEFT, BOTTOM_RIGHT, PADDING}
+
+
+def test_a_padding_point_changes_nothing_and_a_box_is_positive_inside() -> None:
+    bare = prompt_maps(_prompt([(20, 10), (50, 40)], [TOP_LEFT, BOTTOM_RIGHT], 64), 32, 32)
+    padded = prompt_maps(_prompt([(20, 10), (50, 40), (0, 0)], [TOP_LEFT, BOTTOM_RIGHT, PADDING], 64), 32, 32)
+    assert torch.equal(bare, padded)
+    positive = bare[0, 0] > 0
+    rows, cols = np.nonzero(positive.numpy())
+    assert (cols.min(), cols.max(), rows.min(), rows.max()) == (10, 24, 5, 19)
+
+
+def test_the_loss_is_small_for_the_true_mask_and_grows_with_errors() -> None:
+    target = torch.zeros(1, 1, 64, 64)
+    target[:, :, 16:40, 20:50] = 1
+    good = Segmentation(torch.where(target > 0, 8.0, -8.0), torch.ones(1, 1))
+    loss = segmentation_loss(good, target)
+    assert loss.mask < 0.02
+    assert loss.iou == 0
+    assert loss.overlap == 1
+    grown = Segmentation(torch.roll(good.mask, 6, dims=3), torch.ones(1, 1))
+    worse = segmentation_loss(grown, target)
+    assert worse.mask > 0.5
+    assert worse.overlap == pytest.approx(24 / 36)
+    assert worse.iou == pytest.approx((1 - 24 / 36) ** 2)
+    assert overlap_of(grown.mask, target).tolist() == pytest.approx([24 / 36])
+
+
+def test_neighbouring_images_stay_on_one_side_of_the_held_out_line() -> None:
+    assert group_of("images/oam_zanzibar_16_9.jpg") == group_of("images/oam_zanzibar_17_15.jpg")
+    assert group_of("cannes_100.jpg") == group_of("cannes_101.jpg")
+    assert group_of("cannes_100.jpg") != group_of("cannes_900.jpg")
+    held_out = [is_dev(f"group {k}") for k in range(500)]
+    assert 0.05 < np.mean(held_out) < 0.16
+
+
+def test_ragged_pools_are_no_lesson() -> None:
+    whole = _sample()._replace(category="swimming-pool")
+    comb = whole.mask.copy()
+    comb[60:140:2, 84:] = 0
+    assert is_sound(whole, objects_of([whole])[0]) is True
+    assert is_sound(whole._replace(mask=comb), MaskObject(0, 3, 80, 60, 180, 140)) is False
+
+
+def test_batches_are_seeded_and_their_masks_touch_their_prompts(tmp_path: Path) -> None:
+    render_scene(0.2, width_px=320, height_px=320, seed=4).write(tmp_path / "scene_4.jpg")
+    images = [_sample(), *load_scenes(tmp_path)]
+    first, second = (next(iter(BatchStream(images, seed=5))) for _ in range(2))
+    assert torch.equal(first.image, second.image)
+    assert torch.equal(first.prompt.points, second.prompt.points)
+    assert first.image.shape[2] == 2 * first.target.shape[2]
+    boxed = (first.prompt.labels == TOP_LEFT).any(dim=1)
+    assert boxed.float().mean() > 0.5
+    assert (first.target.amax(dim=(1, 2, 3)) > 0.9).all()
+
+
+def test_composited_shapes_stand_out_from_their_ground() -> None:
+    rng = np.random.default_rng(3)
+
+    def patch() -> np.ndarray:
+        return np.full((160, 160, 3), 90, np.uint8)
+
+    for _ in range(20):
+        image, mask = composite(rng, patch(), patch, 60.0, np.array([80.0, 80.0]))
+        inside = mask > 0.95
+        assert image.shape == (160, 160, 3)
+        assert 100 < inside.sum() < 6000
+        assert np.abs(image[inside].mean(axis=0) - 90).max() > 2
+
+
+def test_the_calibration_reads_spread_and_limit_off_the_trials() -> None:
+    def trial(iou: float, ratio: float, score: float) -> Trial:
+        return Trial("pool", iou, ratio, score, 0.1)
+
+    good = [trial(0.9, float(np.exp(0.1 * z)), 0.9) for z in np.linspace(-2, 2, 41)]
+    bad = [trial(0.3, 3.0, 0.455) for _ in range(10)]
+    limit = least_trusted_score(good + bad)
+    assert 0.45 < limit <= 0.9
+    assert mask_area_log_sd(good + bad, limit) == pytest.approx(0.1, rel=0.15)
+    assert mask_area_log_sd(good + bad, 0.0) > 0.4
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::torch.jit.TracerWarning")
+def test_an_exported_segmenter_gives_the_library_what_the_network_saw(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    network = Segmenter().eval()
+    torch.save({"averaged": network.state_dict()}, tmp_path / "checkpoint.pt")
+    encoder, decoder = export(tmp_path, tmp_path, {"min_score": 0.6, "mask_area_log_sd": 0.08})
+    assert encoder.stat().st_size + decoder.stat().st_size < 12e6
+    segmenter = OnnxSegmenter(encoder, decoder)
+    assert segmenter.card.name == "vehanchor-segmenter"
+    image = np.random.default_rng(0).integers(0, 255, (256, 256, 3), dtype=np.uint8)
+    with open_raster(image) as raster:
+        found = segmenter.segment(raster, UserPrompt(box=(60.0, 70.0, 180.0, 190.0)))
+    corners = [(60.0, 70.0), (180.0, 190.0)]
+    pixels = torch.from_numpy(image.transpose(2, 0, 1).copy())[None].float() / 255
+    with torch.no_grad():
+        seen = network(pixels, _prompt(corners, [TOP_LEFT, BOTTOM_RIGHT], 256))
+        large = torch.nn.functional.interpolate(seen.mask, (256, 256), mode="bilinear", align_corners=False)
+    assert found.score == pytest.approx(float(seen.iou), abs=1e-4)
+    assert ((large[0, 0].numpy() > 0) == found.mask).mean() > 0.999

@@ -1,0 +1,79 @@
+"""Continue from an exported detector: its folded weights back into a trainable network.
+
+The ONNX file has every batch normalisation folded into the convolution before it. Here each one gets the statistics of
+real crops, and a scale and shift that undo them, so that the network computes what the file computes and its
+normalisations work again.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import onnx
+import torch
+from onnx import numpy_helper
+from torch import Tensor, nn
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from training.detector.network import VehicleNet
+
+
+def load_exported(network: VehicleNet, path: Path, crops: Tensor) -> None:
+    """Put the weights of an exported file into ``network``.
+
+    Args:
+        network: of the architecture that was exported.
+        path: the ONNX file.
+        crops: ``[b, 3, h, w]`` float in 0..1, training crops to take the statistics from.
+
+    Raises:
+        ValueError: the file's convolutions are not this network's.
+    """
+    graph = onnx.load(path).graph
+    values = {item.name: torch.tensor(numpy_helper.to_array(item)) for item in graph.initializer}
+    stored = [[values[name] for name in node.input[1:]] for node in graph.node if node.op_type == "Conv"]
+    order: list[nn.Conv2d] = []  # as the export traced them
+    hooks = [
+        module.register_forward_hook(lambda module, _inputs, _output: order.append(module))
+        for module in network.modules()
+        if isinstance(module, nn.Conv2d)
+    ]
+    with torch.no_grad():
+        network.eval()(crops[:1])
+    for hook in hooks:
+        hook.remove()
+    if [tuple(conv.weight.shape) for conv in order] != [tuple(weight.shape) for weight, _ in stored]:
+        raise ValueError(f"{path}: its convolutions are not those of this network; was it exported from another one?")
+    shift = {}
+    for conv, (weight, bias) in zip(order, stored, strict=True):
+        conv.weight.data.copy_(weight)
+        if conv.bias is not None:
+            conv.bias.data.copy_(bias)
+        shift[conv] = bias
+
+    def undo(norm: nn.BatchNorm2d, bias: Tensor) -> None:
+        def measure(_module: nn.Module, inputs: tuple[Tensor, ...]) -> None:
+            (raw,) = inputs
+            mean, variance = raw.mean(dim=(0, 2, 3)), raw.var(dim=(0, 2, 3), unbiased=False)
+            assert norm.running_mean is not None
+            assert norm.running_var is not None
+            norm.running_mean.copy_(mean)
+            norm.running_var.copy_(variance)
+            norm.weight.data.copy_((variance + norm.eps).sqrt())
+            norm.bias.data.copy_(mean + bias)
+
+        hooks.append(norm.register_forward_pre_hook(measure))
+
+    hooks.clear()
+    for block in network.modules():
+        if isinstance(block, nn.Sequential):
+            for before, norm in pairwise(block):
+                if isinstance(before, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
+                    undo(norm, shift[before])
+    with torch.no_grad():
+        network(crops)  # one pass: each normalisation is set just before it is used
+    for hook in hooks:
+        hook.remove()
