@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from vehanchor.errors import VehAnchorError
 
 if TYPE_CHECKING:
+    from vehanchor.calibration import Calibration, load_calibration
     from vehanchor.detection import Detections, Detector
     from vehanchor.imagery import ImageLimits
     from vehanchor.measurement import AreaAnalysis, analyse_area, measure_area
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = [
     "AreaAnalysis",
     "AreaMeasurement",
+    "Calibration",
     "Detections",
     "Detector",
     "GsdEstimate",
@@ -42,6 +44,7 @@ __all__ = [
     "analyse_area",
     "analyse_scale",
     "estimate_gsd",
+    "load_calibration",
     "measure_area",
     "render_scene",
 ]
@@ -51,6 +54,7 @@ __version__ = version("vehanchor")
 _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
     "AreaAnalysis": "measurement",
     "AreaMeasurement": "records",
+    "Calibration": "calibration",
     "Detections": "detection",
     "Detector": "detection",
     "GsdEstimate": "records",
@@ -62,6 +66,7 @@ _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing un
     "analyse_area": "measurement",
     "analyse_scale": "perception",
     "estimate_gsd": "perception",
+    "load_calibration": "calibration",
     "measure_area": "measurement",
     "render_scene": "scene",
 }

@@ -1,4 +1,4 @@
-"""The command line: ``vehanchor estimate | measure | scene | models | serve | schemas``.
+"""The command line: ``vehanchor estimate | measure | batch | evaluate | calibrate | scene | models | serve | schemas``.
 
 Results go to stdout, everything else (progress, errors, warnings) to stderr. Exit status: 0 with a result, also where
 an image has no anchor; 2 for bad input, bad options or an output that cannot be written; 130 after Ctrl-C; 1 for
@@ -19,7 +19,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from vehanchor.cli_batch import batch
+from vehanchor.cli_calibrate import calibrate
+from vehanchor.cli_evaluate import evaluate
 from vehanchor.cli_measure import PointsCommand, measure
+from vehanchor.cli_sources import FilesCommand
 from vehanchor.errors import InvalidParameterError, ModelError, OutputError, VehAnchorError
 from vehanchor.terminal import (
     BAD_INPUT,
@@ -42,6 +46,7 @@ from vehanchor_server.command import schemas, serve
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from vehanchor.calibration import Calibration
     from vehanchor.detection import Detector, DetectorCard
     from vehanchor.perception import ScaleAnalysis, ScaleOptions
     from vehanchor.records import GsdEstimate
@@ -154,6 +159,10 @@ def estimate(
         str | None,
         typer.Option(metavar="NAME", help="Take the model's reference length of a region: europe, north_america, ..."),
     ] = None,
+    calibration: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="Take the reference length that 'vehanchor calibrate' measured."),
+    ] = None,
     aggregation: Annotated[
         _Aggregation, typer.Option(help="How lengths become one; below 5 vehicles a KDE gives way to the median.")
     ] = _Aggregation.kde,
@@ -166,6 +175,14 @@ def estimate(
     nms_iou: Annotated[
         float, typer.Option("--nms-iou", metavar="P", help="Of two boxes that overlap by more (IoU) one is dropped.")
     ] = 0.45,
+    search_scales: Annotated[
+        bool | None,
+        typer.Option(
+            "--search-scales/--no-search-scales",
+            help="Search copies at 1/2, 1/4 and 1/8, too, for vehicles longer than the model was trained on. "
+            "Default: the model's choice.",
+        ),
+    ] = None,
     tile: Annotated[
         int | None, typer.Option(metavar="PX", help="Side of a tile, pixels. Default: 1024, or the model's input.")
     ] = None,
@@ -202,10 +219,12 @@ def estimate(
                 alpha=_alpha(alpha),
                 min_score=min_score,
                 nms_iou=nms_iou,
+                search_scales=search_scales,
                 tile_px=tile,
                 stride_px=stride,
                 reference_length_m=reference_length,
                 region=region,
+                calibration=_calibration(calibration),
                 frame_width_px=frame[0] if frame else None,
                 frame_height_px=frame[1] if frame else None,
                 bands=bands,
@@ -301,6 +320,12 @@ def _scale_options(**choices: Any) -> ScaleOptions:
     return ScaleOptions(**choices)
 
 
+def _calibration(file: str | None) -> Calibration | None:
+    from vehanchor.calibration import opened_calibration
+
+    return opened_calibration(file)
+
+
 def _open_detector(
     model: str | None, classes: Sequence[str] | None, threads: int | None, providers: Sequence[str] | None
 ) -> Detector:
@@ -346,10 +371,11 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
     ]
     size = f"{record.image_width_px} x {record.image_height_px} px"
     if record.gsd_m_per_px is not None and record.mode_length_px is not None:
+        found_at = f", found at {record.working_scale:g} of the size" if record.working_scale not in (None, 1) else ""
         facts.append(
             (
                 "modal length",
-                f"{record.mode_length_px:.1f} px ({record.aggregation}) = {record.reference_length_m:.4g} m",
+                f"{record.mode_length_px:.1f} px ({record.aggregation}) = {record.reference_length_m:.4g} m{found_at}",
             )
         )
         width_m, height_m = (side * record.gsd_m_per_px for side in (record.image_width_px, record.image_height_px))
@@ -519,5 +545,8 @@ def _card_record(card: DetectorCard) -> dict[str, Any]:
 # --- Commands of their own modules -----------------------------------------------------------------------------------
 
 app.command(cls=PointsCommand)(measure)
+app.command()(batch)
+app.add_typer(evaluate, name="evaluate")
+app.command(cls=FilesCommand)(calibrate)
 app.command()(serve)
 app.command()(schemas)

@@ -101,6 +101,10 @@ def measure(
         str | None,
         typer.Option(metavar="NAME", help="Take the model's reference length of a region: europe, north_america, ..."),
     ] = None,
+    calibration: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="Take the reference length that 'vehanchor calibrate' measured."),
+    ] = None,
     bands: Annotated[
         tuple[int, int, int] | None,
         typer.Option(metavar="R G B", help="Bands to take as red, green and blue, from 1. Default: the first three."),
@@ -124,6 +128,7 @@ def measure(
                 {
                     "reference_length_m": reference_length,
                     "region": region,
+                    "calibration": calibration,
                     "frame_width_px": frame[0] if frame else None,
                     "frame_height_px": frame[1] if frame else None,
                     "bands": bands,
@@ -186,10 +191,11 @@ def _analyse(
     *,
     quiet: bool,
 ) -> tuple[AreaAnalysis, ScaleOptions]:
+    from vehanchor.calibration import opened_calibration
     from vehanchor.measurement import analyse_area
     from vehanchor.perception import ScaleOptions
 
-    options = ScaleOptions(**choices)
+    options = ScaleOptions(**choices | {"calibration": opened_calibration(choices["calibration"])})
     with tile_progress(1, lines_on_terminal=quiet) as step:
         analysis = analyse_area(
             image,

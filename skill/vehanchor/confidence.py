@@ -6,7 +6,7 @@ by ``training/detector/fit_confidence.py``.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
@@ -17,23 +17,35 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 __all__ = [
+    "DISPUTE_CONFIDENCE",
     "FALLBACK_CONFIDENCE",
     "GUARD_CONFIDENCE",
     "GUARD_GSD_M_PER_PX",
+    "FleetDoubt",
     "composite",
     "confidence_terms",
+    "fleet_doubts",
     "guard_length",
 ]
 
 FALLBACK_CONFIDENCE = 0.5  # paper, section III-E: below it a planner must fall back
 GUARD_GSD_M_PER_PX = 0.3  # paper, GSD_max
 GUARD_CONFIDENCE = 0.3  # paper: C = min(C_raw, 0.3)
+DISPUTE_CONFIDENCE = 0.4  # where it is open whether the dominant lengths are those of cars
+_RIVAL_SHARE = 0.35  # of the dominant group's weight in another group of lengths
+_ALIKE_LOG_SPREAD = 0.04  # fleets of the train split have 0.048 and more; equal things drawn in rows 0.03 to 0.06
+_ALIKE_VEHICLES = 20  # from so many on the spread is known to a sixth
+_CLEAR_PERCENTILE = 90
 _WEIGHTS = ConfidenceTerms.model_construct(sample=0.35, concentration=0.35, quality=0.20, plausibility=0.10)  # paper
 
 _SAMPLE_SCALE = 12.0  # vehicles; 1 - exp(-n / 12): 5 give 0.34, 20 give 0.81
 _CV_FULL, _CV_NONE = 0.05, 0.25  # coefficient of variation: a clean fleet; lengths that say nothing
 _SCORE_NONE, _SCORE_FULL = 0.55, 0.75  # median detection score
+_QUARTILES_PER_SD = 1.349  # of a normal distribution
 _FADE = 1.5  # factor outside the trained range over which plausibility falls to 0
+
+
+FleetDoubt: TypeAlias = Literal["lengths_disagree", "lengths_alike", "scores_unclear"]
 
 
 def _ramp(value: float, zero_at: float, one_at: float) -> float:
@@ -74,6 +86,39 @@ def confidence_terms(
     )
 
 
+def fleet_doubts(
+    lengths: ArrayLike, scores: ArrayLike, *, rival_share: float, clear_score: float
+) -> tuple[FleetDoubt, ...]:
+    """What speaks against vehicles being cars, where a search over scales has given up their size as evidence.
+
+    * ``lengths_disagree``: another group of lengths has 0.35 or more of the evidence of this one.
+    * ``lengths_alike``: 20 or more vehicles whose log lengths spread by less than 0.04 (interquartile range over
+      1.349): a yard of equal lorries, containers or roof units. Makes and models differ by 0.08.
+    * ``scores_unclear``: not a tenth of them reach the score that some cars of every fleet do.
+
+    Args:
+        lengths: ``[n]`` pixels of the kept vehicles.
+        scores: ``[n]`` their detection scores.
+        rival_share: see ``vehanchor.scale.dominant_group``.
+        clear_score: score that the best tenth of a fleet reaches with this model; 0 where it is not known.
+
+    Returns:
+        The doubts, as codes of warnings; none for no vehicles.
+    """
+    values, score = np.asarray(lengths, dtype=np.float64), np.asarray(scores, dtype=np.float64)
+    if len(values) == 0:
+        return ()
+    doubts: list[FleetDoubt] = []
+    if rival_share >= _RIVAL_SHARE:
+        doubts.append("lengths_disagree")
+    low, high = np.percentile(np.log(values), [25, 75])
+    if len(values) >= _ALIKE_VEHICLES and (high - low) / _QUARTILES_PER_SD < _ALIKE_LOG_SPREAD:
+        doubts.append("lengths_alike")
+    if np.percentile(score, _CLEAR_PERCENTILE) < clear_score:
+        doubts.append("scores_unclear")
+    return tuple(doubts)
+
+
 def guard_length(reference_length_m: float, min_length_px: float = 0.0) -> float:
     """``P_thresh`` of the resolution guard (paper, equation 6), raised where the model needs longer vehicles.
 
@@ -87,12 +132,21 @@ def guard_length(reference_length_m: float, min_length_px: float = 0.0) -> float
     return max(reference_length_m / GUARD_GSD_M_PER_PX, min_length_px)
 
 
-def composite(terms: ConfidenceTerms, *, guarded: bool) -> float:
-    """Weighted sum of the terms (paper, equation 5), capped at 0.3 where the resolution guard holds."""
+def composite(terms: ConfidenceTerms, *, guarded: bool, disputed: bool = False) -> float:
+    """Weighted sum of the terms (paper, equation 5).
+
+    Args:
+        terms: as ``confidence_terms`` gives them.
+        guarded: whether the resolution guard holds: at most 0.3.
+        disputed: whether there are doubts that the vehicles are cars (``fleet_doubts``): at most 0.4.
+
+    Returns:
+        C in [0, 1].
+    """
     total = (
         _WEIGHTS.sample * terms.sample
         + _WEIGHTS.concentration * terms.concentration
         + _WEIGHTS.quality * terms.quality
         + _WEIGHTS.plausibility * terms.plausibility
     )
-    return min(total, GUARD_CONFIDENCE) if guarded else min(total, 1.0)
+    return min(total, GUARD_CONFIDENCE if guarded else DISPUTE_CONFIDENCE if disputed else 1.0)

@@ -14,7 +14,7 @@ import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ import numpy as np
 from vehanchor.errors import InvalidParameterError, ModelContractError
 from vehanchor.obb import NMS_IOU, box_corners, canonical_boxes, oriented_nms
 from vehanchor.onnx_session import DEFAULT_PROVIDERS, check_model_file, metadata_number, open_session
-from vehanchor.tiling import TILE_OVERLAP, TILE_SIZE_PX, tile_grid
+from vehanchor.tiling import TILE_OVERLAP, TILE_SIZE_PX, read_reduced_window, tile_grid
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -32,12 +32,23 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery import Raster, Window
 
-__all__ = ["Detections", "Detector", "DetectorCard", "detect_vehicles", "load_detector"]
+__all__ = [
+    "Detections",
+    "Detector",
+    "DetectorCard",
+    "SearchLevel",
+    "detect_vehicles",
+    "load_detector",
+    "search_levels",
+]
 
 MIN_SCORE = 0.1  # paper, section III-B
 REFERENCE_LENGTH_M = 5.045  # paper, section III-F: KDE mode of the DOTA v1.5 training labels
 REFERENCE_LENGTH_SD_M = 0.25  # half of the paper's +-0.5 m sweep, taken as two standard deviations between regions
 LENGTH_RANGE_PX = (9.0, 120.0)  # what a DOTA-trained model at 1024 px has seen of small vehicles
+SEARCH_FACTORS = (1, 2, 4, 8)  # the image is searched at 1/1, 1/2, 1/4 and 1/8: a third more pixels in all
+MIN_LEVEL_SIDE_PX = 96  # a reduced image with a shorter side is not searched: it would hold a car or two
+LEVEL_OVERLAP = 1.25  # factor by which the length ranges of two levels overlap: a car at their border is seen by both
 _REGION_RATIOS = {"europe": 4.5 / 5.045, "north_america": 5.5 / 5.045}  # paper, section IV-D
 _VEHICLE_NAMES = ("small vehicle", "car", "vehicle")  # in this order, the first that the model knows
 _DOTA_NAMES = (
@@ -64,6 +75,8 @@ class DetectorCard:
         min_length_px: shortest length measured without bias; 0 where nothing is known.
         min_score: detections below it are dropped.
         licence: of the weights, as the file states it.
+        search_scales: whether the model is meant to be run at reduced resolutions, too.
+        clear_score: score that the best tenth of the cars of any place reaches; 0 where it is not known.
     """
 
     name: str
@@ -76,6 +89,8 @@ class DetectorCard:
     min_length_px: float
     min_score: float
     licence: str | None
+    search_scales: bool = False
+    clear_score: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,12 +102,33 @@ class Detections:
         scores: ``[n]`` float64 in [0, 1].
         n_tiles: tiles that were searched.
         n_capped_tiles: tiles in which an end-to-end model had no row left, so that vehicles may be missing.
+        scales: ``[n]`` float64, the scale of the image in which each was found: 1, 0.5, 0.25 or 0.125; None stands
+            for a search at full resolution alone.
     """
 
     boxes: NDArray[np.float64]
     scores: NDArray[np.float64]
     n_tiles: int = 1
     n_capped_tiles: int = 0
+    scales: NDArray[np.float64] | None = None
+
+
+class SearchLevel(NamedTuple):
+    """One resolution at which an image is searched, and the lengths that count there.
+
+    Attributes:
+        factor: the image is reduced by it.
+        width_px: columns of the reduced image.
+        height_px: its rows.
+        shortest_px: shortest vehicle that counts here, in pixels of the reduced image.
+        longest_px: longest one.
+    """
+
+    factor: int
+    width_px: int
+    height_px: int
+    shortest_px: float
+    longest_px: float
 
 
 def _class_names(metadata: Mapping[str, str]) -> dict[int, str]:
@@ -133,6 +169,8 @@ def _read_card(path: Path, sha256: str, metadata: Mapping[str, str]) -> Detector
         min_length_px=metadata_number(metadata, "min_length_px", 0.0),
         min_score=metadata_number(metadata, "min_score", MIN_SCORE),
         licence=metadata.get("license"),
+        search_scales=metadata_number(metadata, "search_scales", 0.0) > 0,
+        clear_score=metadata_number(metadata, "clear_score", 0.0),
     )
 
 
@@ -311,7 +349,45 @@ def load_detector(
     return Detector(path, threads=threads, providers=providers)
 
 
-def _cut_by_tile(boxes: NDArray[np.float64], tile: Window, raster: Raster, overlap_px: int) -> NDArray[np.bool_]:
+def search_levels(
+    width_px: int, height_px: int, length_range_px: tuple[float, float], *, search_scales: bool
+) -> list[SearchLevel]:
+    """The resolutions at which an image is searched, finest first.
+
+    A vehicle is measured at the finest level at which it is not longer than what the model was trained on: there it has
+    the most pixels. So each coarser level counts the lengths from half of that limit up, less an overlap: a fleet at
+    the border of two levels is cut off by neither, and boxes of one vehicle found twice are merged by the non-maximum
+    suppression. The finest level has no lower and the coarsest no upper limit.
+
+    Args:
+        width_px: of the image.
+        height_px: of the image.
+        length_range_px: shortest and longest vehicle that the model was trained on.
+        search_scales: False gives full resolution alone.
+
+    Returns:
+        Levels whose shorter side has at least 96 px; always full resolution.
+    """
+    longest = length_range_px[1]
+    shortest = longest / 2 / LEVEL_OVERLAP
+    factors = [
+        factor
+        for factor in SEARCH_FACTORS
+        if factor == 1 or (search_scales and min(width_px, height_px) // factor >= MIN_LEVEL_SIDE_PX)
+    ]
+    return [
+        SearchLevel(
+            factor,
+            width_px // factor,
+            height_px // factor,
+            0.0 if factor == 1 else shortest,
+            np.inf if factor == factors[-1] else longest,
+        )
+        for factor in factors
+    ]
+
+
+def _cut_by_tile(boxes: NDArray[np.float64], tile: Window, level: SearchLevel, overlap_px: int) -> NDArray[np.bool_]:
     """Boxes cut by a tile's inner edge, which the next tile sees whole: their length is not the vehicle's."""
     corners = box_corners(boxes)
     low, high = corners.min(axis=1), corners.max(axis=1)
@@ -320,9 +396,9 @@ def _cut_by_tile(boxes: NDArray[np.float64], tile: Window, raster: Raster, overl
         over |= low[:, 0] < 1
     if tile.y_px > 0:
         over |= low[:, 1] < 1
-    if tile.x_px + tile.width_px < raster.width_px:
+    if tile.x_px + tile.width_px < level.width_px:
         over |= high[:, 0] > tile.width_px - 1
-    if tile.y_px + tile.height_px < raster.height_px:
+    if tile.y_px + tile.height_px < level.height_px:
         over |= high[:, 1] > tile.height_px - 1
     return over & (boxes[:, 2] < overlap_px)
 
@@ -335,10 +411,11 @@ def detect_vehicles(
     tile_px: int | None = None,
     stride_px: int | None = None,
     nms_iou: float = NMS_IOU,
+    search_scales: bool | None = None,
     progress: Callable[[int, int], None] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> Detections:
-    """Search an image tile by tile and merge the results (paper, section III-B).
+    """Search an image tile by tile, at one or more resolutions, and merge the results (paper, section III-B).
 
     Args:
         raster: the image; only one tile of it is held at a time.
@@ -347,6 +424,8 @@ def detect_vehicles(
         tile_px: side of the tiles; default 1024, or the model's input where that is fixed.
         stride_px: step between tiles; default three quarters of ``tile_px``.
         nms_iou: IoU above which the lower-scored of two boxes is dropped.
+        search_scales: whether to search reduced copies of the image, too (see ``search_levels``); default the model's
+            own, False for foreign models.
         progress: called with (tiles done, tiles in all); an exception it raises ends the search.
         run_options: see ``Detector.detect_tile``.
 
@@ -363,21 +442,31 @@ def detect_vehicles(
     stride = round(tile_px * (1 - TILE_OVERLAP)) if stride_px is None else stride_px
     if tile_px < 32 or not 1 <= stride <= tile_px:
         raise InvalidParameterError(f"tile_px {tile_px}, stride_px {stride}: use a tile >= 32 and a stride within it")
-    threshold = detector.card.min_score if min_score is None else min_score
-    tiles = tile_grid(raster.width_px, raster.height_px, tile_px=tile_px, stride_px=stride)
-    boxes, scores, n_capped = [np.zeros((0, 5))], [np.zeros(0)], 0
-    for done, tile in enumerate(tiles):
+    card = detector.card
+    threshold = card.min_score if min_score is None else min_score
+    wide = card.search_scales if search_scales is None else search_scales
+    levels = search_levels(raster.width_px, raster.height_px, card.length_range_px, search_scales=wide)
+    visits = [
+        (level, tile)
+        for level in levels
+        for tile in tile_grid(level.width_px, level.height_px, tile_px=tile_px, stride_px=stride)
+    ]
+    boxes, scores, scales, n_capped = [np.zeros((0, 5))], [np.zeros(0)], [np.zeros(0)], 0
+    for done, (level, tile) in enumerate(visits):
         if progress:
-            progress(done, len(tiles))
-        local, score, capped = detector.detect_tile(raster.read(tile), threshold, run_options)
+            progress(done, len(visits))
+        pixels = read_reduced_window(raster, tile, level.factor)
+        local, score, capped = detector.detect_tile(pixels, threshold, run_options)
         n_capped += capped
-        whole = ~_cut_by_tile(local, tile, raster, tile_px - stride)
-        local[:, 0] += tile.x_px
-        local[:, 1] += tile.y_px
-        boxes.append(local[whole])
-        scores.append(score[whole])
+        counted = (local[:, 2] >= level.shortest_px) & (local[:, 2] <= level.longest_px)
+        counted &= ~_cut_by_tile(local, tile, level, tile_px - stride)
+        local[:, :2] += tile.x_px, tile.y_px
+        local[:, :4] *= level.factor
+        boxes.append(local[counted])
+        scores.append(score[counted])
+        scales.append(np.full(np.count_nonzero(counted), 1 / level.factor))
     if progress:
-        progress(len(tiles), len(tiles))
-    found, found_scores = np.concatenate(boxes), np.concatenate(scores)
+        progress(len(visits), len(visits))
+    found, found_scores, found_scales = np.concatenate(boxes), np.concatenate(scores), np.concatenate(scales)
     kept = oriented_nms(found, found_scores, iou_threshold=nms_iou)
-    return Detections(found[kept], found_scores[kept], len(tiles), n_capped)
+    return Detections(found[kept], found_scores[kept], len(visits), n_capped, found_scales[kept] if wide else None)

@@ -13,8 +13,13 @@
     - ModelNotFoundError                 ``model_not_found``    no such file, and no model of that name
     - ModelContractError (ValueError)    ``model_contract``     not ONNX, or not a model this code can read
     - ProviderUnavailableError           ``provider_unavailable``  ONNX Runtime lacks the execution provider
+  x CalibrationError
+    - CalibrationFileError (ValueError)  ``calibration_unreadable``  no such file, or not a calibration
+    - CalibrationMismatchError (ValueError)  ``calibration_mismatch``  made for another detector
+    - CalibrationRefusedError            ``calibration_refused``  too few vehicles, or imagery too coarse
   x MissingExtraError (ImportError)      ``missing_extra``      an optional dependency is not installed
   x OutputError                          ``output_unwritable``  a result cannot be written: no folder, odd suffix
+  x WorkerDiedError                      ``worker_died``        a process of a batch run was killed
 
 ``code`` is stable: programs may match on it. The message says what was wrong, with the value, and what to do.
 """
@@ -22,6 +27,10 @@
 from __future__ import annotations
 
 __all__ = [
+    "CalibrationError",
+    "CalibrationFileError",
+    "CalibrationMismatchError",
+    "CalibrationRefusedError",
     "FrameError",
     "ImageDecodeError",
     "ImageError",
@@ -37,6 +46,7 @@ __all__ = [
     "PromptError",
     "ProviderUnavailableError",
     "VehAnchorError",
+    "WorkerDiedError",
 ]
 
 
@@ -118,6 +128,30 @@ class ProviderUnavailableError(ModelError):
     code = "provider_unavailable"
 
 
+class CalibrationError(VehAnchorError):
+    """A reference length cannot be measured, or a measured one cannot be used."""
+
+    code = "calibration_error"
+
+
+class CalibrationFileError(CalibrationError, ValueError):
+    """There is no calibration file at the path, or it is not one."""
+
+    code = "calibration_unreadable"
+
+
+class CalibrationMismatchError(CalibrationError, ValueError):
+    """The calibration was made for another detector."""
+
+    code = "calibration_mismatch"
+
+
+class CalibrationRefusedError(CalibrationError):
+    """The images do not support a reference length: too few vehicles, or imagery too coarse."""
+
+    code = "calibration_refused"
+
+
 class MissingExtraError(VehAnchorError, ImportError):
     """An optional dependency is missing; the message names the extra to install."""
 
@@ -128,3 +162,9 @@ class OutputError(VehAnchorError):
     """A file cannot be written: its folder does not exist, its suffix is unknown, or the disk refuses."""
 
     code = "output_unwritable"
+
+
+class WorkerDiedError(VehAnchorError):
+    """A worker process of a batch run was killed, for want of memory as a rule; the rows so far are kept."""
+
+    code = "worker_died"

@@ -19,7 +19,9 @@ from vehanchor.area import (
     perimeter,
     rotated_extents,
 )
+from vehanchor.calibration import opened_calibration
 from vehanchor.confidence import FALLBACK_CONFIDENCE
+from vehanchor.detection import Detector
 from vehanchor.errors import InvalidParameterError, PromptError
 from vehanchor.imagery import open_raster
 from vehanchor.model_zoo import resolve_segmenter
@@ -54,7 +56,7 @@ if TYPE_CHECKING:
     import onnxruntime
     from numpy.typing import NDArray
 
-    from vehanchor.detection import Detector
+    from vehanchor.calibration import Calibration
     from vehanchor.imagery import ImageLimits, ImageSource, Raster
     from vehanchor.perception import ScaleAnalysis
     from vehanchor.records import Aggregation, GsdEstimate, ScaleSource, Status
@@ -104,10 +106,12 @@ def measure_area(
     tile_px: int | None = None,
     stride_px: int | None = None,
     nms_iou: float = NMS_IOU,
+    search_scales: bool | None = None,
     alpha: float | None = OUTLIER_ALPHA,
     aggregation: Aggregation = "kde",
     reference_length_m: float | None = None,
     region: str | None = None,
+    calibration: Calibration | str | os.PathLike[str] | None = None,
     frame_width_px: int | None = None,
     frame_height_px: int | None = None,
     bands: tuple[int, int, int] | None = None,
@@ -130,10 +134,12 @@ def measure_area(
         tile_px: tile side, pixels.
         stride_px: step between tiles, pixels.
         nms_iou: IoU of the non-maximum suppression.
+        search_scales: search reduced copies of the image, too.
         alpha: factor of the outlier filter, None for off.
         aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean``.
         reference_length_m: the fleet's modal vehicle length, metres.
         region: take the model's reference length for a region.
+        calibration: take the reference length of a calibration, or of its file.
         frame_width_px: width of the caller's resized copy.
         frame_height_px: its height.
         bands: three 1-based bands.
@@ -148,16 +154,19 @@ def measure_area(
         ModelError: the segmenter or the detector cannot be used.
         InvalidParameterError: an option has no meaning.
         FrameError: the frame has another aspect ratio than the image.
+        CalibrationError: the calibration cannot be read, or was made for another detector.
     """
     options = ScaleOptions(
         min_score=min_score,
         tile_px=tile_px,
         stride_px=stride_px,
         nms_iou=nms_iou,
+        search_scales=search_scales,
         alpha=alpha,
         aggregation=aggregation,
         reference_length_m=reference_length_m,
         region=region,
+        calibration=opened_calibration(calibration),
         frame_width_px=frame_width_px,
         frame_height_px=frame_height_px,
         bands=bands,
@@ -210,23 +219,54 @@ def analyse_area(
         VehAnchorError: as ``measure_area``.
     """
     chosen = options or ScaleOptions()
-    given = _read_prompt(box, points)
+    prompt = read_prompt(box, points)
     if gsd_m_per_px is not None and not (math.isfinite(gsd_m_per_px) and gsd_m_per_px > 0):
         raise InvalidParameterError(f"gsd_m_per_px is {gsd_m_per_px}: use a finite number > 0")
     segmenting = _open_segmenter(segmenter, threads)
-    detecting = open_detector(detector, chosen, threads=threads) if gsd_m_per_px is None else None
+    scale = gsd_m_per_px or open_detector(detector, chosen, threads=threads)
     with open_raster(image, bands=chosen.bands, limits=chosen.limits) as raster:
-        check_frame(chosen, raster.width_px, raster.height_px)
-        prompt = _in_image(given, chosen, raster.width_px, raster.height_px)
-        # The mask first: it is the quicker of the two to find out that the prompt cannot be read.
-        found = segmenting.segment(raster, prompt, limits=chosen.limits, run_options=run_options)
-        scale = None
-        if detecting is not None:
-            scale = analyse_raster(raster, detecting, chosen, progress=progress, run_options=run_options)
-        measurement = _conclude(
-            raster, found, prompt, segmenting.card, chosen, None if scale is None else scale.estimate, gsd_m_per_px
-        )
-    return AreaAnalysis(measurement, found, prompt, scale)
+        return analyse_object(raster, prompt, segmenting, scale, chosen, progress=progress, run_options=run_options)
+
+
+def analyse_object(
+    raster: Raster,
+    prompt: Prompt,
+    segmenter: Segmenter,
+    scale: Detector | float,
+    options: ScaleOptions,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    run_options: onnxruntime.RunOptions | None = None,
+) -> AreaAnalysis:
+    """As ``analyse_area``, of an image that is open already.
+
+    Args:
+        raster: the image.
+        prompt: what ``read_prompt`` gave, in the frame's pixels where the options name one.
+        segmenter: finds the object.
+        scale: what finds the vehicles, or a known scale in metres per pixel.
+        options: every choice of the method of scale.
+        progress: of the search for vehicles.
+        run_options: ONNX Runtime's.
+
+    Returns:
+        The record, the mask, the prompt in the image's pixels and the scale's analysis.
+
+    Raises:
+        VehAnchorError: as ``measure_area``.
+    """
+    check_frame(options, raster.width_px, raster.height_px)
+    prompt = _in_image(prompt, options, raster.width_px, raster.height_px)
+    # The mask first: it is the quicker of the two to find out that the prompt cannot be read.
+    found = segmenter.segment(raster, prompt, limits=options.limits, run_options=run_options)
+    known_gsd = estimated = None
+    if isinstance(scale, Detector):
+        estimated = analyse_raster(raster, scale, options, progress=progress, run_options=run_options)
+    else:
+        known_gsd = scale
+    estimate = None if estimated is None else estimated.estimate
+    measurement = _conclude(raster, found, prompt, segmenter.card, options, estimate, known_gsd)
+    return AreaAnalysis(measurement, found, prompt, estimated)
 
 
 def _open_segmenter(segmenter: SegmenterSource | None, threads: int | None) -> Segmenter:
@@ -243,8 +283,12 @@ def _open_segmenter(segmenter: SegmenterSource | None, threads: int | None) -> S
 # --- Prompts ---------------------------------------------------------------------------------------------------------
 
 
-def _read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
-    """One prompt as the caller gave it, checked for itself."""
+def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
+    """One prompt as the caller gave it, checked for itself.
+
+    Raises:
+        PromptError: neither or both, or what names nothing in any image.
+    """
     if (box is None) == (not points):
         found = "neither is given" if box is None else "both are given"
         raise PromptError(f"give a box or points, one of the two: {found}")

@@ -1,19 +1,31 @@
-"""Opening an ONNX file with ONNX Runtime, every failure as an error of ours."""
+"""Opening an ONNX file with ONNX Runtime, every failure as an error of ours.
+
+The official builds of ONNX Runtime report their use to its makers unless the environment says no before the first
+import. What a planner looks at is nobody's business: this module says no, unless the user has decided otherwise.
+"""
 
 from __future__ import annotations
 
 import math
+import os
 from typing import TYPE_CHECKING
+
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 import onnxruntime
 
-from vehanchor.errors import InvalidParameterError, ModelContractError, ModelNotFoundError, ProviderUnavailableError
+from vehanchor.errors import (
+    InvalidParameterError,
+    ModelContractError,
+    ModelNotFoundError,
+    ProviderUnavailableError,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-__all__ = ["DEFAULT_PROVIDERS", "check_model_file", "metadata_number", "open_session"]
+__all__ = ["DEFAULT_PROVIDERS", "check_model_file", "metadata_number", "open_session", "stoppable"]
 
 DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
 
@@ -28,6 +40,11 @@ def check_model_file(path: Path) -> None:
         raise ModelNotFoundError(
             f"no model file at {path}; pass the path of an ONNX file, or see 'vehanchor models list'"
         )
+
+
+def stoppable() -> onnxruntime.RunOptions:
+    """Options for runs that another thread can end: it sets their ``terminate``."""
+    return onnxruntime.RunOptions()
 
 
 def open_session(

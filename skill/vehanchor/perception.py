@@ -12,14 +12,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.confidence import FALLBACK_CONFIDENCE, composite, confidence_terms, guard_length
+from vehanchor.calibration import Calibration, opened_calibration
+from vehanchor.confidence import FALLBACK_CONFIDENCE, composite, confidence_terms, fleet_doubts, guard_length
+from vehanchor.detail import resolved_share
 from vehanchor.detection import Detections, Detector, detect_vehicles, load_detector
 from vehanchor.errors import FrameError, InvalidParameterError
 from vehanchor.imagery import ImageLimits, ImageSource, open_raster
 from vehanchor.model_zoo import resolve_model
 from vehanchor.obb import NMS_IOU
 from vehanchor.records import Aggregation, FrameScale, GsdEstimate, Notice
-from vehanchor.scale import OUTLIER_ALPHA, gsd_interval, inlier_mask, modal_length
+from vehanchor.scale import OUTLIER_ALPHA, LengthGroup, dominant_group, gsd_interval, inlier_mask, modal_length
 
 if TYPE_CHECKING:
     import os
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     import onnxruntime
     from numpy.typing import NDArray
 
+    from vehanchor.confidence import FleetDoubt
     from vehanchor.detection import DetectorCard
     from vehanchor.imagery import Raster
 
@@ -35,6 +38,15 @@ __all__ = ["ScaleAnalysis", "ScaleOptions", "analyse_scale", "estimate_gsd", "sc
 
 GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale and the estimate may differ by this before a warning
 DEFAULT_LIMITS = ImageLimits()
+_DOUBTS: dict[FleetDoubt, str] = {
+    "lengths_disagree": "Vehicles of two sizes were found, and the evidence for the other size is not much weaker "
+    "than for the one that was used. One of them is not cars: the scale may be off by the ratio of the sizes.",
+    "lengths_alike": "The vehicles are all of one length, as no fleet of cars is: they may be equal lorries, "
+    "containers or roof units, and the scale off by the ratio of their length to a car's.",
+    "scores_unclear": "None of the vehicles is clearly a car: they may be things of similar shape at another scale.",
+}
+_LEAST_SCORE = 1e-3  # below it a detection is no evidence, but still one
+_REFERENCE_SETTERS = ("reference_length_m", "region", "calibration")
 _AGGREGATIONS = ("kde", "weighted_kde", "median", "mean")
 
 
@@ -47,10 +59,13 @@ class ScaleOptions:
         tile_px: tile side; None is 1024, or the model's input where that is fixed.
         stride_px: step between tiles; None is three quarters of the tile.
         nms_iou: IoU above which the weaker of two boxes is dropped.
+        search_scales: search reduced copies of the image, too, for vehicles longer than the model was trained on; None
+            takes the model's own choice (no, for foreign models).
         alpha: outlier filter, ``P_i <= alpha * median``; None switches it off.
         aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean``.
         reference_length_m: ``L_ref``; None takes the model's.
         region: take the model's reference length for this region (``europe``, ``north_america``, ...) instead.
+        calibration: take the reference length measured for this fleet and detector (see ``load_calibration``) instead.
         frame_width_px: width of the resized copy the caller works in; with ``frame_height_px``.
         frame_height_px: its height.
         bands: three 1-based bands to take as red, green, blue; None takes the first three.
@@ -61,10 +76,12 @@ class ScaleOptions:
     tile_px: int | None = None
     stride_px: int | None = None
     nms_iou: float = NMS_IOU
+    search_scales: bool | None = None
     alpha: float | None = OUTLIER_ALPHA
     aggregation: Aggregation = "kde"
     reference_length_m: float | None = None
     region: str | None = None
+    calibration: Calibration | None = None
     frame_width_px: int | None = None
     frame_height_px: int | None = None
     bands: tuple[int, int, int] | None = None
@@ -73,7 +90,11 @@ class ScaleOptions:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if isinstance(value, (int, float)) and not (math.isfinite(value) and value > 0):
+            if (
+                isinstance(value, (int, float))
+                and not isinstance(value, bool)
+                and not (math.isfinite(value) and value > 0)
+            ):
                 allowed_zero = field.name in ("min_score", "nms_iou") and value == 0
                 if not allowed_zero:
                     raise InvalidParameterError(f"{field.name} is {value}: use a finite number > 0")
@@ -82,8 +103,9 @@ class ScaleOptions:
                 raise InvalidParameterError(f"{name} is {value}: it lies in 0..1")
         if self.aggregation not in _AGGREGATIONS:
             raise InvalidParameterError(f"aggregation is {self.aggregation!r}: use one of {', '.join(_AGGREGATIONS)}")
-        if self.reference_length_m is not None and self.region is not None:
-            raise InvalidParameterError("give reference_length_m or region, not both: each sets the reference length")
+        setters = [name for name in _REFERENCE_SETTERS if getattr(self, name) is not None]
+        if len(setters) > 1:
+            raise InvalidParameterError(f"give {' or '.join(setters)}, not both: each sets the reference length")
         if (self.frame_width_px is None) != (self.frame_height_px is None):
             raise InvalidParameterError("a frame needs both frame_width_px and frame_height_px")
 
@@ -97,12 +119,14 @@ class ScaleAnalysis:
         detections: all vehicles found.
         kept: ``[n]`` bool, those that passed the outlier filter.
         guard_length_px: ``P_thresh`` of the resolution guard.
+        resolved: share of the pixels' resolution at which there is detail, see ``resolved_share``.
     """
 
     estimate: GsdEstimate
     detections: Detections
     kept: NDArray[np.bool_]
     guard_length_px: float
+    resolved: float = 1.0
 
 
 def estimate_gsd(
@@ -115,10 +139,12 @@ def estimate_gsd(
     tile_px: int | None = None,
     stride_px: int | None = None,
     nms_iou: float = NMS_IOU,
+    search_scales: bool | None = None,
     alpha: float | None = OUTLIER_ALPHA,
     aggregation: Aggregation = "kde",
     reference_length_m: float | None = None,
     region: str | None = None,
+    calibration: Calibration | str | os.PathLike[str] | None = None,
     frame_width_px: int | None = None,
     frame_height_px: int | None = None,
     bands: tuple[int, int, int] | None = None,
@@ -136,10 +162,12 @@ def estimate_gsd(
         tile_px: tile side, pixels.
         stride_px: step between tiles, pixels.
         nms_iou: IoU of the non-maximum suppression.
+        search_scales: search reduced copies of the image, too.
         alpha: factor of the outlier filter, None for off.
         aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean``.
         reference_length_m: the fleet's modal vehicle length, metres.
         region: take the model's reference length for a region.
+        calibration: take the reference length of a calibration, or of its file.
         frame_width_px: width of the caller's resized copy.
         frame_height_px: its height.
         bands: three 1-based bands.
@@ -153,16 +181,19 @@ def estimate_gsd(
         ModelError: the detector cannot be used.
         InvalidParameterError: an option has no meaning.
         FrameError: the frame has another aspect ratio than the image.
+        CalibrationError: the calibration cannot be read, or was made for another detector.
     """
     options = ScaleOptions(
         min_score=min_score,
         tile_px=tile_px,
         stride_px=stride_px,
         nms_iou=nms_iou,
+        search_scales=search_scales,
         alpha=alpha,
         aggregation=aggregation,
         reference_length_m=reference_length_m,
         region=region,
+        calibration=opened_calibration(calibration),
         frame_width_px=frame_width_px,
         frame_height_px=frame_height_px,
         bands=bands,
@@ -230,9 +261,11 @@ def analyse_raster(
         tile_px=options.tile_px,
         stride_px=options.stride_px,
         nms_iou=options.nms_iou,
+        search_scales=options.search_scales,
         progress=progress,
         run_options=run_options,
     )
+    kept, _ = _kept_vehicles(detections, options.alpha)
     return scale_from_detections(
         detections,
         detector.card,
@@ -240,6 +273,7 @@ def analyse_raster(
         image_width_px=raster.width_px,
         image_height_px=raster.height_px,
         georeference_gsd_m_per_px=raster.georeference_gsd_m_per_px,
+        resolved=resolved_share(raster, detections.boxes[kept, :2], _working_scale(detections, kept) or 1.0),
         notices=raster_notices(raster),
     )
 
@@ -257,6 +291,7 @@ def scale_from_detections(
     image_width_px: int,
     image_height_px: int,
     georeference_gsd_m_per_px: float | None = None,
+    resolved: float = 1.0,
     notices: tuple[Notice, ...] = (),
 ) -> ScaleAnalysis:
     """The second half of the skill: vehicles found to record, so that one search can serve several options.
@@ -268,6 +303,7 @@ def scale_from_detections(
         image_width_px: width of the image.
         image_height_px: its height.
         georeference_gsd_m_per_px: the scale that the file carries, to compare with.
+        resolved: share of the pixels' resolution at which there is detail, see ``resolved_share``.
         notices: warnings so far.
 
     Returns:
@@ -275,8 +311,10 @@ def scale_from_detections(
 
     Raises:
         InvalidParameterError: the model does not know the region.
+        CalibrationMismatchError: the calibration was made for another model.
     """
-    kept = inlier_mask(detections.boxes[:, 2], options.alpha)
+    kept, rival_share = _kept_vehicles(detections, options.alpha)
+    working_scale = _working_scale(detections, kept)
     lengths, scores = detections.boxes[kept, 2], detections.scores[kept]
     reference_m, reference_sd_m = _reference_length(card, options)
     warnings = list(notices)
@@ -295,14 +333,29 @@ def scale_from_detections(
         mode_px, aggregation = modal_length(lengths, scores, options.aggregation)
         gsd = reference_m / mode_px
         interval = gsd_interval(lengths, mode_px, reference_m, reference_sd_m)
-    guarded = mode_px is not None and mode_px < shortest_px
+    seen_px = (mode_px or math.nan) * (working_scale or 1.0)  # as the model saw them
+    unresolved = seen_px >= shortest_px > seen_px * resolved
+    guarded = seen_px < shortest_px or unresolved
+    if unresolved:
+        warnings.append(
+            Notice(
+                code="detail_missing",
+                message=f"The image has no detail finer than {1 / resolved:.2g} px, as after enlarging or blur: the "
+                f"vehicles' {seen_px:.1f} px hold no more than {seen_px * resolved:.1f} px would, and "
+                f"{shortest_px:.1f} px are needed. Give the original image.",
+            )
+        )
+    doubts: tuple[FleetDoubt, ...] = ()
+    if detections.scales is not None:
+        doubts = fleet_doubts(lengths, scores, rival_share=rival_share, clear_score=card.clear_score)
+    warnings += [Notice(code=doubt, message=_DOUBTS[doubt]) for doubt in doubts]
     terms = confidence_terms(
         lengths,
         scores,
-        mode_px or math.nan,
+        seen_px,
         (max(card.min_length_px, card.length_range_px[0]), card.length_range_px[1]),
     )
-    confidence = composite(terms, guarded=guarded)
+    confidence = composite(terms, guarded=guarded, disputed=bool(doubts))
     truth = georeference_gsd_m_per_px
     if gsd is not None and truth is not None and abs(gsd - truth) > GEOREFERENCE_TOLERANCE * truth:
         warnings.append(
@@ -321,6 +374,7 @@ def scale_from_detections(
         gsd_ci95_low_m_per_px=interval and interval.low,
         gsd_ci95_high_m_per_px=interval and interval.high,
         n_detections=len(detections.boxes),
+        working_scale=working_scale,
         aggregation=aggregation,
         reference_length_m=reference_m,
         resolution_guard=guarded,
@@ -333,7 +387,28 @@ def scale_from_detections(
         model_sha256=card.sha256,
         warnings=tuple(warnings),
     )
-    return ScaleAnalysis(estimate, detections, kept, shortest_px)
+    return ScaleAnalysis(estimate, detections, kept, shortest_px, resolved)
+
+
+def _kept_vehicles(detections: Detections, alpha: float | None) -> LengthGroup:
+    """The outlier filter; after a search over scales, within the lengths that can belong to one fleet."""
+    lengths = detections.boxes[:, 2]
+    if detections.scales is None or len(lengths) == 0:
+        return LengthGroup(inlier_mask(lengths, alpha), 0.0)
+    group = dominant_group(lengths, np.maximum(detections.scores, _LEAST_SCORE) ** 2)
+    kept = group.members.copy()
+    kept[kept] = inlier_mask(lengths[kept], alpha)
+    return LengthGroup(kept, group.rival_share)
+
+
+def _working_scale(detections: Detections, kept: NDArray[np.bool_]) -> float | None:
+    """The scale at which most of the kept vehicles were found, by score; the finer of two equal ones."""
+    if not kept.any():
+        return None
+    if detections.scales is None:
+        return 1.0
+    scales, which = np.unique(-detections.scales[kept], return_inverse=True)
+    return float(-scales[np.argmax(np.bincount(which, weights=detections.scores[kept]))])
 
 
 def _reference_length(card: DetectorCard, options: ScaleOptions) -> tuple[float, float]:
@@ -341,6 +416,9 @@ def _reference_length(card: DetectorCard, options: ScaleOptions) -> tuple[float,
 
     A caller who names the length or the region has settled most of what differs between regions: half of it remains.
     """
+    if options.calibration is not None:
+        options.calibration.check_detector(card.name, card.sha256)
+        return options.calibration.reference_length_m, options.calibration.reference_length_sd_m
     if options.reference_length_m is not None:
         return options.reference_length_m, card.reference_length_sd_m / 2
     if options.region is not None:

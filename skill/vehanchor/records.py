@@ -79,9 +79,16 @@ class GsdEstimate(_Record):
     gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of the 95 % interval of the GSD.")
     gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of the 95 % interval of the GSD.")
     n_detections: int = Field(ge=0, description="N: vehicles detected, before the outlier filter.")
+    working_scale: float | None = Field(
+        description="Scale of the copy of the image where most of the kept vehicles were found: 1 (full resolution), "
+        "0.5, 0.25 or 0.125; null without an anchor. All lengths are in pixels of the full image whatever it is."
+    )
     aggregation: Aggregation = Field(description="How lengths became one: the mode, or the median below 5 vehicles.")
     reference_length_m: float = Field(gt=0, description="L_ref: vehicle length that P_mode stands for, metres.")
-    resolution_guard: bool = Field(description="Whether the resolution guard capped the confidence at 0.3.")
+    resolution_guard: bool = Field(
+        description="Whether the resolution guard capped the confidence at 0.3: vehicles of too few pixels, or of too "
+        "little detail for their pixels (an enlarged image)."
+    )
     confidence_terms: ConfidenceTerms = Field(description="The terms that the confidence is the weighted sum of.")
     image_width_px: int = Field(gt=0, description="Width of the full image, pixels.")
     image_height_px: int = Field(gt=0, description="Height of the full image, pixels.")

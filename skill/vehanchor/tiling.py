@@ -1,13 +1,24 @@
-"""The tile grid: overlapping tiles that cover an image, each visited once."""
+"""The tile grid: overlapping tiles that cover an image, each visited once, at full resolution or reduced."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
 from vehanchor.imagery import Window
 
-__all__ = ["TILE_OVERLAP", "TILE_SIZE_PX", "tile_grid"]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.imagery import Raster
+
+__all__ = ["TILE_OVERLAP", "TILE_SIZE_PX", "read_reduced_window", "tile_grid"]
 
 TILE_SIZE_PX = 1024  # paper, section III-B
 TILE_OVERLAP = 0.25  # paper, section III-B: stride 768 px at 1024 px
+_BLOCK_PX = 1024  # side of what is read at once for a reduced window: 3 MiB
 
 
 def _starts(extent: int, tile: int, stride: int) -> list[int]:
@@ -37,3 +48,32 @@ def tile_grid(
         for y in _starts(height_px, tile_px, step)
         for x in _starts(width_px, tile_px, step)
     ]
+
+
+def read_reduced_window(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
+    """Read a window of a raster reduced by a whole factor, each pixel the mean of ``factor`` x ``factor`` of its.
+
+    Read block by block: the memory is that of the result and one block, however large the factor.
+
+    Args:
+        raster: the image.
+        window: in pixels of the reduced image, of ``width_px // factor`` columns and ``height_px // factor`` rows.
+        factor: 1 reads the window as it is.
+
+    Returns:
+        ``[h, w, 3]`` uint8 RGB.
+    """
+    if factor == 1:
+        return raster.read(window)
+    step = max(1, _BLOCK_PX // factor)
+    reduced = np.empty((window.height_px, window.width_px, 3), np.uint8)
+    for top in range(0, window.height_px, step):
+        rows = min(step, window.height_px - top)
+        for left in range(0, window.width_px, step):
+            columns = min(step, window.width_px - left)
+            x, y = (window.x_px + left) * factor, (window.y_px + top) * factor
+            block = raster.read(Window(x, y, columns * factor, rows * factor))
+            reduced[top : top + rows, left : left + columns] = cv2.resize(
+                block, (columns, rows), interpolation=cv2.INTER_AREA
+            )
+    return reduced

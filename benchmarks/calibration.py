@@ -1,0 +1,92 @@
+"""Reference lengths of rendered fleets, recovered: ``python benchmarks/calibration.py [--detector FILE]``.
+
+Scenes of three fleets, none of them the renderer's default, are written as a split of DOTA. Prints Markdown, kept in
+RESULTS.md: from labels the aim is 1 %; what the detector's own boxes give is shown beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import cv2
+
+from vehanchor.calibration import Calibration, SurveyedImage, calibrate
+from vehanchor.detection import Detector
+from vehanchor.evaluation.dota import labelled_boxes, survey_dota
+from vehanchor.evaluation.known_scale import FileIssue, KnownScaleSet
+from vehanchor.evaluation.search import search_images
+from vehanchor.model_zoo import resolve_model
+from vehanchor.perception import ScaleOptions
+from vehanchor.scene import render_scene
+
+FLEETS_M = (3.9, 4.3, 5.4)
+MODE_OVER_MEAN = 1.010  # of the renderer's fleets, see render_scene
+_SCENES = ((0.12, 0), (0.15, 1), (0.20, 2))  # GSD, seed
+_SIDE_PX = 1200
+
+
+def render_split(folder: Path, mean_length_m: float) -> KnownScaleSet:
+    """Write the scenes of one fleet in DOTA's layout and read them back."""
+    for name in ("images", "labelTxt-v1.5"):
+        (folder / name).mkdir(parents=True)
+    for gsd, seed in _SCENES:
+        scene = render_scene(
+            gsd,
+            width_px=_SIDE_PX,
+            height_px=_SIDE_PX,
+            seed=seed,
+            layout="parking",
+            mean_vehicle_length_m=mean_length_m,
+        )
+        cv2.imwrite(str(folder / "images" / f"P{seed:04}.png"), scene.image[:, :, ::-1])
+        (folder / "labelTxt-v1.5" / f"P{seed:04}.txt").write_text(f"imagesource:scene\n{scene.dota_text()}")
+    return survey_dota(folder)
+
+
+def from_labels(data: KnownScaleSet) -> Calibration:
+    """The paper's calibration."""
+    images = [SurveyedImage(labelled_boxes(i.labels), i.gsd_m_per_px) for i in data.images if i.labels is not None]
+    return calibrate(images, source="labels", region_sd_m=0.0)
+
+
+def from_detections(data: KnownScaleSet, detector: Detector) -> Calibration:
+    """The same from a detector's boxes."""
+    images = []
+    options = ScaleOptions()
+    scales = {image.path: image.gsd_m_per_px for image in data.images}
+    for path, found in search_images(scales, detector, options):
+        assert not isinstance(found, FileIssue)
+        analysis = found.analysis(detector.card, options)
+        images.append(SurveyedImage(analysis.detections.boxes[analysis.kept], scales[path]))
+    return calibrate(images, source="detections", region_sd_m=0.0)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--detector", help="ONNX file or bundled name; default: the bundled one")
+    options = parser.parse_args()
+    detector = Detector(resolve_model(options.detector))
+    print("| fleet: mean, mode | labelled | from labels | off by | found | from detections | off by |")
+    print("|---|---|---|---|---|---|---|")
+    for mean in FLEETS_M:
+        mode = MODE_OVER_MEAN * mean
+        with tempfile.TemporaryDirectory() as folder:
+            data = render_split(Path(folder), mean)
+            labelled, found = from_labels(data), from_detections(data, detector)
+        cells = [f"{mean:g} m, {mode:.3f} m"]
+        for record in (labelled, found):
+            low, high = record.reference_length_ci95_low_m, record.reference_length_ci95_high_m
+            off = record.reference_length_m / mode - 1
+            cells += [
+                str(record.n_vehicles),
+                f"{record.reference_length_m:.3f} m ({low:.3f} to {high:.3f})",
+                f"{100 * off:+.2f} %",
+            ]
+        print("| " + " | ".join(cells) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

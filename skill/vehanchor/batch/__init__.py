@@ -1,0 +1,13 @@
+"""Many images, one row of a table each: files -> engine -> journal -> table.
+
+``files`` names the images, an engine (``local_engine``: processes of this machine; ``ray_engine``: a Ray cluster)
+makes a ``BatchRow`` of each with one model per worker, ``journal`` keeps rows as they come so that an interrupted run
+goes on where it stopped, and ``table`` writes them in the order of the files. ``run`` puts these together.
+"""
+
+from vehanchor.batch.files import find_images
+from vehanchor.batch.row import BatchRow
+from vehanchor.batch.run import BatchSummary, Engine, run_batch
+from vehanchor.batch.worker import BatchJob
+
+__all__ = ["BatchJob", "BatchRow", "BatchSummary", "Engine", "find_images", "run_batch"]

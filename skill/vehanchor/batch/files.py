@@ -1,0 +1,52 @@
+"""Directories, patterns and files in, the list of images out."""
+
+from __future__ import annotations
+
+import glob
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vehanchor.errors import ImageNotFoundError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+__all__ = ["SUFFIXES", "find_images"]
+
+SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff"})  # what a directory is searched for
+
+
+def find_images(inputs: Sequence[str], *, leave_out: Iterable[Path] = ()) -> list[str]:
+    """Every image once, in an order that depends on the names alone.
+
+    Args:
+        inputs: directories (searched with all below them, by suffix), patterns (``photos/*.jpg``, ``**`` too), files.
+            A file that does not exist stays in the list: it becomes a row with its error.
+        leave_out: files that are no images although a pattern finds them, such as the table to be written.
+
+    Returns:
+        Paths as they were named: inputs in their order, what each holds sorted.
+
+    Raises:
+        ImageNotFoundError: a directory or pattern holds no image, or no input at all.
+    """
+    excluded = {path.resolve() for path in leave_out}
+    found: dict[str, None] = {}
+    for name in inputs:
+        images = [path for path in _images(name) if Path(path).resolve() not in excluded]
+        if not images:
+            raise ImageNotFoundError(f"no image in {name!r}; a directory is searched for {', '.join(sorted(SUFFIXES))}")
+        found.update(dict.fromkeys(images))
+    if not found:
+        raise ImageNotFoundError("no image given: name files, directories or patterns")
+    return list(found)
+
+
+def _images(name: str) -> list[str]:
+    path = Path(name)
+    if path.is_dir():
+        return sorted(str(file) for file in path.rglob("*") if file.suffix.lower() in SUFFIXES and file.is_file())
+    if not path.exists() and glob.has_magic(name):
+        matches = glob.glob(name, recursive=True)  # noqa: PTH207 - a pattern may be absolute, which Path.glob refuses
+        return sorted(file for file in matches if Path(file).is_file())
+    return [name]

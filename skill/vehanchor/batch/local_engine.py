@@ -1,0 +1,91 @@
+"""Workers as processes of this machine."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from itertools import islice
+from typing import TYPE_CHECKING
+
+from vehanchor.batch.worker import Worker
+from vehanchor.errors import WorkerDiedError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from vehanchor.batch.row import BatchRow
+    from vehanchor.batch.worker import BatchJob, Task
+
+__all__ = ["local_rows", "local_workers"]
+
+_QUEUED_PER_WORKER = 2  # enough that none waits; a million futures at once would fill the memory
+_worker: Worker | None = None  # of this process, where it is a worker
+
+
+def local_workers(n_tasks: int) -> int:
+    """One worker a CPU: with one thread each, they are faster together than one worker with all threads."""
+    return max(
+        1, min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, n_tasks)
+    )
+
+
+def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[BatchRow]:
+    """The rows of all tasks, as they get ready.
+
+    Args:
+        job: what every worker has to know.
+        tasks: the images.
+        workers: processes; 1 works in this one.
+
+    Yields:
+        A row for each task, in no particular order.
+
+    Raises:
+        WorkerDiedError: a process was killed, for want of memory as a rule.
+        ModelError: the model cannot be loaded.
+    """
+    if workers == 1:
+        only = Worker(job)
+        yield from map(only.row, tasks)
+        return
+    context = multiprocessing.get_context("spawn")  # forking a process that runs threads can lock up
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_start, initargs=(job,))
+    try:
+        waiting = iter(tasks)
+        running = {pool.submit(_row, task) for task in islice(waiting, workers * _QUEUED_PER_WORKER)}
+        while running:
+            done, running = wait(running, return_when=FIRST_COMPLETED)
+            running |= {pool.submit(_row, task) for task in islice(waiting, len(done))}
+            for future in done:
+                yield future.result()
+    except BrokenProcessPool:
+        raise WorkerDiedError(
+            f"a worker process died, most often for want of memory: {workers} of them each held a model and an image. "
+            "The rows so far are kept; run the same command again with fewer --workers"
+        ) from None
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _start(job: BatchJob) -> None:
+    """Make this process a worker: it leaves Ctrl-C to its parent, and ends with it."""
+    global _worker
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _worker = Worker(job)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _row(task: Task) -> BatchRow:
+    assert _worker is not None  # the pool starts a process with _start
+    return _worker.row(task)

@@ -1,0 +1,71 @@
+"""One image's row: its estimate, or why there is none; and the columns that a table has for it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict
+
+from vehanchor.records import ConfidenceTerms, GsdEstimate
+
+if TYPE_CHECKING:
+    from vehanchor.errors import VehAnchorError
+
+__all__ = ["COLUMNS", "BatchRow"]
+
+_NESTED = ("confidence_terms", "frame", "warnings")  # the only fields of an estimate that are no single value
+
+
+class BatchRow(BaseModel):
+    """What became of one image.
+
+    Attributes:
+        file: the image, as the caller named it.
+        estimate: null where the image could not be read.
+        error_code: stable code of the error; null where there is an estimate.
+        error: what was wrong and what to do.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    file: str
+    estimate: GsdEstimate | None = None
+    error_code: str | None = None
+    error: str | None = None
+
+    @classmethod
+    def failed(cls, file: str, error: VehAnchorError) -> BatchRow:
+        """The row of an image that could not be read."""
+        return cls(file=file, error_code=error.code, error=str(error))
+
+    def flat(self) -> dict[str, Any]:
+        """The row's values by column; all those of the estimate are null where there is none."""
+        values: dict[str, Any] = dict.fromkeys(COLUMNS)
+        if self.estimate is not None:
+            values.update(self.estimate.model_dump(exclude=set(_NESTED)))
+            for name, term in self.estimate.confidence_terms.model_dump().items():
+                values[f"confidence_{name}"] = term
+            values["warning_codes"] = " ".join(notice.code for notice in self.estimate.warnings)
+        return {**values, "file": self.file, "error_code": self.error_code, "error": self.error}
+
+
+def _columns() -> dict[str, type]:
+    """Columns and their types: the estimate's fields under their own names, its terms as ``confidence_<term>``."""
+    estimate = {
+        name: _kind(field.annotation) for name, field in GsdEstimate.model_fields.items() if name not in _NESTED
+    }
+    terms: dict[str, type] = dict.fromkeys((f"confidence_{name}" for name in ConfidenceTerms.model_fields), float)
+    return {"file": str, **estimate, **terms, "warning_codes": str, "error_code": str, "error": str}
+
+
+def _kind(annotation: Any) -> type:
+    """What a field holds where it is not null."""
+    if get_origin(annotation) is Literal:
+        return str
+    if isinstance(annotation, type):
+        return annotation
+    (kind,) = (option for option in get_args(annotation) if option is not type(None))
+    return _kind(kind)
+
+
+COLUMNS = _columns()

@@ -1,0 +1,102 @@
+"""Rows to a file: Parquet, CSV or JSON lines, by its suffix. The file is there whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vehanchor.batch.row import COLUMNS
+from vehanchor.errors import MissingExtraError, OutputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from vehanchor.batch.row import BatchRow
+
+__all__ = ["check_table_path", "write_table"]
+
+_CHUNK_ROWS = 4096  # what a Parquet writer holds in memory
+
+
+def check_table_path(path: Path) -> Path:
+    """Make sure, before the work, that a table can be written there.
+
+    Raises:
+        OutputError: unknown suffix, no such folder, or a folder of that name.
+        MissingExtraError: Parquet without pyarrow.
+    """
+    if path.suffix.lower() not in _WRITERS:
+        raise OutputError(f"cannot write a table as {str(path)!r}: use one of {', '.join(_WRITERS)}")
+    if not path.parent.is_dir():
+        raise OutputError(f"there is no folder {str(path.parent)!r} to write {path.name!r} into: make it first")
+    if path.is_dir():
+        raise OutputError(f"{str(path)!r} is a folder: name a file")
+    if path.suffix.lower() == ".parquet":
+        _require_pyarrow()
+    return path
+
+
+def write_table(path: Path, rows: Iterable[BatchRow]) -> None:
+    """Write rows, replacing what is there only once all are written.
+
+    Args:
+        path: ``.parquet``, ``.csv`` or ``.jsonl``, checked by ``check_table_path``.
+        rows: in the order wanted; never held all at once.
+
+    Raises:
+        OutputError: the disk refuses.
+    """
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        _WRITERS[path.suffix.lower()](partial, rows)
+        partial.replace(path)
+    except OSError as error:
+        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}") from None
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _write_jsonl(path: Path, rows: Iterable[BatchRow]) -> None:
+    with path.open("w", encoding="ascii", newline="\n") as file:
+        for row in rows:
+            file.write(json.dumps(row.flat(), allow_nan=False) + "\n")
+
+
+def _write_csv(path: Path, rows: Iterable[BatchRow]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(COLUMNS), lineterminator="\n")
+        writer.writeheader()
+        for row in rows:
+            writer.writerow(row.flat())
+
+
+def _write_parquet(path: Path, rows: Iterable[BatchRow]) -> None:
+    arrow, parquet = _require_pyarrow()
+    types = {float: arrow.float64(), int: arrow.int64(), bool: arrow.bool_(), str: arrow.string()}
+    schema = arrow.schema([(name, types[kind]) for name, kind in COLUMNS.items()])
+    remaining = iter(rows)
+    with parquet.ParquetWriter(path, schema) as writer:
+        while chunk := [row.flat() for row in islice(remaining, _CHUNK_ROWS)]:
+            writer.write_table(arrow.Table.from_pylist(chunk, schema=schema))
+
+
+def _require_pyarrow() -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise MissingExtraError(
+            "writing Parquet needs pyarrow: pip install 'vehanchor[parquet]', or write .csv or .jsonl"
+        ) from None
+    return pyarrow, pyarrow.parquet
+
+
+_WRITERS: dict[str, Callable[[Path, Iterable[BatchRow]], None]] = {
+    ".parquet": _write_parquet,
+    ".csv": _write_csv,
+    ".jsonl": _write_jsonl,
+}

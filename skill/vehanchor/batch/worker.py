@@ -1,0 +1,86 @@
+"""The work itself: one worker holds one model and turns files into rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vehanchor.batch.row import BatchRow
+from vehanchor.detection import Detector
+from vehanchor.errors import ModelContractError, VehAnchorError
+from vehanchor.model_zoo import resolve_model
+from vehanchor.onnx_session import DEFAULT_PROVIDERS
+from vehanchor.perception import ScaleOptions, analyse_scale, open_detector
+from vehanchor.terminal import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+__all__ = ["BatchJob", "Task", "Worker"]
+
+
+@dataclass(frozen=True)
+class BatchJob:
+    """What every worker has to know; the same for all, wherever they run.
+
+    Attributes:
+        detector: name of a bundled model, or the absolute path of a file.
+        detector_sha256: what that file must be: on another machine it could be another one.
+        options: every choice of the method; ``frame`` has no place in a row.
+        providers: execution providers of ONNX Runtime.
+        threads: CPU threads of each worker's model; rows are the same with any.
+    """
+
+    detector: str
+    detector_sha256: str
+    options: ScaleOptions = field(default_factory=ScaleOptions)
+    providers: tuple[str, ...] = DEFAULT_PROVIDERS
+    threads: int = 1
+
+
+@dataclass(frozen=True)
+class Task:
+    """One image: its name in the table, and where it is, absolute."""
+
+    file: str
+    path: str
+
+    @classmethod
+    def of(cls, path: str) -> Task:
+        """The task of an image named by a caller of this process."""
+        return cls(file=printable(path), path=str(Path(path).absolute()))
+
+
+class Worker:
+    """Loads the model once, then makes rows.
+
+    Raises:
+        ModelError: the model cannot be loaded, or is not the one that the job names.
+        InvalidParameterError: the model does not know the region.
+    """
+
+    def __init__(self, job: BatchJob) -> None:
+        self._options = job.options
+        self._detector = open_detector(
+            Detector(resolve_model(job.detector), threads=job.threads, providers=job.providers), job.options
+        )
+        if self._detector.card.sha256 != job.detector_sha256:
+            raise ModelContractError(
+                f"{job.detector} is another model on this machine (sha256 {self._detector.card.sha256[:12]}) than "
+                f"where the run was started ({job.detector_sha256[:12]}): install one version of vehanchor everywhere"
+            )
+
+    def row(self, task: Task) -> BatchRow:
+        """The row of one image; whatever goes wrong with it is the row's error."""
+        try:
+            estimate = analyse_scale(task.path, self._options, detector=self._detector).estimate
+        except VehAnchorError as error:
+            return BatchRow.failed(task.file, error)
+        except Exception as error:  # one image that finds a defect must not end a run over a million
+            return BatchRow(file=task.file, error_code="internal_error", error=f"{type(error).__name__}: {error}")
+        return BatchRow(file=task.file, estimate=estimate)
+
+    def rows(self, tasks: Iterable[Task]) -> list[BatchRow]:
+        """The rows of several images."""
+        return [self.row(task) for task in tasks]

@@ -1,0 +1,455 @@
+"""Vision-language models behind the Anthropic Messages API and the OpenAI Chat Completions API.
+
+The providers' own clients (extra ``examples``) send the requests and try again: on 408, 409, 429 and 5xx, on timeouts
+and lost connections, after what ``Retry-After`` says. Here is what they lack: replies kept on disk, and ceilings. Keys
+come from the environment only; they are never part of what is kept, hashed or told.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
+from urllib.parse import urlsplit
+
+from vehanchor.errors import InvalidParameterError, MissingExtraError, OutputError
+
+__all__ = [
+    "PROVIDERS",
+    "AnthropicApi",
+    "ApiRefusedError",
+    "Budget",
+    "BudgetSpentError",
+    "ModelApi",
+    "OpenAiApi",
+    "Reply",
+    "ReplyCache",
+    "RequestFailedError",
+    "ToolCall",
+    "ToolResult",
+    "ToolRunner",
+    "open_api",
+]
+
+Provider: TypeAlias = Literal["anthropic", "openai", "openai-compatible"]
+PROVIDERS: tuple[Provider, ...] = ("anthropic", "openai", "openai-compatible")
+_KEY_VARIABLES = {"anthropic": "ANTHROPIC_API_KEY", "openai": "OPENAI_API_KEY", "openai-compatible": "OPENAI_API_KEY"}
+_NO_KEY = "none"  # for compatible servers that need none: the client insists on one
+_REFUSALS = (401, 403, 404)  # the key, or the model: no other request would fare better
+_JPEG = "image/jpeg"
+Messages: TypeAlias = list[dict[str, Any]]
+
+
+class RequestFailedError(Exception):
+    """A request failed for good, after all attempts."""
+
+
+class ApiRefusedError(Exception):
+    """The service refuses the key or does not know the model."""
+
+
+class BudgetSpentError(Exception):
+    """A ceiling is reached."""
+
+
+class ToolCall(NamedTuple):
+    """What a model wants to have done."""
+
+    id: str
+    name: str
+    arguments: dict[str, Any]
+
+
+class ToolResult(NamedTuple):
+    """What came of it, as the model reads it."""
+
+    text: str
+    is_error: bool
+
+
+class ToolRunner(Protocol):
+    """Tools for a model.
+
+    Attributes:
+        anthropic_tools: their definitions for the Messages API.
+        openai_tools: their definitions for the Chat Completions API.
+    """
+
+    anthropic_tools: list[dict[str, Any]]
+    openai_tools: list[dict[str, Any]]
+
+    def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
+        """Do what the model asks for; gives what it reads and whether that tells an error."""
+
+
+@dataclass(frozen=True)
+class Reply:
+    """What a model said.
+
+    Attributes:
+        text: all text of the reply.
+        refused: whether the service marks it as a refusal.
+        tool_calls: what the model wants to have done before it goes on.
+        input_tokens: of the request.
+        output_tokens: of the reply.
+        message: the reply as the conversation's next message.
+    """
+
+    text: str
+    refused: bool
+    tool_calls: tuple[ToolCall, ...]
+    input_tokens: int
+    output_tokens: int
+    message: dict[str, Any]
+
+
+@dataclass
+class Budget:
+    """Ceilings of a run, and how fast it may go; cached replies cost nothing.
+
+    Attributes:
+        max_requests: requests that may be answered; None for no ceiling.
+        max_tokens: input and output tokens together. What is under way when it is reached is still paid for.
+        requests_per_minute: requests are spaced evenly; None for as fast as the service answers.
+    """
+
+    max_requests: int | None = None
+    max_tokens: int | None = None
+    requests_per_minute: float | None = None
+    requests: int = 0
+    tokens: int = 0
+    _next_start: float = 0.0
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    def begin(self) -> None:
+        """Take one request from the budget and wait for its turn.
+
+        Raises:
+            BudgetSpentError: there is none left.
+        """
+        with self._lock:
+            if self.max_requests is not None and self.requests >= self.max_requests:
+                raise BudgetSpentError(f"{self.requests} requests made, the ceiling of --max-requests")
+            if self.max_tokens is not None and self.tokens >= self.max_tokens:
+                raise BudgetSpentError(f"{self.tokens} tokens used, the ceiling of --max-tokens is {self.max_tokens}")
+            self.requests += 1
+            now = time.monotonic()
+            start = max(now, self._next_start)
+            if self.requests_per_minute is not None:
+                self._next_start = start + 60.0 / self.requests_per_minute
+        if start > now:
+            time.sleep(start - now)
+
+    def spend(self, tokens: int) -> None:
+        """Count what a request has used."""
+        with self._lock:
+            self.tokens += tokens
+
+
+class ReplyCache:
+    """Responses on disk, one file each, named by the SHA-256 of provider, address and request.
+
+    Args:
+        folder: made.
+
+    Raises:
+        OutputError: the folder cannot be made.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"cannot make {str(folder)!r}: {error.strerror or error}") from error
+
+    @staticmethod
+    def key(provider: str, base_url: str, payload: dict[str, Any]) -> str:
+        """The name of a request."""
+        text = json.dumps([provider, base_url, payload], sort_keys=True, ensure_ascii=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def get(self, key: str) -> dict[str, Any] | None:
+        """The response to a request, if it is known."""
+        try:
+            response = json.loads((self._folder / f"{key}.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        return response if isinstance(response, dict) else None
+
+    def put(self, key: str, response: dict[str, Any]) -> None:
+        """Keep a response.
+
+        Raises:
+            OutputError: the disk refuses.
+        """
+        path = self._folder / f"{key}.json"
+        part = path.with_suffix(f".{threading.get_ident()}.part")
+        try:
+            part.write_text(json.dumps(response), encoding="utf-8")
+            part.replace(path)
+        except OSError as error:
+            raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
+
+
+class ModelApi(ABC):
+    """One model of one provider.
+
+    Attributes:
+        provider: of the model.
+        model: its name there.
+        base_url: of the service.
+        budget: ceilings, shared by all threads.
+    """
+
+    def __init__(
+        self, provider: str, model: str, client: Any, api_error: type[Exception], cache: ReplyCache, budget: Budget
+    ) -> None:
+        self.provider, self.model, self.budget = provider, model, budget
+        self.base_url = str(client.base_url)
+        self._client, self._api_error, self._cache = client, api_error, cache
+
+    def ask(self, system: str, messages: Messages, tools: ToolRunner | None = None) -> Reply:
+        """Ask, or read the reply from the cache.
+
+        Raises:
+            RequestFailedError: the request failed after all attempts.
+            ApiRefusedError: the key or the model is refused.
+            BudgetSpentError: a ceiling is reached.
+            OutputError: the reply cannot be kept.
+        """
+        payload = self._payload(system, messages, tools)
+        key = ReplyCache.key(self.provider, self.base_url, payload)
+        response = self._cache.get(key)
+        if response is None:
+            self.budget.begin()
+            response = self._send(payload)
+            reply = self._checked(response)
+            self.budget.spend(reply.input_tokens + reply.output_tokens)
+            self._cache.put(key, response)
+            return reply
+        return self._checked(response)
+
+    def _send(self, payload: dict[str, Any]) -> dict[str, Any]:
+        try:
+            response = self._create(payload).to_dict(mode="json", exclude_none=True, warnings=False)
+        except self._api_error as error:
+            status = getattr(error, "status_code", None)
+            if status in (401, 403):  # the service's own message may quote the key
+                raise ApiRefusedError(f"{self.base_url} refuses the key ({status})") from None
+            if status in _REFUSALS:
+                raise ApiRefusedError(
+                    f"{self.base_url} has no model {self.model!r}, or no such API ({status})"
+                ) from None
+            reason = f"status {status}" if status else type(error).__name__
+            message = str(error).replace(self._client.api_key, "***")
+            raise RequestFailedError(f"{reason}: {message[:300]}") from None
+        return dict(response)
+
+    def _checked(self, response: dict[str, Any]) -> Reply:
+        try:
+            return self._read(response)
+        except (KeyError, TypeError, IndexError, ValueError) as error:
+            raise RequestFailedError(
+                f"the reply is not of the expected form: {type(error).__name__}: {error}"
+            ) from None
+
+    @abstractmethod
+    def first_messages(self, system: str, text: str, jpeg_base64: str) -> Messages:
+        """A conversation that starts with a picture and a question."""
+
+    @abstractmethod
+    def next_messages(self, messages: Messages, reply: Reply, results: Sequence[ToolResult]) -> Messages:
+        """The conversation after a reply and what came of its tool calls."""
+
+    @abstractmethod
+    def _payload(self, system: str, messages: Messages, tools: ToolRunner | None) -> dict[str, Any]: ...
+
+    @abstractmethod
+    def _create(self, payload: dict[str, Any]) -> Any: ...
+
+    @abstractmethod
+    def _read(self, response: dict[str, Any]) -> Reply: ...
+
+
+class AnthropicApi(ModelApi):
+    """The Messages API."""
+
+    def __init__(self, *args: Any, max_output_tokens: int) -> None:
+        super().__init__(*args)
+        self._max_output_tokens = max_output_tokens
+
+    def first_messages(self, system: str, text: str, jpeg_base64: str) -> Messages:
+        """See ``ModelApi``; the system prompt is a field of its own here."""
+        del system
+        source = {"type": "base64", "media_type": _JPEG, "data": jpeg_base64}
+        return [{"role": "user", "content": [{"type": "image", "source": source}, {"type": "text", "text": text}]}]
+
+    def next_messages(self, messages: Messages, reply: Reply, results: Sequence[ToolResult]) -> Messages:
+        """See ``ModelApi``."""
+        content = [
+            {"type": "tool_result", "tool_use_id": call.id, "content": result.text, "is_error": result.is_error}
+            for call, result in zip(reply.tool_calls, results, strict=True)
+        ]
+        return [*messages, reply.message, {"role": "user", "content": content}]
+
+    def _payload(self, system: str, messages: Messages, tools: ToolRunner | None) -> dict[str, Any]:
+        payload: dict[str, Any] = {
+            "model": self.model,
+            "max_tokens": self._max_output_tokens,
+            "system": system,
+            "messages": messages,
+        }
+        return payload if tools is None else {**payload, "tools": tools.anthropic_tools}
+
+    def _create(self, payload: dict[str, Any]) -> Any:
+        return self._client.messages.create(**payload)
+
+    def _read(self, response: dict[str, Any]) -> Reply:
+        blocks = response["content"]
+        usage = response["usage"]
+        cached = usage.get("cache_creation_input_tokens", 0) + usage.get("cache_read_input_tokens", 0)
+        return Reply(
+            text="\n".join(block["text"] for block in blocks if block["type"] == "text"),
+            refused=response.get("stop_reason") == "refusal",
+            tool_calls=tuple(
+                ToolCall(block["id"], block["name"], dict(block["input"]))
+                for block in blocks
+                if block["type"] == "tool_use"
+            ),
+            input_tokens=usage["input_tokens"] + cached,
+            output_tokens=usage["output_tokens"],
+            message={"role": "assistant", "content": blocks},
+        )
+
+
+class OpenAiApi(ModelApi):
+    """The Chat Completions API, OpenAI's own or a compatible one (vLLM, DashScope, ...)."""
+
+    def __init__(self, *args: Any, max_output_tokens: int) -> None:
+        super().__init__(*args)
+        # OpenAI's newer models refuse the older name, and most compatible servers know that one only
+        name = "max_completion_tokens" if self.provider == "openai" else "max_tokens"
+        self._limits = {name: max_output_tokens}
+
+    def first_messages(self, system: str, text: str, jpeg_base64: str) -> Messages:
+        """See ``ModelApi``."""
+        picture = {"type": "image_url", "image_url": {"url": f"data:{_JPEG};base64,{jpeg_base64}", "detail": "high"}}
+        return [
+            {"role": "system", "content": system},
+            {"role": "user", "content": [picture, {"type": "text", "text": text}]},
+        ]
+
+    def next_messages(self, messages: Messages, reply: Reply, results: Sequence[ToolResult]) -> Messages:
+        """See ``ModelApi``."""
+        answers = [
+            {"role": "tool", "tool_call_id": call.id, "content": result.text}
+            for call, result in zip(reply.tool_calls, results, strict=True)
+        ]
+        return [*messages, reply.message, *answers]
+
+    def _payload(self, system: str, messages: Messages, tools: ToolRunner | None) -> dict[str, Any]:
+        del system  # the first message
+        payload: dict[str, Any] = {"model": self.model, "messages": messages, **self._limits}
+        return payload if tools is None else {**payload, "tools": tools.openai_tools}
+
+    def _create(self, payload: dict[str, Any]) -> Any:
+        return self._client.chat.completions.create(**payload)
+
+    def _read(self, response: dict[str, Any]) -> Reply:
+        choice = response["choices"][0]
+        message = choice["message"]
+        usage = response.get("usage") or {}
+        calls = message.get("tool_calls") or []
+        sent = {"role": "assistant", "content": message.get("content") or message.get("refusal") or ""}
+        return Reply(
+            text=message.get("content") or message.get("refusal") or "",
+            refused=bool(message.get("refusal")) or choice.get("finish_reason") == "content_filter",
+            tool_calls=tuple(
+                ToolCall(call["id"], call["function"]["name"], _arguments(call["function"]["arguments"]))
+                for call in calls
+            ),
+            input_tokens=usage.get("prompt_tokens", 0),
+            output_tokens=usage.get("completion_tokens", 0),
+            message={**sent, "tool_calls": calls} if calls else sent,
+        )
+
+
+def _arguments(text: str) -> dict[str, Any]:
+    """A model's JSON; what is none becomes arguments that the tool will refuse, so that the model is told."""
+    try:
+        arguments = json.loads(text or "{}")
+    except ValueError:
+        arguments = None
+    return arguments if isinstance(arguments, dict) else {"arguments_are_not_a_json_object": text}
+
+
+def open_api(
+    provider: Provider,
+    model: str,
+    cache: ReplyCache,
+    budget: Budget,
+    *,
+    base_url: str | None = None,
+    key_variable: str | None = None,
+    max_output_tokens: int = 4096,
+    timeout_s: float = 120.0,
+    max_retries: int = 6,
+) -> ModelApi:
+    """Connect to a model.
+
+    Args:
+        provider: ``anthropic``, ``openai`` or ``openai-compatible``.
+        model: its name there.
+        cache: of replies.
+        budget: ceilings.
+        base_url: of the service; None for the provider's own, needed for a compatible one.
+        key_variable: the environment variable with the key; None for the provider's usual one.
+        max_output_tokens: of one reply.
+        timeout_s: of one attempt.
+        max_retries: attempts after the first.
+
+    Raises:
+        MissingExtraError: the provider's client is not installed.
+        InvalidParameterError: there is no key in the environment, or no address for a compatible service.
+    """
+    if provider == "openai-compatible" and base_url is None:
+        raise InvalidParameterError("a compatible service needs its address: --base-url http://host:8000/v1")
+    address = urlsplit(base_url or "")
+    if base_url is not None and (not address.scheme.startswith("http") or address.username or address.query):
+        raise InvalidParameterError(
+            "--base-url is http(s)://host/path, without user, password or key: those come from the environment"
+        )
+    variable = key_variable or _KEY_VARIABLES[provider]
+    key = os.environ.get(variable)
+    if not key and provider == "openai-compatible" and key_variable is None:
+        key = _NO_KEY
+    if not key:
+        raise InvalidParameterError(f"no key in the environment: set {variable} to your key for {provider}")
+    options: dict[str, Any] = {
+        "api_key": key,
+        "base_url": base_url,
+        "timeout": timeout_s,
+        "max_retries": max_retries,
+    }
+    try:
+        if provider == "anthropic":
+            import anthropic
+
+            client: Any = anthropic.Anthropic(**options)
+            return AnthropicApi(
+                provider, model, client, anthropic.APIError, cache, budget, max_output_tokens=max_output_tokens
+            )
+        import openai
+    except ImportError as error:
+        raise MissingExtraError(f"{error.name} is not installed: pip install 'vehanchor[examples]'") from error
+    return OpenAiApi(
+        provider, model, openai.OpenAI(**options), openai.APIError, cache, budget, max_output_tokens=max_output_tokens
+    )

@@ -1,0 +1,235 @@
+"""A local service that speaks the Anthropic Messages API and the OpenAI Chat Completions API, for tests.
+
+What the model says is a function of what it is shown: the picture as pixels, the text, and results of tools.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Asked", "ModelService", "Refusal", "UseTool", "model_service", "red_rectangle"]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the model is shown."""
+
+    system: str
+    text: str
+    picture: NDArray[np.uint8]
+    tools: list[dict[str, Any]]
+    tool_results: list[str]
+
+
+@dataclass(frozen=True)
+class UseTool:
+    """A reply that calls a tool."""
+
+    name: str
+    arguments: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A reply that the service marks as a refusal."""
+
+    text: str = "I cannot help with that."
+
+
+Answer = str | UseTool | Refusal
+
+
+@dataclass
+class ModelService:
+    """What the service does, and what it was asked.
+
+    Attributes:
+        answer: the model.
+        failures: what the next requests get instead of an answer: status and headers, or None to hang up.
+        defects: what the model itself raised; shown where the service stops.
+        requests: every request so far: path, headers (lower case) and payload.
+    """
+
+    answer: Callable[[Asked], Answer] = lambda _: "AREA=100"
+    failures: list[tuple[int, dict[str, str]] | None] = field(default_factory=list)
+    requests: list[tuple[str, dict[str, str], dict[str, Any]]] = field(default_factory=list)
+    defects: list[BaseException] = field(default_factory=list)
+    url: str = ""
+
+
+@contextmanager
+def model_service(service: ModelService) -> Iterator[ModelService]:
+    """Run the service on a free port; ``service.url`` says where."""
+    lock = threading.Lock()
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            payload = json.loads(self.rfile.read(int(self.headers["content-length"])))
+            with lock:
+                service.requests.append(
+                    (self.path, {name.lower(): value for name, value in self.headers.items()}, payload)
+                )
+                number = len(service.requests)
+                failure = service.failures.pop(0) if service.failures else (0, {})
+            if failure is None:
+                self.close_connection = True
+                return
+            status, headers = failure
+            if status:
+                self._send(status, {"error": {"type": "test", "message": "scripted"}}, headers)
+            else:
+                self._answer(payload, number)
+
+        def _answer(self, payload: dict[str, Any], number: int) -> None:
+            try:
+                if self.path == "/v1/messages":
+                    response = _anthropic_response(service.answer(_asked_anthropic(payload)), number)
+                elif self.path == "/v1/chat/completions":
+                    response = _openai_response(service.answer(_asked_openai(payload)), number)
+                else:
+                    raise ValueError(f"no such API: {self.path}")
+            except Exception as defect:
+                service.defects.append(defect)
+                self._send(400, {"error": {"message": repr(defect)}})
+            else:
+                self._send(200, response)
+
+        def _send(self, status: int, body: dict[str, Any], headers: dict[str, str] | None = None) -> None:
+            data = json.dumps(body).encode()
+            self.send_response(status)
+            for name, value in {"content-type": "application/json", **(headers or {})}.items():
+                self.send_header(name, value)
+            self.send_header("content-length", str(len(data)))
+            self.end_headers()
+            self.wfile.write(data)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        service.url = f"http://127.0.0.1:{server.server_port}"
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield service
+        finally:
+            server.shutdown()
+            thread.join()
+    assert not service.defects, service.defects
+
+
+def red_rectangle(picture: NDArray[np.uint8]) -> tuple[int, int, int, int]:
+    """The inside of the red rectangle: x1, y1, x2, y2, as the first and the first beyond pixels that are not red."""
+    red = (picture[:, :, 0] > 170) & (picture[:, :, 1] < 90) & (picture[:, :, 2] < 90)
+    ys, xs = np.nonzero(red)
+    x1, x2, y1, y2 = xs.min(), xs.max(), ys.min(), ys.max()
+    middle_x, middle_y = (x1 + x2) // 2, (y1 + y2) // 2
+    while red[middle_y, x1]:
+        x1 += 1
+    while red[middle_y, x2]:
+        x2 -= 1
+    while red[y1, middle_x]:
+        y1 += 1
+    while red[y2, middle_x]:
+        y2 -= 1
+    return int(x1), int(y1), int(x2) + 1, int(y2) + 1
+
+
+def _decoded(data: str) -> NDArray[np.uint8]:
+    bgr = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
+    assert bgr is not None
+    return np.ascontiguousarray(bgr[:, :, ::-1]).astype(np.uint8)
+
+
+def _asked_anthropic(payload: dict[str, Any]) -> Asked:
+    image, text = payload["messages"][0]["content"]
+    assert image["source"]["media_type"] == "image/jpeg"
+    results = []
+    calls: set[str] = set()
+    for message in payload["messages"][1:]:
+        blocks = message["content"]
+        if message["role"] == "assistant":
+            calls |= {block["id"] for block in blocks if block["type"] == "tool_use"}
+        else:
+            assert {block["tool_use_id"] for block in blocks} <= calls
+            results += [block["content"] for block in blocks]
+    tools = [{"name": tool["name"], "schema": tool["input_schema"]} for tool in payload.get("tools", [])]
+    return Asked(payload["system"], text["text"], _decoded(image["source"]["data"]), tools, results)
+
+
+def _asked_openai(payload: dict[str, Any]) -> Asked:
+    system, user, *rest = payload["messages"]
+    image, text = user["content"]
+    head, _, data = image["image_url"]["url"].partition(",")
+    assert head == "data:image/jpeg;base64"
+    results = []
+    calls: set[str] = set()
+    for message in rest:
+        if message["role"] == "assistant":
+            calls |= {call["id"] for call in message["tool_calls"]}
+        else:
+            assert message["tool_call_id"] in calls
+            results.append(message["content"])
+    tools = [
+        {"name": tool["function"]["name"], "schema": tool["function"]["parameters"]}
+        for tool in payload.get("tools", [])
+    ]
+    return Asked(system["content"], text["text"], _decoded(data), tools, results)
+
+
+def _anthropic_response(answer: Answer, number: int) -> dict[str, Any]:
+    stop = {UseTool: "tool_use", Refusal: "refusal"}.get(type(answer), "end_turn")
+    if isinstance(answer, UseTool):
+        content: list[dict[str, Any]] = [
+            {"type": "text", "text": "I will measure."},
+            {"type": "tool_use", "id": f"call_{number}", "name": answer.name, "input": answer.arguments},
+        ]
+    else:
+        content = [{"type": "text", "text": answer.text if isinstance(answer, Refusal) else answer}]
+    return {
+        "id": f"msg_{number}",
+        "type": "message",
+        "role": "assistant",
+        "model": "test",
+        "content": content,
+        "stop_reason": stop,
+        "stop_sequence": None,
+        "usage": {"input_tokens": 1000, "output_tokens": 50},
+    }
+
+
+def _openai_response(answer: Answer, number: int) -> dict[str, Any]:
+    message: dict[str, Any] = {"role": "assistant", "content": None}
+    if isinstance(answer, UseTool):
+        function = {"name": answer.name, "arguments": json.dumps(answer.arguments)}
+        message["tool_calls"] = [{"id": f"call_{number}", "type": "function", "function": function}]
+    elif isinstance(answer, Refusal):
+        message["refusal"] = answer.text
+    else:
+        message["content"] = answer
+    return {
+        "id": f"chat_{number}",
+        "object": "chat.completion",
+        "created": 0,
+        "model": "test",
+        "choices": [
+            {
+                "index": 0,
+                "message": message,
+                "finish_reason": "tool_calls" if isinstance(answer, UseTool) else "stop",
+                "logprobs": None,
+            }
+        ],
+        "usage": {"prompt_tokens": 1000, "completion_tokens": 50, "total_tokens": 1050},
+    }
