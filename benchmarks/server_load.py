@@ -1,7 +1,8 @@
 """Many callers at once: ``python -m benchmarks.server_load``. Linux only.
 
-1,000 mixed calls from 16 clients against two workers: none lost, each answer the library's for that image, memory of
-the workers within 10 % after warming up. Then one of the workers is killed under load: the other keeps answering.
+1,000 mixed calls of both tools from 16 clients against two workers: none lost, each answer the library's for that
+image, memory of the workers within 10 % after warming up. Then one of the workers is killed under load: the other keeps
+answering.
 """
 
 from __future__ import annotations
@@ -17,43 +18,64 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import anyio
 from mcp import Client
 
-from benchmarks.server_process import child_processes, http_server, resident_mib, write_images
-from vehanchor import estimate_gsd
+from benchmarks.server_process import child_processes, http_server, middle_box, resident_mib, target, write_images
+from vehanchor import estimate_gsd, measure_area
 from vehanchor.detection import load_detector
-from vehanchor.model_zoo import resolve_model
+from vehanchor.model_zoo import resolve_model, resolve_segmenter
+from vehanchor.segmentation import load_segmenter
 
 BUSY_PAUSE_S = 0.05
 WARM_SHARE = 0.3
 
 
-def mixed_calls(images: list[Path]) -> list[tuple[dict[str, Any], Any]]:
-    """Arguments and the answers they must get: a record, or an error's code."""
+class MixedCall(NamedTuple):
+    """A call and the answer that it must get: a record, or an error's code."""
+
+    tool: str
+    arguments: dict[str, Any]
+    answer: Any
+
+
+def mixed_calls(images: list[Path]) -> list[MixedCall]:
+    """Both tools, images by path and in base64, areas by estimated and by given scale, and calls to be refused."""
     detector = load_detector(resolve_model(), threads=1)
-    calls: list[tuple[dict[str, Any], Any]] = []
+    segmenter = load_segmenter(*resolve_segmenter(), threads=1)
+    calls: list[MixedCall] = []
     for image in images:
-        record = estimate_gsd(image, detector=detector).model_dump(mode="json")
-        encoded = base64.b64encode(image.read_bytes()).decode()
-        calls += [({"kind": "path", "path": str(image)}, record), ({"kind": "base64", "data": encoded}, record)]
+        by_path = {"image": {"kind": "path", "path": str(image)}}
+        in_base64 = {"image": {"kind": "base64", "data": base64.b64encode(image.read_bytes()).decode()}}
+        box = middle_box(image)
+        estimate = estimate_gsd(image, detector=detector).model_dump(mode="json")
+        area = measure_area(image, box=box, detector=detector, segmenter=segmenter).model_dump(mode="json")
+        known = measure_area(image, box=box, gsd_m_per_px=0.2, segmenter=segmenter).model_dump(mode="json")
+        calls += [
+            MixedCall("estimate_gsd", by_path, estimate),
+            MixedCall("measure_area", {**by_path, **target(box)}, area),
+            MixedCall("estimate_gsd", in_base64, estimate),
+            MixedCall("measure_area", {**in_base64, **target(box), "gsd_m_per_px": 0.2}, known),
+        ]
+    small = {"image": {"kind": "path", "path": str(images[0])}}
     calls += [
-        ({"kind": "path", "path": "/etc/passwd"}, "path_not_allowed"),
-        ({"kind": "base64", "data": "%%%"}, "base64_invalid"),
-        ({"kind": "url", "url": "https://example.org/a.png"}, "source_disabled"),
-        ({"kind": "path"}, "invalid_arguments"),
+        MixedCall("estimate_gsd", {"image": {"kind": "path", "path": "/etc/passwd"}}, "path_not_allowed"),
+        MixedCall("estimate_gsd", {"image": {"kind": "base64", "data": "%%%"}}, "base64_invalid"),
+        MixedCall("estimate_gsd", {"image": {"kind": "url", "url": "https://example.org/a.png"}}, "source_disabled"),
+        MixedCall("measure_area", small, "invalid_arguments"),
+        MixedCall("measure_area", {**small, **target((-90, 0, 9, 9))}, "invalid_prompt"),
     ]
-    return [({"image": image}, json.loads(json.dumps(answer))) for image, answer in calls]
+    return [call._replace(answer=json.loads(json.dumps(call.answer))) for call in calls]
 
 
-async def call(url: str, arguments: dict[str, Any], tally: Counter[str]) -> Any:
+async def answered(url: str, call: MixedCall, tally: Counter[str]) -> Any:
     """The answer to a call, after as many refusals for want of a place as it takes."""
     while True:
         try:
             async with Client(url, read_timeout_seconds=120) as client:
-                result = await client.call_tool("estimate_gsd", arguments)
+                result = await client.call_tool(call.tool, call.arguments)
         except Exception:  # a connection that broke because its worker was killed
             tally["broken connections, called again"] += 1
             continue
@@ -66,7 +88,7 @@ async def call(url: str, arguments: dict[str, Any], tally: Counter[str]) -> Any:
         await anyio.sleep(BUSY_PAUSE_S * (0.5 + random.random()))
 
 
-async def load(url: str, calls: list[tuple[dict[str, Any], Any]], n_calls: int, n_clients: int, pid: int) -> bool:
+async def load(url: str, calls: list[MixedCall], n_calls: int, n_clients: int, pid: int) -> bool:
     """Send them all; whether every answer was right and memory flat."""
     tally: Counter[str] = Counter()
     workers = child_processes(pid)
@@ -76,8 +98,8 @@ async def load(url: str, calls: list[tuple[dict[str, Any], Any]], n_calls: int, 
 
     async def client() -> None:
         for i in queue:
-            arguments, expected = calls[i % len(calls)]
-            tally["right" if await call(url, arguments, tally) == expected else "wrong"] += 1
+            call = calls[i % len(calls)]
+            tally["right" if await answered(url, call, tally) == call.answer else "wrong"] += 1
             if i >= n_calls * WARM_SHARE and not warm:
                 warm.update({worker: resident_mib(worker) for worker in workers})
 
@@ -96,19 +118,19 @@ async def load(url: str, calls: list[tuple[dict[str, Any], Any]], n_calls: int, 
     return tally["right"] == n_calls and all(percent < 10 for percent in growth)
 
 
-async def killed(url: str, calls: list[tuple[dict[str, Any], Any]], pid: int, seconds: float) -> bool:
+async def killed(url: str, calls: list[MixedCall], pid: int, seconds: float) -> bool:
     """Kill one of the workers under load; whether every call was answered, and rightly, by the other."""
     tally: Counter[str] = Counter()
-    answered: list[float] = []
+    moments: list[float] = []
     ends = time.monotonic() + seconds
     kill_at = time.monotonic() + seconds / 3
 
     async def client(offset: int) -> None:
         i = offset
         while time.monotonic() < ends:
-            arguments, expected = calls[i % len(calls)]
-            tally["right" if await call(url, arguments, tally) == expected else "wrong"] += 1
-            answered.append(time.monotonic())
+            call = calls[i % len(calls)]
+            tally["right" if await answered(url, call, tally) == call.answer else "wrong"] += 1
+            moments.append(time.monotonic())
             i += 1
 
     async with anyio.create_task_group() as group:
@@ -116,7 +138,7 @@ async def killed(url: str, calls: list[tuple[dict[str, Any], Any]], pid: int, se
             group.start_soon(client, offset)
         await anyio.sleep_until(anyio.current_time() + kill_at - time.monotonic())
         os.kill(child_processes(pid)[0], signal.SIGKILL)
-    after = sorted(moment - kill_at for moment in answered if moment > kill_at)
+    after = sorted(moment - kill_at for moment in moments if moment > kill_at)
     longest = max(b - a for a, b in zip([0.0, *after], after, strict=False)) if after else seconds
     print(
         f"kill -9 of one of two workers: {dict(tally)}; {len(after)} answers after it, longest silence {longest:.2f} s"
@@ -133,10 +155,10 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as directory:
         calls = mixed_calls(write_images(Path(directory).resolve()))
-        with http_server("--root", directory, "--threads", "1", "--workers", "2") as (url, pid):
-            fine = anyio.run(load, url, calls, options.calls, options.clients, pid)
-        with http_server("--root", directory, "--threads", "1", "--workers", "2") as (url, pid):
-            fine = anyio.run(killed, url, calls, pid, options.kill_s) and fine
+        with http_server("--root", directory, "--threads", "1", "--workers", "2") as server:
+            fine = anyio.run(load, server.url, calls, options.calls, options.clients, server.pid)
+        with http_server("--root", directory, "--threads", "1", "--workers", "2") as server:
+            fine = anyio.run(killed, server.url, calls, server.pid, options.kill_s) and fine
     sys.exit(0 if fine else 1)
 
 

@@ -10,17 +10,45 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from vehanchor.scene import render_scene
 
-__all__ = ["SERVE", "child_processes", "http_server", "resident_mib", "write_images", "write_large_image"]
+__all__ = [
+    "SERVE",
+    "HttpServer",
+    "child_processes",
+    "http_server",
+    "middle_box",
+    "resident_mib",
+    "target",
+    "write_images",
+    "write_large_image",
+]
 
 SERVE = [sys.executable, "-c", "import typer; from vehanchor_server.command import serve; typer.run(serve)"]
 START_S = 120
 _PAGE_BYTES = 4096
+
+
+class HttpServer(NamedTuple):
+    """A server that listens.
+
+    Attributes:
+        url: of its tools.
+        process: the one that was started; with several workers they are its children.
+    """
+
+    url: str
+    process: subprocess.Popen[bytes]
+
+    @property
+    def pid(self) -> int:
+        """Of that process."""
+        return self.process.pid
 
 
 def write_images(directory: Path) -> list[Path]:
@@ -32,6 +60,19 @@ def write_images(directory: Path) -> list[Path]:
         paths.append(path)
     _write(directory / "blank.png", np.full((640, 640, 3), 90, np.uint8))
     return [*paths, directory / "blank.png"]
+
+
+def middle_box(image: Path) -> tuple[float, float, float, float]:
+    """A box around the middle of an image, for what there is: x1, y1, x2, y2."""
+    pixels = cv2.imread(str(image))
+    assert pixels is not None, image
+    height, width = pixels.shape[:2]
+    return 0.4 * width, 0.4 * height, 0.6 * width, 0.6 * height
+
+
+def target(box: tuple[float, float, float, float]) -> dict[str, Any]:
+    """The argument of ``measure_area`` that names a box."""
+    return {"target": {"box": dict(zip(("x_min", "y_min", "x_max", "y_max"), box, strict=True))}}
 
 
 def write_large_image(directory: Path, side_px: int = 4096) -> Path:
@@ -47,8 +88,8 @@ def _write(path: Path, image: np.ndarray) -> None:
 
 
 @contextlib.contextmanager
-def http_server(*flags: str) -> Iterator[tuple[str, int]]:
-    """A server on a free port, ready: its URL and its process."""
+def http_server(*flags: str) -> Iterator[HttpServer]:
+    """A server on a free port, ready."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -61,7 +102,7 @@ def http_server(*flags: str) -> Iterator[tuple[str, int]]:
             if process.poll() is not None or time.monotonic() > deadline:
                 sys.exit("the server did not start")
             time.sleep(0.1)
-        yield f"http://127.0.0.1:{port}/mcp", process.pid
+        yield HttpServer(f"http://127.0.0.1:{port}/mcp", process)
     finally:
         process.terminate()
         try:

@@ -8,8 +8,9 @@ from importlib.metadata import version
 from mcp.server import MCPServer
 from mcp.server.auth.provider import TokenVerifier
 from mcp.server.auth.settings import AuthSettings
-from mcp.server.caching import CacheHint
+from mcp.server.caching import CacheableMethod, CacheHint
 
+from vehanchor_server.app_page import app_extension
 from vehanchor_server.capacity import Capacity
 from vehanchor_server.fetch import Fetcher
 from vehanchor_server.image_source import ImageSources
@@ -21,7 +22,8 @@ from vehanchor_server.tools import POLICY, Services, tools
 __all__ = ["create_server", "create_services"]
 
 _MIB = 1 << 20
-_LIST_TTL_MS = 3_600_000  # the tools change with the server's version only
+_FIXED: tuple[CacheableMethod, ...] = ("tools/list", "resources/list", "resources/read")
+_LIST_TTL_MS = 3_600_000  # they change with the server's version only
 
 
 def create_services(settings: Settings) -> Services:
@@ -57,11 +59,12 @@ def create_server(
     return MCPServer(
         "vehanchor",
         title="VehAnchor",
-        description="Metric scale for aerial images without metadata: cars as the ruler.",
+        description="Metric scale and areas from aerial images without metadata: cars as the ruler.",
         instructions=_instructions(services.settings),
         version=version("vehanchor"),
         tools=list(tools(services)),
-        cache_hints={"tools/list": CacheHint(ttl_ms=_LIST_TTL_MS, scope="public")},
+        extensions=[app_extension()],
+        cache_hints=dict.fromkeys(_FIXED, CacheHint(ttl_ms=_LIST_TTL_MS, scope="public")),
         subscriptions=False,
         auth=auth,
         token_verifier=token_verifier,
@@ -75,6 +78,7 @@ def _instructions(settings: Settings) -> str:
     if settings.image_hosts:
         kinds.append("url, on " + " or ".join(settings.image_hosts))
     return (
-        "VehAnchor measures the metric scale of aerial images from the cars in them. "
+        "VehAnchor measures the metric scale of aerial images from the cars in them (estimate_gsd), and the area of "
+        "objects in them (measure_area). "
         f"{POLICY} Images are accepted by {'; '.join(kinds)}."
     )

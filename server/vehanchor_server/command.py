@@ -12,7 +12,7 @@ from vehanchor_server.settings import Settings, SettingsError
 
 __all__ = ["schemas", "serve"]
 
-_SOURCES, _WORK, _HTTP = "Where images may come from", "Model and limits", "HTTP"
+_SOURCES, _WORK, _HTTP = "Where images may come from", "Models and limits", "HTTP"
 
 
 def serve(
@@ -28,7 +28,19 @@ def serve(
     detector: Annotated[
         str | None, typer.Option(help="Bundled name or path of the detector.", rich_help_panel=_WORK)
     ] = None,
-    threads: Annotated[int | None, typer.Option(help="CPU threads of the model.", rich_help_panel=_WORK)] = None,
+    segmenter: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(
+            metavar="ENCODER DECODER", help="ONNX files of the segmenter [the bundled one].", rich_help_panel=_WORK
+        ),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Reference length that 'vehanchor calibrate' measured.", rich_help_panel=_WORK
+        ),
+    ] = None,
+    threads: Annotated[int | None, typer.Option(help="CPU threads of a model.", rich_help_panel=_WORK)] = None,
     min_score: Annotated[float | None, typer.Option(help="Lowest detection score.", rich_help_panel=_WORK)] = None,
     max_image_mb: Annotated[
         float | None, typer.Option(help="Largest image file, MiB [512].", rich_help_panel=_WORK)
@@ -78,12 +90,15 @@ def serve(
 ) -> None:
     """Serve the tools to agents over MCP: on stdin and stdout, or over HTTP at /mcp.
 
-    Every option is also a variable: --max-image-mb is VEHANCHOR_MAX_IMAGE_MB, --root is VEHANCHOR_ROOTS.
+    Every option is also a variable: --max-image-mb is VEHANCHOR_MAX_IMAGE_MB, --root is VEHANCHOR_ROOTS. Several paths
+    in one variable are separated by the system's path separator.
     """
     given: dict[str, Any] = {
         "roots": tuple(root) if root else None,
         "image_hosts": tuple(image_host) if image_host else None,
         "detector": detector,
+        "segmenter": segmenter,
+        "calibration": calibration,
         "threads": threads,
         "min_score": min_score,
         "max_image_mb": max_image_mb,

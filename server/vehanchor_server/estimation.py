@@ -5,16 +5,15 @@ The library is imported by the call: OpenCV and ONNX Runtime would make the serv
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from vehanchor.errors import VehAnchorError
-from vehanchor_server.errors import CallError
+from vehanchor_server.answer import Answer
+from vehanchor_server.errors import call_errors
 
 if TYPE_CHECKING:
     from vehanchor.imagery import ImageLimits
+    from vehanchor.perception import ScaleOptions
     from vehanchor.records import GsdEstimate
     from vehanchor_server.image_argument import Frame
     from vehanchor_server.image_source import OpenedImage
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from vehanchor_server.models import Models
     from vehanchor_server.settings import Settings
 
-__all__ = ["ScaleQuestion", "call_errors", "estimate", "image_limits"]
+__all__ = ["ScaleQuestion", "estimate", "scale_options"]
 
 
 @dataclass(frozen=True)
@@ -41,30 +40,30 @@ class ScaleQuestion:
     frame: Frame | None
     include_overlay: bool
 
+    @property
+    def fleet_unknown(self) -> bool:
+        """Whether the caller says nothing about the cars there."""
+        return self.region is None and self.reference_length_m is None
+
 
 def estimate(
     settings: Settings, models: Models, job: Job, source: OpenedImage, question: ScaleQuestion
-) -> tuple[GsdEstimate, bytes | None]:
-    """The record, and the overlay as JPEG if it was asked for.
+) -> Answer[GsdEstimate]:
+    """Search the image for vehicles and measure them.
 
     Raises:
         CallError: the library refused; its code is passed on.
         CallStoppedError: the call was asked to end.
     """
     from vehanchor.imagery import open_raster
-    from vehanchor.perception import ScaleOptions, analyse_raster, open_detector
+    from vehanchor.overlay import draw_overlay
+    from vehanchor.perception import analyse_raster, open_detector
+    from vehanchor_server.app_page.panel import length_histogram
     from vehanchor_server.overlay import overlay_jpeg
 
     detector = models.detector()
     with call_errors(source):
-        options = ScaleOptions(
-            min_score=settings.min_score,
-            region=question.region,
-            reference_length_m=question.reference_length_m,
-            frame_width_px=question.frame.width_px if question.frame else None,
-            frame_height_px=question.frame.height_px if question.frame else None,
-            limits=image_limits(settings),
-        )
+        options = scale_options(settings, question, models)
         open_detector(detector, options)  # an unknown region is told before the work
         job.enter("decode")
         with open_raster(source, limits=options.limits) as raster:
@@ -72,11 +71,38 @@ def estimate(
             overlay = None
             if question.include_overlay:
                 job.enter("overlay")
-                overlay = overlay_jpeg(raster, analysis, job.stop)
-    return analysis.estimate, overlay
+                overlay = overlay_jpeg(raster, job.stop, lambda seen: draw_overlay(seen, analysis))
+    return Answer(analysis.estimate, overlay, length_histogram(analysis))
 
 
-def image_limits(settings: Settings) -> ImageLimits:
+def scale_options(settings: Settings, question: ScaleQuestion, models: Models | None) -> ScaleOptions:
+    """The method's options: thresholds, limits and calibration by the operator, the rest by the caller.
+
+    A caller who knows where the image was taken knows more than the operator's calibration, which is then left out.
+
+    Args:
+        settings: the operator's.
+        question: the caller's.
+        models: have the calibration; None where the scale is known and no vehicle is searched.
+
+    Raises:
+        CallError: the calibration cannot be loaded.
+        InvalidParameterError: the caller's options contradict each other.
+    """
+    from vehanchor.perception import ScaleOptions
+
+    return ScaleOptions(
+        min_score=settings.min_score,
+        region=question.region,
+        reference_length_m=question.reference_length_m,
+        calibration=models.calibration() if models and question.fleet_unknown else None,
+        frame_width_px=question.frame.width_px if question.frame else None,
+        frame_height_px=question.frame.height_px if question.frame else None,
+        limits=_image_limits(settings),
+    )
+
+
+def _image_limits(settings: Settings) -> ImageLimits:
     """What an image may cost here."""
     from vehanchor.imagery import ImageLimits
 
@@ -85,21 +111,3 @@ def image_limits(settings: Settings) -> ImageLimits:
         max_pixels=round(settings.max_megapixels * 1e6),
         max_windowed_pixels=round(settings.max_windowed_megapixels * 1e6),
     )
-
-
-@contextmanager
-def call_errors(source: OpenedImage) -> Iterator[None]:
-    """Pass the library's errors on to the caller, without the name under which the server opened the file.
-
-    Raises:
-        CallError: instead of a ``VehAnchorError``, with its code.
-    """
-    try:
-        yield
-    except VehAnchorError as error:
-        message = (
-            str(error).replace(repr(source), "image").replace(source, "image")
-            if isinstance(source, str)
-            else str(error)
-        )
-        raise CallError(error.code, message if message.endswith(".") else f"{message}.") from error

@@ -49,14 +49,14 @@ class Job:
     @cached_property
     def run_options(self) -> onnxruntime.RunOptions:
         """For every run of a model: a stop request ends the run within a layer."""
-        import onnxruntime  # slow to load: not before a call needs it
+        from vehanchor.onnx_session import stoppable  # ONNX Runtime is slow to load: not before a call needs it
 
-        options = onnxruntime.RunOptions()
+        options = stoppable()
         self.stop.on_request(lambda: setattr(options, "terminate", True))
         return options
 
     def enter(self, stage: str) -> None:
-        """Begin a stage (``decode``, ``detect``, ``scale``, ...), and end the one before.
+        """Begin a stage (``decode``, ``segment``, ``detect``, ``scale``, ...), and end the one before.
 
         Raises:
             CallStoppedError: the call was asked to end.
@@ -64,6 +64,16 @@ class Job:
         self.stop.check()
         self._end_stage()
         self._span = _tracer.start_span(f"vehanchor.{stage}")
+
+    def segmenting(self) -> None:
+        """Begin the search for the object's mask; its report takes the place of the first one of ``searched``.
+
+        Raises:
+            CallStoppedError: the call was asked to end.
+        """
+        self.enter("segment")
+        self._reported = 0
+        self._report(PERCENT_READ, "looking for the object")
 
     def searched(self, done: int, total: int) -> None:
         """Report tiles as progress: at the start, the middle and the end, whatever their number.
@@ -78,10 +88,12 @@ class Job:
         if half > self._reported:
             self._reported = half
             percent = PERCENT_READ + (PERCENT_SEARCHED - PERCENT_READ) * done / total
-            message = f"searched {done} of {total} tiles"
-            anyio.from_thread.run(self._ctx.report_progress, percent, PERCENT_DONE, message)
+            self._report(percent, f"searched {done} of {total} tiles")
         if done == total:
             self.enter("scale")
+
+    def _report(self, percent: float, message: str) -> None:
+        anyio.from_thread.run(self._ctx.report_progress, percent, PERCENT_DONE, message)
 
     def _end_stage(self) -> None:
         if self._span is not None:

@@ -6,17 +6,67 @@ import contextlib
 import importlib
 import logging
 import threading
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from vehanchor.errors import VehAnchorError
+from vehanchor.model_zoo import bundled_segmenter, resolve_model, resolve_segmenter
 from vehanchor_server.errors import CallError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from vehanchor.calibration import Calibration
     from vehanchor.detection import Detector
+    from vehanchor.segmentation import Segmenter
     from vehanchor_server.settings import Settings
 
 __all__ = ["Models"]
 
+T = TypeVar("T")
+
+_ALSO_SLOW = ("vehanchor_server.overlay", "vehanchor.measurement", "vehanchor.area_overlay")
 _logger = logging.getLogger(__name__)
+
+
+class _Late(Generic[T]):
+    """One thing that is loaded when it is first asked for.
+
+    Args:
+        name: of the thing, and of the option that names it.
+        load: makes it.
+    """
+
+    def __init__(self, name: str, load: Callable[[], T]) -> None:
+        self._name = name
+        self._load = load
+        self._lock = threading.Lock()
+        self._value: T | None = None
+        self.failure: str | None = None
+
+    @property
+    def ready(self) -> bool:
+        return self._value is not None
+
+    def get(self) -> T:
+        """The thing; blocks while it is loaded.
+
+        Raises:
+            CallError: ``model_unavailable``; the operator's paths stay in the log.
+        """
+        with self._lock:
+            if self._value is None:
+                try:
+                    self._value = self._load()
+                except VehAnchorError as error:
+                    self.failure = error.code
+                    _logger.error("the %s cannot be loaded: %s: %s", self._name, error.code, error)
+                    raise CallError(
+                        "model_unavailable",
+                        f"this server's {self._name} cannot be loaded ({error.code}). "
+                        f"Its operator must look at --{self._name}.",
+                    ) from error
+                self.failure = None
+            return self._value
 
 
 class Models:
@@ -27,21 +77,25 @@ class Models:
     """
 
     def __init__(self, settings: Settings) -> None:
-        self._name = settings.detector
-        self._threads = settings.threads
-        self._lock = threading.Lock()
-        self._detector: Detector | None = None
-        self._failure: str | None = None
+        self._settings = settings
+        self._detector = _Late("detector", self._load_detector)
+        self._segmenter = _Late("segmenter", self._load_segmenter)
+        self._calibration = _Late("calibration", self._load_calibration)
+        self._required: list[_Late[Any]] = [self._detector]
+        if settings.calibration is not None:
+            self._required.append(self._calibration)
+        if settings.segmenter is not None or bundled_segmenter() is not None:
+            self._required.append(self._segmenter)  # else measure_area says that there is none, and the rest works
 
     @property
     def ready(self) -> bool:
         """Whether a call can start at once."""
-        return self._detector is not None
+        return all(model.ready for model in self._required)
 
     @property
     def failure(self) -> str | None:
         """The code of the error that loading ended with, None without one."""
-        return self._failure
+        return next((model.failure for model in self._required if model.failure), None)
 
     def preload(self, delay_s: float = 0.0) -> None:
         """Load in the background after a while; a failure is logged, and met again by the first call."""
@@ -49,35 +103,54 @@ class Models:
         timer.name, timer.daemon = "vehanchor-preload", True
         timer.start()
 
-    def _load_quietly(self) -> None:
-        with contextlib.suppress(CallError):  # logged where it was raised
-            self.detector()
-        importlib.import_module("vehanchor_server.overlay")  # and what else a first call would wait for
-        importlib.import_module("vehanchor.perception")
-
     def detector(self) -> Detector:
         """The detector; blocks while it is loaded.
 
         Raises:
-            CallError: ``model_unavailable``; the operator's paths stay in the log.
+            CallError: ``model_unavailable``.
         """
-        with self._lock:
-            if self._detector is None:
-                self._detector = self._loaded()
-                self._failure = None
-            return self._detector
+        return self._detector.get()
 
-    def _loaded(self) -> Detector:
-        from vehanchor.detection import load_detector  # OpenCV and ONNX Runtime are slow to load: not before needed
-        from vehanchor.errors import VehAnchorError
-        from vehanchor.model_zoo import resolve_model
+    def calibration(self) -> Calibration | None:
+        """The detector's reference length as the operator measured it; None without.
 
-        try:
-            return load_detector(resolve_model(self._name), threads=self._threads)
-        except VehAnchorError as error:
-            self._failure = error.code
-            _logger.error("the detector cannot be loaded: %s: %s", error.code, error)
-            raise CallError(
-                "model_unavailable",
-                f"this server's detector cannot be loaded ({error.code}). Its operator must look at --detector.",
-            ) from error
+        Raises:
+            CallError: ``model_unavailable``.
+        """
+        return None if self._settings.calibration is None else self._calibration.get()
+
+    def segmenter(self) -> Segmenter:
+        """The segmenter; blocks while it is loaded.
+
+        Raises:
+            CallError: ``model_unavailable``.
+        """
+        return self._segmenter.get()
+
+    def _load_quietly(self) -> None:
+        for load in (self.detector, self.calibration, self.segmenter):
+            with contextlib.suppress(CallError):  # logged where it was raised
+                load()
+        for module in _ALSO_SLOW:  # what else a first call would wait for
+            importlib.import_module(module)
+
+    # OpenCV and ONNX Runtime are slow to load: not before they are needed.
+
+    def _load_detector(self) -> Detector:
+        from vehanchor.detection import load_detector
+
+        return load_detector(resolve_model(self._settings.detector), threads=self._settings.threads)
+
+    def _load_calibration(self) -> Calibration:
+        from vehanchor.calibration import load_calibration
+
+        assert self._settings.calibration is not None
+        calibration = load_calibration(self._settings.calibration)
+        card = self.detector().card
+        calibration.check_detector(card.name, card.sha256)
+        return calibration
+
+    def _load_segmenter(self) -> Segmenter:
+        from vehanchor.segmentation import load_segmenter
+
+        return load_segmenter(*resolve_segmenter(self._settings.segmenter), threads=self._settings.threads)

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any, cast
 import cv2
 import numpy as np
 
-from vehanchor.overlay import draw_overlay, read_reduced
+from vehanchor.overlay import read_reduced
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from vehanchor.imagery import Raster, Window
-    from vehanchor.perception import ScaleAnalysis
     from vehanchor_server.capacity import Stop
 
 __all__ = ["MAX_PICTURE_BYTES", "overlay_jpeg"]
@@ -23,15 +24,15 @@ _MAX_SIDE_PX = 1568  # what vision models see at most; more would only cost
 _QUALITIES = (85, 70, 55, 40)
 
 
-def overlay_jpeg(raster: Raster, analysis: ScaleAnalysis, stop: Stop) -> bytes:
-    """The image with measured vehicles, dropped outliers and a scale bar, as JPEG of at most ``MAX_PICTURE_BYTES``.
+def overlay_jpeg(raster: Raster, stop: Stop, draw: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]) -> bytes:
+    """The picture that explains a result, as JPEG of at most ``MAX_PICTURE_BYTES``.
 
     Args:
         raster: the image.
-        analysis: of that image.
         stop: ends the reading of a large image early.
+        draw: makes the picture, ``[h', w', 3]`` RGB, of the image or a reduced copy, ``[h, w, 3]``.
     """
-    picture = draw_overlay(read_reduced(cast("Raster", _StoppableRaster(raster, stop))), analysis)
+    picture = draw(read_reduced(cast("Raster", _StoppableRaster(raster, stop))))
     while True:
         picture = _within(picture, _MAX_SIDE_PX)
         for quality in _QUALITIES:

@@ -19,7 +19,7 @@ __all__ = ["Settings", "SettingsError"]
 
 _PREFIX = "VEHANCHOR_"
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
-_TRUE, _FALSE = ("1", "true", "yes", "on"), ("0", "false", "no", "off", "")
+_TRUE, _FALSE = ("1", "true", "yes", "on"), ("0", "false", "no", "off")
 
 
 class SettingsError(ValueError):
@@ -34,7 +34,10 @@ class Settings:
         roots: directories below which images may be read by path; none means that paths are off.
         image_hosts: hosts (``name`` or ``name:port``) that images may be fetched from; none means that URLs are off.
         detector: bundled name or path of the detector; None for the default one.
-        threads: CPU threads of the model; None leaves it to ONNX Runtime.
+        segmenter: paths of a segmenter's encoder and decoder; None for the bundled one.
+        calibration: file of a reference length, as ``vehanchor calibrate`` writes it, for callers who name neither
+            region nor reference length; None takes the detector's own.
+        threads: CPU threads of a model; None leaves it to ONNX Runtime.
         min_score: lowest detection score; None takes the model's.
         max_image_mb: encoded size of an image, MiB.
         max_megapixels: declared size of an image that is decoded whole, millions of pixels.
@@ -57,6 +60,8 @@ class Settings:
     roots: tuple[Path, ...] = ()
     image_hosts: tuple[str, ...] = ()
     detector: str | None = None
+    segmenter: tuple[Path, Path] | None = None
+    calibration: Path | None = None
     threads: int | None = None
     min_score: float | None = None
     max_image_mb: float = 512.0
@@ -91,6 +96,8 @@ class Settings:
             name, _, port = host.partition(":")
             if not name or set(name) & set("/*@[]") or (":" in host and not port.isdigit()):
                 raise SettingsError(f"image host {host!r}: give a plain host name or name:port, without https:// or *")
+        if self.segmenter is not None and len(self.segmenter) != 2:
+            raise SettingsError("segmenter needs two files: give its encoder and its decoder")
         if (self.oidc_issuer is None) != (self.oidc_audience is None):
             raise SettingsError("oidc_issuer and oidc_audience belong together: give both or neither")
         if self.oidc_issuer is not None and not self.oidc_issuer.startswith("https://"):
@@ -124,7 +131,7 @@ class Settings:
     def from_environment(cls, environ: Mapping[str, str] | None = None, /, **given: Any) -> Settings:
         """Options from ``VEHANCHOR_*`` variables, those ``given`` (and not None) first.
 
-        Lists are separated by commas, ``VEHANCHOR_ROOTS`` by the system's path separator.
+        Paths are separated by the system's path separator, other lists by commas. An empty variable is none.
 
         Raises:
             SettingsError: a variable cannot be read, or what it says has no meaning.
@@ -133,7 +140,7 @@ class Settings:
         chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         for name, kind in typing.get_type_hints(cls).items():
             text = environ.get(_PREFIX + name.upper())
-            if name not in chosen and text is not None:
+            if name not in chosen and text:
                 chosen[name] = _parsed(name, text, kind)
         return cls(**chosen)
 
@@ -142,10 +149,10 @@ class Settings:
         variables = {}
         for field in fields(self):
             value = getattr(self, field.name)
+            if isinstance(value, tuple):
+                value = (_separator(type(value[0])) if value else "").join(map(str, value))
             if value is not None:
-                separator = os.pathsep if field.name == "roots" else ","
-                text = separator.join(map(str, value)) if isinstance(value, tuple) else str(value)
-                variables[_PREFIX + field.name.upper()] = text
+                variables[_PREFIX + field.name.upper()] = str(value)
         return variables
 
 
@@ -164,15 +171,22 @@ def _checked_root(root: Path) -> Path:
 
 def _parsed(name: str, text: str, kind: Any) -> Any:
     """A variable's text as the field's type."""
-    kinds = [option for option in typing.get_args(kind) or (kind,) if option not in (type(None), Ellipsis)]
+    if type(None) in typing.get_args(kind):  # optional
+        kind = next(option for option in typing.get_args(kind) if option is not type(None))
+    many = typing.get_origin(kind) is tuple
+    one = typing.get_args(kind)[0] if many else kind
     try:
-        if kinds[0] is bool:
+        if one is bool:
             if text.lower() not in _TRUE + _FALSE:
                 raise ValueError(text)
             return text.lower() in _TRUE
-        if typing.get_origin(kind) is tuple:
-            separator = os.pathsep if name == "roots" else ","
-            return tuple(kinds[0](part.strip()) for part in text.split(separator) if part.strip())
-        return kinds[0](text) if text else None
+        if many:
+            return tuple(one(part.strip()) for part in text.split(_separator(one)) if part.strip())
+        return one(text)
     except ValueError:
-        raise SettingsError(f"{_PREFIX}{name.upper()} is {text!r}: expected {kinds[0].__name__}") from None
+        raise SettingsError(f"{_PREFIX}{name.upper()} is {text!r}: expected {one.__name__}") from None
+
+
+def _separator(kind: type) -> str:
+    """What stands between the parts of a variable."""
+    return os.pathsep if issubclass(kind, Path) else ","

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from itertools import groupby
 from typing import Any
 
 from mcp.server.mcpserver import Context
@@ -78,7 +79,8 @@ def _complaints(error: ValidationError) -> str:
     found = error.errors(include_url=False, include_context=False, include_input=False)
     lines = []
     for complaint in found[:_MAX_COMPLAINTS]:
-        place = ".".join(str(part) for part in complaint["loc"]) or "arguments"
+        # pydantic names the chosen form of a union after the argument: image.path.path, target.box.box.x_min
+        place = ".".join(str(part) for part, _ in groupby(complaint["loc"])) or "arguments"
         lines.append(f"{place}: {_IN_WORDS.get(complaint['type'], complaint['msg'])}")
     more = f" (and {len(found) - _MAX_COMPLAINTS} more)" if len(found) > _MAX_COMPLAINTS else ""
     return "; ".join(lines) + more + ". Correct the arguments by the tool's input schema."

@@ -6,22 +6,27 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
+from mcp.server.apps import client_supports_apps
 from mcp.server.mcpserver import Context, Image
 from mcp.types import CallToolResult, TextContent, ToolAnnotations
 from pydantic import Field
 
-from vehanchor.records import GsdEstimate
+from vehanchor.records import AreaMeasurement, GsdEstimate
+from vehanchor_server.answer import Answer
+from vehanchor_server.app_page import APP_META, panel_meta
 from vehanchor_server.capacity import Capacity, Stop
 from vehanchor_server.estimation import ScaleQuestion, estimate
 from vehanchor_server.image_argument import AnyImage, Frame, ImageArgument
 from vehanchor_server.image_source import ImageSources, OpenedImage
 from vehanchor_server.job import PERCENT_DONE, Job
+from vehanchor_server.measurement import AreaQuestion, measure
 from vehanchor_server.models import Models
-from vehanchor_server.sentences import describe_estimate
+from vehanchor_server.sentences import describe_area, describe_estimate
 from vehanchor_server.settings import Settings
 from vehanchor_server.strict_tool import StrictTool
+from vehanchor_server.target_argument import TargetArgument
 
-__all__ = ["Services", "estimate_gsd_tool", "tools"]
+__all__ = ["Services", "estimate_gsd_tool", "measure_area_tool", "tools"]
 
 Result = TypeVar("Result")
 
@@ -39,6 +44,39 @@ _ESTIMATE_GSD = (
     "resized copy of the image, give the copy's size as frame and use frame.gsd_m_per_px for distances in that copy. "
     "Very large images take up to a minute."
 )
+
+_MEASURE_AREA = (
+    "Measures the real area (square metres) and size of one object in a near-nadir aerial or satellite image: roof, "
+    "pool, field, clearing, car park, landing site. The object is segmented from a box or points that you give; the "
+    "scale comes from the cars in the image, or from gsd_m_per_px if you know it. Call it instead of judging an area "
+    "by eye or multiplying a box's sides; prefer a box, drawn tightly around the whole object. Also returns length, "
+    "width, perimeter, and inscribed_diameter_m, the largest circle that fits inside: what a landing needs. "
+    f"{POLICY} The same rule holds for areas: status low_confidence means do not act on it, no_anchor means that there "
+    "is no area, only pixels. If you see a resized copy of the image, give the copy's size as frame, and box and "
+    "points in its pixels. Very large images take up to a minute."
+)
+
+# What both tools are asked.
+_Image = Annotated[ImageArgument, Field(description="The whole image, uncropped; kind says where it is.")]
+_Region = Annotated[
+    str | None,
+    Field(
+        max_length=64,
+        description="Where the image was taken, if known: europe or north_america; cars differ in length.",
+    ),
+]
+_ReferenceLength = Annotated[
+    float | None,
+    Field(
+        gt=0,
+        le=100,
+        allow_inf_nan=False,
+        description="Typical car length there in metres, if better known; not with region.",
+    ),
+]
+_FrameSize = Annotated[
+    Frame | None, Field(description="Size of the resized copy that you see; its aspect ratio is the image's.")
+]
 
 
 @dataclass(frozen=True)
@@ -60,52 +98,82 @@ class Services:
 
 def tools(services: Services) -> list[StrictTool]:
     """All tools of the server."""
-    return [estimate_gsd_tool(services)]
+    return [estimate_gsd_tool(services), measure_area_tool(services)]
 
 
 def estimate_gsd_tool(services: Services) -> StrictTool:
     """The tool that measures an image's scale."""
 
     async def estimate_gsd(
-        image: Annotated[ImageArgument, Field(description="The whole image, uncropped; kind says where it is.")],
+        image: _Image,
         ctx: Context[Any, Any],
-        region: Annotated[
-            str | None,
-            Field(
-                max_length=64,
-                description="Where the image was taken, if known: europe or north_america; cars differ in length.",
-            ),
-        ] = None,
-        reference_length_m: Annotated[
-            float | None,
-            Field(
-                gt=0,
-                le=100,
-                allow_inf_nan=False,
-                description="Typical car length there in metres, if better known; not with region.",
-            ),
-        ] = None,
-        frame: Annotated[
-            Frame | None,
-            Field(description="Size of the resized copy that you see; its aspect ratio is the image's."),
-        ] = None,
+        region: _Region = None,
+        reference_length_m: _ReferenceLength = None,
+        frame: _FrameSize = None,
         include_overlay: Annotated[
             bool, Field(description="Also return a picture with the vehicles that were measured and a scale bar.")
         ] = False,
     ) -> Annotated[CallToolResult, GsdEstimate]:
-        question = ScaleQuestion(region, reference_length_m, frame, include_overlay)
+        drawn = include_overlay or client_supports_apps(ctx)
+        question = ScaleQuestion(region, reference_length_m, frame, drawn)
 
-        def work(job: Job, source: OpenedImage) -> tuple[GsdEstimate, bytes | None]:
+        def work(job: Job, source: OpenedImage) -> Answer[GsdEstimate]:
             return estimate(services.settings, services.models, job, source, question)
 
-        record, overlay = await _run(services, ctx, image, work)
-        return _result(record, describe_estimate(record), overlay)
+        answer = await _run(services, ctx, image, work)
+        return _result(answer, describe_estimate(answer.record), include_overlay)
 
     return StrictTool.strict(
         estimate_gsd,
         title="Measure the scale of an aerial image",
         description=_ESTIMATE_GSD,
         annotations=_annotations("Measure the scale of an aerial image"),
+        meta=APP_META,
+    )
+
+
+def measure_area_tool(services: Services) -> StrictTool:
+    """The tool that measures an object's area."""
+
+    async def measure_area(
+        image: _Image,
+        target: Annotated[
+            TargetArgument,
+            Field(description="The object, in pixels of the image, or of frame where that is given: box or points."),
+        ],
+        ctx: Context[Any, Any],
+        gsd_m_per_px: Annotated[
+            float | None,
+            Field(
+                gt=0,
+                le=1000,
+                allow_inf_nan=False,
+                description="Metres per pixel of the full image, if known: then no cars are needed.",
+            ),
+        ] = None,
+        region: _Region = None,
+        reference_length_m: _ReferenceLength = None,
+        frame: _FrameSize = None,
+        include_overlay: Annotated[
+            bool, Field(description="Also return a picture with the object's outline, the vehicles and a scale bar.")
+        ] = False,
+    ) -> Annotated[CallToolResult, AreaMeasurement]:
+        drawn = include_overlay or client_supports_apps(ctx)
+        scale = ScaleQuestion(region, reference_length_m, frame, drawn)
+        question = AreaQuestion(target, gsd_m_per_px, scale)
+
+        def work(job: Job, source: OpenedImage) -> Answer[AreaMeasurement]:
+            return measure(services.settings, services.models, job, source, question)
+
+        answer = await _run(services, ctx, image, work)
+        return _result(answer, describe_area(answer.record), include_overlay)
+
+    return StrictTool.strict(
+        measure_area,
+        title="Measure the area of an object in an aerial image",
+        description=_MEASURE_AREA,
+        annotations=_annotations("Measure the area of an object in an aerial image"),
+        meta=APP_META,
     )
 
 
@@ -136,9 +204,13 @@ def _annotations(title: str) -> ToolAnnotations:
     )
 
 
-def _result(record: GsdEstimate, sentence: str, overlay: bytes | None) -> CallToolResult:
-    """The record for programs, the sentence for models, the picture for those who asked."""
+def _result(answer: Answer[GsdEstimate | AreaMeasurement], sentence: str, include_overlay: bool) -> CallToolResult:
+    """The record for programs, the sentence for models, the picture for those who asked, the panel for people."""
     content: list[Any] = [TextContent(type="text", text=sentence)]
-    if overlay is not None:
-        content.append(Image(data=overlay, format="jpeg").to_image_content())
-    return CallToolResult(content=content, structured_content=record.model_dump(mode="json"))
+    if include_overlay and answer.overlay is not None:
+        content.append(Image(data=answer.overlay, format="jpeg").to_image_content())
+    return CallToolResult(
+        content=content,
+        structured_content=answer.record.model_dump(mode="json"),
+        _meta=panel_meta(answer.histogram, None if include_overlay else answer.overlay),
+    )

@@ -1,4 +1,4 @@
-"""A real server on a real, tiny detector, and images it finds vehicles in."""
+"""A real server on a real, tiny detector and segmenter, and images in which they find vehicles and a pool."""
 
 from __future__ import annotations
 
@@ -11,12 +11,16 @@ import pytest
 from mcp.server import MCPServer
 
 from tests.models import blank_image, paint_vehicles, write_detector
+from tests.sam_models import SamFiles, write_sam
 from vehanchor_server.app import create_server, create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools import Services
 
 LENGTH_PX = 33.0
 N_VEHICLES = 24
+POOL = (300, 330, 348, 426)  # x and y of its corners; the test segmenter finds it to the pixel by POOL_BOX
+POOL_BOX = {"x_min": 294.0, "y_min": 324.0, "x_max": 354.0, "y_max": 432.0}
+_POOL_RGB = (40, 140, 210)
 
 
 @pytest.fixture
@@ -52,6 +56,13 @@ def paint_scene(width_px: int, height_px: int, n_vehicles: int = N_VEHICLES) -> 
     return image
 
 
+def with_pool(image: np.ndarray) -> np.ndarray:
+    """The same image with a pool painted in."""
+    x_min, y_min, x_max, y_max = POOL
+    image[y_min:y_max, x_min:x_max] = _POOL_RGB
+    return image
+
+
 def write_image(path: Path, image: np.ndarray) -> Path:
     """Write an RGB image without loss."""
     assert cv2.imwrite(str(path), image[:, :, ::-1])
@@ -65,6 +76,11 @@ def detector_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def segmenter_paths(tmp_path_factory: pytest.TempPathFactory) -> SamFiles:
+    return write_sam(tmp_path_factory.mktemp("segmenter"))
+
+
+@pytest.fixture(scope="session")
 def _images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("images").resolve()
     write_image(root / "cars.png", paint_scene(640, 512))
@@ -72,6 +88,10 @@ def _images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_image(root / "small.png", paint_scene(250, 250, 4))
     write_image(root / "two.png", paint_scene(640, 512, 2))
     write_image(root / "large.png", paint_scene(900, 900))
+    write_image(root / "pool.png", with_pool(paint_scene(640, 512)))
+    write_image(root / "pool_two.png", with_pool(paint_scene(640, 512, 2)))
+    write_image(root / "pool_alone.png", with_pool(paint_scene(640, 512, 0)))
+    write_image(root / "pool_large.png", with_pool(paint_scene(900, 900)))
     (root / "sub dir").mkdir()
     write_image(root / "sub dir" / "cars é.png", paint_scene(640, 512))
     (root / "notes.txt").write_text("not an image")
@@ -85,8 +105,8 @@ def images(_images: Path) -> Path:
 
 
 @pytest.fixture
-def settings(images: Path, detector_path: Path) -> Settings:
-    return Settings(roots=(images,), detector=str(detector_path), threads=1)
+def settings(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Settings:
+    return Settings(roots=(images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1)
 
 
 @pytest.fixture

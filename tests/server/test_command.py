@@ -43,8 +43,18 @@ def test_flags_become_settings(app: typer.Typer, monkeypatch: pytest.MonkeyPatch
     )
     runner = CliRunner()
     arguments = ["serve", "--root", str(tmp_path), "--threads", "2", "--image-host", "a.test", "--image-host", "b.test"]
+    arguments += ["--segmenter", "e.onnx", "d.onnx", "--calibration", "c.json"]
     assert runner.invoke(app, arguments, env={"VEHANCHOR_DEADLINE_S": "9", "VEHANCHOR_THREADS": "7"}).exit_code == 0
-    assert served == [Settings(roots=(tmp_path,), threads=2, image_hosts=("a.test", "b.test"), deadline_s=9.0)]
+    assert served == [
+        Settings(
+            roots=(tmp_path,),
+            threads=2,
+            image_hosts=("a.test", "b.test"),
+            segmenter=(Path("e.onnx"), Path("d.onnx")),
+            calibration=Path("c.json"),
+            deadline_s=9.0,
+        )
+    ]
     served.clear()
     assert runner.invoke(app, ["serve", "--http", "--port", "9001", "--workers", "2"]).exit_code == 0
     assert served == [Settings(port=9001), 2]

@@ -1,24 +1,59 @@
 from __future__ import annotations
 
+import json
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from tests.sam_models import SamFiles
+from vehanchor.detection import load_detector
+from vehanchor_server import models as models_module
 from vehanchor_server.errors import CallError
+from vehanchor_server.estimation import ScaleQuestion, scale_options
 from vehanchor_server.models import Models
 from vehanchor_server.settings import Settings
 
 
-def test_a_model_is_loaded_once_and_in_the_background(detector_path: Path) -> None:
-    models = Models(Settings(detector=str(detector_path), threads=1))
+def wait_for(condition: Callable[[], Any]) -> None:
+    deadline = time.monotonic() + 60
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert condition()
+
+
+def calibration_file(path: Path, **fields: Any) -> Path:
+    """A calibration as ``vehanchor calibrate`` writes it."""
+    record = {
+        "kind": "vehanchor.calibration.v1",
+        "reference_length_m": 4.31,
+        "reference_length_ci95_low_m": 4.2,
+        "reference_length_ci95_high_m": 4.4,
+        "reference_length_sd_m": 0.1,
+        "source": "labels",
+        "n_vehicles": 500,
+        "n_images": 9,
+        "mode_length_px": 30.0,
+        "median_gsd_m_per_px": 0.15,
+        "detector": None,
+        "detector_sha256": None,
+        **fields,
+    }
+    path.write_text(json.dumps(record))
+    return path
+
+
+def test_models_are_loaded_once_and_in_the_background(settings: Settings) -> None:
+    models = Models(settings)
     assert not models.ready
     models.preload()
-    deadline = time.monotonic() + 60
-    while not models.ready and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert models.ready
+    wait_for(lambda: models.ready)
     assert models.detector() is models.detector()
+    assert models.segmenter() is models.segmenter()
+    assert models.failure is None
 
 
 def test_a_model_that_appears_later_is_found(tmp_path: Path, detector_path: Path) -> None:
@@ -30,3 +65,56 @@ def test_a_model_that_appears_later_is_found(tmp_path: Path, detector_path: Path
     path.write_bytes(detector_path.read_bytes())
     assert models.detector().path == path
     assert models.failure is None
+
+
+def test_a_segmenter_that_cannot_be_loaded_is_not_ready(settings: Settings, segmenter_paths: SamFiles) -> None:
+    models = Models(replace(settings, segmenter=(segmenter_paths[1], segmenter_paths[0])))
+    models.preload()
+    wait_for(lambda: models.failure)
+    assert models.failure == "model_contract"
+    assert not models.ready
+
+
+def test_an_installation_without_a_segmenter_is_ready_all_the_same(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(models_module, "bundled_segmenter", lambda: None)
+    monkeypatch.setattr("vehanchor.model_zoo.bundled_segmenter", lambda: None)
+    models = Models(replace(settings, segmenter=None))
+    models.preload()
+    wait_for(lambda: models.ready)
+    with pytest.raises(CallError, match=r"model_unavailable: .*\(model_not_found\).*--segmenter"):
+        models.segmenter()
+    assert models.ready
+    assert models.failure is None
+
+
+def test_the_calibration_sets_the_reference_length_of_callers_who_know_nothing_better(
+    settings: Settings, tmp_path: Path
+) -> None:
+    settings = replace(settings, calibration=calibration_file(tmp_path / "c.json"))
+    models = Models(settings)
+
+    def reference(question: ScaleQuestion) -> float | None:
+        calibration = scale_options(settings, question, models).calibration
+        return None if calibration is None else calibration.reference_length_m
+
+    assert reference(ScaleQuestion(None, None, None, False)) == 4.31
+    assert reference(ScaleQuestion("europe", None, None, False)) is None
+    assert reference(ScaleQuestion(None, 4.8, None, False)) is None
+    assert Models(replace(settings, calibration=None)).calibration() is None
+
+
+def test_a_calibration_must_be_the_detectors(settings: Settings, detector_path: Path, tmp_path: Path) -> None:
+    card = load_detector(detector_path, threads=1).card
+    fitting = calibration_file(tmp_path / "fitting.json", detector=card.name, detector_sha256=card.sha256)
+    assert Models(replace(settings, calibration=fitting)).calibration() is not None
+    foreign = calibration_file(tmp_path / "foreign.json", detector="other", detector_sha256="0" * 64)
+    for file, code in ((foreign, "calibration_mismatch"), (tmp_path / "none.json", "calibration_unreadable")):
+        models = Models(replace(settings, calibration=file))
+        with pytest.raises(CallError, match=rf"model_unavailable: .*\({code}\).*--calibration"):
+            models.calibration()
+        models.detector()
+        models.segmenter()
+        assert not models.ready
+        assert models.failure == code

@@ -11,12 +11,16 @@ from mcp import Client
 from mcp.server import MCPServer
 
 import vehanchor
+from tests.sam_models import SamFiles
+from tests.server.conftest import POOL_BOX
 from tests.server.test_tools import by_path
 from vehanchor.detection import load_detector
 from vehanchor_server.portable_schema import portable_schema
 from vehanchor_server.schemas import schema_files, write_schemas
 
 PUBLISHED = Path(__file__).parents[2] / "schemas"
+TOOLS = ("estimate_gsd", "measure_area")
+BOX = {"target": {"box": POOL_BOX}}
 
 
 def nodes(schema: Any) -> Iterator[dict[str, Any]]:
@@ -47,7 +51,7 @@ def test_writing_makes_the_directory(tmp_path: Path) -> None:
 
 
 def test_the_schemas_are_valid_2020_12_that_every_host_reads(files: dict[str, Any]) -> None:
-    for name in ("estimate_gsd.input.json", "estimate_gsd.output.json"):
+    for name in (f"{tool}.{side}.json" for tool in TOOLS for side in ("input", "output")):
         schema = files[name]
         jsonschema.Draft202012Validator.check_schema(schema)
         assert schema["type"] == "object"
@@ -60,26 +64,52 @@ def test_the_schemas_are_valid_2020_12_that_every_host_reads(files: dict[str, An
 @pytest.mark.anyio
 async def test_the_server_publishes_the_same(server: MCPServer[object], files: dict[str, Any]) -> None:
     async with Client(server) as client:
-        (tool,) = (await client.list_tools()).tools
-    for published, name in ((tool.input_schema, "input"), (tool.output_schema, "output")):
-        expected = {key: value for key, value in files[f"estimate_gsd.{name}.json"].items() if key != "$schema"}
-        assert published == expected
+        tools = (await client.list_tools()).tools
+    assert [tool.name for tool in tools] == list(TOOLS)
+    for tool in tools:
+        for published, side in ((tool.input_schema, "input"), (tool.output_schema, "output")):
+            expected = {key: value for key, value in files[f"{tool.name}.{side}.json"].items() if key != "$schema"}
+            assert published == expected
 
 
 @pytest.mark.anyio
-@pytest.mark.parametrize("image", ["cars.png", "two.png", "empty.png"])
+@pytest.mark.parametrize(
+    ("tool", "image", "more"),
+    [
+        ("estimate_gsd", "cars.png", {}),
+        ("estimate_gsd", "two.png", {}),
+        ("estimate_gsd", "empty.png", {}),
+        ("measure_area", "pool.png", BOX),
+        ("measure_area", "pool_alone.png", BOX),
+        ("measure_area", "pool_alone.png", {**BOX, "gsd_m_per_px": 0.2}),
+        (
+            "measure_area",
+            "empty.png",
+            {"target": {"points": [{"x": 9, "y": 9}, {"x": 99, "y": 9, "label": "exclude"}]}},
+        ),
+    ],
+)
 async def test_real_results_are_valid(
-    server: MCPServer[object], images: Path, files: dict[str, Any], image: str, detector_path: Path
+    server: MCPServer[object], images: Path, files: dict[str, Any], tool: str, image: str, more: dict[str, Any]
 ) -> None:
-    arguments = {**by_path(images / image), "frame": {"width_px": 320, "height_px": 256}}
-    jsonschema.validate(arguments, files["estimate_gsd.input.json"])
-    jsonschema.validate(arguments, files["anthropic.json"][0]["input_schema"])
+    frame = {"width_px": 640, "height_px": 512}
+    arguments = {**by_path(images / image), **more, "frame": frame}
+    jsonschema.validate(arguments, files[f"{tool}.input.json"])
+    jsonschema.validate(arguments, files["anthropic.json"][TOOLS.index(tool)]["input_schema"])
     async with Client(server) as client:
-        result = await client.call_tool("estimate_gsd", arguments)
-    schema = files["estimate_gsd.output.json"]
-    jsonschema.validate(result.structured_content, schema)
-    record = vehanchor.estimate_gsd(images / image, detector=load_detector(detector_path, threads=1))
-    jsonschema.validate(json.loads(record.model_dump_json()), schema)
+        result = await client.call_tool(tool, arguments)
+    jsonschema.validate(result.structured_content, files[f"{tool}.output.json"])
+
+
+def test_the_librarys_own_records_are_valid(
+    images: Path, files: dict[str, Any], detector_path: Path, segmenter_paths: SamFiles
+) -> None:
+    detector = load_detector(detector_path, threads=1)
+    estimate = vehanchor.estimate_gsd(images / "pool.png", detector=detector)
+    jsonschema.validate(json.loads(estimate.model_dump_json()), files["estimate_gsd.output.json"])
+    box = POOL_BOX["x_min"], POOL_BOX["y_min"], POOL_BOX["x_max"], POOL_BOX["y_max"]
+    area = vehanchor.measure_area(images / "pool.png", box=box, detector=detector, segmenter=segmenter_paths)
+    jsonschema.validate(json.loads(area.model_dump_json()), files["measure_area.output.json"])
 
 
 @pytest.mark.parametrize(
@@ -96,6 +126,25 @@ async def test_real_results_are_valid(
 def test_what_the_server_would_refuse_is_invalid(files: dict[str, Any], arguments: dict[str, Any]) -> None:
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(arguments, files["estimate_gsd.input.json"])
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        None,
+        {},
+        [10, 20, 90, 80],
+        {"box": {"x_min": 1, "y_min": 2, "x_max": 3}},
+        {"box": POOL_BOX, "points": [{"x": 1, "y": 2}]},
+        {"points": []},
+        {"points": [[1, 2]]},
+        {"points": [{"x": 1, "y": 2, "label": "yes"}]},
+    ],
+)
+def test_a_target_that_the_server_would_refuse_is_invalid(files: dict[str, Any], target: Any) -> None:
+    arguments = {"image": {"kind": "path", "path": "/a.png"}, "target": target}
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(arguments, files["measure_area.input.json"])
 
 
 def test_the_openai_definition_is_strict_compatible(files: dict[str, Any]) -> None:
@@ -117,19 +166,22 @@ def _properties(node: dict[str, Any]) -> set[str]:
 
 
 @pytest.mark.anyio
+@pytest.mark.parametrize(
+    ("tool", "more"),
+    [
+        ("estimate_gsd", {}),
+        ("measure_area", {**BOX, "gsd_m_per_px": None}),
+        ("measure_area", {"target": {"points": [{"x": 324, "y": 378, "label": "include"}]}, "gsd_m_per_px": None}),
+    ],
+)
 async def test_what_strict_mode_makes_a_model_send_is_accepted(
-    server: MCPServer[object], images: Path, files: dict[str, Any]
+    server: MCPServer[object], images: Path, files: dict[str, Any], tool: str, more: dict[str, Any]
 ) -> None:
-    arguments = {
-        **by_path(images / "cars.png"),
-        "region": None,
-        "reference_length_m": None,
-        "frame": None,
-        "include_overlay": False,
-    }
-    jsonschema.validate(arguments, files["openai.json"][0]["parameters"])
+    left_out = {"region": None, "reference_length_m": None, "frame": None, "include_overlay": False}
+    arguments = {**by_path(images / "pool.png"), **more, **left_out}
+    jsonschema.validate(arguments, files["openai.json"][TOOLS.index(tool)]["parameters"])
     async with Client(server) as client:
-        assert not (await client.call_tool("estimate_gsd", arguments)).is_error
+        assert not (await client.call_tool(tool, arguments)).is_error
 
 
 def test_the_anthropic_definition_has_what_the_api_takes(files: dict[str, Any]) -> None:

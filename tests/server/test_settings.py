@@ -30,6 +30,7 @@ def test_the_defaults_read_nothing_and_listen_to_this_machine_only() -> None:
         ({"roots": (Path("/nowhere"),)}, "existing directory"),
         ({"roots": (Path(__file__),)}, "not a directory"),
         ({"roots": (Path("/"),)}, "whole file system"),
+        ({"segmenter": (Path("encoder.onnx"),)}, "its encoder and its decoder"),
         ({"image_hosts": ("https://a.test",)}, "plain host name"),
         ({"image_hosts": ("*.test",)}, "plain host name"),
         ({"image_hosts": ("a.test:https",)}, "plain host name"),
@@ -83,6 +84,8 @@ def test_variables_are_read_and_flags_come_first(tmp_path: Path) -> None:
         "VEHANCHOR_INSECURE": "yes",
         "VEHANCHOR_TOKEN_FILE": "/run/tokens",
         "VEHANCHOR_DETECTOR": "",
+        "VEHANCHOR_SEGMENTER": f"/models/e.onnx{os.pathsep}/models/d.onnx",
+        "VEHANCHOR_CALIBRATION": "/models/europe.json",
         "VEHANCHOR_PORT": "81",
         "OTHER": "x",
     }
@@ -92,6 +95,8 @@ def test_variables_are_read_and_flags_come_first(tmp_path: Path) -> None:
     assert (settings.threads, settings.deadline_s, settings.insecure) == (3, 7.5, True)
     assert settings.token_file == Path("/run/tokens")
     assert settings.detector is None
+    assert settings.segmenter == (Path("/models/e.onnx"), Path("/models/d.onnx"))
+    assert settings.calibration == Path("/models/europe.json")
     assert settings.port == 9000
     assert settings.host == "127.0.0.1"
 
@@ -107,6 +112,8 @@ def test_settings_survive_the_way_to_a_worker_process(tmp_path: Path) -> None:
         roots=(tmp_path,),
         image_hosts=("a.test", "b.test:8443"),
         detector="/models/a.onnx",
+        segmenter=(Path("/models/e.onnx"), Path("/models/d.onnx")),
+        calibration=Path("/models/europe.json"),
         threads=2,
         min_score=0.25,
         max_image_mb=1.5,

@@ -3,6 +3,7 @@ from __future__ import annotations
 import base64
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from mcp.server import MCPServer
 from mcp.types import CallToolResult, ImageContent, TextContent
 
 import vehanchor
+from tests.server.test_models import calibration_file
 from vehanchor.detection import load_detector
 from vehanchor_server.app import create_server, create_services
 from vehanchor_server.overlay import MAX_PICTURE_BYTES
@@ -119,6 +121,20 @@ async def test_arguments_reach_the_library(server: MCPServer[object], images: Pa
     assert by_region.structured_content["reference_length_m"] == pytest.approx(4.5)
 
 
+async def test_the_operators_calibration_is_the_ruler_of_callers_who_name_none(
+    settings: Settings, images: Path, tmp_path: Path
+) -> None:
+    calibration = calibration_file(tmp_path / "c.json")
+    server = create_server(create_services(replace(settings, calibration=calibration)))
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
+        named = await client.call_tool("estimate_gsd", {**by_path(images / "cars.png"), "reference_length_m": 4.8})
+    assert result.structured_content is not None
+    assert result.structured_content["reference_length_m"] == 4.31
+    assert named.structured_content is not None
+    assert named.structured_content["reference_length_m"] == 4.8
+
+
 async def test_the_overlay_is_a_small_jpeg_beside_the_record(server: MCPServer[object], images: Path, era: str) -> None:
     async with Client(server, mode=era) as client:
         result = await client.call_tool("estimate_gsd", {**by_path(images / "large.png"), "include_overlay": True})
@@ -152,7 +168,7 @@ async def test_noise_is_squeezed_below_the_pictures_limit(settings: Settings, tm
         ({"image": {"kind": "ftp", "path": "/a"}}, "'path', 'base64', 'url'"),
         ({"image": "/a.jpg"}, "give an object"),
         ({"image": {"kind": "path", "path": "/a", "url": "x"}}, "image.path.url: there is no such argument"),
-        ({"image": {"kind": "path", "path": ""}}, "image.path.path"),
+        ({"image": {"kind": "path", "path": ""}}, "image.path: String should have at least 1 character"),
         ({"image": {"kind": "path", "path": "/a"}, "detector": "/etc/passwd"}, "detector: there is no such argument"),
         ({"image": {"kind": "path", "path": "/a"}, "reference_length_m": -1}, "greater than 0"),
         ({"image": {"kind": "path", "path": "/a"}, "reference_length_m": "inf"}, "reference_length_m"),
@@ -249,7 +265,7 @@ async def test_the_contract_names_every_hint(server: MCPServer[object], era: str
     async with Client(server, mode=era) as client:
         listed = (await client.list_tools()).tools
         instructions = client.instructions
-    assert [tool.name for tool in listed] == ["estimate_gsd"]
+    assert [tool.name for tool in listed] == ["estimate_gsd", "measure_area"]
     for tool in listed:
         assert tool.title
         assert tool.description

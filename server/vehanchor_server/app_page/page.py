@@ -1,0 +1,63 @@
+"""The page as one HTML document that needs nothing else: styles and script inside, allowed by their hashes."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from mcp.server.apps import Apps, ResourceCsp
+
+__all__ = ["APP_META", "APP_URI", "app_extension", "page_html"]
+
+APP_URI = "ui://vehanchor/panel.html"
+APP_META: dict[str, Any] = {"ui": {"resourceUri": APP_URI}}
+"""For the ``_meta`` of each tool whose results the page shows."""
+
+
+def app_extension() -> Apps:
+    """MCP Apps with the page as its one resource; tools point to it by ``APP_META``."""
+    apps = Apps()
+    apps.add_html_resource(
+        APP_URI,
+        page_html(),
+        name="panel",
+        title="VehAnchor panel",
+        description="Shows a result to people: the picture, the histogram of vehicle lengths, the record in words.",
+        csp=ResourceCsp(connect_domains=[], resource_domains=[]),  # it loads nothing from anywhere
+        prefers_border=True,
+    )
+    return apps
+
+
+@cache
+def page_html() -> str:
+    """The page, an HTML5 document."""
+    style, script = _part("panel.css"), _part("panel.js")
+    policy = "; ".join(
+        [
+            "default-src 'none'",
+            "img-src data:",
+            f"style-src {_hash_source(style)}",
+            f"script-src {_hash_source(script)}",
+            "base-uri 'none'",
+            "form-action 'none'",
+        ]
+    )
+    page = _part("panel.html")
+    for place, text in (("{{policy}}", policy), ("{{style}}", style), ("{{script}}", script)):
+        before, after = page.split(place)
+        page = before + text + after
+    return page
+
+
+def _part(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+def _hash_source(text: str) -> str:
+    """What a content security policy calls an inline style or script that it allows."""
+    digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+    return f"'sha256-{digest}'"

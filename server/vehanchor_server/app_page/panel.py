@@ -1,0 +1,116 @@
+"""What the page needs beyond the record: the histogram of lengths, and the picture where no one else gets it.
+
+It travels in the result's ``_meta``, which hosts keep from the model (MCP Apps, 2026-01-26, "Data Passing").
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+if TYPE_CHECKING:
+    from vehanchor.perception import ScaleAnalysis
+
+__all__ = ["PANEL_KEY", "LengthHistogram", "PanelData", "length_histogram", "panel_meta"]
+
+PANEL_KEY = "vehanchor/panel"
+
+_MAX_BINS = 40
+_CURVE_POINTS = 121
+_LONGEST_SHOWN = 2.5  # medians; longer outliers are counted beside the axis, or one false alarm would squeeze the rest
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class LengthBin(_Part):
+    """One bar of the histogram."""
+
+    kept: int = Field(description="Vehicles that the scale rests on.")
+    dropped: int = Field(description="Outliers.")
+
+
+class LengthHistogram(_Part):
+    """Vehicle lengths in bins of equal width; of one size, however many vehicles there are."""
+
+    start_px: float = Field(description="Where the first bin begins.")
+    bin_px: float = Field(description="Width of a bin.")
+    bins: tuple[LengthBin, ...]
+    beyond: int = Field(description="Outliers longer than the last bin.")
+    density: tuple[float, ...] = Field(
+        description="The kernel density of the kept lengths in vehicles per bin, at points evenly spaced over all bins "
+        "and both ends; empty where the scale is no mode of a density."
+    )
+    guard_px: float = Field(description="P_thresh: below it the resolution guard holds.")
+
+
+class PanelData(_Part):
+    """What one result brings to the page.
+
+    Attributes:
+        histogram: of the lengths behind the scale; null without vehicles.
+        picture_jpeg: the overlay in base64; null where the result's content has it, or the host shows no pages.
+    """
+
+    histogram: LengthHistogram | None = None
+    picture_jpeg: str | None = None
+
+
+def panel_meta(histogram: LengthHistogram | None, picture: bytes | None) -> dict[str, Any]:
+    """The ``_meta`` of a result.
+
+    Args:
+        histogram: of the lengths that the scale rests on.
+        picture: the overlay as JPEG, unless the result's content has it.
+    """
+    data = PanelData(histogram=histogram, picture_jpeg=None if picture is None else base64.b64encode(picture).decode())
+    return {PANEL_KEY: data.model_dump(mode="json")}
+
+
+def length_histogram(analysis: ScaleAnalysis) -> LengthHistogram | None:
+    """Bins of a round width over all lengths and the guard's, and the density whose peak is P_mode.
+
+    Returns:
+        The histogram, or None where no vehicle was found.
+    """
+    import numpy as np  # not before a call needs it, as everything that computes
+
+    from vehanchor.scale import kde_density
+
+    lengths = analysis.detections.boxes[:, 2]
+    if not len(lengths):
+        return None
+    kept, guard = analysis.kept, analysis.guard_length_px
+    measured = lengths[kept]
+    longest = max(float(measured.max()), min(float(lengths.max()), _LONGEST_SHOWN * float(np.median(measured))))
+    high = max(guard, longest)
+    low = min(guard, float(lengths.min()))
+    margin = 0.08 * (high - low) or 0.08 * high
+    low, high = max(0.0, low - margin), high + margin
+    width = _round_up((high - low) / _MAX_BINS)
+    first, last = math.floor(low / width), math.ceil(high / width)
+    edges = np.arange(first, last + 1) * width
+    counts = [np.histogram(lengths[chosen], edges)[0] for chosen in (kept, ~kept)]
+    density = np.empty(0)
+    if analysis.estimate.aggregation in ("kde", "weighted_kde"):
+        weights = analysis.detections.scores[kept] if analysis.estimate.aggregation == "weighted_kde" else None
+        points = np.linspace(edges[0], edges[-1], _CURVE_POINTS)
+        density = kde_density(points, measured, weights) * len(measured) * width
+    return LengthHistogram(
+        start_px=float(edges[0]),
+        bin_px=width,
+        bins=tuple(LengthBin(kept=int(k), dropped=int(d)) for k, d in zip(*counts, strict=True)),
+        beyond=int((lengths > edges[-1]).sum()),
+        density=tuple(round(float(value), 3) for value in density) if density.any() else (),
+        guard_px=guard,
+    )
+
+
+def _round_up(width: float) -> float:
+    """The next of 1, 2, 5 times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(width))
+    return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= width * (1 - 1e-9))

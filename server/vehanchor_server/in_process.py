@@ -1,0 +1,77 @@
+"""The server's tools for a model that this process talks to itself: no transport, the same calls and answers."""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+from anyio.from_thread import start_blocking_portal
+from mcp import Client
+from mcp.types import TextContent
+
+from vehanchor_server.app import create_server, create_services
+from vehanchor_server.schemas import anthropic_definition, openai_definition
+from vehanchor_server.tools import tools
+
+if TYPE_CHECKING:
+    from mcp.types import CallToolResult
+
+    from vehanchor_server.settings import Settings
+
+__all__ = ["InProcessTools"]
+
+_FOR_DRAWING = ("outline",)  # hundreds of numbers that tell a model nothing
+
+
+class InProcessTools:
+    """A server and a client of it, to be used as a context manager, from any thread.
+
+    Args:
+        settings: the operator's options; paths are read below its roots only.
+
+    Attributes:
+        anthropic_tools: the tools' definitions for the Messages API, as in ``schemas/anthropic.json``.
+        openai_tools: those for the Chat Completions API; ``schemas/openai.json`` holds them for Responses.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        services = create_services(settings)
+        contract = tools(services)
+        self.anthropic_tools = [anthropic_definition(tool) for tool in contract]
+        self.openai_tools = [_below_function(openai_definition(tool)) for tool in contract]
+        self._server = create_server(services)
+        self._stack = ExitStack()
+
+    def __enter__(self) -> InProcessTools:
+        self._portal = self._stack.enter_context(start_blocking_portal())
+        self._client = self._stack.enter_context(self._portal.wrap_async_context_manager(Client(self._server)))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
+        """Call a tool.
+
+        Args:
+            name: of the tool, as the model gives it.
+            arguments: as the model gives them.
+
+        Returns:
+            What the model reads, and whether it is an error: the sentence and, below it, the record as JSON.
+        """
+        result = self._portal.call(self._client.call_tool, name, arguments)
+        return _text(result), bool(result.is_error)
+
+
+def _below_function(definition: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "function", "function": {key: value for key, value in definition.items() if key != "type"}}
+
+
+def _text(result: CallToolResult) -> str:
+    lines = [block.text for block in result.content if isinstance(block, TextContent)]
+    record = result.structured_content
+    if record is not None and not result.is_error:
+        lines.append(json.dumps({key: value for key, value in record.items() if key not in _FOR_DRAWING}))
+    return "\n".join(lines)

@@ -1,0 +1,83 @@
+"""Agents' frameworks call the tools of a real server, each in an environment of its own, over pipes and over HTTP.
+
+No model is needed: the driver in ``frameworks/`` does what the framework does once a model has chosen a tool.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import vehanchor
+from tests.environments import environment
+from tests.sam_models import SamFiles
+from tests.server.conftest import POOL_BOX
+from tests.server.test_http import served
+from tests.server.test_tools import by_path
+from vehanchor.detection import load_detector
+from vehanchor_server.settings import Settings
+
+pytestmark = [pytest.mark.frameworks, pytest.mark.timeout(600)]
+
+_FOLDER = Path(__file__).parent / "frameworks"
+
+
+def driven(framework: str, packages: tuple[str, ...], asked: dict[str, Any]) -> dict[str, Any]:
+    """What the framework's driver saw, by transport."""
+    python = environment(_FOLDER / f"{framework}.txt", packages=packages)
+    done = subprocess.run(
+        [python, _FOLDER / f"drive_{framework}.py"],
+        input=json.dumps(asked),
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    seen: dict[str, Any] = json.loads(done.stdout)
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("framework", "packages"),
+    [
+        pytest.param("openai_agents", (), id="openai-agents"),
+        pytest.param("openai_agents", ("mcp<2",), id="openai-agents on mcp 1"),
+        pytest.param("pydantic_ai", (), id="pydantic-ai"),
+        pytest.param("fastmcp", (), id="fastmcp"),
+    ],
+)
+def test_a_framework_gets_the_librarys_records_and_reads_what_went_wrong(
+    framework: str,
+    packages: tuple[str, ...],
+    settings: Settings,
+    images: Path,
+    detector_path: Path,
+    segmenter_paths: SamFiles,
+    tmp_path: Path,
+) -> None:
+    detector = load_detector(detector_path, threads=1)
+    box = POOL_BOX["x_min"], POOL_BOX["y_min"], POOL_BOX["x_max"], POOL_BOX["y_max"]
+    records = [
+        vehanchor.estimate_gsd(images / "cars.png", detector=detector),
+        vehanchor.measure_area(images / "pool.png", box=box, detector=detector, segmenter=segmenter_paths),
+    ]
+    calls = [
+        ("estimate_gsd", by_path(images / "cars.png")),
+        ("measure_area", {**by_path(images / "pool.png"), "target": {"box": POOL_BOX}}),
+        ("estimate_gsd", by_path(tmp_path / "elsewhere.png")),
+    ]
+    command = {"command": sys.executable, "args": ["-m", "vehanchor", "serve"], "env": settings.to_environment()}
+    with served(settings) as address:
+        seen = driven(framework, packages, {"stdio": command, "url": f"{address}/mcp", "calls": calls})
+    print(json.dumps(seen["versions"]))
+    for transport in ("stdio", "http"):
+        assert seen[transport]["tools"] == ["estimate_gsd", "measure_area"]
+        *results, refused = seen[transport]["results"]
+        assert [result["record"] for result in results] == [record.model_dump(mode="json") for record in records]
+        assert "path_not_allowed" in refused["text"]
