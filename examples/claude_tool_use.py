@@ -1,0 +1,123 @@
+"""Claude answers questions about an aerial image with VehAnchor's tools, in two ways.
+
+    pip install -r examples/requirements.txt
+    export ANTHROPIC_API_KEY=... ANTHROPIC_MODEL=...        # and ANTHROPIC_BASE_URL for a gateway
+    python examples/claude_tool_use.py examples/car_park.jpg "How wide is the car park, in metres?"
+
+``--way mcp`` takes the tools from the server itself and lets the SDK's tool runner call them. ``--way schemas`` takes
+the definitions of ``schemas/anthropic.json`` and runs the loop by hand: for a program that has its own, or no MCP.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import anthropic
+from anthropic.lib.tools.mcp import async_mcp_tool
+from mcp import Client, StdioServerParameters
+
+MAX_TOKENS = 2048
+MAX_TURNS = 8
+SCHEMAS = Path(__file__).parent.parent / "schemas" / "anthropic.json"
+SYSTEM = (
+    "You answer questions about aerial images. Every distance, length and area comes from a tool, never from your own "
+    "eyes. If a tool's confidence is below 0.5, say that the image allows no answer, and name another source of scale."
+)
+
+
+async def by_mcp(claude: anthropic.AsyncAnthropic, model: str, tools: Client, question: str) -> str:
+    """The SDK's tool runner: it calls the server's tools until Claude has an answer."""
+    listed = await tools.list_tools()
+    runner = claude.beta.messages.tool_runner(
+        model=model,
+        max_tokens=MAX_TOKENS,
+        max_iterations=MAX_TURNS,
+        system=SYSTEM,
+        tools=[async_mcp_tool(tool, tools) for tool in listed.tools],
+        messages=[{"role": "user", "content": question}],
+    )
+    answer = ""
+    async for message in runner:
+        answer = tell(message)
+        results = await runner.generate_tool_call_response()  # what the runner sends next
+        for block in results["content"] if results else ():
+            content = block["content"]
+            tell_result(content if isinstance(content, str) else " ".join(part.get("text", "") for part in content))
+    return answer
+
+
+async def by_schemas(claude: anthropic.AsyncAnthropic, model: str, tools: Client, question: str) -> str:
+    """The same loop by hand, with the definitions on disk."""
+    messages: list[Any] = [{"role": "user", "content": question}]
+    for _ in range(MAX_TURNS):
+        message = await claude.messages.create(
+            model=model,
+            max_tokens=MAX_TOKENS,
+            system=SYSTEM,
+            tools=json.loads(SCHEMAS.read_text(encoding="utf-8")),
+            messages=messages,
+        )
+        answer = tell(message)
+        if message.stop_reason != "tool_use":
+            return answer
+        results = []
+        for block in message.content:
+            if block.type == "tool_use":
+                result = await tools.call_tool(block.name, block.input)
+                text = " ".join(getattr(part, "text", "") for part in result.content)
+                tell_result(text)
+                record = json.dumps(result.structured_content) if result.structured_content else text
+                results.append(
+                    {"type": "tool_result", "tool_use_id": block.id, "content": record, "is_error": result.is_error}
+                )
+        messages += [{"role": "assistant", "content": message.content}, {"role": "user", "content": results}]
+    return "no answer: too many turns"
+
+
+def tell(message: Any) -> str:
+    """Print what Claude asks the tools; return what it says."""
+    for block in message.content:
+        if block.type == "tool_use":
+            print(f"calls {block.name} {json.dumps(block.input)}")
+    return "".join(block.text for block in message.content if block.type == "text")
+
+
+def tell_result(text: str) -> None:
+    """Print what a tool answered."""
+    print(f"tool  {text}")
+
+
+def from_environment(name: str, what: str) -> str:
+    """A setting that must be there."""
+    value = os.environ.get(name)
+    if not value:
+        sys.exit(f"{name} is not set: export {name}=<{what}> first")
+    return value
+
+
+async def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description="Ask Claude about an aerial image.")
+    parser.add_argument("image", type=Path)
+    parser.add_argument("question")
+    parser.add_argument("--way", choices=("mcp", "schemas"), default="mcp")
+    options = parser.parse_args()
+    image = options.image.resolve()
+    key = from_environment("ANTHROPIC_API_KEY", "your key, from console.anthropic.com")
+    model = from_environment("ANTHROPIC_MODEL", "a Claude model's name")
+    server = StdioServerParameters(command="vehanchor", args=["serve", "--root", str(image.parent)])
+    async with anthropic.AsyncAnthropic(api_key=key) as claude, Client(server) as tools:
+        ask = by_mcp if options.way == "mcp" else by_schemas
+        question = f"{options.question}\nThe image is the file {image}."
+        print(f"asked {question}")
+        print(f"says  {await ask(claude, model, tools, question)}")
+
+
+if __name__ == "__main__":
+    asyncio.run(main())

@@ -1,0 +1,31 @@
+"""A Google ADK agent with VehAnchor's tools.
+
+python google_adk_agent.py IMAGE QUESTION, with GEMINI_API_KEY, GEMINI_MODEL; `vehanchor` is on the PATH.
+"""
+
+import asyncio
+import os
+import sys
+from pathlib import Path
+
+from google.adk.agents import LlmAgent
+from google.adk.runners import InMemoryRunner
+from google.adk.tools.mcp_tool.mcp_session_manager import StdioConnectionParams
+from google.adk.tools.mcp_tool.mcp_toolset import McpToolset
+from mcp import StdioServerParameters
+
+SYSTEM = "Every distance and area comes from a tool. Below a confidence of 0.5, say that the image allows no answer."
+
+
+async def main(image: Path, question: str) -> None:
+    """Ask."""
+    server = StdioServerParameters(command="vehanchor", args=["serve", "--root", str(image.parent)])
+    tools = McpToolset(connection_params=StdioConnectionParams(server_params=server, timeout=60))
+    agent = LlmAgent(name="surveyor", model=os.environ["GEMINI_MODEL"], instruction=SYSTEM, tools=[tools])
+    async with InMemoryRunner(agent, app_name="vehanchor") as runner:
+        events = await runner.run_debug(f"{question}\nThe image is the file {image}.", quiet=True)
+        print("".join(part.text or "" for part in events[-1].content.parts))
+
+
+if __name__ == "__main__":
+    asyncio.run(main(Path(sys.argv[1]).resolve(), sys.argv[2]))

@@ -1,0 +1,33 @@
+"""A LangGraph agent of LangChain with VehAnchor's tools.
+
+python langchain_agent.py IMAGE QUESTION, with OPENAI_API_KEY, OPENAI_MODEL; the server: `vehanchor` on the PATH, or a
+running `vehanchor serve --http` whose address is VEHANCHOR_URL.
+"""
+
+import asyncio
+import os
+import sys
+from pathlib import Path
+
+from langchain.agents import create_agent
+from langchain_mcp_adapters.client import MultiServerMCPClient
+from langchain_openai import ChatOpenAI
+
+SYSTEM = "Every distance and area comes from a tool. Below a confidence of 0.5, say that the image allows no answer."
+
+
+async def main(image: Path, question: str) -> None:
+    """Ask."""
+    if url := os.environ.get("VEHANCHOR_URL"):
+        connection = {"transport": "streamable_http", "url": url}
+    else:
+        connection = {"transport": "stdio", "command": "vehanchor", "args": ["serve", "--root", str(image.parent)]}
+    tools = await MultiServerMCPClient({"vehanchor": connection}).get_tools()
+    model = ChatOpenAI(model=os.environ["OPENAI_MODEL"], use_responses_api=True)
+    agent = create_agent(model, tools, system_prompt=SYSTEM)
+    state = await agent.ainvoke({"messages": [("user", f"{question}\nThe image is the file {image}.")]})
+    print(state["messages"][-1].text)
+
+
+if __name__ == "__main__":
+    asyncio.run(main(Path(sys.argv[1]).resolve(), sys.argv[2]))

@@ -1,0 +1,28 @@
+"""A Pydantic AI agent with VehAnchor's tools.
+
+python pydantic_ai_agent.py IMAGE QUESTION, with OPENAI_API_KEY, OPENAI_MODEL; `vehanchor` is on the PATH.
+"""
+
+import asyncio
+import os
+import sys
+from pathlib import Path
+
+from fastmcp.client.transports import StdioTransport
+from pydantic_ai import Agent
+from pydantic_ai.mcp import MCPToolset
+
+SYSTEM = "Every distance and area comes from a tool. Below a confidence of 0.5, say that the image allows no answer."
+
+
+async def main(image: Path, question: str) -> None:
+    """Ask."""
+    tools = MCPToolset(StdioTransport("vehanchor", ["serve", "--root", str(image.parent)]), init_timeout=60)
+    agent = Agent(f"openai-responses:{os.environ['OPENAI_MODEL']}", instructions=SYSTEM, toolsets=[tools])
+    async with agent:
+        result = await agent.run(f"{question}\nThe image is the file {image}.")
+    print(result.output)
+
+
+if __name__ == "__main__":
+    asyncio.run(main(Path(sys.argv[1]).resolve(), sys.argv[2]))

@@ -1,0 +1,100 @@
+"""An OpenAI model answers questions about an aerial image with VehAnchor's tools, in two ways.
+
+    pip install -r examples/requirements.txt
+    export OPENAI_API_KEY=... OPENAI_MODEL=...               # and OPENAI_BASE_URL for a gateway
+    python examples/openai_tool_use.py examples/car_park.jpg "How wide is the car park, in metres?"
+
+``--way agents`` gives the server to the OpenAI Agents SDK, which does the rest. ``--way responses`` takes the strict
+definitions of ``schemas/openai.json`` and runs the loop of the Responses API by hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import openai
+from agents import Agent, Runner, ToolCallItem, ToolCallOutputItem, set_tracing_disabled
+from agents.mcp import MCPServerStdio
+from mcp import Client, StdioServerParameters
+
+MAX_TURNS = 8
+SCHEMAS = Path(__file__).parent.parent / "schemas" / "openai.json"
+SYSTEM = (
+    "You answer questions about aerial images. Every distance, length and area comes from a tool, never from your own "
+    "eyes. If a tool's confidence is below 0.5, say that the image allows no answer, and name another source of scale."
+)
+
+
+async def by_agents(model: str, root: Path, question: str) -> str:
+    """The Agents SDK: it launches the server, lists its tools and calls them until the model has an answer."""
+    set_tracing_disabled(True)
+    command: Any = {"command": "vehanchor", "args": ["serve", "--root", str(root)]}
+    async with MCPServerStdio(params=command, client_session_timeout_seconds=60, cache_tools_list=True) as server:
+        agent = Agent(name="surveyor", instructions=SYSTEM, model=model, mcp_servers=[server])
+        result = await Runner.run(agent, question, max_turns=MAX_TURNS)
+    for item in result.new_items:
+        if isinstance(item, ToolCallItem):
+            print(f"calls {getattr(item.raw_item, 'name', '')} {getattr(item.raw_item, 'arguments', '')}")
+        elif isinstance(item, ToolCallOutputItem):
+            print(f"tool  {item.output['text'] if isinstance(item.output, dict) else item.output}")
+    return str(result.final_output)
+
+
+async def by_responses(model: str, root: Path, question: str) -> str:
+    """The Responses API by hand, with the definitions on disk."""
+    server = StdioServerParameters(command="vehanchor", args=["serve", "--root", str(root)])
+    items: list[Any] = [{"role": "user", "content": question}]
+    async with openai.AsyncOpenAI() as client, Client(server) as tools:
+        for _ in range(MAX_TURNS):
+            response = await client.responses.create(
+                model=model,
+                instructions=SYSTEM,
+                input=items,
+                tools=json.loads(SCHEMAS.read_text(encoding="utf-8")),
+            )
+            calls = [item for item in response.output if item.type == "function_call"]
+            if not calls:
+                return response.output_text
+            items += response.output
+            for call in calls:
+                print(f"calls {call.name} {call.arguments}")
+                result = await tools.call_tool(call.name, json.loads(call.arguments))
+                text = " ".join(getattr(part, "text", "") for part in result.content)
+                print(f"tool  {text}")
+                record = json.dumps(result.structured_content) if result.structured_content else text
+                items.append({"type": "function_call_output", "call_id": call.call_id, "output": record})
+    return "no answer: too many turns"
+
+
+def from_environment(name: str, what: str) -> str:
+    """A setting that must be there."""
+    value = os.environ.get(name)
+    if not value:
+        sys.exit(f"{name} is not set: export {name}=<{what}> first")
+    return value
+
+
+async def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description="Ask an OpenAI model about an aerial image.")
+    parser.add_argument("image", type=Path)
+    parser.add_argument("question")
+    parser.add_argument("--way", choices=("agents", "responses"), default="agents")
+    options = parser.parse_args()
+    image = options.image.resolve()
+    from_environment("OPENAI_API_KEY", "your key, from platform.openai.com")
+    model = from_environment("OPENAI_MODEL", "a model's name")
+    ask = by_agents if options.way == "agents" else by_responses
+    question = f"{options.question}\nThe image is the file {image}."
+    print(f"asked {question}")
+    print(f"says  {await ask(model, image.parent, question)}")
+
+
+if __name__ == "__main__":
+    asyncio.run(main())

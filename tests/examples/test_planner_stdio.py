@@ -1,0 +1,150 @@
+"""The planner: its rules one by one, and its decisions on the shipped scenes, as the scenes' README says."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.conftest import ROOT
+
+SCENES = ROOT / "examples" / "scenes"
+_README = (SCENES / "README.md").read_text(encoding="utf-8")
+_ROWS = re.findall(r"^\| `(\w+\.jpg)` .*`--zone ([\d ]+)` \| `(\w+)` \|$", _README, flags=re.MULTILINE)
+_RENDERINGS = re.findall(r"^\$ vehanchor (scene (\w+\.jpg) .*)$", _README, flags=re.MULTILINE)
+
+
+def _record(**changes: Any) -> dict[str, Any]:
+    record = {
+        "status": "ok",
+        "confidence": 0.8,
+        "inscribed_diameter_m": 10.0,
+        "inscribed_diameter_ci95_low_m": 8.5,
+        "inscribed_center": {"x_px": 40.5, "y_px": 30.5},
+        "scale": {"resolution_guard": False},
+    }
+    return record | changes
+
+
+@pytest.fixture
+def judge(example: Callable[[str], Any]) -> Callable[..., Any]:
+    planner = example("planner_stdio")
+
+    def judged(record: dict[str, Any], *, error: float = 0.0) -> Any:
+        anchor = planner.Anchor("the anchor", relative_error=error)
+        return planner.judge(record, anchor, planner.Zone(0, 0, 80, 60), planner.Craft(4.0, 2.0))
+
+    return judged
+
+
+def test_it_lands_where_the_lower_bound_fits_and_says_where(judge: Callable[..., Any]) -> None:
+    decision = judge(_record())
+    assert decision.action == "land"
+    assert (decision.center_x_px, decision.center_y_px, decision.needed_m) == (40.5, 30.5, 8.0)
+    assert decision.reason == "a circle of at least 8.5 m fits by the anchor (estimate 10.0 m), 8.0 m needed"
+
+
+def test_an_estimate_that_fits_is_not_enough(judge: Callable[..., Any]) -> None:
+    decision = judge(_record(inscribed_diameter_ci95_low_m=7.9))
+    assert decision.action == "next_zone"
+    assert decision.reason.startswith("too small: a circle of at least 7.9 m")
+
+
+def test_an_uncertain_anchor_takes_its_share_off_the_lower_bound(judge: Callable[..., Any]) -> None:
+    given = _record(confidence=None, scale=None)
+    assert judge(given, error=0.05).action == "land"
+    assert judge(given, error=0.10).action == "next_zone"
+
+
+@pytest.mark.parametrize(("guard", "why"), [(True, "too few pixels long"), (False, "too little evidence")])
+def test_below_the_limit_of_confidence_it_holds_whatever_the_size(
+    judge: Callable[..., Any], guard: bool, why: str
+) -> None:
+    record = _record(status="low_confidence", confidence=0.49, scale={"resolution_guard": guard})
+    decision = judge(record | {"inscribed_diameter_ci95_low_m": 100.0})
+    assert decision.action == "hold_altitude"
+    assert "confidence 0.49" in decision.reason
+    assert why in decision.reason
+
+
+def test_without_an_anchor_it_holds(judge: Callable[..., Any]) -> None:
+    decision = judge(_record(status="no_anchor", confidence=0.0, inscribed_diameter_ci95_low_m=None))
+    assert decision.action == "hold_altitude"
+    assert decision.reason == "no scale from the anchor: nothing to measure by"
+
+
+def test_an_unclear_outline_is_no_place_to_land(judge: Callable[..., Any]) -> None:
+    decision = judge(_record(status="low_confidence"))  # of the mask: the scale's confidence is fine
+    assert decision.action == "next_zone"
+    assert "outline" in decision.reason
+
+
+def _planned(*arguments: str) -> tuple[dict[str, Any], str]:
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "examples" / "planner_stdio.py"), *arguments],
+        cwd=SCENES,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    decision: dict[str, Any] = json.loads(done.stdout)
+    return decision, done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("image", "zone", "action"), _ROWS)
+def test_the_shipped_scenes_get_the_decisions_of_their_readme(image: str, zone: str, action: str) -> None:
+    decision, log = _planned(image, "--zone", *zone.split())
+    assert decision["action"] == action, decision["reason"]
+    assert f"planner: decision: {action}, because {decision['reason']}" in log
+    if action == "land":
+        assert decision["diameter_low_m"] >= decision["needed_m"] == 8.0
+    if image == "no_cars.jpg":
+        assert decision["reason"].startswith("no scale from vehicles in the image")
+    if image == "too_coarse.jpg":
+        assert "too few pixels long" in decision["reason"]
+
+
+def test_the_readme_has_all_four_cases() -> None:
+    assert {row[0] for row in _ROWS} == {path.name for path in SCENES.glob("*.jpg")}
+    assert {row[2] for row in _ROWS} == {"land", "next_zone", "hold_altitude"}
+    assert len(_ROWS) == len(_RENDERINGS) == 4
+
+
+@pytest.mark.slow
+def test_it_tries_the_next_zone_and_then_the_next_anchor() -> None:
+    small, roof = "48 1 168 30", "255 160 535 470"
+    decision, _ = _planned("safe.jpg", "--zone", *small.split(), "--zone", *roof.split())
+    assert (decision["action"], decision["zone"]["x_min"]) == ("land", 255)
+    ground = "318 186 410 300"
+    decision, log = _planned("too_coarse.jpg", "--zone", *ground.split(), "--altitude", "60", "--focal", "120")
+    assert "planner: trying the next anchor: barometer" in log
+    assert (decision["action"], decision["anchor"]) == ("land", "barometer")
+
+
+@pytest.mark.slow
+def test_an_error_of_the_server_holds_altitude_and_is_told() -> None:
+    decision, _ = _planned("no such.jpg", "--zone", "0", "0", "9", "9")
+    assert decision["action"] == "hold_altitude"
+    assert "image_not_found" in decision["reason"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("command", "name"), _RENDERINGS)
+def test_each_scene_is_what_its_command_renders(command: str, name: str, tmp_path: Path) -> None:
+    subprocess.run([sys.executable, "-m", "vehanchor", *shlex.split(command)], cwd=tmp_path, check=True)
+    rendered, shipped = cv2.imread(str(tmp_path / name)), cv2.imread(str(SCENES / name))
+    assert rendered is not None
+    assert shipped is not None
+    assert rendered.shape == shipped.shape
+    assert np.abs(rendered.astype(int) - shipped).mean() < 2  # encoders differ a little between versions
