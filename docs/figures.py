@@ -1,0 +1,107 @@
+"""Draws the figures of the concepts page and of the detector's card from real runs: ``python docs/figures.py``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+
+from vehanchor import ScaleAnalysis, Scene, analyse_scale, render_scene
+from vehanchor.obb import box_corners, oriented_iou
+from vehanchor.scale import kde_density
+
+ROOT = Path(__file__).parent.parent
+IMAGE = ROOT / "examples" / "car_park.jpg"
+CROP = (slice(250, 510), slice(380, 760))  # rows and columns of the image, pixels
+HIT_IOU = 0.5
+BLUE, ORANGE, INK = "#0072B2", "#D55E00", "#222222"
+
+
+def draw(analysis: ScaleAnalysis, pixels: np.ndarray) -> Figure:
+    """Boxes, their lengths, the scale: three panels from left to right."""
+    estimate = analysis.estimate
+    assert estimate.gsd_m_per_px is not None
+    assert estimate.mode_length_px is not None
+    figure = Figure(figsize=(11, 3.4), dpi=150, layout="constrained")
+    boxes, lengths, scale = figure.subplots(1, 3, width_ratios=[1.46, 1.1, 0.9])
+
+    rows, columns = CROP
+    extent = (columns.start, columns.stop, rows.stop, rows.start)
+    boxes.imshow(pixels[rows, columns], extent=extent)
+    for corners in box_corners(analysis.detections.boxes):
+        boxes.add_patch(Polygon(corners, fill=False, edgecolor="#FFD400", linewidth=1.2))
+    boxes.set(xlim=extent[:2], ylim=extent[2:], xticks=[], yticks=[])
+    boxes.set_title(f"1. Cars as oriented boxes: {estimate.n_detections}", loc="left", fontsize=10)
+
+    kept = analysis.detections.boxes[analysis.kept, 2]
+    grid = np.linspace(kept.min() * 0.9, kept.max() * 1.1, 400)
+    lengths.hist(kept, bins=24, density=True, color="#56B4E9", alpha=0.6)
+    lengths.plot(grid, kde_density(grid, kept), color=BLUE)
+    lengths.axvline(estimate.mode_length_px, color=ORANGE)
+    lengths.set(xlabel="longer side, pixels", yticks=[])
+    lengths.spines[["top", "right", "left"]].set_visible(False)
+    lengths.set_title(f"2. Their modal length: {estimate.mode_length_px:.1f} px", loc="left", fontsize=10)
+
+    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
+    lines = (
+        f"{estimate.reference_length_m:.2f} m  /  {estimate.mode_length_px:.1f} px",
+        f"= {estimate.gsd_m_per_px:.3f} m/px",
+        f"95 %: {low:.3f} to {high:.3f}",
+        f"confidence {estimate.confidence:.2f}",
+        "true scale: 0.120",
+    )
+    for i, line in enumerate(lines):
+        scale.text(
+            0.02, 0.82 - 0.19 * i, line, fontsize=15 if i < 2 else 11, color=INK, weight="bold" if i == 1 else None
+        )
+    scale.axis("off")
+    scale.set_title("3. Metres per pixel", loc="left", fontsize=10)
+    return figure
+
+
+def draw_hits_and_misses(scene: Scene) -> Figure:
+    """Detections over the true boxes of a scene: hits green, misses red, false alarms yellow."""
+    found = analyse_scale(scene.image).detections.boxes
+    boxes = {
+        hard: np.array(
+            [
+                (v.x_px, v.y_px, v.length_px, v.width_px, v.angle_rad)
+                for v in scene.vehicles
+                if (v.difficult or v.kind != "small-vehicle") == hard
+            ]
+        ).reshape(-1, 5)
+        for hard in (False, True)
+    }
+    hit = oriented_iou(found, boxes[False]).max(axis=1, initial=0.0) >= HIT_IOU
+    excused = oriented_iou(found, boxes[True]).max(axis=1, initial=0.0) > 0.1
+    missed = oriented_iou(boxes[False], found).max(axis=1, initial=0.0) < HIT_IOU
+    groups = {"#00A65A": found[hit], "#E8112D": boxes[False][missed], "#FFD400": found[~hit & ~excused]}
+    figure = Figure(figsize=(8, 8.4), dpi=110, layout="constrained")
+    axes = figure.subplots()
+    axes.imshow(scene.image)
+    for colour, group in groups.items():
+        for corners in box_corners(group):
+            axes.add_patch(Polygon(corners, fill=False, edgecolor=colour, linewidth=1.3))
+    counts = [len(group) for group in groups.values()]
+    axes.set(xticks=[], yticks=[])
+    axes.set_title(
+        f"{counts[0]} hits (green), {counts[1]} misses (red), {counts[2]} false alarms (yellow)", fontsize=11
+    )
+    return figure
+
+
+def main() -> None:
+    """Write the images of ``docs/images``."""
+    pixels = cv2.imread(str(IMAGE))
+    assert pixels is not None
+    draw(analyse_scale(IMAGE), pixels[:, :, ::-1]).savefig(ROOT / "docs" / "images" / "image_to_number.png")
+    draw_hits_and_misses(render_scene(0.15, width_px=800, height_px=800, seed=5, layout="urban")).savefig(
+        ROOT / "docs" / "images" / "hits_and_misses.jpg", pil_kwargs={"quality": 88}
+    )
+
+
+if __name__ == "__main__":
+    main()

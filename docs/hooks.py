@@ -1,0 +1,18 @@
+"""Brings what lives beside the code into the site: model cards."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+_BUNDLED = Path(__file__).parent.parent / "skill" / "vehanchor" / "bundled"
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Put every bundled model's card, one heading lower, where a page says ``<!-- model cards -->``."""
+    if "<!-- model cards -->" not in markdown:
+        return markdown
+    cards = [card.read_text(encoding="utf-8") for card in sorted(_BUNDLED.glob("*.md"))]
+    lowered = [re.sub(r"^#", "##", card, flags=re.MULTILINE) for card in cards]
+    return markdown.replace("<!-- model cards -->", "\n\n".join(lowered))

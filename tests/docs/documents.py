@@ -1,0 +1,49 @@
+"""The Markdown that users read, and the code in it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.conftest import ROOT
+
+__all__ = ["DOCUMENTS", "REASONS", "Block", "blocks"]
+
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+REASONS = {  # why a block is not run here, told to readers in its title
+    "installs",
+    "needs Docker",
+    "needs Kubernetes",
+    "needs Ray",
+    "needs files of your own",
+    "needs ultralytics",
+    "runs the tests",
+    "runs until it is stopped",
+}
+
+_FENCE = re.compile(r'^```(\w+)(?: title="([^"]*)")?\n(.*?)^```$', flags=re.DOTALL | re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Block:
+    """One fenced block."""
+
+    language: str
+    reason: str | None
+    text: str
+
+    @property
+    def commands(self) -> list[str]:
+        """The commands of a console block: lines after ``$``, split at ``&&``."""
+        lines = [line[2:] for line in self.text.splitlines() if line.startswith("$ ")]
+        return [part.strip() for line in lines for part in line.split("&&")]
+
+
+def blocks(document: Path) -> list[Block]:
+    """All fenced blocks of a document, in order."""
+    text = document.read_text(encoding="utf-8")
+    found = [Block(*match) for match in ((m[1], m[2], m[3]) for m in _FENCE.finditer(text))]
+    assert text.count("```") == 2 * len(found), f"{document}: a fence that this parser does not understand"
+    return found

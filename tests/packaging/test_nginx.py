@@ -1,0 +1,153 @@
+"""examples/deploy/nginx.conf before two servers, on the loopback interface: nothing lost, also when one dies."""
+
+from __future__ import annotations
+
+import base64
+import os
+import re
+import shutil
+import signal
+import subprocess
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+from mcp import Client
+
+from benchmarks.server_process import http_server, write_images
+from tests.conftest import ROOT
+from tests.packaging.server_calls import free_port
+from vehanchor import estimate_gsd
+
+pytestmark = [pytest.mark.nginx, pytest.mark.timeout(900)]
+
+N_CALLS, N_CLIENTS = 96, 6
+LONGEST_S = 400
+Call = tuple[dict[str, Any], float | None]  # the image argument, and the scale that must come back
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """nginx and what is behind it."""
+
+    url: str
+    servers: list[tuple[str, int]]  # address and process
+    log: Path
+    calls: list[Call]
+
+    def asked(self) -> Counter[str]:
+        """How many requests each server answered, by nginx's log; one that was retried names both."""
+        return Counter(re.findall(r"127\.0\.0\.1:\d+(?=,|$)", self.log.read_text(), flags=re.MULTILINE))
+
+
+@pytest.fixture
+def deployment(tmp_path: Path) -> Iterator[Deployment]:
+    nginx = shutil.which("nginx", path=f"{os.environ['PATH']}:/usr/sbin")
+    if nginx is None:
+        pytest.skip("no nginx here; apt-get install nginx-light")
+    images = tmp_path / "images"
+    images.mkdir()
+    calls: list[Call] = []
+    for path in write_images(images):
+        gsd = estimate_gsd(path).gsd_m_per_px
+        encoded = base64.b64encode(path.read_bytes()).decode()  # 2 MB: more than nginx keeps in memory
+        calls += [({"kind": "path", "path": str(path)}, gsd), ({"kind": "base64", "data": encoded}, gsd)]
+    with ExitStack() as stack:
+        flags = ("--root", str(images), "--threads", "1")
+        servers = [stack.enter_context(http_server(*flags)) for _ in range(2)]
+        addresses = [server.url.removeprefix("http://").removesuffix("/mcp") for server in servers]
+        port = free_port()
+        text = (ROOT / "examples/deploy/nginx.conf").read_text()
+        rule = re.search(r"server vehanchor:8000(.*?;)", text)
+        assert rule is not None
+        text = text.replace(rule.group(), " ".join(f"server {address}{rule.group(1)}" for address in addresses))
+        text = text.replace("listen 8080;", f"listen 127.0.0.1:{port};").replace("/tmp/", f"{tmp_path}/")
+        text = text.replace("/dev/stdout", f"{tmp_path}/access.log")
+        configuration = tmp_path / "nginx.conf"
+        configuration.write_text(text)
+        own = (
+            "user root;" if os.geteuid() == 0 else ""
+        )  # or root's workers become nobody, who may not write to tmp_path
+        command = [nginx, "-c", str(configuration), "-e", str(tmp_path / "error.log"), "-g", f"daemon off; {own}"]
+        checked = subprocess.run([*command, "-t"], capture_output=True, text=True, check=False)
+        assert checked.returncode == 0, checked.stderr
+        process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        try:
+            deadline = time.monotonic() + 10
+            while not (tmp_path / "nginx.pid").exists():
+                assert process.poll() is None, (tmp_path / "error.log").read_text()
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            behind = [(address, server.pid) for address, server in zip(addresses, servers, strict=True)]
+            yield Deployment(f"http://127.0.0.1:{port}/mcp", behind, tmp_path / "access.log", calls)
+        finally:
+            process.send_signal(signal.SIGQUIT)
+            process.wait(30)
+
+
+async def _answer(url: str, image: dict[str, Any], tally: Counter[str]) -> float | None:
+    """The scale, after as many refusals for want of a place as it takes."""
+    while True:
+        async with Client(url, read_timeout_seconds=120) as client:
+            result = await client.call_tool("estimate_gsd", {"image": image})
+        if not result.is_error:
+            gsd: float | None = result.structured_content["gsd_m_per_px"]
+            return gsd
+        text = getattr(result.content[0], "text", "")
+        assert text.startswith("busy:"), text
+        tally["busy"] += 1
+        await anyio.sleep(0.2)
+
+
+async def _load(deployment: Deployment) -> Counter[str]:
+    tally: Counter[str] = Counter()
+    queue = iter(range(N_CALLS))
+
+    async def client() -> None:
+        for i in queue:
+            image, expected = deployment.calls[i % len(deployment.calls)]
+            tally["right" if await _answer(deployment.url, image, tally) == expected else "wrong"] += 1
+
+    with anyio.fail_after(LONGEST_S):
+        async with anyio.create_task_group() as group:
+            for _ in range(N_CLIENTS):
+                group.start_soon(client)
+    return tally
+
+
+@pytest.mark.anyio
+async def test_both_replicas_answer_and_every_answer_is_right(deployment: Deployment) -> None:
+    started = time.perf_counter()
+    tally = await _load(deployment)
+    seconds = time.perf_counter() - started
+    print(f"{N_CALLS} calls, {N_CLIENTS} clients, {seconds:.1f} s, {N_CALLS / seconds:.1f} a second: {dict(tally)}")
+    assert tally["right"] == N_CALLS, tally
+    shares = deployment.asked()
+    assert set(shares) == {address for address, _ in deployment.servers}
+    assert min(shares.values()) > 0.25 * shares.total(), shares
+
+
+@pytest.mark.anyio
+async def test_when_a_replica_is_killed_the_other_takes_over(deployment: Deployment) -> None:
+    _, victim = deployment.servers[0]
+
+    async def kill() -> None:
+        await anyio.sleep(2)
+        os.kill(victim, signal.SIGKILL)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(kill)
+        tally = await _load(deployment)
+    print(dict(tally))
+    assert tally["right"] == N_CALLS, tally

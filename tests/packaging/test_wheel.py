@@ -1,0 +1,133 @@
+"""The wheel as a user gets it: built from the sdist, installed into an empty environment, away from the sources."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.conftest import ROOT
+from tests.packaging.server_calls import stdio_answers
+from vehanchor_server.schemas import schema_files
+
+pytestmark = [pytest.mark.packaging, pytest.mark.timeout(900)]  # installing takes what the disk takes
+
+SOURCES = ("LICENSE", "README.md", "pyproject.toml", "schemas", "server", "skill")
+LARGEST_WHEEL = 25e6  # bytes
+_EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+
+Run = Callable[..., str]
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("build")
+    for name in SOURCES:
+        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
+        copy(ROOT / name, folder / name)
+    shutil.rmtree(folder / "build", ignore_errors=True)
+    subprocess.run([sys.executable, "-m", "build", "--installer", "uv", str(folder)], check=True, capture_output=True)
+    (built,) = (folder / "dist").glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="session")
+def run(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Runs a command of the environment that the wheel was installed into, in an empty directory."""
+    place = tmp_path_factory.mktemp("installed")
+    uv = [sys.executable, "-m", "uv", "--quiet"]
+    subprocess.run([*uv, "venv", "--python", sys.executable, str(place / "env")], check=True)
+    subprocess.run([*uv, "pip", "install", "--python", str(place / "env/bin/python"), str(wheel)], check=True)
+    (place / "work").mkdir()
+    shutil.copy(ROOT / "examples/car_park.jpg", place / "work")
+    clean = {"PATH": f"{place / 'env/bin'}{os.pathsep}/usr/bin:/bin", "HOME": str(place)}
+
+    def run_there(*command: str) -> str:
+        done = subprocess.run(command, cwd=place / "work", env=clean, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return run_there
+
+
+def test_it_is_small_and_holds_all_it_needs(wheel: Path) -> None:
+    assert wheel.stat().st_size <= LARGEST_WHEEL
+    names = zipfile.ZipFile(wheel).namelist()
+    here = {path.name for path in (ROOT / "skill/vehanchor/bundled").iterdir() if path.suffix in (".onnx", ".md")}
+    assert here == {Path(name).name for name in names if name.startswith("vehanchor/bundled/")}
+    pages = {path.name for path in (ROOT / "server/vehanchor_server/app_page").glob("panel.*")}
+    assert pages <= {Path(name).name for name in names if name.startswith("vehanchor_server/app_page/")}
+    assert {"vehanchor/py.typed", "vehanchor_server/py.typed"} <= set(names)
+    inside = {name for name in names if name.startswith(("vehanchor", "vehanchor_server"))}
+    assert inside == set(names), f"more than the two packages: {sorted(set(names) - inside)}"
+    assert not any("tests/" in name or "training/" in name for name in names)
+
+
+def test_it_carries_the_schemas_that_its_command_writes(wheel: Path, run: Run) -> None:
+    archive = zipfile.ZipFile(wheel)
+    carried = {
+        Path(name).name: archive.read(name).decode()
+        for name in archive.namelist()
+        if "/data/share/vehanchor/schemas/" in name
+    }
+    assert carried == schema_files()
+    written = [Path(line) for line in run("vehanchor", "schemas", "written").splitlines()]
+    assert {path.name for path in written} == set(carried)
+
+
+def test_it_estimates(run: Run) -> None:
+    record = json.loads(run("vehanchor", "estimate", "car_park.jpg", "--json"))
+    assert record["status"] == "ok"
+    assert record["gsd_m_per_px"] == pytest.approx(0.12, rel=0.1)
+    where = run("python", "-c", "import vehanchor; print(vehanchor.__file__)").strip()
+    assert "site-packages" in where
+
+
+def test_its_server_lists_and_runs_the_tools(run: Run, wheel: Path) -> None:
+    command, work = run("sh", "-c", "command -v vehanchor; pwd").split()
+    image: dict[str, Any] = {"kind": "path", "path": f"{work}/car_park.jpg"}
+    listed, called = stdio_answers(
+        [command, "serve", "--root", work],
+        ("tools/list", {}),
+        ("tools/call", {"name": "estimate_gsd", "arguments": {"image": image}}),
+    )
+    assert [tool["name"] for tool in listed["tools"]] == ["estimate_gsd", "measure_area"]
+    assert called["structuredContent"]["status"] == "ok"
+
+
+def test_it_is_typed_for_its_users(run: Run) -> None:
+    code = "import vehanchor\nreveal_type(vehanchor.estimate_gsd('a.jpg').gsd_m_per_px)\n"
+    python = run("sh", "-c", "command -v python").strip()
+    work = run("pwd").strip()
+    Path(work, "user.py").write_text(code)
+    checked = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--config-file", "", "--python-executable", python, "user.py"],
+        cwd=work,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "Success" in checked.stdout, checked.stdout
+    assert 'Revealed type is "float | None"' in checked.stdout or "Union[builtins.float, None]" in checked.stdout
+
+
+@pytest.mark.parametrize("extra", sorted(_EXTRAS))
+def test_every_extra_resolves(extra: str, wheel: Path) -> None:
+    resolved = subprocess.run(
+        [sys.executable, "-m", "uv", "--quiet", "pip", "compile", "--python", sys.executable, "-"],
+        input=f"vehanchor[{extra}] @ {wheel.as_uri()}",
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert resolved.returncode == 0, resolved.stderr
+    assert "vehanchor" in resolved.stdout
