@@ -11,7 +11,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from benchmarks.segmenter import Trial  # noqa: E402 - PyTorch may be missing
-from training.segmenter.calibrate import least_trusted_score, mask_area_log_sd  # noqa: E402
+from training.segmenter.calibrate import area_bias, least_trusted_score, mask_area_log_sd  # noqa: E402
 from training.segmenter.data import (  # noqa: E402
     BatchStream,
     MaskImage,
@@ -166,12 +166,14 @@ def test_the_calibration_reads_spread_and_limit_off_the_trials() -> None:
     def trial(iou: float, ratio: float, score: float) -> Trial:
         return Trial("pool", iou, ratio, score, 0.1)
 
-    good = [trial(0.9, float(np.exp(0.1 * z)), 0.9) for z in np.linspace(-2, 2, 41)]
+    good = [trial(0.9, float(np.exp(0.1 * z)), 0.9 + 0.02 * z) for z in np.linspace(-2, 2, 41)]
     bad = [trial(0.3, 3.0, 0.455) for _ in range(10)]
     limit = least_trusted_score(good + bad)
-    assert 0.45 < limit <= 0.9
+    assert 0.86 <= limit < 0.88
     assert mask_area_log_sd(good + bad, limit) == pytest.approx(0.1, rel=0.15)
     assert mask_area_log_sd(good + bad, 0.0) > 0.4
+    roofs = [trial(0.8, ratio, 0.9)._replace(category="roof") for ratio in (0.7, 0.8, 0.9)]
+    assert area_bias(good + roofs) == pytest.approx(np.log(0.8) / 2)
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::torch.jit.TracerWarning")
@@ -179,7 +181,8 @@ def test_an_exported_segmenter_gives_the_library_what_the_network_saw(tmp_path: 
     torch.manual_seed(0)
     network = Segmenter().eval()
     torch.save({"averaged": network.state_dict()}, tmp_path / "checkpoint.pt")
-    encoder, decoder = export(tmp_path, tmp_path, {"min_score": 0.6, "mask_area_log_sd": 0.08})
+    offset = 0.25
+    encoder, decoder = export(tmp_path, tmp_path, {"min_score": 0.6, "mask_area_log_sd": 0.08, "mask_offset": offset})
     assert encoder.stat().st_size + decoder.stat().st_size < 12e6
     segmenter = OnnxSegmenter(encoder, decoder)
     assert segmenter.card.name == "vehanchor-segmenter"
@@ -192,4 +195,4 @@ def test_an_exported_segmenter_gives_the_library_what_the_network_saw(tmp_path: 
         seen = network(pixels, _prompt(corners, [TOP_LEFT, BOTTOM_RIGHT], 256))
         large = torch.nn.functional.interpolate(seen.mask, (256, 256), mode="bilinear", align_corners=False)
     assert found.score == pytest.approx(float(seen.iou), abs=1e-4)
-    assert ((large[0, 0].numpy() > 0) == found.mask).mean() > 0.999
+    assert ((large[0, 0].numpy() + offset > 0) == found.mask).mean() > 0.999

@@ -38,12 +38,13 @@ class EncoderGraph(nn.Module):
 
 
 class DecoderGraph(nn.Module):
-    """SAM's decoder signature; one mask a prompt."""
+    """SAM's decoder signature; one mask a prompt, its logits raised by ``mask_offset`` (see ``calibrate.py``)."""
 
-    def __init__(self, network: Segmenter, side_px: int) -> None:
+    def __init__(self, network: Segmenter, side_px: int, mask_offset: float) -> None:
         super().__init__()
         self.decoder = network.decoder
         self.side_px = side_px
+        self.mask_offset = mask_offset
 
     def forward(
         self,
@@ -57,13 +58,14 @@ class DecoderGraph(nn.Module):
         """Masks are logits at the original size."""
         points = point_coords + 0.5  # SAM's coordinates are pixel indices
         found = self.decoder(image_embeddings, Prompt(points, point_labels, mask_input, has_mask_input))
-        large = functional.interpolate(found.mask, (self.side_px, self.side_px), mode="bilinear", align_corners=False)
+        logits = found.mask + self.mask_offset
+        large = functional.interpolate(logits, (self.side_px, self.side_px), mode="bilinear", align_corners=False)
         size = orig_im_size.to(torch.float32)
         used = torch.floor(size * (self.side_px / torch.max(size)) + 0.5).to(torch.int64)
         large = large[:, :, : used[0], : used[1]]
         whole = orig_im_size.to(torch.int64)
         masks = functional.interpolate(large, [whole[0], whole[1]], mode="bilinear", align_corners=False)  # type: ignore[list-item]  # traced
-        return masks, found.iou, found.mask
+        return masks, found.iou, logits
 
 
 def load_network(run: Path) -> Segmenter:
@@ -75,7 +77,10 @@ def load_network(run: Path) -> Segmenter:
 
 
 def export(run: Path, folder: Path, calibration: dict[str, object]) -> tuple[Path, Path]:
-    """Export a run; ``calibration`` (see ``calibrate.py``) becomes ``vehanchor.*`` metadata of both files."""
+    """Export a run; ``calibration`` (see ``calibrate.py``) becomes ``vehanchor.*`` metadata of both files.
+
+    Its ``mask_offset`` enters the graph as well.
+    """
     network = load_network(run)
     folder.mkdir(parents=True, exist_ok=True)
     encoder, decoder = folder / "segmenter-encoder.onnx", folder / "segmenter-decoder.onnx"
@@ -90,7 +95,7 @@ def export(run: Path, folder: Path, calibration: dict[str, object]) -> tuple[Pat
         dynamo=False,
     )
     torch.onnx.export(
-        DecoderGraph(network, INPUT_PX).eval(),
+        DecoderGraph(network, INPUT_PX, float(str(calibration.get("mask_offset", 0.0)))).eval(),
         (
             torch.zeros(1, EMBEDDING_CHANNELS, cells, cells),
             torch.tensor([[[40.0, 50.0], [200.0, 180.0], [120.0, 100.0]]]),
