@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -64,9 +64,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-_models = typer.Typer(
-    help="The detectors: those that ship with VehAnchor, and files of your own.", no_args_is_help=True
-)
+_models = typer.Typer(help="The models: those that ship with VehAnchor, and files of your own.", no_args_is_help=True)
 app.add_typer(_models, name="models")
 
 
@@ -465,9 +463,9 @@ def scene(
 def list_models(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object per model and line.")] = False,
 ) -> None:
-    """List the bundled detectors."""
+    """List the bundled detectors and the segmenter."""
     with told_errors():
-        from vehanchor.model_zoo import DEFAULT_DETECTOR, bundled_models
+        from vehanchor.model_zoo import DEFAULT_DETECTOR, bundled_models, bundled_segmenter
 
         files = bundled_models()
         if not files and not as_json:
@@ -483,10 +481,31 @@ def list_models(
                     print(printable(f"{name}: {path}\n  not a detector: {error}"))
                 continue
             if as_json:
-                print_json({"file": str(path), "default": default, **_card_record(card)})
+                print_json({"kind": "detector", "file": str(path), "default": default, **asdict(card)})
             else:
                 facts = [("file", str(path)), *_card_facts(card, sha_digits=_SHORT_SHA)]
                 print_table(facts_table(f"{name} (default)" if default else name, facts))
+        halves = bundled_segmenter()
+        if halves is not None:
+            _list_segmenter(*halves, as_json=as_json)
+
+
+def _list_segmenter(encoder: Path, decoder: Path, *, as_json: bool) -> None:
+    from vehanchor.segmentation import load_segmenter
+
+    card = load_segmenter(encoder, decoder).card
+    if as_json:
+        print_json({"kind": "segmenter", "encoder": str(encoder), "decoder": str(decoder), **asdict(card)})
+        return
+    facts = [
+        ("encoder", str(encoder)),
+        ("decoder", str(decoder)),
+        ("sha256", card.sha256[:_SHORT_SHA]),
+        ("input", f"{card.input_px} px a side, {card.contract} contract"),
+        ("minimum score", f"{card.min_score:g}"),
+        ("licence", card.licence or "not stated"),
+    ]
+    print_table(facts_table(f"{card.name} (segmenter of measure)", facts))
 
 
 @_models.command("info")
@@ -509,7 +528,7 @@ def show_model(
                 print_json(failure(file, error))
             raise
         if as_json:
-            print_json({"file": str(model.path), "fixed_size_px": model.fixed_size, **_card_record(model.card)})
+            print_json({"file": str(model.path), "fixed_size_px": model.fixed_size, **asdict(model.card)})
             return
         card = model.card
         size = "any" if model.fixed_size is None else f"{model.fixed_size[1]} x {model.fixed_size[0]} px"
@@ -534,12 +553,6 @@ def _card_facts(card: DetectorCard, *, sha_digits: int) -> list[tuple[str, str]]
         ("minimum score", f"{card.min_score:g}"),
         ("licence", card.licence or "not stated"),
     ]
-
-
-def _card_record(card: DetectorCard) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    return asdict(card)
 
 
 # --- Commands of their own modules -----------------------------------------------------------------------------------

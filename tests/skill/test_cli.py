@@ -457,6 +457,14 @@ def test_the_bundled_model_is_the_default(run: Any) -> None:
     assert _lines(result)[0]["reference_length_m"] == 4.65
 
 
+def test_models_list_shows_the_segmenter_that_ships(run: Any) -> None:
+    *_, segmenter = _lines(run("models", "list", "--json"))
+    assert segmenter["kind"] == "segmenter"
+    assert segmenter["contract"] == "sam"
+    assert len(segmenter["sha256"]) == 64
+    assert "segmenter of measure" in run("models", "list").stdout
+
+
 def test_models_list_without_any(run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(model_zoo, "_BUNDLED", tmp_path)
     result = run("models", "list")

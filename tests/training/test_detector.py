@@ -23,7 +23,6 @@ from training.detector.data import (  # noqa: E402 - PyTorch may be missing
     is_dev,
     lay_over,
     load_scenes,
-    overprint,
     photometric,
 )
 from training.detector.export import UltralyticsLayout, export  # noqa: E402
@@ -123,20 +122,6 @@ def test_one_image_fills_what_another_leaves_open() -> None:
     assert len(hidden.boxes) == 1
     cut = lay_over(crop(10, left, 80.0), crop(20, everywhere, 160.0))
     assert (len(cut.boxes), len(cut.ignore)) == (1, 1)
-
-
-def test_text_is_printed_clear_of_the_cars() -> None:
-    rng, printed = np.random.default_rng(2), 0
-    box = np.array([[160.0, 160.0, 60.0, 24.0, 0.0]])
-    plain = Crop(
-        np.full((CROP_PX, CROP_PX, 3), 90, np.uint8), box, np.zeros((0, 4, 2)), np.ones((CROP_PX, CROP_PX), bool)
-    )
-    for _ in range(30):
-        crop = overprint(rng, plain)
-        changed = (crop.image != 90).any(axis=2)
-        assert not changed[150:170, 132:188].any()
-        printed += int(changed.any())
-    assert printed > 20
 
 
 def test_the_stream_is_seeded() -> None:

@@ -29,10 +29,6 @@ _SET_WEIGHT = {"ucm": 0.27, "cannes": 0.25, "jekhor": 0.20, "saopaulo": 0.12, "e
 _DEV_SHARE = 10  # one train group in ten is held out: thresholds and confidence are fitted there
 HELD_OUT = 0
 _CLUTTER_SHARE = 0.35  # of the crops of images that have some
-_TEXT_SHARE = 0.2  # of the crops carry text, as screens and archives print it over images
-_TEXT_SIZES = (0.25, 1.3)  # of OpenCV's fonts: 6 to 30 px high
-_FONTS = (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_PLAIN, cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_COMPLEX)
-_LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789.,:-+/%    "
 CORRECTIONS = Path(__file__).with_name("corrections.csv")
 
 
@@ -228,28 +224,6 @@ def lay_over(top: Crop, bottom: Crop) -> Crop:
     )
 
 
-def overprint(rng: np.random.Generator, crop: Crop) -> Crop:
-    """Print text over a crop, clear of its cars: place names, watermarks, a camera's telemetry. Letters are no cars."""
-    image = crop.image.copy()
-    for _ in range(rng.integers(1, 6)):
-        text = "".join(_LETTERS[i] for i in rng.integers(len(_LETTERS), size=rng.integers(3, 22)))
-        font, size = int(rng.choice(_FONTS)), float(np.exp(rng.uniform(*np.log(_TEXT_SIZES))))
-        thickness = int(rng.integers(1, 3)) if size < 0.8 else int(rng.integers(1, 5))
-        (wide, high), below = cv2.getTextSize(text, font, size, thickness)
-        x, y = int(rng.integers(-wide // 3, CROP_PX - 8)), int(rng.integers(high, CROP_PX))
-        near = crop.boxes[:, 2] / 2 + 2
-        across = (crop.boxes[:, 0] + near > x) & (crop.boxes[:, 0] - near < x + wide)
-        down = (crop.boxes[:, 1] + near > y - high) & (crop.boxes[:, 1] - near < y + below)
-        if (across & down).any():
-            continue
-        grey = (0, 255, int(rng.integers(256)))[rng.integers(3)]
-        colour = (grey,) * 3 if rng.random() < 0.7 else tuple(int(v) for v in rng.integers(0, 256, 3))
-        if rng.random() < 0.4:
-            cv2.putText(image, text, (x, y), font, size, (255 - grey,) * 3, thickness + 2, cv2.LINE_AA)
-        cv2.putText(image, text, (x, y), font, size, colour, thickness, cv2.LINE_AA)
-    return crop._replace(image=image)
-
-
 def _compose(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.column_stack([a[:, :2] @ b[:, :2], a[:, :2] @ b[:, 2] + a[:, 2]])
 
@@ -368,8 +342,6 @@ class CropStream(IterableDataset):  # type: ignore[type-arg]
             for _ in range(2):
                 if crop.covered.mean() < 0.75 and rng.random() < 0.9:
                     crop = lay_over(crop, draw())
-            if rng.random() < _TEXT_SHARE:
-                crop = overprint(rng, crop)
             image = photometric(rng, crop.image)
             pixels = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))
             yield pixels, dense_target(crop.boxes, crop.ignore)
