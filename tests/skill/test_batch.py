@@ -353,7 +353,14 @@ def test_ctrl_c_says_how_to_go_on_and_the_same_command_does(
     script = tmp_path / "run.py"  # a file, as spawned processes read it again
     script.write_text(slow + "from vehanchor.cli import main\nif __name__ == '__main__':\n    main()\n")
     command = [sys.executable, str(script), "batch", *arguments]
-    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    process = subprocess.Popen(
+        command,
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's "&" has it ignored
+    )
     journal = tmp_path / "t.csv.journal"
     deadline = time.monotonic() + 120
     while not (journal.exists() and journal.read_bytes().count(b"\n") > 3):
