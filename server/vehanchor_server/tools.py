@@ -123,13 +123,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         answer = await _run(services, ctx, image, work)
         return _result(answer, describe_estimate(answer.record), include_overlay)
 
-    return StrictTool.strict(
-        estimate_gsd,
-        title="Measure the scale of an aerial image",
-        description=_ESTIMATE_GSD,
-        annotations=_annotations("Measure the scale of an aerial image"),
-        meta=APP_META,
-    )
+    return _looking_tool(estimate_gsd, "Measure the scale of an aerial image", _ESTIMATE_GSD)
 
 
 def measure_area_tool(services: Services) -> StrictTool:
@@ -168,13 +162,7 @@ def measure_area_tool(services: Services) -> StrictTool:
         answer = await _run(services, ctx, image, work)
         return _result(answer, describe_area(answer.record), include_overlay)
 
-    return StrictTool.strict(
-        measure_area,
-        title="Measure the area of an object in an aerial image",
-        description=_MEASURE_AREA,
-        annotations=_annotations("Measure the area of an object in an aerial image"),
-        meta=APP_META,
-    )
+    return _looking_tool(measure_area, "Measure the area of an object in an aerial image", _MEASURE_AREA)
 
 
 async def _run(
@@ -197,11 +185,12 @@ async def _run(
     return await services.capacity.run(call)
 
 
-def _annotations(title: str) -> ToolAnnotations:
-    """Every tool only looks: it changes nothing, and the same call gives the same answer."""
-    return ToolAnnotations(
+def _looking_tool(function: Callable[..., Any], title: str, description: str) -> StrictTool:
+    """A tool that only looks: it changes nothing, and the same call gives the same answer."""
+    annotations = ToolAnnotations(
         title=title, read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False
     )
+    return StrictTool.strict(function, title=title, description=description, annotations=annotations, meta=APP_META)
 
 
 def _result(answer: Answer[GsdEstimate | AreaMeasurement], sentence: str, include_overlay: bool) -> CallToolResult:

@@ -23,6 +23,18 @@ from vehanchor.cli_batch import batch
 from vehanchor.cli_calibrate import calibrate
 from vehanchor.cli_evaluate import evaluate
 from vehanchor.cli_measure import PointsCommand, measure
+from vehanchor.cli_options import (
+    BandsOption,
+    CalibrationOption,
+    ClassOption,
+    DetectorOption,
+    MinScoreOption,
+    ProviderOption,
+    ReferenceLengthOption,
+    RegionOption,
+    ThreadsOption,
+    open_detector,
+)
 from vehanchor.cli_sources import FilesCommand
 from vehanchor.errors import InvalidParameterError, ModelError, OutputError, VehAnchorError
 from vehanchor.terminal import (
@@ -138,38 +150,18 @@ def estimate(
             metavar="OUT.png", help="Write the plot of lengths, mode and interval (extra 'plots'). '{stem}' too."
         ),
     ] = None,
-    detector: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE", help="ONNX oriented-box model, or the name of a bundled one. Default: the bundled."
-        ),
-    ] = None,
-    classes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--class", metavar="NAME", help="Class, by name or index, that counts as a vehicle; may be repeated."
-        ),
-    ] = None,
-    reference_length: Annotated[
-        float | None, typer.Option(metavar="M", help="Modal vehicle length, metres. Default: the model's.")
-    ] = None,
-    region: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Take the model's reference length of a region: europe, north_america, ..."),
-    ] = None,
-    calibration: Annotated[
-        str | None,
-        typer.Option(metavar="FILE", help="Take the reference length that 'vehanchor calibrate' measured."),
-    ] = None,
+    detector: DetectorOption = None,
+    classes: ClassOption = None,
+    reference_length: ReferenceLengthOption = None,
+    region: RegionOption = None,
+    calibration: CalibrationOption = None,
     aggregation: Annotated[
         _Aggregation, typer.Option(help="How lengths become one; below 5 vehicles a KDE gives way to the median.")
     ] = _Aggregation.kde,
     alpha: Annotated[
         str, typer.Option(metavar="X|none", help="Drop vehicles longer than X times the median; 'none' keeps all.")
     ] = "1.5",
-    min_score: Annotated[
-        float | None, typer.Option(metavar="P", help="Lowest detection score, 0 to 1. Default: the model's.")
-    ] = None,
+    min_score: MinScoreOption = None,
     nms_iou: Annotated[
         float, typer.Option("--nms-iou", metavar="P", help="Of two boxes that overlap by more (IoU) one is dropped.")
     ] = 0.45,
@@ -193,20 +185,9 @@ def estimate(
             metavar="W H", help="Size, pixels, of a resized copy that you work in: gives the scale in its pixels, too."
         ),
     ] = None,
-    bands: Annotated[
-        tuple[int, int, int] | None,
-        typer.Option(metavar="R G B", help="Bands to take as red, green and blue, from 1. Default: the first three."),
-    ] = None,
-    threads: Annotated[
-        int | None, typer.Option(metavar="N", help="CPU threads; the result is the same with any. Default: all cores.")
-    ] = None,
-    provider: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="ONNX Runtime execution provider, in order of preference. Default: CPUExecutionProvider.",
-        ),
-    ] = None,
+    bands: BandsOption = None,
+    threads: ThreadsOption = None,
+    provider: ProviderOption = None,
 ) -> None:
     """Estimate the ground sampling distance (metres per pixel) of aerial images from the cars in them."""
     with told_errors():
@@ -227,7 +208,7 @@ def estimate(
                 frame_height_px=frame[1] if frame else None,
                 bands=bands,
             )
-            model = _open_detector(detector, classes, threads, provider)
+            model = open_detector(detector, classes, threads=threads, providers=provider)
         except VehAnchorError as error:
             if as_json:  # every image gets its line
                 for source in images:
@@ -322,17 +303,6 @@ def _calibration(file: str | None) -> Calibration | None:
     from vehanchor.calibration import opened_calibration
 
     return opened_calibration(file)
-
-
-def _open_detector(
-    model: str | None, classes: Sequence[str] | None, threads: int | None, providers: Sequence[str] | None
-) -> Detector:
-    from vehanchor.detection import Detector
-    from vehanchor.model_zoo import resolve_model
-    from vehanchor.onnx_session import DEFAULT_PROVIDERS
-
-    wanted = [int(name) if name.isdecimal() else name for name in classes] if classes else None
-    return Detector(resolve_model(model), classes=wanted, threads=threads, providers=providers or DEFAULT_PROVIDERS)
 
 
 def _analyse(
@@ -473,7 +443,7 @@ def list_models(
         for name, path in files.items():
             default = name == DEFAULT_DETECTOR
             try:
-                card = _open_detector(str(path), None, None, None).card
+                card = open_detector(str(path), None).card
             except ModelError as error:
                 if as_json:
                     print_json(failure(str(path), error))
@@ -522,7 +492,7 @@ def show_model(
     """Show all that a detector's file says of itself; the paper's values stand in where it is silent."""
     with told_errors():
         try:
-            model = _open_detector(file, classes, None, None)
+            model = open_detector(file, classes)
         except VehAnchorError as error:
             if as_json:
                 print_json(failure(file, error))

@@ -12,6 +12,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vehanchor.cli_options import (
+    CalibrationOption,
+    DetectorOption,
+    MinScoreOption,
+    ProviderOption,
+    ReferenceLengthOption,
+    RegionOption,
+)
 from vehanchor.terminal import INTERRUPTED, printable, told_errors
 
 if TYPE_CHECKING:
@@ -52,33 +60,12 @@ def batch(
     workers: Annotated[
         int | None, typer.Option(metavar="N", help="Models at work at once. Default: one a CPU.")
     ] = None,
-    detector: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE", help="ONNX oriented-box model, or the name of a bundled one. Default: the bundled."
-        ),
-    ] = None,
-    reference_length: Annotated[
-        float | None, typer.Option(metavar="M", help="Modal vehicle length, metres. Default: the model's.")
-    ] = None,
-    region: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Take the model's reference length of a region: europe, north_america, ..."),
-    ] = None,
-    calibration: Annotated[
-        str | None,
-        typer.Option(metavar="FILE", help="Take the reference length that 'vehanchor calibrate' measured."),
-    ] = None,
-    min_score: Annotated[
-        float | None, typer.Option(metavar="P", help="Lowest detection score, 0 to 1. Default: the model's.")
-    ] = None,
-    provider: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="ONNX Runtime execution provider, in order of preference. Default: CPUExecutionProvider.",
-        ),
-    ] = None,
+    detector: DetectorOption = None,
+    reference_length: ReferenceLengthOption = None,
+    region: RegionOption = None,
+    calibration: CalibrationOption = None,
+    min_score: MinScoreOption = None,
+    provider: ProviderOption = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Start anew, whatever an earlier run left at FILE.")
     ] = False,

@@ -8,16 +8,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli_sources import (
-    CacheOption,
+from vehanchor.cli_options import (
     ClassOption,
     DetectorOption,
+    MinScoreOption,
+    open_detector,
+)
+from vehanchor.cli_sources import (
+    CacheOption,
     DotaOption,
     GeotiffOption,
     LabelClassOption,
     LabelsOption,
     LimitOption,
-    MinScoreOption,
     SetOption,
     SplitOption,
     TableOption,
@@ -172,9 +175,7 @@ def _found(
 
 
 def _card(model: str | None, classes: Sequence[str] | None) -> DetectorCard:
-    from vehanchor.cli_sources import open_detector
-
-    return open_detector(model, classes, workers=1).card
+    return open_detector(model, classes).card
 
 
 def _region_sd(card: DetectorCard | None) -> float:

@@ -13,17 +13,22 @@ import typer
 
 from vehanchor.cli_evaluate_area import area
 from vehanchor.cli_evaluate_vlm import vlm
-from vehanchor.cli_sources import (
-    CacheOption,
+from vehanchor.cli_options import (
+    CalibrationOption,
     ClassOption,
     DetectorOption,
+    MinScoreOption,
+    ReferenceLengthOption,
+    RegionOption,
+)
+from vehanchor.cli_sources import (
+    CacheOption,
     DotaOption,
     FilesCommand,
     GeotiffOption,
     LabelClassOption,
     LabelsOption,
     LimitOption,
-    MinScoreOption,
     SetOption,
     SplitOption,
     TableOption,
@@ -68,22 +73,16 @@ class ScaleRequest:
     detector: DetectorOption = None
     classes: ClassOption = None
     min_score: MinScoreOption = None
-    reference_length: Annotated[
-        float | None, typer.Option(metavar="M", help="Modal vehicle length, metres. Default: the model's.")
-    ] = None
+    reference_length: ReferenceLengthOption = None
     label_reference_length: Annotated[
         float | None, typer.Option(metavar="M", help="The same for labelled vehicles. Default: as the detector's.")
     ] = None
-    region: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Take the model's reference length of a region: europe, ...")
-    ] = None
+    region: RegionOption = None
     set_region: Annotated[
         list[str] | None,
         typer.Option(metavar="SET=REGION", help="The region of one set of the table; may be repeated."),
     ] = None
-    calibration: Annotated[
-        str | None, typer.Option(metavar="FILE", help="Take the reference length that 'vehanchor calibrate' measured.")
-    ] = None
+    calibration: CalibrationOption = None
     workers: WorkersOption = None
     cache: CacheOption = None
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results, made where there is none.")] = _OUT

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vehanchor.cli_sources import DetectorOption, WorkersOption, search, tell_issues
+from vehanchor.cli_options import DetectorOption
+from vehanchor.cli_sources import WorkersOption, search, tell_issues
 from vehanchor.errors import InvalidParameterError
 from vehanchor.terminal import tile_progress, told_errors
 

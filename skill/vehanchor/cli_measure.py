@@ -8,6 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from vehanchor.cli_options import (
+    BandsOption,
+    CalibrationOption,
+    DetectorOption,
+    ReferenceLengthOption,
+    RegionOption,
+    ThreadsOption,
+)
 from vehanchor.errors import InvalidParameterError, OutputError, PromptError, VehAnchorError
 from vehanchor.terminal import (
     STATUS_TEXTS,
@@ -80,12 +88,7 @@ def measure(
         str | None,
         typer.Option(metavar="OUT.png", help="Write the object's mask, white on black, as large as the image."),
     ] = None,
-    detector: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE", help="ONNX oriented-box model, or the name of a bundled one. Default: the bundled."
-        ),
-    ] = None,
+    detector: DetectorOption = None,
     segmenter: Annotated[
         tuple[str, str] | None,
         typer.Option(
@@ -94,24 +97,11 @@ def measure(
             "the bundled.",
         ),
     ] = None,
-    reference_length: Annotated[
-        float | None, typer.Option(metavar="M", help="Modal vehicle length, metres. Default: the model's.")
-    ] = None,
-    region: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Take the model's reference length of a region: europe, north_america, ..."),
-    ] = None,
-    calibration: Annotated[
-        str | None,
-        typer.Option(metavar="FILE", help="Take the reference length that 'vehanchor calibrate' measured."),
-    ] = None,
-    bands: Annotated[
-        tuple[int, int, int] | None,
-        typer.Option(metavar="R G B", help="Bands to take as red, green and blue, from 1. Default: the first three."),
-    ] = None,
-    threads: Annotated[
-        int | None, typer.Option(metavar="N", help="CPU threads; the result is the same with any. Default: all cores.")
-    ] = None,
+    reference_length: ReferenceLengthOption = None,
+    region: RegionOption = None,
+    calibration: CalibrationOption = None,
+    bands: BandsOption = None,
+    threads: ThreadsOption = None,
 ) -> None:
     """Measure the area (square metres) of the object in a box or at a point, by the scale of the cars in the image."""
     with told_errors():

@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from vehanchor.cli_options import (
+    open_detector,
+)
 from vehanchor.errors import InvalidParameterError
 from vehanchor.terminal import printable, tile_progress
 
@@ -23,20 +26,16 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CacheOption",
-    "ClassOption",
-    "DetectorOption",
     "DotaOption",
     "FilesCommand",
     "GeotiffOption",
     "LabelClassOption",
     "LabelsOption",
     "LimitOption",
-    "MinScoreOption",
     "SetOption",
     "SplitOption",
     "TableOption",
     "WorkersOption",
-    "open_detector",
     "search",
     "survey",
     "tell_issues",
@@ -81,17 +80,6 @@ CacheOption = Annotated[
     typer.Option(
         metavar="FILE", help="Where detections are kept, so that a run can go on and tables can share a search."
     ),
-]
-DetectorOption = Annotated[
-    str | None,
-    typer.Option(metavar="FILE", help="ONNX oriented-box model, or the name of a bundled one. Default: the bundled."),
-]
-ClassOption = Annotated[
-    list[str] | None,
-    typer.Option("--class", metavar="NAME", help="Class of the model that counts as a vehicle; may be repeated."),
-]
-MinScoreOption = Annotated[
-    float | None, typer.Option(metavar="P", help="Lowest detection score, 0 to 1. Default: the model's.")
 ]
 
 
@@ -162,15 +150,6 @@ def tell_issues(issues: Iterable[FileIssue]) -> None:
             print(f"warning[{reason}]: and {len(some) - _SHOWN_ISSUES} more files", file=sys.stderr)
 
 
-def open_detector(model: str | None, classes: Sequence[str] | None, workers: int) -> Detector:
-    """The detector, its threads shared out among the workers."""
-    from vehanchor.detection import Detector
-    from vehanchor.model_zoo import resolve_model
-
-    wanted = [int(name) if name.isdecimal() else name for name in classes] if classes else None
-    return Detector(resolve_model(model), classes=wanted, threads=max(1, (os.cpu_count() or 1) // workers))
-
-
 def search(
     data: KnownScaleSet,
     model: str | None,
@@ -199,7 +178,7 @@ def search(
     from vehanchor.perception import open_detector as check_options
 
     n_workers = workers or min(_MAX_WORKERS, os.cpu_count() or 1)
-    detector = open_detector(model, classes, n_workers)
+    detector = open_detector(model, classes, threads=max(1, (os.cpu_count() or 1) // n_workers))
     for choice in {id(choice): choice for choice in options}.values():
         check_options(detector, choice)
     search_options = ScaleOptions(min_score=options[0].min_score, limits=DATASET_LIMITS)

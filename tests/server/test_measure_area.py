@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import anyio
-import cv2
 import numpy as np
 import pytest
 from mcp import Client
 from mcp.server import MCPServer
-from mcp.types import CallToolResult, ImageContent
+from mcp.types import CallToolResult
 
 import vehanchor
 from tests.sam_models import EMPTY, SamFiles, write_sam
 from tests.server.conftest import POOL, POOL_BOX
-from tests.server.test_tools import ERAS, by_path, error_of, text_of
+from tests.server.test_tools import ERAS, by_path, error_of, picture_of, text_of
 from vehanchor.detection import load_detector
 from vehanchor_server import models as models_module
 from vehanchor_server.app import create_server, create_services
-from vehanchor_server.overlay import MAX_PICTURE_BYTES
 from vehanchor_server.settings import Settings
 
 pytestmark = pytest.mark.anyio
@@ -135,13 +132,7 @@ async def test_an_empty_mask_is_told_as_such(settings: Settings, images: Path, t
 async def test_the_overlay_is_a_small_jpeg_that_shows_the_object(server: MCPServer[object], images: Path) -> None:
     result = await asked(server, pool_in(images / "pool.png", include_overlay=True))
     record_of(result)
-    picture = result.content[1]
-    assert isinstance(picture, ImageContent)
-    assert picture.mime_type == "image/jpeg"
-    data = base64.b64decode(picture.data)
-    assert len(data) <= MAX_PICTURE_BYTES
-    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-    assert decoded is not None
+    decoded = picture_of(result)
     scale = decoded.shape[1] / 640
     x, y = (POOL[0] + POOL[2]) / 2 * scale, (POOL[1] + POOL[3]) / 2 * scale
     tint = decoded[round(y), round(x), ::-1].astype(int)

@@ -37,6 +37,18 @@ def text_of(result: CallToolResult) -> str:
     return first.text
 
 
+def picture_of(result: CallToolResult) -> np.ndarray:
+    """The overlay, decoded, after a look at what every overlay must be."""
+    picture = result.content[1]
+    assert isinstance(picture, ImageContent)
+    assert picture.mime_type == "image/jpeg"
+    data = base64.b64decode(picture.data)
+    assert len(data) <= MAX_PICTURE_BYTES
+    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    assert decoded is not None
+    return np.asarray(decoded)
+
+
 def error_of(result: CallToolResult) -> str:
     assert result.is_error
     return text_of(result).partition(":")[0]
@@ -139,13 +151,7 @@ async def test_the_overlay_is_a_small_jpeg_beside_the_record(server: MCPServer[o
     async with Client(server, mode=era) as client:
         result = await client.call_tool("estimate_gsd", {**by_path(images / "large.png"), "include_overlay": True})
     assert not result.is_error
-    picture = result.content[1]
-    assert isinstance(picture, ImageContent)
-    assert picture.mime_type == "image/jpeg"
-    data = base64.b64decode(picture.data)
-    assert len(data) <= MAX_PICTURE_BYTES
-    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-    assert decoded is not None
+    decoded = picture_of(result)
     assert 700 < max(decoded.shape) <= 1568
 
 
