@@ -189,10 +189,16 @@ def test_an_exported_segmenter_gives_the_library_what_the_network_saw(tmp_path: 
     image = np.random.default_rng(0).integers(0, 255, (256, 256, 3), dtype=np.uint8)
     with open_raster(image) as raster:
         found = segmenter.segment(raster, UserPrompt(box=(60.0, 70.0, 180.0, 190.0)))
-    corners = [(60.0, 70.0), (180.0, 190.0)]
-    pixels = torch.from_numpy(image.transpose(2, 0, 1).copy())[None].float() / 255
-    with torch.no_grad():
-        seen = network(pixels, _prompt(corners, [TOP_LEFT, BOTTOM_RIGHT], 256))
-        large = torch.nn.functional.interpolate(seen.mask, (256, 256), mode="bilinear", align_corners=False)
-    assert found.score == pytest.approx(float(seen.iou), abs=1e-4)
-    assert ((large[0, 0].numpy() + offset > 0) == found.mask).mean() > 0.999
+    masks, scores = [], []
+    for across in (False, True):
+        for down in (False, True):
+            seen_image = image[:: -1 if down else 1, :: -1 if across else 1].copy()
+            xs, ys = (76.0, 196.0) if across else (60.0, 180.0), (66.0, 186.0) if down else (70.0, 190.0)
+            pixels = torch.from_numpy(seen_image.transpose(2, 0, 1).copy())[None].float() / 255
+            with torch.no_grad():
+                seen = network(pixels, _prompt(list(zip(xs, ys, strict=True)), [TOP_LEFT, BOTTOM_RIGHT], 256))
+                large = torch.nn.functional.interpolate(seen.mask, (256, 256), mode="bilinear", align_corners=False)
+            masks.append(large[0, 0].numpy()[:: -1 if down else 1, :: -1 if across else 1])
+            scores.append(float(seen.iou))
+    assert found.score == pytest.approx(np.mean(scores), abs=1e-4)
+    assert ((np.mean(masks, axis=0) + offset > 0) == found.mask).mean() > 0.999

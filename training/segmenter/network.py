@@ -125,7 +125,8 @@ def prompt_maps(prompt: Prompt, height: int, width: int) -> Tensor:
         return place[:, 0].view(-1, 1, 1, 1), place[:, 1].view(-1, 1, 1, 1)
 
     has_box = (labels == TOP_LEFT).to(points.dtype).sum(dim=1).clamp(max=1.0).view(-1, 1, 1, 1)
-    (x0, y0), (x1, y1) = corner(TOP_LEFT), corner(BOTTOM_RIGHT)
+    (xa, ya), (xb, yb) = corner(TOP_LEFT), corner(BOTTOM_RIGHT)  # the other way round in a mirrored image
+    (x0, y0), (x1, y1) = (torch.minimum(xa, xb), torch.minimum(ya, yb)), (torch.maximum(xa, xb), torch.maximum(ya, yb))
     wide, high = (x1 - x0).clamp(min=2.0), (y1 - y0).clamp(min=2.0)
     across, down = (2 * cols - x0 - x1) / wide, (2 * rows - y0 - y1) / high  # -1 to 1 inside the box
     inside_x, inside_y = torch.minimum(cols - x0, x1 - cols), torch.minimum(rows - y0, y1 - rows)
