@@ -292,7 +292,7 @@ def main() -> None:
     parser.add_argument("--split", default="val")
     parser.add_argument("--detector")
     parser.add_argument("--min-score", type=float)
-    parser.add_argument("--aggregation", default="kde")
+    parser.add_argument("--aggregation", help="default: the model's choice")
     parser.add_argument("--search-scales", action=argparse.BooleanOptionalAction, help="default: the model's choice")
     parser.add_argument("--part", choices=_PARTS, action="append", help="may be repeated; default all")
     options = parser.parse_args()

@@ -16,6 +16,8 @@ by a tile's edge is not found; of two marks in one cell of ``cell_px`` the numbe
 
 from __future__ import annotations
 
+import base64
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -24,6 +26,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
+from vehanchor.fleet import CHIP_SHAPE, FleetLengths
 from vehanchor.obb import box_corners, canonical_boxes
 
 if TYPE_CHECKING:
@@ -35,6 +38,7 @@ __all__ = [
     "BEACON_PX",
     "Graph",
     "blank_image",
+    "fleet_metadata",
     "paint_vehicle",
     "paint_vehicles",
     "save_model",
@@ -199,6 +203,35 @@ def write_detector(
         graph.constants,
         entries,
     )
+
+
+def fleet_metadata(folder: Path, lengths: FleetLengths, *, output: str = "log_odds") -> dict[str, str | None]:
+    """Metadata of a detector that tells fleets apart: its log odds are high for vehicles brighter than the ground.
+
+    Args:
+        folder: for the network on its way.
+        lengths: what the log odds mean.
+        output: name of the network's output.
+    """
+    rows, columns = CHIP_SHAPE
+    pattern = np.full((1, 1, rows, columns), -1.0)
+    pattern[:, :, rows // 2 - 3 : rows // 2 + 3, columns // 2 - 8 : columns // 2 + 8] = 1.0
+    graph = Graph()
+    weighted = graph.add("Mul", ["chips", graph.constant(pattern / np.abs(pattern).sum() * 4)])
+    graph.add("ReduceSum", [weighted, graph.constant([1, 2, 3], np.int64)], output=output, keepdims=0)
+    network = save_model(
+        folder / "fleet.onnx",
+        graph.nodes,
+        [helper.make_tensor_value_info("chips", TensorProto.FLOAT, ["n", 1, rows, columns])],
+        [helper.make_tensor_value_info(output, TensorProto.FLOAT, ["n"])],
+        graph.constants,
+        {},
+    )
+    return {
+        "vehanchor.fleet": base64.b64encode(network.read_bytes()).decode("ascii"),
+        "vehanchor.fleet_lengths": json.dumps(lengths._asdict()),
+        "vehanchor.region_lengths_m": '{"europe": 4.1}',
+    }
 
 
 def write_other_model(path: Path, *, metadata: Mapping[str, str | None] | None = None) -> Path:

@@ -21,7 +21,7 @@ from vehanchor.errors import (
     CalibrationRefusedError,
     OutputError,
 )
-from vehanchor.scale import kde_mode
+from vehanchor.scale import WEIGHTED_SMOOTHING, kde_mode, scott_bandwidth, vehicle_weights
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -96,10 +96,13 @@ class SurveyedImage(NamedTuple):
     Attributes:
         boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)`` in pixels and radians.
         gsd_m_per_px: the image's true ground sampling distance.
+        scores: ``[n]`` 0..1, of a detector whose estimates weigh its boxes (``weighted_kde``); None where each counts
+            alike, as labels do.
     """
 
     boxes: NDArray[np.float64]
     gsd_m_per_px: float
+    scores: NDArray[np.float64] | None = None
 
 
 class ReferenceLength(NamedTuple):
@@ -134,8 +137,9 @@ def reference_length(images: Sequence[SurveyedImage]) -> ReferenceLength:
         InvalidParameterError: there is no vehicle.
     """
     metres = _metres(images)
-    mode = kde_mode(metres)
-    modes = _resampled_modes(metres, _blocks(images))
+    weights, smoothing = _weights(images, metres)
+    mode = kde_mode(metres, weights, smoothing=smoothing)
+    modes = _resampled_modes(metres, weights, smoothing, _blocks(images))
     low, high = np.percentile(modes, [2.5, 97.5])
     spread = float(np.sqrt(np.mean(np.log(modes / mode) ** 2))) * mode
     return ReferenceLength(mode, min(float(low), mode), max(float(high), mode), spread)
@@ -143,6 +147,14 @@ def reference_length(images: Sequence[SurveyedImage]) -> ReferenceLength:
 
 def _metres(images: Sequence[SurveyedImage]) -> NDArray[np.float64]:
     return np.concatenate([np.zeros(0), *(image.boxes[:, 2] * image.gsd_m_per_px for image in images)])
+
+
+def _weights(images: Sequence[SurveyedImage], lengths: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """What each vehicle counts for, and the factor on the bandwidth: as in the estimates this is to serve."""
+    scores = [image.scores for image in images if image.scores is not None]
+    if len(scores) < len(images):
+        return np.ones(len(lengths)), 1.0
+    return vehicle_weights(lengths, np.concatenate(scores)), WEIGHTED_SMOOTHING
 
 
 def _blocks(images: Sequence[SurveyedImage]) -> NDArray[np.intp]:
@@ -157,20 +169,22 @@ def _blocks(images: Sequence[SurveyedImage]) -> NDArray[np.intp]:
     return np.asarray(block.ravel() if len(squares) >= _MIN_BLOCKS else np.arange(len(places)), dtype=np.intp)
 
 
-def _resampled_modes(metres: NDArray[np.float64], block: NDArray[np.intp]) -> NDArray[np.float64]:
+def _resampled_modes(
+    metres: NDArray[np.float64], weights: NDArray[np.float64], smoothing: float, block: NDArray[np.intp]
+) -> NDArray[np.float64]:
     """Modes of resampled blocks; lengths are binned, so the cost does not grow with the vehicles."""
     from scipy.ndimage import gaussian_filter1d
     from scipy.sparse import coo_array
 
     low, high = float(metres.min()), float(metres.max())
-    bandwidth = float(np.std(metres, ddof=1)) * len(metres) ** -0.2 if len(metres) > 1 else 0.0  # Scott's rule
+    bandwidth = smoothing * scott_bandwidth(metres, weights / weights.sum())
     if bandwidth <= 1e-9 * high:
         return np.full(_REPLICATES, float(metres.mean()))
     cells = int(np.clip(np.ceil((high - low) * _CELLS_PER_BANDWIDTH / bandwidth), 8, _MAX_CELLS))
     edges = np.linspace(low, high, cells + 1)
     cell = np.clip(np.searchsorted(edges, metres, side="right") - 1, 0, cells - 1)
     n_blocks = int(block.max()) + 1
-    counts = coo_array((np.ones(len(metres)), (block, cell)), shape=(n_blocks, cells)).tocsr()
+    counts = coo_array((weights, (block, cell)), shape=(n_blocks, cells)).tocsr()
     drawn = np.random.default_rng(_SEED).multinomial(n_blocks, np.full(n_blocks, 1 / n_blocks), size=_REPLICATES)
     sigma = bandwidth / (edges[1] - edges[0])
     density = gaussian_filter1d(np.asarray(drawn @ counts), sigma, axis=1, mode="constant")
@@ -212,7 +226,9 @@ def calibrate(
             f"{MIN_VEHICLES} are needed. Add images of the same region with more cars"
         )
     length = reference_length(with_vehicles)
-    mode_px = kde_mode(np.concatenate([image.boxes[:, 2] for image in with_vehicles]))
+    lengths_px = np.concatenate([image.boxes[:, 2] for image in with_vehicles])
+    weights, smoothing = _weights(with_vehicles, lengths_px)
+    mode_px = kde_mode(lengths_px, weights, smoothing=smoothing)
     shortest_px = guard_length(length.mode_m, min_length_px)
     scales = np.repeat([i.gsd_m_per_px for i in with_vehicles], [len(i.boxes) for i in with_vehicles])
     median_gsd = float(np.median(scales))

@@ -156,8 +156,12 @@ def estimate(
     region: RegionOption = None,
     calibration: CalibrationOption = None,
     aggregation: Annotated[
-        _Aggregation, typer.Option(help="How lengths become one; below 5 vehicles a KDE gives way to the median.")
-    ] = _Aggregation.kde,
+        _Aggregation | None,
+        typer.Option(
+            help="How lengths become one; below 5 vehicles a KDE gives way to the median. Default: the model's choice, "
+            "or kde."
+        ),
+    ] = None,
     alpha: Annotated[
         str, typer.Option(metavar="X|none", help="Drop vehicles longer than X times the median; 'none' keeps all.")
     ] = "1.5",
@@ -194,7 +198,7 @@ def estimate(
         try:
             outputs = _outputs(images, overlay, plot)
             options = _scale_options(
-                aggregation=aggregation.value,
+                aggregation=aggregation.value if aggregation else None,
                 alpha=_alpha(alpha),
                 min_score=min_score,
                 nms_iou=nms_iou,
@@ -340,12 +344,9 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
     size = f"{record.image_width_px} x {record.image_height_px} px"
     if record.gsd_m_per_px is not None and record.mode_length_px is not None:
         found_at = f", found at {record.working_scale:g} of the size" if record.working_scale not in (None, 1) else ""
-        facts.append(
-            (
-                "modal length",
-                f"{record.mode_length_px:.1f} px ({record.aggregation}) = {record.reference_length_m:.4g} m{found_at}",
-            )
-        )
+        told = " by the vehicles' look" if record.reference_source == "appearance" else ""
+        found = f"{record.mode_length_px:.1f} px ({record.aggregation})"
+        facts.append(("modal length", f"{found} = {record.reference_length_m:.4g} m{told}{found_at}"))
         width_m, height_m = (side * record.gsd_m_per_px for side in (record.image_width_px, record.image_height_px))
         size += f" = {width_m:.4g} x {height_m:.4g} m"
     facts.append(("image", size))
@@ -515,10 +516,15 @@ def show_model(
 
 def _card_facts(card: DetectorCard, *, sha_digits: int) -> list[tuple[str, str]]:
     shortest, longest = card.length_range_px
+    fleets = card.fleet_lengths
+    told = "" if fleets is None else f"; by the vehicles' look {fleets.length_m[0]:.4g} to {fleets.length_m[1]:.4g} m"
     unbiased = f"; measured without bias from {card.min_length_px:g} px" if card.min_length_px else ""
     return [
         ("sha256", card.sha256[:sha_digits]),
-        ("reference length", f"{card.reference_length_m:.4g} m, sd {card.reference_length_sd_m:.2g} m between regions"),
+        (
+            "reference length",
+            f"{card.reference_length_m:.4g} m, sd {card.reference_length_sd_m:.2g} m between regions{told}",
+        ),
         ("vehicle lengths", f"{shortest:g} to {longest:g} px{unbiased}"),
         ("minimum score", f"{card.min_score:g}"),
         ("licence", card.licence or "not stated"),

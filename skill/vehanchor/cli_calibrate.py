@@ -169,7 +169,9 @@ def _found(
             issues.append(searched)
             continue
         analysis = searched.analysis(detector.card, options)
-        images.append(SurveyedImage(analysis.detections.boxes[analysis.kept], image.gsd_m_per_px))
+        boxes, scores = analysis.detections.boxes[analysis.kept], analysis.detections.scores[analysis.kept]
+        weighted = detector.card.aggregation == "weighted_kde"
+        images.append(SurveyedImage(boxes, image.gsd_m_per_px, scores if weighted else None))
     tell_issues(issues)
     return images, detector.card
 

@@ -9,19 +9,22 @@ One decoder reads the bundled model and any YOLOv8, YOLO11 or YOLO26 OBB file th
 from __future__ import annotations
 
 import ast
+import base64
 import functools
 import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_args
 
 import cv2
 import numpy as np
 
 from vehanchor.errors import InvalidParameterError, ModelContractError
+from vehanchor.fleet import CHIP_SHAPE, MAX_CHIPS, FleetLengths, vehicle_chips
 from vehanchor.obb import NMS_IOU, box_corners, canonical_boxes, oriented_nms
 from vehanchor.onnx_session import DEFAULT_PROVIDERS, check_model_file, metadata_number, open_session
+from vehanchor.records import Aggregation
 from vehanchor.tiling import TILE_OVERLAP, TILE_SIZE_PX, read_reduced_window, tile_grid
 
 if TYPE_CHECKING:
@@ -77,6 +80,9 @@ class DetectorCard:
         licence: of the weights, as the file states it.
         search_scales: whether the model is meant to be run at reduced resolutions, too.
         clear_score: score that the best tenth of the cars of any place reaches; 0 where it is not known.
+        aggregation: how the lengths of its boxes are best made one.
+        fleet_lengths: how the look of the vehicles moves the reference length; None where the file cannot tell fleets
+            apart.
     """
 
     name: str
@@ -91,6 +97,8 @@ class DetectorCard:
     licence: str | None
     search_scales: bool = False
     clear_score: float = 0.0
+    aggregation: Aggregation = "kde"
+    fleet_lengths: FleetLengths | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +112,8 @@ class Detections:
         n_capped_tiles: tiles in which an end-to-end model had no row left, so that vehicles may be missing.
         scales: ``[n]`` float64, the scale of the image in which each was found: 1, 0.5, 0.25 or 0.125; None stands
             for a search at full resolution alone.
+        fleet_log_odds: ``[m]`` float64 of the first m = min(n, 100) vehicles, see ``vehanchor.fleet``; None where the
+            model cannot tell.
     """
 
     boxes: NDArray[np.float64]
@@ -111,6 +121,7 @@ class Detections:
     n_tiles: int = 1
     n_capped_tiles: int = 0
     scales: NDArray[np.float64] | None = None
+    fleet_log_odds: NDArray[np.float64] | None = None
 
 
 class SearchLevel(NamedTuple):
@@ -148,6 +159,19 @@ def _canonical_name(name: str) -> str:
     return name.lower().replace("-", " ").replace("_", " ").strip()
 
 
+def _fleet_lengths(metadata: Mapping[str, str]) -> FleetLengths | None:
+    if "vehanchor.fleet" not in metadata:
+        return None
+    stated = json.loads(metadata["vehanchor.fleet_lengths"])
+    (few, many), (short, long) = stated["log_odds"], stated["length_m"]
+    lengths = FleetLengths(
+        (float(few), float(many)), (float(short), float(long)), float(stated["sd_m"]), float(stated["neutral_vehicles"])
+    )
+    if not (few < many and min(short, long, lengths.neutral_vehicles) > 0 and lengths.sd_m >= 0):
+        raise ValueError(f"fleet_lengths {stated} are in no order")
+    return lengths
+
+
 def _read_card(path: Path, sha256: str, metadata: Mapping[str, str]) -> DetectorCard:
     reference = metadata_number(metadata, "reference_length_m", REFERENCE_LENGTH_M)
     regions = {name: reference * ratio for name, ratio in _REGION_RATIOS.items()}
@@ -156,8 +180,15 @@ def _read_card(path: Path, sha256: str, metadata: Mapping[str, str]) -> Detector
         if "vehanchor.region_lengths_m" in metadata:
             regions |= {str(k): float(v) for k, v in json.loads(metadata["vehanchor.region_lengths_m"]).items()}
         shortest, longest = map(float, range_text.split(",")) if range_text else LENGTH_RANGE_PX
-    except (ValueError, AttributeError) as error:
+        fleet_lengths = _fleet_lengths(metadata)
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise ModelContractError(f"{path}: the vehanchor.* metadata cannot be read: {error}") from None
+    aggregation = metadata.get("vehanchor.aggregation", "kde")
+    if aggregation not in get_args(Aggregation):
+        raise ModelContractError(
+            f"{path}: metadata 'vehanchor.aggregation' is {aggregation[:80]!r}: expected one of "
+            f"{', '.join(get_args(Aggregation))}"
+        )
     return DetectorCard(
         name=metadata.get("vehanchor.name", path.stem),
         sha256=sha256,
@@ -171,6 +202,8 @@ def _read_card(path: Path, sha256: str, metadata: Mapping[str, str]) -> Detector
         licence=metadata.get("license"),
         search_scales=metadata_number(metadata, "search_scales", 0.0) > 0,
         clear_score=metadata_number(metadata, "clear_score", 0.0),
+        aggregation=cast("Aggregation", aggregation),
+        fleet_lengths=fleet_lengths,
     )
 
 
@@ -205,6 +238,7 @@ class Detector:
         self._session = open_session(self.path, content=content, threads=threads, providers=providers)
         metadata = self._session.get_modelmeta().custom_metadata_map
         self.card = _read_card(self.path, hashlib.sha256(content).hexdigest(), metadata)
+        self._fleet = self._fleet_session(metadata, threads, providers)
         self._input = self._checked_input()
         self._dtype = np.float16 if self._input.type == "tensor(float16)" else np.float32
         batch, _, height, width = (side if isinstance(side, int) else None for side in self._input.shape)
@@ -222,6 +256,24 @@ class Detector:
             f"{self.path} is not an oriented-box detector: {found}. Expected one float input [1, 3, h, w] and an "
             "output [1, 4+classes+1, anchors] or [1, n, 7], as 'yolo export model=yolo11l-obb.pt format=onnx' writes it"
         )
+
+    def _fleet_session(
+        self, metadata: Mapping[str, str], threads: int | None, providers: Sequence[str]
+    ) -> onnxruntime.InferenceSession | None:
+        if "vehanchor.fleet" not in metadata:
+            return None
+        try:
+            content = base64.b64decode(metadata["vehanchor.fleet"], validate=True)
+        except ValueError:
+            raise ModelContractError(f"{self.path}: metadata 'vehanchor.fleet' is not base64 of an ONNX file") from None
+        session = open_session(self.path, content=content, threads=threads, providers=providers)
+        names = [each.name for each in (*session.get_inputs(), *session.get_outputs())]
+        if names != ["chips", "log_odds"] or session.get_inputs()[0].shape[1:] != [1, *CHIP_SHAPE]:
+            raise ModelContractError(
+                f"{self.path}: the network in metadata 'vehanchor.fleet' has {', '.join(names)}: expected chips "
+                f"[n, 1, {CHIP_SHAPE[0]}, {CHIP_SHAPE[1]}] and log_odds [n]"
+            )
+        return session
 
     def _checked_input(self) -> Any:
         inputs = self._session.get_inputs()
@@ -339,6 +391,23 @@ class Detector:
         height, width = tile.shape[:2]
         sane &= (boxes[:, 0] >= 0) & (boxes[:, 0] <= width) & (boxes[:, 1] >= 0) & (boxes[:, 1] <= height)
         return canonical_boxes(boxes[sane]), np.clip(scores[sane], 0.0, 1.0), capped
+
+    def fleet_log_odds(self, raster: Raster, boxes: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Log odds that vehicles are of North America's fleet, from their look alone.
+
+        Args:
+            raster: the image.
+            boxes: ``[n, 5]`` in image pixels, best first.
+
+        Returns:
+            ``[m]`` of the first m = min(n, 100); None where the model's file cannot tell.
+        """
+        if self._fleet is None:
+            return None
+        if len(boxes) == 0:
+            return np.zeros(0)
+        chips = vehicle_chips(raster, boxes[:MAX_CHIPS])
+        return np.asarray(self._fleet.run(["log_odds"], {"chips": chips})[0], dtype=np.float64)
 
 
 @functools.lru_cache(maxsize=4)
@@ -469,4 +538,12 @@ def detect_vehicles(
         progress(len(visits), len(visits))
     found, found_scores, found_scales = np.concatenate(boxes), np.concatenate(scores), np.concatenate(scales)
     kept = oriented_nms(found, found_scores, iou_threshold=nms_iou)
-    return Detections(found[kept], found_scores[kept], len(visits), n_capped, found_scales[kept] if wide else None)
+    found = found[kept]
+    return Detections(
+        found,
+        found_scores[kept],
+        len(visits),
+        n_capped,
+        found_scales[kept] if wide else None,
+        detector.fleet_log_odds(raster, found),
+    )

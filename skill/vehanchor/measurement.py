@@ -108,7 +108,7 @@ def measure_area(
     nms_iou: float = NMS_IOU,
     search_scales: bool | None = None,
     alpha: float | None = OUTLIER_ALPHA,
-    aggregation: Aggregation = "kde",
+    aggregation: Aggregation | None = None,
     reference_length_m: float | None = None,
     region: str | None = None,
     calibration: Calibration | str | os.PathLike[str] | None = None,
@@ -136,7 +136,7 @@ def measure_area(
         nms_iou: IoU of the non-maximum suppression.
         search_scales: search reduced copies of the image, too.
         alpha: factor of the outlier filter, None for off.
-        aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean``.
+        aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean``; None for the model's choice.
         reference_length_m: the fleet's modal vehicle length, metres.
         region: take the model's reference length for a region.
         calibration: take the reference length of a calibration, or of its file.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, get_args
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from vehanchor.errors import FrameError, InvalidParameterError
 from vehanchor.imagery import ImageLimits, ImageSource, open_raster
 from vehanchor.model_zoo import resolve_model
 from vehanchor.obb import NMS_IOU
-from vehanchor.records import Aggregation, FrameScale, GsdEstimate, Notice
+from vehanchor.records import Aggregation, FrameScale, GsdEstimate, Notice, ReferenceSource
 from vehanchor.scale import OUTLIER_ALPHA, LengthGroup, dominant_group, gsd_interval, inlier_mask, modal_length
 
 if TYPE_CHECKING:
@@ -47,7 +47,6 @@ _DOUBTS: dict[FleetDoubt, str] = {
 }
 _LEAST_SCORE = 1e-3  # below it a detection is no evidence, but still one
 _REFERENCE_SETTERS = ("reference_length_m", "region", "calibration")
-_AGGREGATIONS = ("kde", "weighted_kde", "median", "mean")
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,8 @@ class ScaleOptions:
         search_scales: search reduced copies of the image, too, for vehicles longer than the model was trained on; None
             takes the model's own choice (no, for foreign models).
         alpha: outlier filter, ``P_i <= alpha * median``; None switches it off.
-        aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean``.
+        aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean`` (see ``vehanchor.scale.modal_length``); None
+            takes the model's own choice (``kde``, the paper's, for foreign models).
         reference_length_m: ``L_ref``; None takes the model's.
         region: take the model's reference length for this region (``europe``, ``north_america``, ...) instead.
         calibration: take the reference length measured for this fleet and detector (see ``load_calibration``) instead.
@@ -78,7 +78,7 @@ class ScaleOptions:
     nms_iou: float = NMS_IOU
     search_scales: bool | None = None
     alpha: float | None = OUTLIER_ALPHA
-    aggregation: Aggregation = "kde"
+    aggregation: Aggregation | None = None
     reference_length_m: float | None = None
     region: str | None = None
     calibration: Calibration | None = None
@@ -101,8 +101,10 @@ class ScaleOptions:
         for name, value in (("min_score", self.min_score), ("nms_iou", self.nms_iou)):
             if value is not None and value > 1:
                 raise InvalidParameterError(f"{name} is {value}: it lies in 0..1")
-        if self.aggregation not in _AGGREGATIONS:
-            raise InvalidParameterError(f"aggregation is {self.aggregation!r}: use one of {', '.join(_AGGREGATIONS)}")
+        if self.aggregation is not None and self.aggregation not in get_args(Aggregation):
+            raise InvalidParameterError(
+                f"aggregation is {self.aggregation!r}: use one of {', '.join(get_args(Aggregation))}"
+            )
         setters = [name for name in _REFERENCE_SETTERS if getattr(self, name) is not None]
         if len(setters) > 1:
             raise InvalidParameterError(f"give {' or '.join(setters)}, not both: each sets the reference length")
@@ -141,7 +143,7 @@ def estimate_gsd(
     nms_iou: float = NMS_IOU,
     search_scales: bool | None = None,
     alpha: float | None = OUTLIER_ALPHA,
-    aggregation: Aggregation = "kde",
+    aggregation: Aggregation | None = None,
     reference_length_m: float | None = None,
     region: str | None = None,
     calibration: Calibration | str | os.PathLike[str] | None = None,
@@ -164,7 +166,7 @@ def estimate_gsd(
         nms_iou: IoU of the non-maximum suppression.
         search_scales: search reduced copies of the image, too.
         alpha: factor of the outlier filter, None for off.
-        aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean``.
+        aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean``; None for the model's choice.
         reference_length_m: the fleet's modal vehicle length, metres.
         region: take the model's reference length for a region.
         calibration: take the reference length of a calibration, or of its file.
@@ -240,7 +242,7 @@ def open_detector(
     if not isinstance(detector, Detector):
         path = resolve_model(None if detector is None else str(detector))
         detector = load_detector(path, threads=threads)
-    _reference_length(detector.card, options)
+    _reference_length(detector.card, options, None)
     return detector
 
 
@@ -316,7 +318,7 @@ def scale_from_detections(
     kept, rival_share = _kept_vehicles(detections, options.alpha)
     working_scale = _working_scale(detections, kept)
     lengths, scores = detections.boxes[kept, 2], detections.scores[kept]
-    reference_m, reference_sd_m = _reference_length(card, options)
+    reference = _reference_length(card, options, _fleet_evidence(detections, kept))
     warnings = list(notices)
     if detections.n_capped_tiles:
         warnings.append(
@@ -327,12 +329,13 @@ def scale_from_detections(
             )
         )
     gsd = mode_px = interval = None
-    aggregation = options.aggregation
-    shortest_px = guard_length(reference_m, card.min_length_px)
+    aggregation = options.aggregation or card.aggregation
+    shortest_px = guard_length(reference.length_m, card.min_length_px)
     if len(lengths):
-        mode_px, aggregation = modal_length(lengths, scores, options.aggregation)
-        gsd = reference_m / mode_px
-        interval = gsd_interval(lengths, mode_px, reference_m, reference_sd_m)
+        mode_px, aggregation = modal_length(lengths, scores, aggregation)
+        gsd = reference.length_m / mode_px
+        weighted = scores if aggregation == "weighted_kde" else None
+        interval = gsd_interval(lengths, mode_px, reference.length_m, reference.sd_m, scores=weighted)
     seen_px = (mode_px or math.nan) * (working_scale or 1.0)  # as the model saw them
     unresolved = seen_px >= shortest_px > seen_px * resolved
     guarded = seen_px < shortest_px or unresolved
@@ -376,7 +379,8 @@ def scale_from_detections(
         n_detections=len(detections.boxes),
         working_scale=working_scale,
         aggregation=aggregation,
-        reference_length_m=reference_m,
+        reference_length_m=reference.length_m,
+        reference_source=reference.source,
         resolution_guard=guarded,
         confidence_terms=terms,
         image_width_px=image_width_px,
@@ -411,24 +415,46 @@ def _working_scale(detections: Detections, kept: NDArray[np.bool_]) -> float | N
     return float(-scales[np.argmax(np.bincount(which, weights=detections.scores[kept]))])
 
 
-def _reference_length(card: DetectorCard, options: ScaleOptions) -> tuple[float, float]:
-    """Reference length and its standard deviation, metres.
+class _Reference(NamedTuple):
+    """``L_ref``, its standard deviation between places that it serves, metres, and where it is from."""
+
+    length_m: float
+    sd_m: float
+    source: ReferenceSource
+
+
+def _fleet_evidence(detections: Detections, kept: NDArray[np.bool_]) -> NDArray[np.float64] | None:
+    """Log odds for a fleet of the kept vehicles that were asked; None without any."""
+    odds = detections.fleet_log_odds
+    if odds is None or not kept[: len(odds)].any():
+        return None
+    return odds[kept[: len(odds)]]
+
+
+def _reference_length(
+    card: DetectorCard, options: ScaleOptions, fleet_log_odds: NDArray[np.float64] | None
+) -> _Reference:
+    """The caller's reference length, else what the look of the vehicles says of their fleet, else the model's.
 
     A caller who names the length or the region has settled most of what differs between regions: half of it remains.
     """
     if options.calibration is not None:
         options.calibration.check_detector(card.name, card.sha256)
-        return options.calibration.reference_length_m, options.calibration.reference_length_sd_m
+        measured = options.calibration
+        return _Reference(measured.reference_length_m, measured.reference_length_sd_m, "calibration")
     if options.reference_length_m is not None:
-        return options.reference_length_m, card.reference_length_sd_m / 2
+        return _Reference(options.reference_length_m, card.reference_length_sd_m / 2, "given")
     if options.region is not None:
         if options.region not in card.region_lengths_m:
             raise InvalidParameterError(
                 f"region is {options.region!r}: this model knows {', '.join(sorted(card.region_lengths_m))}; "
                 "or give reference_length_m"
             )
-        return card.region_lengths_m[options.region], card.reference_length_sd_m / 2
-    return card.reference_length_m, card.reference_length_sd_m
+        return _Reference(card.region_lengths_m[options.region], card.reference_length_sd_m / 2, "region")
+    if card.fleet_lengths is not None and fleet_log_odds is not None:
+        fleets = card.fleet_lengths
+        return _Reference(fleets.reference_length(fleet_log_odds), fleets.sd_m, "appearance")
+    return _Reference(card.reference_length_m, card.reference_length_sd_m, "model")
 
 
 def check_frame(options: ScaleOptions, width_px: int, height_px: int) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from vehanchor.errors import MissingExtraError
 from vehanchor.overlay import write_picture
-from vehanchor.scale import MIN_KDE_VEHICLES, kde_density
+from vehanchor.scale import MIN_KDE_VEHICLES, modal_density
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,7 +26,7 @@ _GUARD, _INK = "#D55E00", "#222222"
 _SIZE_IN, _DPI = (8.0, 4.6), 150
 _MAX_BINS = 60
 _SHOWN_LENGTHS = 2.0  # longest kept vehicles: the axis reaches no farther for outliers
-_RULES = {"kde": "KDE", "weighted_kde": "KDE by score", "median": "median", "mean": "mean"}
+_RULES = {"kde": "KDE", "weighted_kde": "weighted KDE", "median": "median", "mean": "mean"}
 
 
 def require_plots() -> type[Figure]:
@@ -134,11 +134,11 @@ def _draw_lengths(axes: Axes, analysis: ScaleAnalysis, right_px: float) -> None:
     axes.set_ylim(0, 1.12 * axes.get_ylim()[1])
     if len(kept) < MIN_KDE_VEHICLES:
         return
-    weighted = analysis.estimate.aggregation == "weighted_kde"
     at = np.linspace(*axes.get_xlim(), 800)
-    density = kde_density(at, kept, analysis.detections.scores[analysis.kept] if weighted else None)
+    aggregation = analysis.estimate.aggregation
+    density = modal_density(at, kept, analysis.detections.scores[analysis.kept], aggregation)
     if density.any():
         curve = np.where(density > 1e-3 * density.max(), density * len(kept) * (edges[1] - edges[0]), np.nan)
-        label = "density (KDE), by score" if weighted else "density (KDE)"
+        label = "density (weighted KDE)" if aggregation == "weighted_kde" else "density (KDE)"
         axes.plot(at, curve, color=_KEPT_DARK, lw=2, label=label)
         axes.set_ylim(0, max(axes.get_ylim()[1], 1.12 * float(np.nanmax(curve))))

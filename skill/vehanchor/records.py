@@ -21,6 +21,7 @@ __all__ = [
     "Notice",
     "OutlinePolygon",
     "OutlineRing",
+    "ReferenceSource",
     "ScaleSource",
     "Status",
 ]
@@ -28,6 +29,7 @@ __all__ = [
 Status = Literal["ok", "low_confidence", "no_anchor"]
 Aggregation = Literal["kde", "weighted_kde", "median", "mean"]
 ScaleSource = Literal["estimated", "given"]
+ReferenceSource = Literal["model", "appearance", "region", "given", "calibration"]
 
 
 class _Record(BaseModel):
@@ -85,6 +87,10 @@ class GsdEstimate(_Record):
     )
     aggregation: Aggregation = Field(description="How lengths became one: the mode, or the median below 5 vehicles.")
     reference_length_m: float = Field(gt=0, description="L_ref: vehicle length that P_mode stands for, metres.")
+    reference_source: ReferenceSource = Field(
+        description="Where L_ref is from. model: the detector's one number. appearance: told from the look of the "
+        "vehicles, which fleet they are of. region, given, calibration: as the caller or the operator said."
+    )
     resolution_guard: bool = Field(
         description="Whether the resolution guard capped the confidence at 0.3: vehicles of too few pixels, or of too "
         "little detail for their pixels (an enlarged image)."

@@ -28,7 +28,7 @@ def detector() -> Detector:
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return render_scene(_GSD, width_px=900, height_px=900, seed=2, layout="parking", mean_vehicle_length_m=_FLEET_M)
+    return render_scene(_GSD, width_px=900, height_px=900, seed=11, layout="parking", mean_vehicle_length_m=_FLEET_M)
 
 
 def _estimate(image: np.ndarray, detector: Detector) -> GsdEstimate:

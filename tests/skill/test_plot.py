@@ -67,7 +67,7 @@ def test_a_models_own_shortest_length_moves_the_guard() -> None:
         ([30.0], "kde", "median"),
         ([30.0, 31.0, 32.0], "weighted_kde", "median"),
         ([30.0] * 9, "kde", "KDE"),
-        ([30.0, 31, 32, 33, 34, 35], "weighted_kde", "KDE by score"),
+        ([30.0, 31, 32, 33, 34, 35], "weighted_kde", "weighted KDE"),
         ([30.0, 31, 32, 33, 34, 35], "mean", "mean"),
         ([3.0, 3.01, 3.02, 3.0, 3.0, 3.1], "median", "median"),
         (list(np.linspace(900, 1000, 40)), "kde", "KDE"),

@@ -8,7 +8,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import gaussian_kde
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.scale import gsd_interval, inlier_mask, kde_density, kde_mode, modal_length
+from vehanchor.scale import gsd_interval, inlier_mask, kde_density, kde_mode, modal_density, modal_length
 
 _LENGTHS = st.lists(st.floats(5, 80), min_size=2, max_size=60)
 
@@ -84,6 +84,31 @@ def test_weights_move_the_mode_to_the_trusted_boxes() -> None:
     scores = np.concatenate([np.full(30, 0.1), np.full(20, 0.9)])
     assert kde_mode(lengths) < 15
     assert modal_length(lengths, scores, "weighted_kde")[0] > 28
+
+
+def test_the_weighted_mode_is_that_of_scipys_density() -> None:
+    rng = np.random.default_rng(3)
+    lengths, scores = rng.normal(30, 3, 60), rng.uniform(0.5, 0.9, 60)
+    factor = gaussian_kde(lengths, weights=scores**2 * lengths).factor
+    reference = gaussian_kde(lengths, weights=scores**2 * lengths, bw_method=2 * factor)
+    at = np.linspace(20, 40, 20001)
+    np.testing.assert_allclose(modal_density(at, lengths, scores, "weighted_kde"), reference(at), rtol=1e-9)
+    assert modal_length(lengths, scores, "weighted_kde")[0] == pytest.approx(at[np.argmax(reference(at))], abs=1e-3)
+
+
+def test_models_without_scores_have_a_weighted_mode() -> None:
+    lengths = np.linspace(28, 32, 9)
+    assert modal_length(lengths, np.zeros(9), "weighted_kde")[0] == pytest.approx(30, abs=0.5)
+
+
+def test_the_weighted_mode_has_the_interval_of_its_own_density() -> None:
+    """Twenty cars half hidden, of low score, widen the plain density's interval and hardly the weighted one's."""
+    rng = np.random.default_rng(5)
+    lengths = np.concatenate([rng.normal(30, 1.0, 40), rng.normal(20, 2.0, 38)])
+    scores = np.concatenate([np.full(40, 0.9), np.full(38, 0.2)])
+    mode, _ = modal_length(lengths, scores, "weighted_kde")
+    plain, weighted = gsd_interval(lengths, mode, 4.6, 0.0), gsd_interval(lengths, mode, 4.6, 0.0, scores=scores)
+    assert np.log(weighted.high / weighted.low) < np.log(plain.high / plain.low)
 
 
 def test_fewer_than_five_lengths_fall_back_to_the_median() -> None:

@@ -10,6 +10,7 @@ import pytest
 torch = pytest.importorskip("torch")
 onnxruntime = pytest.importorskip("onnxruntime")
 
+from training.detector.calibrate import LengthPairs, length_correction  # noqa: E402 - PyTorch may be missing
 from training.detector.data import (  # noqa: E402 - PyTorch may be missing
     CROP_PX,
     Correction,
@@ -25,7 +26,7 @@ from training.detector.data import (  # noqa: E402 - PyTorch may be missing
     load_scenes,
     photometric,
 )
-from training.detector.export import UltralyticsLayout, export  # noqa: E402
+from training.detector.export import LengthCorrection, UltralyticsLayout, export  # noqa: E402
 from training.detector.loss import detection_loss  # noqa: E402
 from training.detector.network import STRIDE_PX, Prediction, VehicleNet  # noqa: E402
 from training.detector.relabel import Consensus, agree, corrections, restored, symmetric  # noqa: E402
@@ -156,6 +157,31 @@ def test_an_exported_network_gives_the_detector_what_the_network_saw(tmp_path: P
     boxes, scores, _ = detector.detect_tile(image, 1e-6)
     assert len(boxes) == (found[4] > 0).sum() == pytest.approx((columns[4] > 0).sum(), abs=5)  # untrained: near ties
     assert scores.max() == pytest.approx(columns[4].max(), abs=1e-5)
+
+
+def test_lengths_are_corrected_between_the_knots_and_beyond_them() -> None:
+    lengths = torch.tensor([5.0, 10.0, 20.0, 40.0, 90.0])
+    corrected_to = LengthCorrection([(10.0, 1.2), (40.0, 0.9)])(lengths.log()).exp() / lengths
+    assert corrected_to.tolist() == pytest.approx([1.2, 1.2, np.sqrt(1.2 * 0.9), 0.9, 0.9], rel=1e-5)
+    assert LengthCorrection([])(lengths.log()).exp().tolist() == pytest.approx(lengths.tolist(), rel=1e-6)
+
+
+def test_the_correction_is_the_inverse_of_the_bias() -> None:
+    rng = np.random.default_rng(0)
+    labelled = np.exp(rng.uniform(np.log(9), np.log(70), 20_000))
+    found = labelled * np.where(labelled < 20, 0.95, 1.02) * np.exp(rng.normal(0, 0.02, 20_000))
+    factors = dict(length_correction(LengthPairs(found, labelled, np.full(20_000, "cannes"))))
+    assert factors[min(factors)] == pytest.approx(1 / 0.95, abs=0.01)
+    assert factors[max(factors)] == pytest.approx(1 / 1.02, abs=0.01)
+
+
+def test_a_set_with_long_labels_and_long_cars_alone_bends_no_correction() -> None:
+    rng = np.random.default_rng(0)
+    labelled = np.exp(rng.uniform(np.log(11), np.log(63), 20_000))
+    name = np.where(rng.random(20_000) < (labelled > 20) * 0.7, "drawn longer", "cannes")
+    found = labelled * np.where(name == "cannes", 1.0, 0.94)
+    factors = [factor for _, factor in length_correction(LengthPairs(found, labelled, name))]
+    assert max(factors) - min(factors) < 0.01
 
 
 def test_scenes_are_read_as_training_images(tmp_path: Path) -> None:

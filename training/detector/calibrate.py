@@ -1,11 +1,14 @@
-"""Calibrate an exported detector on the train split: ``python -m training.detector.calibrate MODEL.onnx OUT.json``.
+"""Calibrate a trained detector on the train split: ``python -m training.detector.calibrate RUN OUT.json``.
 
-Writes the ``vehanchor.*`` metadata that ``export.py --calibration`` puts into the file:
+Writes what ``export.py --calibration`` puts into the file:
 
+* ``length_correction``: factors on the boxes' lengths by length in pixels, which make them unbiased against labels on
+  train images made coarser; they enter the graph;
 * ``min_score``: of a few thresholds the one with the smallest mean error on the held-out tenth of train;
-* ``region_lengths_m``: per region the KDE mode of ``P_i * GSD`` over the detections on its train images (the paper's
-  calibration with detections for labels, so that the way this model draws its boxes is included);
-* ``reference_length_m``: their geometric mean, each region counting once, however many images it has;
+* ``aggregation``: ``weighted_kde``, see ``benchmarks/RESULTS.md``;
+* ``region_lengths_m``: per region the median over its train images of ``P_mode * GSD``, estimated as a user's image is
+  (the paper's calibration with detections for labels, every place counting once: car parks hold most of the cars);
+* ``reference_length_m``: the middle one of them, each region counting once, however many images it has;
 * ``reference_length_sd_m``: their standard deviation, likewise;
 * ``min_length_px``: the shortest length from which boxes are unbiased against labels, on train images made coarser;
 * ``search_scales``: 1, the image is searched at reduced resolutions, too;
@@ -19,6 +22,7 @@ import csv
 import json
 from itertools import pairwise
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import cv2
@@ -26,18 +30,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from training.detector.data import LENGTH_RANGE_PX, is_dev
+from training.detector.export import export
 from vehanchor.detection import Detections, Detector, detect_vehicles
 from vehanchor.evaluation.dota import read_labels
 from vehanchor.evaluation.gsd import KnownScaleImage, read_table
 from vehanchor.imagery import open_raster
 from vehanchor.obb import boxes_from_corners
-from vehanchor.scale import inlier_mask, kde_mode, modal_length
+from vehanchor.perception import ScaleAnalysis, analyse_scale
+from vehanchor.records import Aggregation
+from vehanchor.scale import inlier_mask, modal_length
 
 NAME = "vehicles"
 REGION_OF_SET = {"cannes": "europe", "saopaulo": "south_america", "ucm": "north_america"}
 _THRESHOLDS = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6)
 _SEARCH_SCORE = 0.1
-_PLAUSIBLE_M = (2.5, 7.0)
+_AGGREGATION: Aggregation = "weighted_kde"
+_MAX_LOG_ERROR = 0.25  # beyond, it is another car
+_LABELLED = 5  # cars of an image that counts for its region
+_CORRECTION_BINS_PX = (11, 13, 16, 20, 26, 34, 46, 64)
 _LENGTH_BINS_PX = (8, 9, 10, 11, 12, 13, 14, 16, 18, 20, 24, 28, 34, 40, 50, 64)
 _MAX_BIAS = 0.03  # of the length, beyond what all bins have in common
 _SHORT_PX = 24
@@ -51,37 +61,32 @@ class Found(NamedTuple):
     detections: Detections
 
 
-def region_lengths(found: list[Found], min_score: float) -> dict[str, float]:
-    """KDE mode of the detections' metric lengths for each region."""
-    out = {}
-    for set_name, region in REGION_OF_SET.items():
-        metres = []
-        for image, detections in found:
-            if image.set == set_name:
-                length = detections.boxes[detections.scores >= min_score, 2]
-                metres.append(length * image.gsd_m_per_px)
-        pool = np.concatenate(metres)
-        pool = pool[(pool > _PLAUSIBLE_M[0]) & (pool < _PLAUSIBLE_M[1])]
-        out[region] = kde_mode(pool)
-    return out
+def region_lengths(lengths_m: list[tuple[str, float]]) -> dict[str, float]:
+    """Median of the images' modal lengths, metres, for each region, from pairs of set and modal length."""
+    return {
+        region: float(np.median([length for name, length in lengths_m if name == set_name]))
+        for set_name, region in REGION_OF_SET.items()
+    }
 
 
 def mean_error(found: list[Found], min_score: float) -> float:
     """Mean GSD error on images with labelled cars, each region's own reference length used; 1 without an estimate."""
-    lengths_m = region_lengths(found, min_score)
-    errors = []
+    modes: list[tuple[str, float]] = []
+    n_without = 0
     for image, detections in found:
         if image.set not in REGION_OF_SET or not image.labelled_vehicles:
             continue
         wanted = detections.scores >= min_score
         length, score = detections.boxes[wanted, 2], detections.scores[wanted]
         if not len(length):
-            errors.append(1.0)
+            n_without += 1
             continue
         kept = inlier_mask(length)
-        mode, _ = modal_length(length[kept], score[kept])
-        errors.append(min(1.0, abs(lengths_m[REGION_OF_SET[image.set]] / mode / image.gsd_m_per_px - 1)))
-    return float(np.mean(errors))
+        mode, _ = modal_length(length[kept], score[kept], _AGGREGATION)
+        modes.append((image.set, mode * image.gsd_m_per_px))
+    own = region_lengths(modes)
+    errors = [min(1.0, abs(own[REGION_OF_SET[name]] / length - 1)) for name, length in modes]
+    return float(np.mean(errors + [1.0] * n_without))
 
 
 def matched_lengths(
@@ -96,13 +101,17 @@ def matched_lengths(
     return boxes[close, 2], labels[nearest[close], 2]
 
 
-def length_bias(vehicles: Path, detector: Detector, min_score: float) -> dict[int, tuple[int, float]]:
-    """Median of log(detected / labelled length) in bins of the labelled length, on train images made coarser.
+class LengthPairs(NamedTuple):
+    """Lengths of the same cars, pixels, all ``[n]``, and the set of images that each car is from."""
 
-    Returns:
-        Lower edge of the bin in pixels to (number of boxes, bias).
-    """
-    pairs: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+    found: NDArray[np.float64]
+    labelled: NDArray[np.float64]
+    set: NDArray[np.str_]
+
+
+def length_pairs(vehicles: Path, detector: Detector, min_score: float) -> LengthPairs:
+    """Found and labelled lengths on train images made coarser."""
+    pairs: list[LengthPairs] = []
     with (vehicles / "index.csv").open(newline="") as handle:
         rows = [r for r in csv.DictReader(handle) if r["split"] == "train" and int(r["small_vehicles"]) >= 5]
     for row in rows:
@@ -117,7 +126,7 @@ def length_bias(vehicles: Path, detector: Detector, min_score: float) -> dict[in
         assert image is not None
         if row["set"] == "jekhor" and hash_of(row["file"]) % 8:
             continue  # an eighth of the video frames will do
-        for target in (9, 10.5, 12, 14, 17, 21, 28, 40):
+        for target in (9, 10.5, 12, 14, 17, 21, 28, 40, 52):
             factor = target / float(np.median(labels[:, 2]))
             if factor > 1:
                 continue
@@ -126,24 +135,52 @@ def length_bias(vehicles: Path, detector: Detector, min_score: float) -> dict[in
                 continue
             with open_raster(np.ascontiguousarray(small[:, :, ::-1])) as raster:
                 boxes = detect_vehicles(raster, detector, min_score=min_score).boxes
-            pairs.append(matched_lengths(boxes, labels * (factor, factor, factor, factor, 1)))
-    found, labelled = (np.concatenate(column) for column in zip(*pairs, strict=True))
+            found, labelled = matched_lengths(boxes, labels * (factor, factor, factor, factor, 1))
+            pairs.append(LengthPairs(found, labelled, np.full(len(found), row["set"])))
+    return LengthPairs(*(np.concatenate(column) for column in zip(*pairs, strict=True)))
+
+
+def length_bias(pairs: LengthPairs) -> dict[int, tuple[int, float]]:
+    """Median of log(found / labelled length) in bins of the labelled length.
+
+    Returns:
+        Lower edge of the bin in pixels to (number of boxes, bias).
+    """
     out = {}
     for low, high in pairwise(_LENGTH_BINS_PX):
-        inside = (labelled >= low) & (labelled < high)
+        inside = (pairs.labelled >= low) & (pairs.labelled < high)
         if inside.sum() >= 20:
-            out[low] = (int(inside.sum()), float(np.median(np.log(found[inside] / labelled[inside]))))
+            ratio = pairs.found[inside] / pairs.labelled[inside]
+            out[low] = (int(inside.sum()), float(np.median(np.log(ratio))))
     return out
 
 
-def clear_score(found: list[Found], min_score: float) -> float:
+def length_correction(pairs: LengthPairs) -> list[tuple[float, float]]:
+    """Factors on the found length, at the centres of bins of the found length.
+
+    The log of labelled over found length is taken as one number for each bin plus one for each set (least squares):
+    sets differ in who drew their labels, and not every set has cars of every length. Of the sets' numbers only the
+    median over the cars enters the correction.
+    """
+    error = np.log(pairs.labelled / pairs.found)
+    usable = (np.abs(error) < _MAX_LOG_ERROR) & (pairs.found >= _CORRECTION_BINS_PX[0])
+    usable &= pairs.found < _CORRECTION_BINS_PX[-1]
+    bins = np.digitize(pairs.found[usable], _CORRECTION_BINS_PX) - 1
+    names, sets = np.unique(pairs.set[usable], return_inverse=True)
+    n_bins = len(_CORRECTION_BINS_PX) - 1
+    design = np.column_stack([np.eye(n_bins)[bins], np.eye(len(names))[sets][:, 1:]])  # the first set is the base
+    fitted = np.linalg.lstsq(design, error[usable])[0]
+    common = np.median(np.append(0.0, fitted[n_bins:])[sets])
+    return [
+        (round(float(np.sqrt(low * high)), 2), round(float(np.exp(value + common)), 4))
+        for (low, high), value in zip(pairwise(_CORRECTION_BINS_PX), fitted, strict=False)
+    ]
+
+
+def clear_score(analyses: list[ScaleAnalysis]) -> float:
     """Low end (2nd percentile) over images with many cars of the 90th percentile of an image's scores."""
-    clearest = []
-    for _, detections in found:
-        scores = detections.scores[detections.scores >= min_score]
-        if len(scores) >= _MANY_CARS:
-            clearest.append(np.percentile(scores, 90))
-    return float(np.percentile(clearest, 2))
+    scores = [analysis.detections.scores for analysis in analyses]
+    return float(np.percentile([np.percentile(some, 90) for some in scores if len(some) >= _MANY_CARS], 2))
 
 
 def hash_of(name: str) -> int:
@@ -154,39 +191,58 @@ def hash_of(name: str) -> int:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("model", type=Path)
+    parser.add_argument("run", type=Path, help="of train.py")
     parser.add_argument("out", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     options = parser.parse_args()
-    detector = Detector(options.model)
-    found = []
-    for image in read_table(options.data / "gsd" / "table.csv"):
-        if image.split == "train":
-            with open_raster(image.path) as raster:
-                found.append(Found(image, detect_vehicles(raster, detector, min_score=_SEARCH_SCORE)))
-    held_out = [f for f in found if is_dev(f.image.path.name, f.image.set)]
-    errors = {threshold: mean_error(held_out, threshold) for threshold in _THRESHOLDS}
-    min_score = min(errors, key=lambda threshold: errors[threshold])
-    for threshold, error in errors.items():
-        print(f"min_score {threshold}: mean error {error:.4f} on the held-out tenth")
-    lengths = region_lengths(found, min_score)
-    logs = np.log(list(lengths.values()))
-    bias = length_bias(options.data / "vehicles", detector, min_score)
+    images = [image for image in read_table(options.data / "gsd" / "table.csv") if image.split == "train"]
+    calibration: dict[str, object] = {
+        "name": NAME,
+        "aggregation": _AGGREGATION,
+        "length_range_px": ",".join(f"{side:g}" for side in LENGTH_RANGE_PX),
+        "search_scales": 1,
+    }
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "vehicles.onnx"
+        export(options.run, file, calibration)
+        detector = Detector(file)
+        found = []
+        for image in images:
+            if is_dev(image.path.name, image.set):
+                with open_raster(image.path) as raster:
+                    searched = detect_vehicles(raster, detector, min_score=_SEARCH_SCORE, search_scales=False)
+                found.append(Found(image, searched))
+        errors = {threshold: mean_error(found, threshold) for threshold in _THRESHOLDS}
+        min_score = min(errors, key=lambda threshold: errors[threshold])
+        for threshold, error in errors.items():
+            print(f"min_score {threshold}: mean error {error:.4f} on the held-out tenth", flush=True)
+        correction = length_correction(length_pairs(options.data / "vehicles", detector, min_score))
+        print(f"length correction {correction}", flush=True)
+
+        calibration |= {"min_score": min_score, "length_correction": correction}
+        export(options.run, file, calibration)
+        detector = Detector(file)
+        bias = length_bias(length_pairs(options.data / "vehicles", detector, min_score))
+        analyses = [analyse_scale(image.path, detector=detector) for image in images]
     for low, (count, value) in bias.items():
         print(f"labelled length from {low} px: {count} boxes, median log error {value:+.3f}")
+    lengths = region_lengths(
+        [
+            (image.set, analysis.estimate.mode_length_px * image.gsd_m_per_px)
+            for image, analysis in zip(images, analyses, strict=True)
+            if (image.labelled_vehicles or 0) >= _LABELLED and analysis.estimate.mode_length_px is not None
+        ]
+    )
+    logs = np.log(list(lengths.values()))
     usual = float(np.median([value for _, value in bias.values()]))  # common to all lengths: part of the reference
     biased = [low for low, (_, value) in bias.items() if abs(value - usual) > _MAX_BIAS and low < _SHORT_PX]
     first_good = min((low for low in bias if low > max(biased, default=0)), default=_LENGTH_BINS_PX[0])
-    calibration = {
-        "name": NAME,
-        "min_score": min_score,
-        "reference_length_m": round(float(np.exp(np.mean(logs))), 4),
-        "reference_length_sd_m": round(float(np.exp(np.mean(logs)) * np.std(logs, ddof=1)), 4),
+    calibration |= {
+        "reference_length_m": round(float(np.median(list(lengths.values()))), 4),
+        "reference_length_sd_m": round(float(np.median(list(lengths.values())) * np.std(logs, ddof=1)), 4),
         "region_lengths_m": {region: round(length, 4) for region, length in lengths.items()},
-        "length_range_px": ",".join(f"{side:g}" for side in LENGTH_RANGE_PX),
         "min_length_px": float(first_good),
-        "search_scales": 1,
-        "clear_score": round(clear_score(found, min_score) - 0.005, 2),
+        "clear_score": round(clear_score(analyses) - 0.005, 2),
     }
     options.out.write_text(json.dumps(calibration, indent=2) + "\n")
     print(options.out.read_text())

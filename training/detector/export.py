@@ -7,8 +7,13 @@ reads both. Scores of cells that are not the highest of their 3 x 3 neighbourhoo
 from __future__ import annotations
 
 import argparse
+import base64
 import json
+import math
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
+from typing import cast
 
 import onnx
 import torch
@@ -21,12 +26,31 @@ OPSET = 17
 _LICENCE = "Apache-2.0"
 
 
-class UltralyticsLayout(nn.Module):
-    """The network with its dense output decoded to ``[b, 6, anchors]``."""
+class LengthCorrection(nn.Module):
+    """Log length to log length, by a factor that runs linearly in the log between knots and is constant beyond."""
 
-    def __init__(self, network: VehicleNet) -> None:
+    def __init__(self, knots: Sequence[tuple[float, float]]) -> None:
+        super().__init__()
+        self.knots = [(math.log(length), math.log(factor)) for length, factor in knots]
+
+    def forward(self, log_length: Tensor) -> Tensor:
+        """Add the correction."""
+        out = log_length + (self.knots[0][1] if self.knots else 0.0)
+        for (start, before), (end, after) in pairwise(self.knots):
+            out = out + (after - before) * ((log_length - start) / (end - start)).clamp(0.0, 1.0)
+        return out
+
+
+class UltralyticsLayout(nn.Module):
+    """The network with its dense output decoded to ``[b, 6, anchors]``, its lengths corrected by ``length_correction``.
+
+    That is pairs of a length in pixels and the factor on it, lengths rising (see ``calibrate.py``); none for no change.
+    """
+
+    def __init__(self, network: VehicleNet, length_correction: Sequence[tuple[float, float]] = ()) -> None:
         super().__init__()
         self.network = network
+        self.correction = LengthCorrection(length_correction)
 
     def forward(self, images: Tensor) -> Tensor:
         """Decode heat map and shape to boxes in input pixels."""
@@ -41,7 +65,8 @@ class UltralyticsLayout(nn.Module):
         trust = heat.sigmoid()
         total = functional.avg_pool2d(trust, 3, 1, 1).clamp(1e-6)
         steady = functional.avg_pool2d(shape[:, 2:] * trust, 3, 1, 1) / total
-        sides = steady[:, 0:2].clamp(0.0, 7.0).exp()
+        logs = steady[:, 0:2].clamp(0.0, 7.0)
+        sides = torch.cat([self.correction(logs[:, 0:1]), logs[:, 1:2]], dim=1).exp()
         angle = 0.5 * torch.atan2(steady[:, 3:4], steady[:, 2:3])
         return torch.cat([x, y, sides, score, angle], dim=1).flatten(2)
 
@@ -63,11 +88,19 @@ def write_metadata(path: Path, metadata: dict[str, str]) -> None:
     onnx.save(model, path)
 
 
-def export(run: Path, out: Path, calibration: dict[str, object]) -> None:
-    """Export a run with its calibration (see ``calibrate.py``) as metadata."""
+def export(run: Path, out: Path, calibration: dict[str, object], fleet: Path | None = None) -> None:
+    """Write a run as one ONNX file.
+
+    Args:
+        run: of ``train.py``.
+        out: the file.
+        calibration: of ``calibrate.py``; becomes metadata, its ``length_correction`` part of the graph.
+        fleet: run of ``training.fleet``, calibrated; its network and lengths become metadata, too.
+    """
+    correction = cast("Sequence[tuple[float, float]]", calibration.get("length_correction", ()))
     out.parent.mkdir(parents=True, exist_ok=True)
     torch.onnx.export(
-        UltralyticsLayout(load_network(run)).eval(),
+        UltralyticsLayout(load_network(run), correction).eval(),
         (torch.zeros(1, 3, 256, 256),),
         str(out),
         input_names=["images"],
@@ -89,6 +122,9 @@ def export(run: Path, out: Path, calibration: dict[str, object]) -> None:
     }
     for key, value in calibration.items():
         metadata[f"vehanchor.{key}"] = value if isinstance(value, str) else json.dumps(value)
+    if fleet is not None:
+        metadata["vehanchor.fleet"] = base64.b64encode((fleet / "fleet.onnx").read_bytes()).decode("ascii")
+        metadata["vehanchor.fleet_lengths"] = json.dumps(json.loads((fleet / "fleet_lengths.json").read_text()))
     write_metadata(out, metadata)
 
 
@@ -98,8 +134,10 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--calibration", type=Path, help="JSON of vehanchor.* metadata, written by calibrate.py")
+    parser.add_argument("--fleet", type=Path, help="run of training.fleet, with its fleet_lengths.json")
     options = parser.parse_args()
-    export(options.run, options.out, json.loads(options.calibration.read_text()) if options.calibration else {})
+    calibration = json.loads(options.calibration.read_text()) if options.calibration else {}
+    export(options.run, options.out, calibration, options.fleet)
     print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
 
 

@@ -59,7 +59,7 @@ def collect(table: Path, detector: Detector) -> tuple[list[Case], int]:
             if not len(length):
                 none += 1
                 continue
-            mode, _ = modal_length(length, score)
+            mode, _ = modal_length(length, score, detector.card.aggregation)
             region = REGION_OF_SET.get(image.set)
             own = detector.card.region_lengths_m[region] if region else detector.card.reference_length_m
             truth = image.gsd_m_per_px / factor

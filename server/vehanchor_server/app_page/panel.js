@@ -456,8 +456,9 @@
       add("In the caller's copy", `${number(frame.gsd_m_per_px)} m/px at ${frame.width_px} × ${frame.height_px} px`);
     }
     if (scale) {
-      add("Reference length L_ref", `${number(scale.reference_length_m)} m`);
-      if (scale.n_vehicles) add("Aggregation", { kde: "mode of the kernel density", weighted_kde: "mode of the density, weighted by score" }[scale.aggregation] ?? scale.aggregation);
+      const told = { appearance: "by the vehicles' look", region: "the region's", given: "as given", calibration: "calibrated" }[scale.reference_source];
+      add("Reference length L_ref", `${number(scale.reference_length_m)} m${told ? `, ${told}` : ""}`);
+      if (scale.n_vehicles) add("Aggregation", { kde: "mode of the kernel density", weighted_kde: "mode of the density, weighted by score and length" }[scale.aggregation] ?? scale.aggregation);
       if (scale.working_scale && scale.working_scale < 1) add("Vehicles found in", `a copy reduced to ${100 * scale.working_scale} %`);
       if (scale.n_vehicles) add("Resolution guard", scale.resolution_guard ? "active: confidence capped at 0.3" : "not active");
       if (scale.georeference_gsd_m_per_px !== null) add("Scale in the file itself", `${number(scale.georeference_gsd_m_per_px)} m/px, not used`);

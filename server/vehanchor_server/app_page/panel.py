@@ -79,7 +79,7 @@ def length_histogram(analysis: ScaleAnalysis) -> LengthHistogram | None:
     """
     import numpy as np  # not before a call needs it, as everything that computes
 
-    from vehanchor.scale import kde_density
+    from vehanchor.scale import modal_density
 
     lengths = analysis.detections.boxes[:, 2]
     if not len(lengths):
@@ -97,9 +97,9 @@ def length_histogram(analysis: ScaleAnalysis) -> LengthHistogram | None:
     counts = [np.histogram(lengths[chosen], edges)[0] for chosen in (kept, ~kept)]
     density = np.empty(0)
     if analysis.estimate.aggregation in ("kde", "weighted_kde"):
-        weights = analysis.detections.scores[kept] if analysis.estimate.aggregation == "weighted_kde" else None
         points = np.linspace(edges[0], edges[-1], _CURVE_POINTS)
-        density = kde_density(points, measured, weights) * len(measured) * width
+        scores = analysis.detections.scores[kept]
+        density = modal_density(points, measured, scores, analysis.estimate.aggregation) * len(measured) * width
     return LengthHistogram(
         start_px=float(edges[0]),
         bin_px=width,

@@ -250,7 +250,9 @@ class ScaleReport(_Row):
     data: str = Field(description="Where the images come from.")
     detector: str = Field(description="Name of the detector.")
     detector_sha256: str = Field(description="SHA-256 of its file.")
-    reference_length_m: tuple[float, ...] = Field(description="L_ref of the estimates, metres; several with regions.")
+    reference_length_m: tuple[float, ...] = Field(
+        description="L_ref of the estimates, metres, each once, shortest first."
+    )
     label_reference_length_m: float | None = Field(
         description="KDE mode of the labelled lengths of these very images, metres; null without labels."
     )

@@ -30,6 +30,7 @@ __all__ = [
 ]
 
 _SHORT_SHA = 12
+_LISTED_LENGTHS = 5  # more reference lengths are given as their range
 
 
 def percent(value: float | None, digits: int = 1, *, signed: bool = False) -> str:
@@ -162,7 +163,10 @@ def scale_markdown(report: ScaleReport) -> str:
         for row in report.rows
     ]
     headings = ("boxes", "images", "median", "mean", "< 10 %", "< 20 %", "bias", "estimate on", "95 % interval holds")
-    lengths = ", ".join(f"{length:.4g}" for length in report.reference_length_m) or "-"
+    in_use = report.reference_length_m
+    lengths = ", ".join(f"{length:.4g}" for length in in_use) or "-"
+    if len(in_use) > _LISTED_LENGTHS:
+        lengths = f"{in_use[0]:.4g} to {in_use[-1]:.4g}"
     facts = [
         f"Reference length in use: {lengths} m"
         + (

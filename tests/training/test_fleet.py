@@ -1,0 +1,119 @@
+"""The training code of the network that tells fleets apart, where PyTorch is installed (extra ``train``)."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+onnxruntime = pytest.importorskip("onnxruntime")
+
+from training.detector.export import export as export_detector  # noqa: E402 - PyTorch may be missing
+from training.detector.network import VehicleNet  # noqa: E402 - PyTorch may be missing
+from training.fleet.calibrate import FleetCase, log_errors, mean_error  # noqa: E402
+from training.fleet.data import (  # noqa: E402
+    N_FOLDS,
+    NORTH_AMERICA,
+    Vehicle,
+    fold_of,
+    load_vehicles,
+    random_chip,
+    vehicle_at_length,
+)
+from training.fleet.train import ChipStream, export, report, trained  # noqa: E402
+from vehanchor.detection import Detector  # noqa: E402
+from vehanchor.fleet import CHIP_SHAPE, FleetLengths  # noqa: E402
+
+pytestmark = pytest.mark.slow
+
+
+def _vehicle(set_name: str, *, hood: float, file: str = "a.png") -> Vehicle:
+    """A bright car whose dark windscreen begins ``hood`` of its length behind the front."""
+    image = np.full((110, 110, 3), 70, np.uint8)
+    cv2.rectangle(image, (35, 47), (74, 62), (200, 200, 200), -1)
+    screen = round(75 - 40 * hood)
+    cv2.rectangle(image, (screen - 6, 48), (screen, 61), (30, 30, 30), -1)
+    return Vehicle(set_name, file, image, np.array([55.0, 55, 40, 16, 0.0]))
+
+
+def test_a_random_chip_still_shows_the_vehicle() -> None:
+    rng = np.random.default_rng(0)
+    chips = np.stack([random_chip(_vehicle("cannes", hood=0.3), rng) for _ in range(60)])
+    assert chips.shape == (60, *CHIP_SHAPE)
+    assert chips.dtype == np.float32
+    assert np.isfinite(chips).all()
+    body, ground = chips[:, 6:10, 7:17].mean(axis=(1, 2)), chips[:, [0, 15]].mean(axis=(1, 2))
+    assert np.mean(body > ground) > 0.9
+    assert chips.std(axis=0).mean() > 0.1  # no two alike
+
+
+def test_resolution_alone_changes_a_chip_little() -> None:
+    coarse, fine = (vehicle_at_length(_vehicle("cannes", hood=0.3), length) for length in (12.0, 40.0))
+    assert np.corrcoef(coarse.ravel(), fine.ravel())[0, 1] > 0.97
+
+
+def test_half_of_the_stream_is_north_american_whatever_the_sets_sizes() -> None:
+    vehicles = [_vehicle(NORTH_AMERICA, hood=0.3)] + [_vehicle("cannes", hood=0.2)] * 9
+    american = [bool(label) for _, label in itertools.islice(ChipStream(vehicles, 0), 400)]
+    assert 0.4 < np.mean(american) < 0.6
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter
+def test_a_network_learns_a_longer_hood_and_its_file_says_the_same(tmp_path: Path) -> None:
+    vehicles = [_vehicle(NORTH_AMERICA, hood=0.34), _vehicle("cannes", hood=0.12)]
+    network = trained(vehicles, steps=60, seed=0)
+    export(network, tmp_path / "fleet.onnx")
+    chips = np.stack([vehicle_at_length(v, 16.0) for v in vehicles])[:, None]
+    session = onnxruntime.InferenceSession(tmp_path / "fleet.onnx")
+    odds = session.run(["log_odds"], {"chips": chips})[0]
+    assert odds.shape == (2,)
+    assert odds[0] > odds[1] + 1
+    mirrored = session.run(["log_odds"], {"chips": np.ascontiguousarray(chips[..., ::-1, ::-1])})[0]
+    np.testing.assert_allclose(mirrored, odds, atol=1e-4)
+    lines = report(network, [v._replace(file=f"{k}.png") for v in vehicles for k in (0, 0, 0, 1, 1, 1)])
+    assert len(lines) == 1 + 2 * 4  # two sets at four lengths
+    assert "   2 " in lines[1]  # images
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter
+def test_the_detectors_file_takes_the_network_and_its_lengths_along(tmp_path: Path) -> None:
+    network = VehicleNet()
+    torch.save({"averaged": network.state_dict()}, tmp_path / "checkpoint.pt")
+    export(trained([_vehicle(NORTH_AMERICA, hood=0.3), _vehicle("cannes", hood=0.2)], 2, 0), tmp_path / "fleet.onnx")
+    lengths = FleetLengths((-1.0, 0.5), (4.3, 5.1), 0.3, 1.0)
+    (tmp_path / "fleet_lengths.json").write_text(json.dumps(lengths._asdict()))
+    export_detector(tmp_path, tmp_path / "vehicles.onnx", {"name": "mine"}, tmp_path)
+    detector = Detector(tmp_path / "vehicles.onnx")
+    assert detector.card.fleet_lengths == lengths
+
+
+def test_the_error_counts_sets_alike() -> None:
+    lengths = FleetLengths((-1.0, 1.0), (4.0, 5.0), 0.0, 1.0)
+    neutral = np.zeros(5)
+    cases = [FleetCase("a", neutral, 4.5)] * 9 + [FleetCase("b", neutral, 4.5 / 1.2)]
+    errors = log_errors(cases, lengths)
+    np.testing.assert_allclose(errors, [0.0] * 9 + [np.log(1.2)], atol=1e-12)
+    assert mean_error(cases, errors) == pytest.approx(0.1)
+
+
+def test_neighbours_are_in_one_fold_and_no_fold_is_empty() -> None:
+    assert len({fold_of(f"cannes_{number:05d}.png", "cannes") for number in (0, 1, 49, 50)}) == 1
+    folds = [fold_of(f"ucm_{number}.png", "ucm") for number in range(400)]
+    assert np.bincount(folds, minlength=N_FOLDS).min() > 60
+
+
+@pytest.mark.data
+def test_vehicles_are_those_of_the_train_split(real_data: Path) -> None:
+    vehicles = load_vehicles(real_data / "vehicles")
+    assert {v.set for v in vehicles} == {"cannes", "saopaulo", "jekhor", "ucm"}
+    assert len(vehicles) > 5000
+    for vehicle in vehicles[:: len(vehicles) // 50]:
+        height, width = vehicle.pixels.shape[:2]
+        assert 0 <= vehicle.box[0] <= width
+        assert 0 <= vehicle.box[1] <= height
+        assert vehicle.box[2] <= 41

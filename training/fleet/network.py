@@ -1,0 +1,45 @@
+"""From a vehicle's chip to the log odds that it is of North America's fleet."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+
+_LAYERS = ((1, 24, 1), (24, 32, 2), (32, 48, 1), (48, 64, 2), (64, 64, 1))  # inputs, outputs, stride
+
+
+class FleetNet(nn.Module):
+    """Five 3 x 3 convolutions and a mean over the chip; input ``[b, 1, 16, 24]``, output ``[b]``."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.body = nn.Sequential(
+            *(
+                nn.Sequential(
+                    nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False),
+                    nn.BatchNorm2d(outputs),
+                    nn.ReLU(inplace=True),
+                )
+                for inputs, outputs, stride in _LAYERS
+            )
+        )
+        self.head = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Dropout(0.3), nn.Linear(_LAYERS[-1][1], 1))
+
+    def forward(self, chips: Tensor) -> Tensor:
+        """Log odds."""
+        return cast("Tensor", self.head(self.body(chips))).squeeze(1)
+
+
+class Mirrored(nn.Module):
+    """The mean of a network's answers to a chip and its three mirror images: cars are alike from both sides."""
+
+    def __init__(self, network: FleetNet) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, chips: Tensor) -> Tensor:
+        """Log odds."""
+        views = (chips, chips.flip(2), chips.flip(3), chips.flip(2, 3))
+        return torch.stack([self.network(view) for view in views]).mean(dim=0)

@@ -1,0 +1,157 @@
+"""Train the networks that tell fleets apart: ``python -m training.fleet.train``; 10 minutes on two CPU cores.
+
+``RUN/fleet.onnx`` is the one to ship. ``RUN/fold-0.onnx`` to ``fold-3.onnx`` learn from three quarters of the split
+each: on the fourth ``calibrate.py`` gets an opinion from a network that has not seen it. Two controls train one network
+alone: ``--without SET`` learns nothing of that set, and what is then printed for it is what a camera gets that the
+network has never seen; ``--beside 0.8`` looks at the ground beside the vehicles: what cameras and places give away.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits
+from torch.utils.data import DataLoader, IterableDataset, get_worker_info
+
+from training.detector.data import is_dev
+from training.fleet.data import (
+    N_FOLDS,
+    NORTH_AMERICA,
+    OTHERS,
+    Vehicle,
+    beside,
+    fold_of,
+    load_vehicles,
+    random_chip,
+    vehicle_at_length,
+)
+from training.fleet.network import FleetNet, Mirrored
+from vehanchor.fleet import CHIP_SHAPE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_BATCH = 64
+_STEPS = 4000
+_RATE = 2e-3
+_REPORT_LENGTHS_PX = (12.0, 16.0, 24.0, 40.0)
+_LEAST_VEHICLES = 3  # of an image in the report
+_OPSET = 17
+
+
+class ChipStream(IterableDataset[tuple[Tensor, Tensor]]):
+    """Chips without end: half of North America, half of the other sets, each of these counting alike."""
+
+    def __init__(self, vehicles: list[Vehicle], seed: int) -> None:
+        self.by_set: dict[str, list[Vehicle]] = {}
+        for vehicle in vehicles:
+            self.by_set.setdefault(vehicle.set, []).append(vehicle)
+        self.seed = seed
+
+    def __iter__(self) -> Iterator[tuple[Tensor, Tensor]]:
+        worker = get_worker_info()
+        rng = np.random.default_rng((self.seed, worker.id if worker else 0))
+        others = [name for name in self.by_set if name != NORTH_AMERICA]
+        while True:
+            american = rng.random() < 0.5
+            among = self.by_set[NORTH_AMERICA if american else others[rng.integers(len(others))]]
+            cut = random_chip(among[rng.integers(len(among))], rng)
+            yield torch.from_numpy(cut)[None], torch.tensor(float(american))
+
+
+def trained(vehicles: list[Vehicle], steps: int, seed: int) -> FleetNet:
+    """A network that has learned from these vehicles, in evaluation mode."""
+    torch.manual_seed(seed)
+    network = FleetNet()
+    optimizer = torch.optim.AdamW(network.parameters(), weight_decay=0.02)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, total_steps=steps)
+    loader = iter(DataLoader(ChipStream(vehicles, seed), batch_size=_BATCH, num_workers=1))
+    total, started = 0.0, time.monotonic()
+    for step in range(1, steps + 1):
+        chips, american = next(loader)
+        loss = binary_cross_entropy_with_logits(network(chips), american)
+        optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        schedule.step()
+        total += loss.item()
+        if step % 500 == 0:
+            print(f"{step} loss {total / 500:.4f} {(time.monotonic() - started) / step:.3f} s/step", flush=True)
+            total = 0.0
+    return network.eval()
+
+
+def export(network: FleetNet, out: Path) -> None:
+    """Write a network as ONNX: ``chips`` ``[n, 1, 16, 24]`` to ``log_odds`` ``[n]``, the mean over mirror images."""
+    torch.onnx.export(
+        Mirrored(network).eval(),
+        (torch.zeros(2, 1, *CHIP_SHAPE),),
+        str(out),
+        input_names=["chips"],
+        output_names=["log_odds"],
+        dynamic_axes={"chips": {0: "n"}, "log_odds": {0: "n"}},
+        opset_version=_OPSET,
+        dynamo=False,
+    )
+
+
+def report(network: FleetNet, vehicles: list[Vehicle]) -> list[str]:
+    """The images' mean log odds for each set and resolution.
+
+    Their number, mean, spread, share above 0, and area under the ROC curve of North America's images against them.
+    """
+    lines = ["set, length px: images, mean, sd, share > 0, AUC"]
+    american = np.zeros(0)
+    for name in sorted({vehicle.set for vehicle in vehicles}, key=lambda name: (name != NORTH_AMERICA, name)):
+        for length in _REPORT_LENGTHS_PX:
+            odds: dict[str, list[float]] = {}
+            for vehicle in vehicles:
+                if vehicle.set == name and vehicle.box[2] > 0.85 * length:
+                    cut = torch.from_numpy(vehicle_at_length(vehicle, length))[None, None]
+                    with torch.no_grad():
+                        odds.setdefault(vehicle.file, []).append(float(Mirrored(network)(cut)))
+            means = np.array([np.mean(each) for each in odds.values() if len(each) >= _LEAST_VEHICLES])
+            if len(means):
+                american = american if len(american) else means
+                spread, share, area = means.std(), np.mean(means > 0), np.mean(american[:, None] > means)
+                lines.append(
+                    f"{name:9s} {length:4.0f}: {len(means):3d} {means.mean():+.2f} {spread:.2f} {share:.2f} {area:.3f}"
+                )
+    return lines
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--run", type=Path, default=Path("runs/fleet"))
+    parser.add_argument("--data", type=Path, default=Path("../shared/data/vehicles"))
+    parser.add_argument("--steps", type=int, default=_STEPS)
+    control = parser.add_mutually_exclusive_group()
+    control.add_argument("--without", choices=OTHERS)
+    control.add_argument("--beside", type=float, default=0.0, metavar="LENGTHS")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    options.run.mkdir(parents=True, exist_ok=True)
+    vehicles = [beside(vehicle, options.beside) for vehicle in load_vehicles(options.data)]
+    dev = [vehicle for vehicle in vehicles if is_dev(vehicle.file, vehicle.set)]
+    parts = {"fleet": [v for v in vehicles if not is_dev(v.file, v.set) and v.set != options.without]}
+    if options.without is None and not options.beside:
+        for fold in range(N_FOLDS):
+            parts[f"fold-{fold}"] = [v for v in vehicles if fold_of(v.file, v.set) != fold]
+    for name, learned in parts.items():
+        print(f"{name}: {len(learned)} vehicles", flush=True)
+        network = trained(learned, options.steps, options.seed)
+        export(network, options.run / f"{name}.onnx")
+        if name == "fleet":
+            unseen = [v for v in vehicles if v.set == options.without]
+            print("\n".join(report(network, dev + unseen)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
