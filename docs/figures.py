@@ -11,7 +11,7 @@ from matplotlib.patches import Polygon
 
 from vehanchor import ScaleAnalysis, Scene, analyse_scale, render_scene
 from vehanchor.obb import box_corners, oriented_iou
-from vehanchor.scale import kde_density
+from vehanchor.scale import modal_density
 
 ROOT = Path(__file__).parent.parent
 IMAGE = ROOT / "examples" / "car_park.jpg"
@@ -36,10 +36,10 @@ def draw(analysis: ScaleAnalysis, pixels: np.ndarray) -> Figure:
     boxes.set(xlim=extent[:2], ylim=extent[2:], xticks=[], yticks=[])
     boxes.set_title(f"1. Cars as oriented boxes: {estimate.n_detections}", loc="left", fontsize=10)
 
-    kept = analysis.detections.boxes[analysis.kept, 2]
+    kept, scores = analysis.detections.boxes[analysis.kept, 2], analysis.detections.scores[analysis.kept]
     grid = np.linspace(kept.min() * 0.9, kept.max() * 1.1, 400)
     lengths.hist(kept, bins=24, density=True, color="#56B4E9", alpha=0.6)
-    lengths.plot(grid, kde_density(grid, kept), color=BLUE)
+    lengths.plot(grid, modal_density(grid, kept, scores, estimate.aggregation), color=BLUE)
     lengths.axvline(estimate.mode_length_px, color=ORANGE)
     lengths.set(xlabel="longer side, pixels", yticks=[])
     lengths.spines[["top", "right", "left"]].set_visible(False)

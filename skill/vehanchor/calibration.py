@@ -21,12 +21,12 @@ from vehanchor.errors import (
     CalibrationRefusedError,
     OutputError,
 )
-from vehanchor.scale import WEIGHTED_SMOOTHING, kde_mode, scott_bandwidth, vehicle_weights
+from vehanchor.scale import WEIGHTED_SMOOTHING, kde_density, kde_mode, scott_bandwidth, vehicle_weights
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
     "MIN_VEHICLES",
@@ -34,6 +34,7 @@ __all__ = [
     "ReferenceLength",
     "SurveyedImage",
     "calibrate",
+    "length_density",
     "load_calibration",
     "opened_calibration",
     "reference_length",
@@ -143,6 +144,21 @@ def reference_length(images: Sequence[SurveyedImage]) -> ReferenceLength:
     low, high = np.percentile(modes, [2.5, 97.5])
     spread = float(np.sqrt(np.mean(np.log(modes / mode) ** 2))) * mode
     return ReferenceLength(mode, min(float(low), mode), max(float(high), mode), spread)
+
+
+def length_density(images: Sequence[SurveyedImage], at: ArrayLike) -> NDArray[np.float64]:
+    """The density that ``reference_length`` takes the mode of.
+
+    Args:
+        images: vehicles and true scales, at least two lengths among them.
+        at: ``[g]`` lengths, metres.
+
+    Returns:
+        ``[g]`` density per metre.
+    """
+    metres = _metres(images)
+    weights, smoothing = _weights(images, metres)
+    return kde_density(at, metres, weights, smoothing=smoothing)
 
 
 def _metres(images: Sequence[SurveyedImage]) -> NDArray[np.float64]:

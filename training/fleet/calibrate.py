@@ -1,8 +1,9 @@
 """From log odds to a reference length: ``python -m training.fleet.calibrate MODEL.onnx``, MODEL the exported detector.
 
 Writes ``RUN/fleet_lengths.json``, which ``training.detector.export --fleet RUN`` puts into the detector's file. Of a
-few settings it takes the one with the smallest mean error on the train images, every set counting alike; what a network
-says of an image is from the fold that has not learned from it.
+few settings it takes the one with the smallest mean error on the train images, every set counting alike. North
+America's images are judged by the network of the fold that has not learned from them, the others by the network that
+has never seen their set: as images of a new camera will be.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ from vehanchor.imagery import open_raster
 from vehanchor.perception import analyse_scale
 
 _LABELLED = 5  # cars of an image that counts
-_LOG_ODDS = np.arange(-2.0, 2.01, 0.25)
+_LOG_ODDS = np.arange(-2.0, 3.01, 0.25)
 _NEUTRAL_VEHICLES = (1.0, 2.0, 4.0)
 _MANY_CARS = 20  # in such an image next to all of the error is the fleet's
 
 
 class FleetCase(NamedTuple):
-    """An image's vehicles: log odds from a network that has not learned from it, and their true modal length."""
+    """An image's vehicles: log odds from a network that has not seen it or its set, and their true modal length."""
 
     set: str
     log_odds: NDArray[np.float64]  # [n]
@@ -41,7 +42,8 @@ class FleetCase(NamedTuple):
 
 def collect(images: list[KnownScaleImage], detector: Detector, run: Path) -> list[FleetCase]:
     """The train images with at least five labelled cars and a scale."""
-    folds = [onnxruntime.InferenceSession(run / f"fold-{fold}.onnx") for fold in range(N_FOLDS)]
+    names = [f"fold-{fold}" for fold in range(N_FOLDS)] + [f"without-{n}" for n in REGION_OF_SET if n != NORTH_AMERICA]
+    networks = {name: onnxruntime.InferenceSession(run / f"{name}.onnx") for name in names}
     cases = []
     for image in images:
         if image.split != "train" or image.set not in REGION_OF_SET or (image.labelled_vehicles or 0) < _LABELLED:
@@ -52,7 +54,10 @@ def collect(images: list[KnownScaleImage], detector: Detector, run: Path) -> lis
         boxes = analysis.detections.boxes[analysis.kept][:MAX_CHIPS]
         with open_raster(image.path) as raster:
             chips = vehicle_chips(raster, boxes)
-        odds = folds[fold_of(image.path.name, image.set)].run(["log_odds"], {"chips": chips})[0]
+        judge = f"without-{image.set}"
+        if image.set == NORTH_AMERICA:
+            judge = f"fold-{fold_of(image.path.name, image.set)}"
+        odds = networks[judge].run(["log_odds"], {"chips": chips})[0]
         length = analysis.estimate.mode_length_px * image.gsd_m_per_px
         cases.append(FleetCase(image.set, np.asarray(odds, dtype=np.float64), length))
     return cases

@@ -1,9 +1,9 @@
-"""Train the networks that tell fleets apart: ``python -m training.fleet.train``; 10 minutes on two CPU cores.
+"""Train the networks that tell fleets apart: ``python -m training.fleet.train``; 25 minutes on two CPU cores.
 
-``RUN/fleet.onnx`` is the one to ship. ``RUN/fold-0.onnx`` to ``fold-3.onnx`` learn from three quarters of the split
-each: on the fourth ``calibrate.py`` gets an opinion from a network that has not seen it. Two controls train one network
-alone: ``--without SET`` learns nothing of that set, and what is then printed for it is what a camera gets that the
-network has never seen; ``--beside 0.8`` looks at the ground beside the vehicles: what cameras and places give away.
+``RUN/fleet.onnx`` is the one to ship. The others are for ``calibrate.py``, which wants opinions from networks that have
+not seen what they judge: ``fold-0.onnx`` to ``fold-3.onnx`` learn from three quarters of the images each, and
+``without-SET.onnx`` from all sets but one: what they say of it, a new camera gets. ``--beside 0.8`` is a control: it
+looks at the ground beside the vehicles, and tells what cameras and places alone give away.
 """
 
 from __future__ import annotations
@@ -132,25 +132,27 @@ def main() -> None:
     parser.add_argument("--run", type=Path, default=Path("runs/fleet"))
     parser.add_argument("--data", type=Path, default=Path("../shared/data/vehicles"))
     parser.add_argument("--steps", type=int, default=_STEPS)
-    control = parser.add_mutually_exclusive_group()
-    control.add_argument("--without", choices=OTHERS)
-    control.add_argument("--beside", type=float, default=0.0, metavar="LENGTHS")
+    parser.add_argument("--beside", type=float, default=0.0, metavar="LENGTHS")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     options.run.mkdir(parents=True, exist_ok=True)
     vehicles = [beside(vehicle, options.beside) for vehicle in load_vehicles(options.data)]
     dev = [vehicle for vehicle in vehicles if is_dev(vehicle.file, vehicle.set)]
-    parts = {"fleet": [v for v in vehicles if not is_dev(v.file, v.set) and v.set != options.without]}
-    if options.without is None and not options.beside:
+    learned = [vehicle for vehicle in vehicles if not is_dev(vehicle.file, vehicle.set)]
+    parts = {"fleet": (learned, dev)}
+    if not options.beside:
         for fold in range(N_FOLDS):
-            parts[f"fold-{fold}"] = [v for v in vehicles if fold_of(v.file, v.set) != fold]
-    for name, learned in parts.items():
-        print(f"{name}: {len(learned)} vehicles", flush=True)
-        network = trained(learned, options.steps, options.seed)
+            parts[f"fold-{fold}"] = [v for v in vehicles if fold_of(v.file, v.set) != fold], []
+        for name in OTHERS:
+            parts[f"without-{name}"] = [v for v in learned if v.set != name], [v for v in vehicles if v.set == name]
+    american = [vehicle for vehicle in dev if vehicle.set == NORTH_AMERICA]
+    for name, (known, unseen) in parts.items():
+        print(f"{name}: {len(known)} vehicles", flush=True)
+        network = trained(known, options.steps, options.seed)
         export(network, options.run / f"{name}.onnx")
-        if name == "fleet":
-            unseen = [v for v in vehicles if v.set == options.without]
-            print("\n".join(report(network, dev + unseen)), flush=True)
+        if unseen:
+            others = [vehicle for vehicle in unseen if vehicle.set != NORTH_AMERICA]
+            print("\n".join(report(network, american + others)), flush=True)
 
 
 if __name__ == "__main__":

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from vehanchor.calibration import length_density
 from vehanchor.confidence import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX
 from vehanchor.evaluation.gsd import HIGH_ERROR
 from vehanchor.evaluation.known_scale import DATASET_LIMITS
 from vehanchor.imagery import open_raster
 from vehanchor.overlay import caption_panel, draw_vehicles, fit_for_eyes, read_reduced
 from vehanchor.plot import require_plots
-from vehanchor.scale import kde_density
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -232,7 +232,7 @@ def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibrat
         shown, bins=list(edges), color="#56B4E9", edgecolor="white", linewidth=0.5, label=f"{len(metres)} vehicles"
     )
     at = np.linspace(low, high, 800)
-    density = kde_density(at, metres) * len(metres) * (edges[1] - edges[0])
+    density = length_density(images, at) * len(metres) * (edges[1] - edges[0])
     axes.plot(at, density, color=_BLUE, lw=2, label="density (KDE)")
     ends = calibration.reference_length_ci95_low_m, calibration.reference_length_ci95_high_m
     axes.axvspan(
