@@ -63,7 +63,8 @@ class ScaleOptions:
         alpha: outlier filter, ``P_i <= alpha * median``; None switches it off.
         aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean`` (see ``vehanchor.scale.modal_length``); None
             takes the model's own choice (``kde``, the paper's, for foreign models).
-        reference_length_m: ``L_ref``; None takes the model's.
+        reference_length_m: ``L_ref``; None has it told from the look of the vehicles (see ``vehanchor.fleet``), or takes
+            the model's where its file cannot tell.
         region: take the model's reference length for this region (``europe``, ``north_america``, ...) instead.
         calibration: take the reference length measured for this fleet and detector (see ``load_calibration``) instead.
         frame_width_px: width of the resized copy the caller works in; with ``frame_height_px``.
