@@ -12,7 +12,13 @@ if TYPE_CHECKING:
 
 __all__ = ["describe_area", "describe_estimate"]
 
-_FLEET_DOUBTS: tuple[FleetDoubt, ...] = ("lengths_disagree", "lengths_alike", "scores_unclear")
+_FLEET_DOUBTS: tuple[FleetDoubt, ...] = (
+    "lengths_disagree",
+    "lengths_alike",
+    "scores_unclear",
+    "looks_alike",
+    "looks_unlike_cars",
+)
 
 
 def describe_estimate(estimate: GsdEstimate) -> str:

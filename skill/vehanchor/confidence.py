@@ -33,7 +33,9 @@ GUARD_GSD_M_PER_PX = 0.3  # paper, GSD_max
 GUARD_CONFIDENCE = 0.3  # paper: C = min(C_raw, 0.3)
 DISPUTE_CONFIDENCE = 0.4  # where it is open whether the dominant lengths are those of cars
 _RIVAL_SHARE = 0.35  # of the dominant group's weight in another group of lengths
-_ALIKE_LOG_SPREAD = 0.04  # fleets of the train split have 0.048 and more; equal things drawn in rows 0.03 to 0.06
+_ALIKE_LOG_SPREAD = 0.045  # 99 of 100 fleets of the train split have 0.047 and more; equal things in rows 0.03 to 0.06
+_ALIKE_LOG_ODDS = 0.7  # standard deviation; fleets of the train split have 0.76 and more, caravans in rows 0.4 to 0.7
+_UNLIKE_LOG_ODDS = -3.2  # mean; fleets of the train split have -2.9 and more, boats in rows -2.5 to -4.5
 _ALIKE_VEHICLES = 20  # from so many on the spread is known to a sixth
 _CLEAR_PERCENTILE = 90
 _WEIGHTS = ConfidenceTerms.model_construct(sample=0.35, concentration=0.35, quality=0.20, plausibility=0.10)  # paper
@@ -45,7 +47,9 @@ _QUARTILES_PER_SD = 1.349  # of a normal distribution
 _FADE = 1.5  # factor outside the trained range over which plausibility falls to 0
 
 
-FleetDoubt: TypeAlias = Literal["lengths_disagree", "lengths_alike", "scores_unclear"]
+FleetDoubt: TypeAlias = Literal[
+    "lengths_disagree", "lengths_alike", "scores_unclear", "looks_alike", "looks_unlike_cars"
+]
 
 
 def _ramp(value: float, zero_at: float, one_at: float) -> float:
@@ -87,20 +91,29 @@ def confidence_terms(
 
 
 def fleet_doubts(
-    lengths: ArrayLike, scores: ArrayLike, *, rival_share: float, clear_score: float
+    lengths: ArrayLike,
+    scores: ArrayLike,
+    *,
+    rival_share: float,
+    clear_score: float,
+    fleet_log_odds: ArrayLike | None = None,
 ) -> tuple[FleetDoubt, ...]:
     """What speaks against vehicles being cars, where a search over scales has given up their size as evidence.
 
     * ``lengths_disagree``: another group of lengths has 0.35 or more of the evidence of this one.
-    * ``lengths_alike``: 20 or more vehicles whose log lengths spread by less than 0.04 (interquartile range over
+    * ``lengths_alike``: 20 or more vehicles whose log lengths spread by less than 0.045 (interquartile range over
       1.349): a yard of equal lorries, containers or roof units. Makes and models differ by 0.08.
     * ``scores_unclear``: not a tenth of them reach the score that some cars of every fleet do.
+    * ``looks_alike``: 20 or more whose log odds (see ``vehanchor.fleet``) have a standard deviation below 0.7: makes,
+      models and paint differ more.
+    * ``looks_unlike_cars``: 20 or more whose mean log odds are below -3.2, where no fleet of cars was seen.
 
     Args:
         lengths: ``[n]`` pixels of the kept vehicles.
         scores: ``[n]`` their detection scores.
         rival_share: see ``vehanchor.scale.dominant_group``.
         clear_score: score that the best tenth of a fleet reaches with this model; 0 where it is not known.
+        fleet_log_odds: ``[m]`` of those vehicles that were looked at; None where the model cannot tell.
 
     Returns:
         The doubts, as codes of warnings; none for no vehicles.
@@ -116,6 +129,12 @@ def fleet_doubts(
         doubts.append("lengths_alike")
     if np.percentile(score, _CLEAR_PERCENTILE) < clear_score:
         doubts.append("scores_unclear")
+    look = np.asarray([] if fleet_log_odds is None else fleet_log_odds, dtype=np.float64)
+    if len(look) >= _ALIKE_VEHICLES:
+        if look.std() < _ALIKE_LOG_ODDS:
+            doubts.append("looks_alike")
+        if look.mean() < _UNLIKE_LOG_ODDS:
+            doubts.append("looks_unlike_cars")
     return tuple(doubts)
 
 

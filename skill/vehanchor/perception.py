@@ -44,6 +44,10 @@ _DOUBTS: dict[FleetDoubt, str] = {
     "lengths_alike": "The vehicles are all of one length, as no fleet of cars is: they may be equal lorries, "
     "containers or roof units, and the scale off by the ratio of their length to a car's.",
     "scores_unclear": "None of the vehicles is clearly a car: they may be things of similar shape at another scale.",
+    "looks_alike": "The vehicles look more alike than cars of different makes and paint do: they may be equal "
+    "caravans, lorries or containers, and the scale off by the ratio of their length to a car's.",
+    "looks_unlike_cars": "The vehicles look like no fleet of cars that is known: they may be boats or other things of "
+    "a car's shape, and the scale off by the ratio of their length to a car's.",
 }
 _LEAST_SCORE = 1e-3  # below it a detection is no evidence, but still one
 _REFERENCE_SETTERS = ("reference_length_m", "region", "calibration")
@@ -63,8 +67,8 @@ class ScaleOptions:
         alpha: outlier filter, ``P_i <= alpha * median``; None switches it off.
         aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean`` (see ``vehanchor.scale.modal_length``); None
             takes the model's own choice (``kde``, the paper's, for foreign models).
-        reference_length_m: ``L_ref``; None has it told from the look of the vehicles (see ``vehanchor.fleet``), or takes
-            the model's where its file cannot tell.
+        reference_length_m: ``L_ref``; None has it told from the look of the vehicles (see ``vehanchor.fleet``), or
+            takes the model's where its file cannot tell.
         region: take the model's reference length for this region (``europe``, ``north_america``, ...) instead.
         calibration: take the reference length measured for this fleet and detector (see ``load_calibration``) instead.
         frame_width_px: width of the resized copy the caller works in; with ``frame_height_px``.
@@ -319,7 +323,8 @@ def scale_from_detections(
     kept, rival_share = _kept_vehicles(detections, options.alpha)
     working_scale = _working_scale(detections, kept)
     lengths, scores = detections.boxes[kept, 2], detections.scores[kept]
-    reference = _reference_length(card, options, _fleet_evidence(detections, kept))
+    fleet_log_odds = _fleet_evidence(detections, kept)
+    reference = _reference_length(card, options, fleet_log_odds)
     warnings = list(notices)
     if detections.n_capped_tiles:
         warnings.append(
@@ -351,7 +356,13 @@ def scale_from_detections(
         )
     doubts: tuple[FleetDoubt, ...] = ()
     if detections.scales is not None:
-        doubts = fleet_doubts(lengths, scores, rival_share=rival_share, clear_score=card.clear_score)
+        doubts = fleet_doubts(
+            lengths,
+            scores,
+            rival_share=rival_share,
+            clear_score=card.clear_score,
+            fleet_log_odds=fleet_log_odds,
+        )
     warnings += [Notice(code=doubt, message=_DOUBTS[doubt]) for doubt in doubts]
     terms = confidence_terms(
         lengths,

@@ -275,6 +275,36 @@ def test_a_yard_of_equal_things_is_no_fleet(searching: Detector, n: int, spread:
     assert estimate(None).confidence >= 0.5  # at full resolution their size speaks for them
 
 
+@pytest.mark.parametrize(
+    ("n", "mean", "spread", "doubt"),
+    [
+        (30, 0.0, 1.2, None),
+        (30, 0.5, 0.5, "looks_alike"),
+        (12, 0.5, 0.5, None),
+        (30, -3.6, 1.2, "looks_unlike_cars"),
+        (12, -3.6, 1.2, None),
+        (30, 3.6, 1.2, None),
+    ],
+)
+def test_things_that_do_not_look_like_a_fleet_of_cars_are_never_sure(
+    searching: Detector, n: int, mean: float, spread: float, doubt: str | None
+) -> None:
+    odds = mean + spread * np.array([NormalDist().inv_cdf((k + 0.5) / n) for k in range(n)])
+    lengths = np.array(_fleet(40.0, n))
+    boxes = np.column_stack([np.arange(n) * 99, lengths * 0, lengths, lengths / 2.2, lengths * 0])
+
+    def estimate(scales: NDArray[np.float64] | None) -> Any:
+        found = Detections(boxes, np.full(n, 0.9), scales=scales, fleet_log_odds=odds)
+        return scale_from_detections(
+            found, searching.card, ScaleOptions(), image_width_px=4000, image_height_px=40
+        ).estimate
+
+    searched = estimate(np.ones(n))
+    assert [w.code for w in searched.warnings] == ([doubt] if doubt else [])
+    assert (searched.confidence >= 0.5) is (doubt is None)
+    assert estimate(None).confidence >= 0.5  # at full resolution their size speaks for them
+
+
 def test_vehicles_of_which_none_is_clearly_a_car_are_never_sure(tmp_path: Path) -> None:
     strict = Detector(write_detector(tmp_path / "m.onnx", metadata=_SEARCHING | {"vehanchor.clear_score": "0.75"}))
     assert strict.card.clear_score == 0.75
@@ -397,8 +427,8 @@ def test_cars_longer_than_any_in_training_give_the_scale(bundled: Detector, clos
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("yard", ["lorries", "buses", "caravans", "containers", "roof units"])
-@pytest.mark.parametrize("length_px", [30, 120])
+@pytest.mark.parametrize("yard", YARDS)
+@pytest.mark.parametrize("length_px", [30, 60, 120])
 def test_a_yard_of_things_shaped_like_cars_is_never_a_confident_scale(
     bundled: Detector, yard: Yard, length_px: int
 ) -> None:
