@@ -18,7 +18,7 @@ from pathlib import Path
 
 import cv2
 
-from vehanchor.scene import render_scene
+from vehanchor_scenes import render_scene
 
 SIDE_PX = 1024
 N_SCENES = 4  # rendered; the rest are further names of the same files

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import cv2
 
-from vehanchor.calibration import Calibration, SurveyedImage, calibrate
-from vehanchor.detection import Detector
-from vehanchor.evaluation.dota import labelled_boxes, survey_dota
-from vehanchor.evaluation.known_scale import FileIssue, KnownScaleSet
-from vehanchor.evaluation.search import search_images
-from vehanchor.model_zoo import resolve_model
-from vehanchor.perception import ScaleOptions
-from vehanchor.scene import render_scene
+from vehanchor.detection.detector import Detector
+from vehanchor.estimate import ScaleOptions
+from vehanchor.models.zoo import resolve_model
+from vehanchor.scale.calibration import Calibration, SurveyedImage, calibrate
+from vehanchor_evaluation.dota import labelled_boxes, survey_dota
+from vehanchor_evaluation.known_scale import FileIssue, KnownScaleSet
+from vehanchor_evaluation.search import search_images
+from vehanchor_scenes import render_scene
 
 FLEETS_M = (3.9, 4.3, 5.4)
 MODE_OVER_MEAN = 1.010  # of the renderer's fleets, see render_scene

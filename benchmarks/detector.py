@@ -20,22 +20,22 @@ import cv2
 import numpy as np
 from scipy.stats import spearmanr
 
-from vehanchor.detection import Detector, detect_vehicles
-from vehanchor.evaluation.detections import MatchedDetections, average_precision, length_errors, match_detections
-from vehanchor.evaluation.dota import read_labels
-from vehanchor.evaluation.gsd import ScaleTrial, read_table, run_trials, summarise
-from vehanchor.imagery import open_raster
-from vehanchor.model_zoo import resolve_model
-from vehanchor.obb import boxes_from_corners
-from vehanchor.perception import ScaleOptions, analyse_scale, scale_from_detections
+from vehanchor.detection.boxes import boxes_from_corners
+from vehanchor.detection.detector import Detector, detect_vehicles
+from vehanchor.estimate import ScaleOptions, analyse_scale, scale_from_detections
+from vehanchor.imagery.raster import open_raster
+from vehanchor.models.zoo import resolve_model
+from vehanchor_evaluation.detections import MatchedDetections, average_precision, length_errors, match_detections
+from vehanchor_evaluation.dota import read_labels
+from vehanchor_evaluation.gsd import ScaleTrial, read_table, run_trials, summarise
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
-    from vehanchor.detection import DetectorCard
-    from vehanchor.evaluation.gsd import KnownScaleImage
+    from vehanchor.detection.detector import DetectorCard
+    from vehanchor_evaluation.gsd import KnownScaleImage
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
 _LABELLED = 5

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
-from vehanchor.imagery import open_raster
-from vehanchor.model_zoo import resolve_segmenter
-from vehanchor.segmentation import Prompt, Segmenter
+from vehanchor.imagery.raster import open_raster
+from vehanchor.models.zoo import resolve_segmenter
+from vehanchor.segmentation.segmenter import Prompt, Segmenter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

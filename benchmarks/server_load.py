@@ -25,9 +25,9 @@ from mcp import Client
 
 from benchmarks.server_process import child_processes, http_server, middle_box, resident_mib, target, write_images
 from vehanchor import estimate_gsd, measure_area
-from vehanchor.detection import load_detector
-from vehanchor.model_zoo import resolve_model, resolve_segmenter
-from vehanchor.segmentation import load_segmenter
+from vehanchor.detection.detector import load_detector
+from vehanchor.models.zoo import resolve_model, resolve_segmenter
+from vehanchor.segmentation.segmenter import load_segmenter
 
 BUSY_PAUSE_S = 0.05
 WARM_SHARE = 0.3

@@ -19,9 +19,9 @@ from pydantic import BaseModel
 
 from benchmarks.server_process import SERVE, middle_box, target, write_images
 from vehanchor import estimate_gsd, measure_area
-from vehanchor.detection import load_detector
-from vehanchor.model_zoo import resolve_model, resolve_segmenter
-from vehanchor.segmentation import load_segmenter
+from vehanchor.detection.detector import load_detector
+from vehanchor.models.zoo import resolve_model, resolve_segmenter
+from vehanchor.segmentation.segmenter import load_segmenter
 
 
 async def overhead(n_calls: int, threads: int) -> None:

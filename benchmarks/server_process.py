@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from vehanchor.scene import render_scene
+from vehanchor_scenes import render_scene
 
 __all__ = [
     "SERVE",

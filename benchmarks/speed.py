@@ -19,13 +19,13 @@ import cv2
 import numpy as np
 import onnxruntime
 
-from vehanchor.detection import Detector, search_levels
-from vehanchor.imagery import open_raster
-from vehanchor.model_zoo import resolve_model
-from vehanchor.obb import oriented_nms
-from vehanchor.perception import analyse_scale
-from vehanchor.scene import render_scene
-from vehanchor.tiling import read_reduced_window, tile_grid
+from vehanchor.detection.boxes import oriented_nms
+from vehanchor.detection.detector import Detector, search_levels
+from vehanchor.estimate import analyse_scale
+from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.tiles import read_reduced_window, tile_grid
+from vehanchor.models.zoo import resolve_model
+from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

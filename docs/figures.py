@@ -9,9 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from vehanchor import ScaleAnalysis, Scene, analyse_scale, render_scene
-from vehanchor.obb import box_corners, oriented_iou
-from vehanchor.scale import modal_density
+from vehanchor import ScaleAnalysis, analyse_scale
+from vehanchor.detection.boxes import box_corners, oriented_iou
+from vehanchor.scale.lengths import modal_density
+from vehanchor_scenes import Scene, render_scene
 
 ROOT = Path(__file__).parent.parent
 IMAGE = ROOT / "examples" / "car_park.jpg"

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-_BUNDLED = Path(__file__).parent.parent / "skill" / "vehanchor" / "bundled"
+_BUNDLED = Path(__file__).parent.parent / "skill" / "vehanchor" / "models" / "bundled"
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:

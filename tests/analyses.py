@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vehanchor.detection import Detections, DetectorCard
-from vehanchor.perception import ScaleAnalysis, ScaleOptions, scale_from_detections
+from vehanchor.detection.detector import Detections, DetectorCard
+from vehanchor.estimate import ScaleAnalysis, ScaleOptions, scale_from_detections
 from vehanchor.records import Aggregation
 
 __all__ = ["make_analysis"]

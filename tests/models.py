@@ -26,8 +26,8 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from vehanchor.fleet import CHIP_SHAPE, FleetLengths
-from vehanchor.obb import box_corners, canonical_boxes
+from vehanchor.detection.boxes import box_corners, canonical_boxes
+from vehanchor.detection.look import CHIP_SHAPE, FleetLengths
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

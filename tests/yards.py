@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vehanchor.scene.fleet import Fleet, VehicleModel
-from vehanchor.scene.sprites import Sun
-from vehanchor.scene.tile import Painter
-from vehanchor.scene.world import Box, Frame, Material, PlacedVehicle, Rgb, Surface, World
+from vehanchor_scenes.fleet import Fleet, VehicleModel
+from vehanchor_scenes.sprites import Sun
+from vehanchor_scenes.tile import Painter
+from vehanchor_scenes.world import Box, Frame, Material, PlacedVehicle, Rgb, Surface, World
 
 __all__ = ["YARDS", "Yard", "paint_yard"]
 

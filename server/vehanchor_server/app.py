@@ -11,13 +11,13 @@ from mcp.server.auth.settings import AuthSettings
 from mcp.server.caching import CacheableMethod, CacheHint
 
 from vehanchor_server.app_page import app_extension
-from vehanchor_server.capacity import Capacity
-from vehanchor_server.fetch import Fetcher
-from vehanchor_server.image_source import ImageSources
+from vehanchor_server.images.fetch import Fetcher
+from vehanchor_server.images.sandbox import Sandbox
+from vehanchor_server.images.source import ImageSources
 from vehanchor_server.models import Models
-from vehanchor_server.sandbox import Sandbox
 from vehanchor_server.settings import Settings
-from vehanchor_server.tools import POLICY, Services, tools
+from vehanchor_server.tools.capacity import Capacity
+from vehanchor_server.tools.registry import POLICY, Services, tools
 
 __all__ = ["create_server", "create_services"]
 

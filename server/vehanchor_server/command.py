@@ -121,13 +121,13 @@ def serve(
     try:
         settings = Settings.from_environment(**given)
         if http:
-            from vehanchor_server.http import serve_http
+            from vehanchor_server.transport.http import serve_http
 
             serve_http(settings, workers=workers)
         else:
             gc.disable()  # importing the SDK makes thousands of classes: looking for garbage among them is slow
             try:
-                from vehanchor_server.stdio import serve_stdio
+                from vehanchor_server.transport.stdio import serve_stdio
             finally:
                 gc.enable()
             serve_stdio(settings)

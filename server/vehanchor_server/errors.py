@@ -27,7 +27,7 @@ from mcp.server.mcpserver.exceptions import ToolError
 from vehanchor.errors import VehAnchorError
 
 if TYPE_CHECKING:
-    from vehanchor_server.image_source import OpenedImage
+    from vehanchor_server.images.source import OpenedImage
 
 __all__ = ["CallError", "call_errors"]
 

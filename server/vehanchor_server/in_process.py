@@ -12,7 +12,7 @@ from mcp.types import TextContent
 
 from vehanchor_server.app import create_server, create_services
 from vehanchor_server.schemas import anthropic_definition, openai_definition
-from vehanchor_server.tools import tools
+from vehanchor_server.tools.registry import tools
 
 if TYPE_CHECKING:
     from mcp.types import CallToolResult

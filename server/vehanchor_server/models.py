@@ -9,22 +9,22 @@ import threading
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from vehanchor.errors import VehAnchorError
-from vehanchor.model_zoo import bundled_segmenter, resolve_model, resolve_segmenter
+from vehanchor.models.zoo import bundled_segmenter, resolve_model, resolve_segmenter
 from vehanchor_server.errors import CallError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from vehanchor.calibration import Calibration
-    from vehanchor.detection import Detector
-    from vehanchor.segmentation import Segmenter
+    from vehanchor.detection.detector import Detector
+    from vehanchor.scale.calibration import Calibration
+    from vehanchor.segmentation.segmenter import Segmenter
     from vehanchor_server.settings import Settings
 
 __all__ = ["Models"]
 
 T = TypeVar("T")
 
-_ALSO_SLOW = ("vehanchor_server.overlay", "vehanchor.measurement", "vehanchor.area_overlay")
+_ALSO_SLOW = ("vehanchor_server.tools.overlay", "vehanchor.measure", "vehanchor.pictures.area")
 _logger = logging.getLogger(__name__)
 
 
@@ -137,12 +137,12 @@ class Models:
     # OpenCV and ONNX Runtime are slow to load: not before they are needed.
 
     def _load_detector(self) -> Detector:
-        from vehanchor.detection import load_detector
+        from vehanchor.detection.detector import load_detector
 
         return load_detector(resolve_model(self._settings.detector), threads=self._settings.threads)
 
     def _load_calibration(self) -> Calibration:
-        from vehanchor.calibration import load_calibration
+        from vehanchor.scale.calibration import load_calibration
 
         assert self._settings.calibration is not None
         calibration = load_calibration(self._settings.calibration)
@@ -151,6 +151,6 @@ class Models:
         return calibration
 
     def _load_segmenter(self) -> Segmenter:
-        from vehanchor.segmentation import load_segmenter
+        from vehanchor.segmentation.segmenter import load_segmenter
 
         return load_segmenter(*resolve_segmenter(self._settings.segmenter), threads=self._settings.threads)

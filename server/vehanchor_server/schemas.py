@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from vehanchor_server.app import create_services
-from vehanchor_server.portable_schema import portable_schema
 from vehanchor_server.settings import Settings
-from vehanchor_server.strict_tool import StrictTool
-from vehanchor_server.tools import tools
+from vehanchor_server.tools.portable_schema import portable_schema
+from vehanchor_server.tools.registry import tools
+from vehanchor_server.tools.strict import StrictTool
 
 __all__ = ["anthropic_definition", "openai_definition", "schema_files", "write_schemas"]
 

@@ -18,14 +18,13 @@ from typing import TYPE_CHECKING, Any
 from vehanchor.errors import VehAnchorError
 
 if TYPE_CHECKING:
-    from vehanchor.calibration import Calibration, load_calibration
-    from vehanchor.detection import Detections, Detector
-    from vehanchor.imagery import ImageLimits
-    from vehanchor.measurement import AreaAnalysis, analyse_area, measure_area
-    from vehanchor.perception import ScaleAnalysis, ScaleOptions, analyse_scale, estimate_gsd
+    from vehanchor.detection.detector import Detections, Detector
+    from vehanchor.estimate import ScaleAnalysis, ScaleOptions, analyse_scale, estimate_gsd
+    from vehanchor.imagery.raster import ImageLimits
+    from vehanchor.measure import AreaAnalysis, analyse_area, measure_area
     from vehanchor.records import AreaMeasurement, GsdEstimate
-    from vehanchor.scene import Scene, render_scene
-    from vehanchor.segmentation import Segmenter
+    from vehanchor.scale.calibration import Calibration, load_calibration
+    from vehanchor.segmentation.segmenter import Segmenter
 
 __all__ = [
     "AreaAnalysis",
@@ -37,7 +36,6 @@ __all__ = [
     "ImageLimits",
     "ScaleAnalysis",
     "ScaleOptions",
-    "Scene",
     "Segmenter",
     "VehAnchorError",
     "__version__",
@@ -46,29 +44,26 @@ __all__ = [
     "estimate_gsd",
     "load_calibration",
     "measure_area",
-    "render_scene",
 ]
 
 __version__ = version("vehanchor")
 
 _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
-    "AreaAnalysis": "measurement",
+    "AreaAnalysis": "measure",
     "AreaMeasurement": "records",
-    "Calibration": "calibration",
-    "Detections": "detection",
-    "Detector": "detection",
+    "Calibration": "scale.calibration",
+    "Detections": "detection.detector",
+    "Detector": "detection.detector",
     "GsdEstimate": "records",
-    "ImageLimits": "imagery",
-    "ScaleAnalysis": "perception",
-    "ScaleOptions": "perception",
-    "Scene": "scene",
-    "Segmenter": "segmentation",
-    "analyse_area": "measurement",
-    "analyse_scale": "perception",
-    "estimate_gsd": "perception",
-    "load_calibration": "calibration",
-    "measure_area": "measurement",
-    "render_scene": "scene",
+    "ImageLimits": "imagery.raster",
+    "ScaleAnalysis": "estimate",
+    "ScaleOptions": "estimate",
+    "Segmenter": "segmentation.segmenter",
+    "analyse_area": "measure",
+    "analyse_scale": "estimate",
+    "estimate_gsd": "estimate",
+    "load_calibration": "scale.calibration",
+    "measure_area": "measure",
 }
 
 

@@ -14,7 +14,7 @@ from typer.main import get_command
 from tests.conftest import ROOT
 from tests.docs.documents import DOCUMENTS
 from tests.packaging.dockerfile import read_dockerfile
-from vehanchor.cli import app
+from vehanchor.cli.app import app
 from vehanchor.records import AreaMeasurement, GsdEstimate
 from vehanchor_server.settings import Settings
 
@@ -69,7 +69,7 @@ def test_the_scripts_it_names_are_there(document: Path) -> None:
 
 def test_the_container_reports_nothing_to_others_as_the_security_notes_say() -> None:
     assert "VehAnchor turns that off before it loads ONNX Runtime" in (ROOT / "SECURITY.md").read_text(encoding="utf-8")
-    code = "import os, vehanchor.onnx_session; print(os.environ['ORT_DISABLE_TELEMETRY'])"
+    code = "import os, vehanchor.models.session; print(os.environ['ORT_DISABLE_TELEMETRY'])"
     free = {name: value for name, value in os.environ.items() if name != "ORT_DISABLE_TELEMETRY"}
     told = subprocess.run([sys.executable, "-c", code], env=free, capture_output=True, text=True, check=True)
     assert told.stdout.strip() == "1"

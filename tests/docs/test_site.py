@@ -39,7 +39,7 @@ def test_fields_are_explained_by_the_records_own_descriptions(site: Path) -> Non
 
 def test_every_bundled_model_has_its_card(site: Path) -> None:
     page = (site / "models/index.html").read_text(encoding="utf-8")
-    cards = list((ROOT / "skill/vehanchor/bundled").glob("*.md"))
+    cards = list((ROOT / "skill/vehanchor/models/bundled").glob("*.md"))
     assert cards
     for card in cards:
         title = card.read_text(encoding="utf-8").splitlines()[0].removeprefix("# Model card: ").strip("`")

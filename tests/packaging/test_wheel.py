@@ -62,8 +62,10 @@ def run(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
 def test_it_is_small_and_holds_all_it_needs(wheel: Path) -> None:
     assert wheel.stat().st_size <= LARGEST_WHEEL
     names = zipfile.ZipFile(wheel).namelist()
-    here = {path.name for path in (ROOT / "skill/vehanchor/bundled").iterdir() if path.suffix in (".onnx", ".md")}
-    assert here == {Path(name).name for name in names if name.startswith("vehanchor/bundled/")}
+    here = {
+        path.name for path in (ROOT / "skill/vehanchor/models/bundled").iterdir() if path.suffix in (".onnx", ".md")
+    }
+    assert here == {Path(name).name for name in names if name.startswith("vehanchor/models/bundled/")}
     pages = {path.name for path in (ROOT / "server/vehanchor_server/app_page").glob("panel.*")}
     assert pages <= {Path(name).name for name in names if name.startswith("vehanchor_server/app_page/")}
     assert {"vehanchor/py.typed", "vehanchor_server/py.typed"} <= set(names)

@@ -14,7 +14,7 @@ from tests.models import blank_image, paint_vehicles, write_detector
 from tests.sam_models import SamFiles, write_sam
 from vehanchor_server.app import create_server, create_services
 from vehanchor_server.settings import Settings
-from vehanchor_server.tools import Services
+from vehanchor_server.tools.registry import Services
 
 LENGTH_PX = 33.0
 N_VEHICLES = 24
@@ -124,7 +124,7 @@ def slow_tiles(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     """Makes every tile take a given time: how long a call runs is then no matter of the machine."""
     import time
 
-    from vehanchor.detection import Detector
+    from vehanchor.detection.detector import Detector
 
     original = Detector.detect_tile
     delay = [0.0]

@@ -17,9 +17,9 @@ import vehanchor
 from tests.environments import environment
 from tests.sam_models import SamFiles
 from tests.server.conftest import POOL_BOX
-from tests.server.test_http import served
-from tests.server.test_tools import by_path
-from vehanchor.detection import load_detector
+from tests.server.tools.test_tools import by_path
+from tests.server.transport.test_http import served
+from vehanchor.detection.detector import load_detector
 from vehanchor_server.settings import Settings
 
 pytestmark = [pytest.mark.frameworks, pytest.mark.timeout(600)]

@@ -37,9 +37,9 @@ def test_every_setting_has_a_flag(app: typer.Typer) -> None:
 
 def test_flags_become_settings(app: typer.Typer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     served: list[Any] = []
-    monkeypatch.setattr("vehanchor_server.stdio.serve_stdio", served.append)
+    monkeypatch.setattr("vehanchor_server.transport.stdio.serve_stdio", served.append)
     monkeypatch.setattr(
-        "vehanchor_server.http.serve_http", lambda settings, workers: served.extend([settings, workers])
+        "vehanchor_server.transport.http.serve_http", lambda settings, workers: served.extend([settings, workers])
     )
     runner = CliRunner()
     arguments = ["serve", "--root", str(tmp_path), "--threads", "2", "--image-host", "a.test", "--image-host", "b.test"]

@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 
 from tests.sam_models import SamFiles
-from vehanchor.detection import load_detector
+from vehanchor.detection.detector import load_detector
 from vehanchor_server import models as models_module
 from vehanchor_server.errors import CallError
-from vehanchor_server.estimation import ScaleQuestion, scale_options
 from vehanchor_server.models import Models
 from vehanchor_server.settings import Settings
+from vehanchor_server.tools.estimation import ScaleQuestion, scale_options
 
 
 def wait_for(condition: Callable[[], Any]) -> None:
@@ -79,7 +79,7 @@ def test_an_installation_without_a_segmenter_is_ready_all_the_same(
     settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(models_module, "bundled_segmenter", lambda: None)
-    monkeypatch.setattr("vehanchor.model_zoo.bundled_segmenter", lambda: None)
+    monkeypatch.setattr("vehanchor.models.zoo.bundled_segmenter", lambda: None)
     models = Models(replace(settings, segmenter=None))
     models.preload()
     wait_for(lambda: models.ready)

@@ -31,8 +31,8 @@ from training.detector.loss import detection_loss  # noqa: E402
 from training.detector.network import STRIDE_PX, Prediction, VehicleNet  # noqa: E402
 from training.detector.relabel import Consensus, agree, corrections, restored, symmetric  # noqa: E402
 from training.detector.warm_start import load_exported  # noqa: E402
-from vehanchor.detection import Detector  # noqa: E402
-from vehanchor.scene import render_scene  # noqa: E402
+from vehanchor.detection.detector import Detector  # noqa: E402
+from vehanchor_scenes import render_scene  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
@@ -41,7 +41,7 @@ def _sample() -> TrainImage:
     """Three grey cars on black, so that a crop's picture and its boxes can be compared."""
     import cv2
 
-    from vehanchor.obb import box_corners
+    from vehanchor.detection.boxes import box_corners
 
     boxes = np.array([[150.0, 120, 40, 16, 0.5], [260, 200, 38, 15, 2.0], [90, 240, 42, 17, 1.2]])
     image = np.zeros((320, 400, 3), np.uint8)
@@ -51,7 +51,7 @@ def _sample() -> TrainImage:
 
 
 def test_crops_move_picture_and_boxes_alike() -> None:
-    from vehanchor.obb import box_corners
+    from vehanchor.detection.boxes import box_corners
 
     rng = np.random.default_rng(0)
     seen = 0
@@ -195,7 +195,7 @@ def test_scenes_are_read_as_training_images(tmp_path: Path) -> None:
 
 
 def test_boxes_found_in_a_turned_or_mirrored_image_return_to_the_image() -> None:
-    from vehanchor.obb import canonical_boxes
+    from vehanchor.detection.boxes import canonical_boxes
 
     image = np.zeros((60, 100, 3), np.uint8)
     image[10:14, 70:90] = 255

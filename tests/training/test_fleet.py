@@ -26,8 +26,8 @@ from training.fleet.data import (  # noqa: E402
     vehicle_at_length,
 )
 from training.fleet.train import ChipStream, export, report, trained  # noqa: E402
-from vehanchor.detection import Detector  # noqa: E402
-from vehanchor.fleet import CHIP_SHAPE, FleetLengths  # noqa: E402
+from vehanchor.detection.detector import Detector  # noqa: E402
+from vehanchor.detection.look import CHIP_SHAPE, FleetLengths  # noqa: E402
 
 pytestmark = pytest.mark.slow
 

@@ -39,10 +39,10 @@ from training.segmenter.network import (  # noqa: E402
     prompt_maps,
 )
 from training.segmenter.shapes import composite  # noqa: E402
-from vehanchor.imagery import open_raster  # noqa: E402
-from vehanchor.scene import render_scene  # noqa: E402
-from vehanchor.segmentation import Prompt as UserPrompt  # noqa: E402
-from vehanchor.segmentation import Segmenter as OnnxSegmenter  # noqa: E402
+from vehanchor.imagery.raster import open_raster  # noqa: E402
+from vehanchor.segmentation.segmenter import Prompt as UserPrompt  # noqa: E402
+from vehanchor.segmentation.segmenter import Segmenter as OnnxSegmenter  # noqa: E402
+from vehanchor_scenes import render_scene  # noqa: E402
 
 pytestmark = pytest.mark.slow
 

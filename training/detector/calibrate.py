@@ -31,14 +31,14 @@ from numpy.typing import NDArray
 
 from training.detector.data import LENGTH_RANGE_PX, is_dev
 from training.detector.export import export
-from vehanchor.detection import Detections, Detector, detect_vehicles
-from vehanchor.evaluation.dota import read_labels
-from vehanchor.evaluation.gsd import KnownScaleImage, read_table
-from vehanchor.imagery import open_raster
-from vehanchor.obb import boxes_from_corners
-from vehanchor.perception import ScaleAnalysis, analyse_scale
+from vehanchor.detection.boxes import boxes_from_corners
+from vehanchor.detection.detector import Detections, Detector, detect_vehicles
+from vehanchor.estimate import ScaleAnalysis, analyse_scale
+from vehanchor.imagery.raster import open_raster
 from vehanchor.records import Aggregation
-from vehanchor.scale import inlier_mask, modal_length
+from vehanchor.scale.lengths import inlier_mask, modal_length
+from vehanchor_evaluation.dota import read_labels
+from vehanchor_evaluation.gsd import KnownScaleImage, read_table
 
 NAME = "vehicles"
 REGION_OF_SET = {"cannes": "europe", "saopaulo": "south_america", "ucm": "north_america"}

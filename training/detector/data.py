@@ -14,8 +14,8 @@ import torch
 from torch.utils.data import IterableDataset, get_worker_info
 
 from training.detector.network import STRIDE_PX
-from vehanchor.evaluation.dota import read_labels
-from vehanchor.obb import box_corners, boxes_from_corners
+from vehanchor.detection.boxes import box_corners, boxes_from_corners
+from vehanchor_evaluation.dota import read_labels
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -19,10 +19,10 @@ from scipy.stats import spearmanr
 
 from training.detector.calibrate import REGION_OF_SET
 from training.detector.data import is_dev
-from vehanchor.detection import Detector, detect_vehicles
-from vehanchor.evaluation.gsd import read_table
-from vehanchor.imagery import open_raster
-from vehanchor.scale import MIN_KDE_VEHICLES, inlier_mask, modal_length
+from vehanchor.detection.detector import Detector, detect_vehicles
+from vehanchor.imagery.raster import open_raster
+from vehanchor.scale.lengths import MIN_KDE_VEHICLES, inlier_mask, modal_length
+from vehanchor_evaluation.gsd import read_table
 
 _FACTORS = (0.5, 0.7, 0.85, 1.0, 1.3, 1.8)
 _SAMPLE_SCALES = (4.0, 6.0, 8.0, 12.0)

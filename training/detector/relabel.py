@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from training.detector.data import is_dev
-from vehanchor.detection import Detector
-from vehanchor.evaluation.dota import read_labels
-from vehanchor.evaluation.gsd import read_table
-from vehanchor.obb import boxes_from_corners, canonical_boxes, oriented_nms
+from vehanchor.detection.boxes import boxes_from_corners, canonical_boxes, oriented_nms
+from vehanchor.detection.detector import Detector
+from vehanchor_evaluation.dota import read_labels
+from vehanchor_evaluation.gsd import read_table
 
 _SEARCH_SCORE = 0.15
 _CAR_PX, _CAR_M = 26.0, 4.5

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from training.detector.calibrate import REGION_OF_SET
 from training.fleet.data import N_FOLDS, NORTH_AMERICA, fold_of
-from vehanchor.detection import Detector
-from vehanchor.evaluation.gsd import KnownScaleImage, read_table
-from vehanchor.fleet import MAX_CHIPS, FleetLengths, vehicle_chips
-from vehanchor.imagery import open_raster
-from vehanchor.perception import analyse_scale
+from vehanchor.detection.detector import Detector
+from vehanchor.detection.look import MAX_CHIPS, FleetLengths, vehicle_chips
+from vehanchor.estimate import analyse_scale
+from vehanchor.imagery.raster import open_raster
+from vehanchor_evaluation.gsd import KnownScaleImage, read_table
 
 _LABELLED = 5  # cars of an image that counts
 _LOG_ODDS = np.arange(-2.0, 3.01, 0.25)

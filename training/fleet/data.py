@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 
 from training.detector.data import group_of
-from vehanchor.evaluation.dota import read_labels
-from vehanchor.fleet import CHIP_LENGTH_PX, chip
-from vehanchor.obb import boxes_from_corners
+from vehanchor.detection.boxes import boxes_from_corners
+from vehanchor.detection.look import CHIP_LENGTH_PX, chip
+from vehanchor_evaluation.dota import read_labels
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -32,7 +32,7 @@ from training.fleet.data import (
     vehicle_at_length,
 )
 from training.fleet.network import FleetNet, Mirrored
-from vehanchor.fleet import CHIP_SHAPE
+from vehanchor.detection.look import CHIP_SHAPE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

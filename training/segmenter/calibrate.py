@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.segmenter import Trial, read_targets, report, run_trial, segmenter_method
 from training.segmenter.data import group_of, is_dev
 from training.segmenter.export import export
-from vehanchor.segmentation import Segmenter
+from vehanchor.segmentation.segmenter import Segmenter
 
 _GOOD_IOU = 0.7
 _Z_95 = 1.96

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 if TYPE_CHECKING:
-    from vehanchor.perception import ScaleAnalysis
+    from vehanchor.estimate import ScaleAnalysis
 
 __all__ = ["PANEL_KEY", "LengthHistogram", "PanelData", "length_histogram", "panel_meta"]
 
@@ -79,7 +79,7 @@ def length_histogram(analysis: ScaleAnalysis) -> LengthHistogram | None:
     """
     import numpy as np  # not before a call needs it, as everything that computes
 
-    from vehanchor.scale import modal_density
+    from vehanchor.scale.lengths import modal_density
 
     lengths = analysis.detections.boxes[:, 2]
     if not len(lengths):

@@ -9,17 +9,17 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from vehanchor.batch.engines.local import local_rows, local_workers
+from vehanchor.batch.engines.ray import ray_rows, require_ray
 from vehanchor.batch.files import find_images
 from vehanchor.batch.journal import Journal, journal_path
-from vehanchor.batch.local_engine import local_rows, local_workers
-from vehanchor.batch.ray_engine import ray_rows, require_ray
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, Task
-from vehanchor.detection import Detector
+from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, OutputError
-from vehanchor.model_zoo import bundled_models, resolve_model
-from vehanchor.onnx_session import DEFAULT_PROVIDERS
-from vehanchor.perception import ScaleOptions, open_detector
+from vehanchor.estimate import ScaleOptions, open_detector
+from vehanchor.models.session import DEFAULT_PROVIDERS
+from vehanchor.models.zoo import bundled_models, resolve_model
 
 if TYPE_CHECKING:
     import os

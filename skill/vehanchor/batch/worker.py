@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vehanchor.batch.row import BatchRow
-from vehanchor.detection import Detector
+from vehanchor.cli.terminal import printable
+from vehanchor.detection.detector import Detector
 from vehanchor.errors import ModelContractError, VehAnchorError
-from vehanchor.model_zoo import resolve_model
-from vehanchor.onnx_session import DEFAULT_PROVIDERS
-from vehanchor.perception import ScaleOptions, analyse_scale, open_detector
-from vehanchor.terminal import printable
+from vehanchor.estimate import ScaleOptions, analyse_scale, open_detector
+from vehanchor.models.session import DEFAULT_PROVIDERS
+from vehanchor.models.zoo import resolve_model
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -1,0 +1,79 @@
+"""From the image argument to what the library opens: a descriptor's name, a file object, or bytes."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import re
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, BinaryIO, TypeAlias
+
+from vehanchor_server.errors import CallError
+from vehanchor_server.images.argument import AnyImage, Base64Image, PathImage, UrlImage
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from vehanchor_server.images.fetch import Fetcher
+    from vehanchor_server.images.sandbox import Sandbox
+
+__all__ = ["ImageSources", "OpenedImage"]
+
+OpenedImage: TypeAlias = str | bytes | BinaryIO
+"""A descriptor's name, bytes, or a file object: what ``vehanchor.imagery.raster.open_raster`` takes."""
+
+_DATA_URI = re.compile(r"data:[\w.+/-]*(;[\w=.+-]+)*,", re.ASCII | re.IGNORECASE)
+_MAX_URI_HEAD = 256
+
+
+@dataclass(frozen=True)
+class ImageSources:
+    """Where images may come from.
+
+    Attributes:
+        sandbox: files by path.
+        fetcher: web servers.
+        max_bytes: size of an image that is sent with the call.
+    """
+
+    sandbox: Sandbox
+    fetcher: Fetcher
+    max_bytes: int
+
+    async def fetched(self, image: AnyImage) -> bytes | None:
+        """The bytes of an image that must be fetched first; None for the other kinds."""
+        return await self.fetcher.fetch(image.url) if isinstance(image, UrlImage) else None
+
+    @contextmanager
+    def open(self, image: AnyImage, fetched: bytes | None = None) -> Iterator[OpenedImage]:
+        """What the library opens, for as long as the context lasts; called in a worker thread.
+
+        Args:
+            image: the caller's argument.
+            fetched: what ``fetched`` gave for it.
+
+        Raises:
+            CallError: the image is not allowed, not there, or not what its kind says.
+        """
+        if isinstance(image, PathImage):
+            with self.sandbox.open(image.path) as file:
+                yield file
+        elif isinstance(image, Base64Image):
+            yield self._decoded(image.data)
+        else:
+            assert fetched is not None
+            yield fetched
+
+    def _decoded(self, text: str) -> bytes:
+        if text[:5].lower() == "data:":
+            head = _DATA_URI.match(text[:_MAX_URI_HEAD])
+            if head is None or not head.group().lower().endswith(";base64,"):
+                raise CallError("base64_invalid", "the data: URI is not base64. Send data:image/png;base64,...")
+            text = text[head.end() :]
+        if len(text) * 3 // 4 > self.max_bytes + 2:
+            raise CallError("image_too_large", f"the image has more than {self.max_bytes} bytes. Send a smaller one.")
+        try:
+            return base64.b64decode("".join(text.split()), validate=True)
+        except (binascii.Error, ValueError) as error:
+            raise CallError("base64_invalid", f"the data is not base64 ({error}). Encode the file's bytes.") from None

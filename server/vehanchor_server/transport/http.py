@@ -1,0 +1,119 @@
+"""The server over Streamable HTTP: stateless in both protocol eras, so that any worker answers any request.
+
+``create_app`` is what ``uvicorn --factory vehanchor_server.transport.http:create_app --workers N`` runs, with the
+operator's options in ``VEHANCHOR_*`` variables.
+"""
+
+from __future__ import annotations
+
+import os
+
+import uvicorn
+from mcp.server.auth.settings import AuthSettings
+from mcp.server.transport_security import TransportSecuritySettings
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from vehanchor_server.app import create_server, create_services
+from vehanchor_server.settings import Settings
+from vehanchor_server.transport.auth import token_verifier
+from vehanchor_server.transport.request_log import configure_logging
+
+__all__ = ["MCP_PATH", "create_app", "serve_http"]
+
+MCP_PATH = "/mcp"
+_LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
+_SHUTDOWN_S = 5  # what a call may still take when the server is told to stop
+_KEEP_ALIVE_S = 30
+
+
+def create_app(settings: Settings | None = None) -> Starlette:
+    """The ASGI application.
+
+    Args:
+        settings: the operator's options; None reads them from the environment, and sets up the logs.
+
+    Raises:
+        SettingsError: an option has no meaning, or the server would be open to everyone.
+    """
+    if settings is None:
+        configure_logging()
+        settings = Settings.from_environment()
+    settings.check_exposure()
+    services = create_services(settings)
+    verifier = token_verifier(settings)
+    server = create_server(services, auth=_auth(settings) if verifier else None, token_verifier=verifier)
+
+    async def healthz(_: Request) -> Response:
+        return JSONResponse({"status": "alive"})
+
+    async def readyz(_: Request) -> Response:
+        if services.models.ready:
+            return JSONResponse({"status": "ready"})
+        return JSONResponse({"status": "loading", "error": services.models.failure}, status_code=503)
+
+    services.models.preload()
+    app = server.streamable_http_app(
+        streamable_http_path=MCP_PATH,
+        stateless_http=True,
+        max_request_body_size=round(settings.max_body_mb * (1 << 20)),
+        transport_security=_transport_security(settings),
+    )
+    app.router.routes += [Route("/healthz", healthz), Route("/readyz", readyz)]  # open to probes, which have no token
+    return app
+
+
+def serve_http(settings: Settings, *, workers: int = 1) -> None:
+    """Listen until told to stop.
+
+    Args:
+        settings: the operator's options.
+        workers: processes that share the port.
+
+    Raises:
+        SettingsError: an option has no meaning, or the server would be open to everyone.
+    """
+    settings.check_exposure()
+    token_verifier(settings)  # a bad token file is told before anything listens
+    configure_logging()
+    os.environ.update(settings.to_environment())
+    uvicorn.run(
+        "vehanchor_server.transport.http:create_app",
+        factory=True,
+        host=settings.host,
+        port=settings.port,
+        workers=workers,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        timeout_keep_alive=_KEEP_ALIVE_S,
+        timeout_graceful_shutdown=_SHUTDOWN_S,
+    )
+
+
+def _auth(settings: Settings) -> AuthSettings:
+    address = settings.public_url or f"http://{settings.host}:{settings.port}{MCP_PATH}"
+    if settings.oidc_issuer is None:  # tokens of the operator's own: there is no authorization server to name
+        return AuthSettings.model_validate({"issuer_url": address, "resource_server_url": None})
+    return AuthSettings.model_validate(  # from strings: an issuer without a path must not gain a slash
+        {
+            "issuer_url": settings.oidc_issuer,
+            "resource_server_url": address,
+            "validate_token_resource": False,  # the verifier checks the audience
+        }
+    )
+
+
+def _transport_security(settings: Settings) -> TransportSecuritySettings:
+    """Which Host and Origin headers are believed: no web page may use the server through a visitor."""
+    hosts = [*_LOOPBACK_NAMES, *(f"{name}:*" for name in _LOOPBACK_NAMES)]
+    for host in settings.allowed_hosts:
+        hosts += [host] if ":" in host.rpartition("]")[2] else [host, f"{host}:*"]
+    origins = [f"http://{name}" for name in _LOOPBACK_NAMES]
+    return TransportSecuritySettings(
+        enable_dns_rebinding_protection=True,
+        allowed_hosts=hosts,
+        allowed_origins=[*origins, *(f"{origin}:*" for origin in origins), *settings.allowed_origins],
+    )

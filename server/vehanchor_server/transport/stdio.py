@@ -1,0 +1,60 @@
+"""The server over stdin and stdout, for a host that starts it as its child."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from typing import TYPE_CHECKING
+
+import anyio
+
+from vehanchor_server.app import create_server, create_services
+from vehanchor_server.transport.request_log import configure_logging
+
+if TYPE_CHECKING:
+    from vehanchor_server.settings import Settings
+    from vehanchor_server.tools.registry import Services
+
+__all__ = ["serve_stdio"]
+
+PRELOAD_DELAY_S = 1.0  # the first question comes at once, and loading the models would make its answer wait
+_GRACE_S = 1.0  # what stopped calls may take to end
+
+
+def serve_stdio(settings: Settings) -> None:
+    """Serve until stdin ends or SIGTERM or SIGINT comes; nothing but the protocol is written to stdout.
+
+    Args:
+        settings: the operator's options.
+    """
+    configure_logging()
+    services = create_services(settings)
+    services.models.preload(PRELOAD_DELAY_S)
+    anyio.run(_serve, services)
+    _leave()
+
+
+async def _serve(services: Services) -> None:
+    async with anyio.create_task_group() as group:
+        if sys.platform != "win32":
+            group.start_soon(_leave_on_signal, services)
+        await create_server(services).run_stdio_async()
+        services.capacity.close()
+        group.cancel_scope.cancel()
+
+
+async def _leave_on_signal(services: Services) -> None:
+    with anyio.open_signal_receiver(signal.SIGTERM, signal.SIGINT) as signals:
+        async for _ in signals:
+            services.capacity.close()
+            with anyio.move_on_after(_GRACE_S):
+                while services.capacity.running:
+                    await anyio.sleep(0.01)
+            _leave()
+
+
+def _leave() -> None:
+    """End the process now: a thread that waits for stdin cannot be woken, and the interpreter would wait for it."""
+    sys.stderr.flush()
+    os._exit(0)

@@ -1,0 +1,1 @@
+"""Engines of a batch run: processes of this machine, or Ray."""

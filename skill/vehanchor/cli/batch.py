@@ -1,0 +1,144 @@
+"""``vehanchor batch``, for the command line to mount."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vehanchor.cli.options import (
+    CalibrationOption,
+    DetectorOption,
+    MinScoreOption,
+    ProviderOption,
+    ReferenceLengthOption,
+    RegionOption,
+)
+from vehanchor.cli.terminal import INTERRUPTED, printable, told_errors
+
+if TYPE_CHECKING:
+    from vehanchor.batch import BatchSummary
+
+__all__ = ["batch"]
+
+_LINE_EVERY_S = 10.0  # where stderr is no terminal
+_STATUSES = ("ok", "low_confidence", "no_anchor", "error")
+
+
+class _Engine(StrEnum):
+    local = "local"
+    ray = "ray"
+
+
+def batch(
+    inputs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="INPUTS",
+            help="Images, directories of images (with all below them), patterns such as 'flight/**/*.jpg'.",
+            show_default=False,
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="The table: .parquet, .csv or .jsonl.")
+    ],
+    engine: Annotated[
+        _Engine, typer.Option(help="Processes of this machine, or Ray Data (extra 'ray'); the rows are the same.")
+    ] = _Engine.local,
+    address: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT", help="Ray cluster: 'auto', host:6379, ray://host:10001. Default: a local one."
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(metavar="N", help="Models at work at once. Default: one a CPU.")
+    ] = None,
+    detector: DetectorOption = None,
+    reference_length: ReferenceLengthOption = None,
+    region: RegionOption = None,
+    calibration: CalibrationOption = None,
+    min_score: MinScoreOption = None,
+    provider: ProviderOption = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Start anew, whatever an earlier run left at FILE.")
+    ] = False,
+) -> None:
+    """Estimate the scale of many images: a table with one row an image, also where an image has an error.
+
+    Interrupted, the same command goes on where it stopped.
+    """
+    with told_errors():
+        from vehanchor.batch import run_batch
+        from vehanchor.estimate import ScaleOptions
+        from vehanchor.models.session import DEFAULT_PROVIDERS
+        from vehanchor.scale.calibration import opened_calibration
+
+        options = ScaleOptions(
+            reference_length_m=reference_length,
+            region=region,
+            calibration=opened_calibration(calibration),
+            min_score=min_score,
+        )
+        started = time.monotonic()
+        with _progress() as progress:
+            try:
+                summary = run_batch(
+                    inputs,
+                    output,
+                    engine=engine.value,
+                    address=address,
+                    workers=workers,
+                    detector=detector,
+                    options=options,
+                    providers=provider or DEFAULT_PROVIDERS,
+                    overwrite=overwrite,
+                    progress=progress,
+                )
+            except KeyboardInterrupt:
+                print("interrupted: the rows so far are kept; the same command goes on from there", file=sys.stderr)
+                raise typer.Exit(INTERRUPTED) from None
+        print(_told(summary, time.monotonic() - started), file=sys.stderr)
+
+
+def _told(summary: BatchSummary, seconds: float) -> str:
+    counts = [f"{summary.statuses[status]} {status}" for status in _STATUSES if status in summary.statuses]
+    made = summary.n_rows - summary.n_resumed
+    resumed = f", {summary.n_resumed} of them from an earlier run" if summary.n_resumed else ""
+    return (
+        f"{printable(str(summary.table))}: {summary.n_rows} rows ({', '.join(counts)}){resumed}; "
+        f"{made} images in {seconds:.1f} s"
+    )
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int], None]]:
+    """Images done on stderr: a bar on a terminal, a line now and then in a log."""
+    if not sys.stderr.isatty():
+        yield _lines()
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (MofNCompleteColumn(), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _lines() -> Callable[[int, int], None]:
+    last = time.monotonic()
+
+    def tell(done: int, total: int) -> None:
+        nonlocal last
+        if time.monotonic() - last >= _LINE_EVERY_S:
+            last = time.monotonic()
+            print(f"{done} of {total} images", file=sys.stderr, flush=True)
+
+    return tell

@@ -1,0 +1,256 @@
+"""``vehanchor measure``, for the command line to mount."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from vehanchor.cli.options import (
+    BandsOption,
+    CalibrationOption,
+    DetectorOption,
+    ReferenceLengthOption,
+    RegionOption,
+    ThreadsOption,
+)
+from vehanchor.cli.terminal import (
+    STATUS_TEXTS,
+    facts_table,
+    failure,
+    print_json,
+    print_table,
+    print_warnings,
+    scale_text,
+    tile_progress,
+    told_errors,
+)
+from vehanchor.errors import InvalidParameterError, OutputError, PromptError, VehAnchorError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from vehanchor.estimate import ScaleOptions
+    from vehanchor.measure import AreaAnalysis
+    from vehanchor.records import AreaMeasurement
+
+__all__ = ["PointsCommand", "measure"]
+
+_POINT_OPTIONS = ("--point", "--negative")
+_SHORT_SHA = 12
+
+
+class PointsCommand(TyperCommand):
+    """A command whose point options take two numbers each time: Typer has no repeatable option of several values."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Join both numbers of each point before the rest is parsed."""
+        joined: list[str] = []
+        rest = list(args)
+        while rest:
+            joined.append(rest.pop(0))
+            if joined[-1] in _POINT_OPTIONS and len(rest) >= 2:
+                joined.append(f"{rest.pop(0)} {rest.pop(0)}")
+        return super().parse_args(ctx, joined)
+
+
+def measure(
+    image: Annotated[
+        str,
+        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, BMP, TIFF, GeoTIFF.", show_default=False),
+    ],
+    box: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(metavar="X1 Y1 X2 Y2", help="A box around the object, pixels. Either this or points."),
+    ] = None,
+    point: Annotated[
+        list[str] | None, typer.Option(metavar="X Y", help="A point on the object, pixels; may be repeated.")
+    ] = None,
+    negative: Annotated[
+        list[str] | None, typer.Option(metavar="X Y", help="A point beside the object; may be repeated.")
+    ] = None,
+    gsd: Annotated[
+        float | None,
+        typer.Option(metavar="M/PX", help="The scale, metres per pixel of the full image: then no car is needed."),
+    ] = None,
+    frame: Annotated[
+        tuple[int, int] | None,
+        typer.Option(metavar="W H", help="Size, pixels, of a resized copy that box and points are given in."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
+    overlay: Annotated[
+        str | None,
+        typer.Option(metavar="OUT.png", help="Write the image with the object's outline, the vehicles, a scale bar."),
+    ] = None,
+    mask: Annotated[
+        str | None,
+        typer.Option(metavar="OUT.png", help="Write the object's mask, white on black, as large as the image."),
+    ] = None,
+    detector: DetectorOption = None,
+    segmenter: Annotated[
+        tuple[str, str] | None,
+        typer.Option(
+            metavar="ENCODER DECODER",
+            help="ONNX files of a promptable segmenter: SAM, MobileSAM, SAM 2, SAM 3 tracker, EfficientSAM. Default: "
+            "the bundled.",
+        ),
+    ] = None,
+    reference_length: ReferenceLengthOption = None,
+    region: RegionOption = None,
+    calibration: CalibrationOption = None,
+    bands: BandsOption = None,
+    threads: ThreadsOption = None,
+) -> None:
+    """Measure the area (square metres) of the object in a box or at a point, by the scale of the cars in the image."""
+    with told_errors():
+        try:
+            outputs = _outputs(image, overlay, mask)
+            analysis, options = _analyse(
+                image,
+                box,
+                _points(point, negative),
+                gsd,
+                segmenter,
+                detector,
+                threads,
+                {
+                    "reference_length_m": reference_length,
+                    "region": region,
+                    "calibration": calibration,
+                    "frame_width_px": frame[0] if frame else None,
+                    "frame_height_px": frame[1] if frame else None,
+                    "bands": bands,
+                },
+                quiet=as_json,
+            )
+        except VehAnchorError as error:
+            if as_json:
+                print_json(failure(image, error))
+            raise
+        if as_json:
+            print_json({"source": image, **analysis.measurement.model_dump(mode="json")})
+        else:
+            print_table(facts_table(image, _facts(analysis.measurement)))
+            print_warnings(analysis.measurement, "")
+        _write_pictures(image, analysis, options, *outputs)
+
+
+def _points(on: Sequence[str] | None, beside: Sequence[str] | None) -> list[tuple[float, float, bool]] | None:
+    """The points of both options; None without any."""
+    points = []
+    for option, texts, include in (("--point", on, True), ("--negative", beside, False)):
+        for text in texts or ():
+            try:
+                x, y = (float(part) for part in text.split())
+            except ValueError:
+                raise PromptError(f"{option} is {text!r}: use two numbers, X Y") from None
+            points.append((x, y, include))
+    return points or None
+
+
+def _outputs(image: str, overlay: str | None, mask: str | None) -> tuple[Path | None, Path | None]:
+    """Where the pictures go, checked before the work: folder, suffix, no file for two purposes."""
+    chosen = [None if name is None else Path(name) for name in (overlay, mask)]
+    if any(chosen):
+        from vehanchor.pictures.scale import check_picture_path
+
+        taken = {Path(image).resolve(): "the image itself"}
+        for path, what in zip(chosen, ("the overlay", "the mask"), strict=True):
+            if path is None:
+                continue
+            resolved = check_picture_path(path).resolve()
+            if resolved in taken:
+                raise InvalidParameterError(f"{str(path)!r} is {taken[resolved]}: choose another name for {what}")
+            taken[resolved] = what
+        if chosen[1] is not None and chosen[1].suffix.lower() != ".png":
+            raise OutputError(f"cannot write a mask as {str(chosen[1])!r}: use .png, which keeps every pixel as it is")
+    return chosen[0], chosen[1]
+
+
+def _analyse(
+    image: str,
+    box: tuple[float, float, float, float] | None,
+    points: list[tuple[float, float, bool]] | None,
+    gsd: float | None,
+    segmenter: tuple[str, str] | None,
+    detector: str | None,
+    threads: int | None,
+    choices: dict[str, Any],
+    *,
+    quiet: bool,
+) -> tuple[AreaAnalysis, ScaleOptions]:
+    from vehanchor.estimate import ScaleOptions
+    from vehanchor.measure import analyse_area
+    from vehanchor.scale.calibration import opened_calibration
+
+    options = ScaleOptions(**choices | {"calibration": opened_calibration(choices["calibration"])})
+    with tile_progress(1, lines_on_terminal=quiet) as step:
+        analysis = analyse_area(
+            image,
+            options,
+            box=box,
+            points=points,
+            gsd_m_per_px=gsd,
+            segmenter=segmenter,
+            detector=detector,
+            threads=threads,
+            progress=step(0, image),
+        )
+    return analysis, options
+
+
+def _write_pictures(
+    image: str, analysis: AreaAnalysis, options: ScaleOptions, overlay: Path | None, mask: Path | None
+) -> None:
+    if overlay is None and mask is None:
+        return
+    from vehanchor.imagery.raster import open_raster
+    from vehanchor.pictures.area import draw_area, full_mask
+    from vehanchor.pictures.scale import read_reduced, write_picture
+
+    if overlay is not None:
+        with open_raster(image, bands=options.bands, limits=options.limits) as raster:
+            seen = read_reduced(raster)
+        write_picture(overlay, draw_area(seen, analysis))
+    if mask is not None:
+        write_picture(mask, full_mask(analysis, options.limits))
+
+
+def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
+    """The record as a reader wants it: what it says first, where it comes from last."""
+    facts = [("area", _quantity(record.area_m2, record.area_ci95_low_m2, record.area_ci95_high_m2, "m2"))]
+    if record.area_m2 is not None:
+        facts += [
+            ("size", f"{record.length_m:.4g} x {record.width_m:.4g} m, perimeter {record.perimeter_m:.4g} m"),
+            (
+                "largest circle",
+                _quantity(
+                    record.inscribed_diameter_m,
+                    record.inscribed_diameter_ci95_low_m,
+                    record.inscribed_diameter_ci95_high_m,
+                    "m",
+                ),
+            ),
+        ]
+    facts.append(("mask", f"{record.mask_area_px} px, score {record.mask_score:.2f}"))
+    if record.scale is None:
+        facts.append(("scale", f"{record.gsd_m_per_px:.4g} m/px, given"))
+    else:
+        scale = record.scale
+        facts += [
+            ("scale", scale_text(scale.gsd_m_per_px, scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)),
+            ("confidence", f"{scale.confidence:.2f}   {STATUS_TEXTS[scale.status]}"),
+            ("vehicles", f"{scale.n_vehicles} kept of {scale.n_detections} found"),
+        ]
+    facts.append(("status", record.status))
+    facts.append(("segmenter", f"{record.segmenter} ({record.segmenter_sha256[:_SHORT_SHA]})"))
+    return facts
+
+
+def _quantity(value: float | None, low: float | None, high: float | None, unit: str) -> str:
+    if value is None:
+        return "none: there is no scale, or no mask"
+    interval = "" if low is None or high is None else f"   (95 %: {low:.4g} to {high:.4g})"
+    return f"{value:.4g} {unit}{interval}"

@@ -1,0 +1,1 @@
+"""Vehicles as oriented boxes: the model's card and contracts, the search over an image."""

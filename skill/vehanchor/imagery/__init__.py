@@ -1,0 +1,1 @@
+"""Images in: decoding, windows, tiles, georeference, how much detail there is."""

@@ -1,0 +1,79 @@
+"""The tile grid: overlapping tiles that cover an image, each visited once, at full resolution or reduced."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from vehanchor.imagery.raster import Window
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.imagery.raster import Raster
+
+__all__ = ["TILE_OVERLAP", "TILE_SIZE_PX", "read_reduced_window", "tile_grid"]
+
+TILE_SIZE_PX = 1024  # paper, section III-B
+TILE_OVERLAP = 0.25  # paper, section III-B: stride 768 px at 1024 px
+_BLOCK_PX = 1024  # side of what is read at once for a reduced window: 3 MiB
+
+
+def _starts(extent: int, tile: int, stride: int) -> list[int]:
+    """Tile origins along one axis; the last tile is flush with the edge."""
+    if extent <= tile:
+        return [0]
+    return [*range(0, extent - tile, stride), extent - tile]
+
+
+def tile_grid(
+    width_px: int, height_px: int, *, tile_px: int = TILE_SIZE_PX, stride_px: int | None = None
+) -> list[Window]:
+    """Tiles of an image in reading order.
+
+    Args:
+        width_px: image width.
+        height_px: image height.
+        tile_px: side of a tile; images smaller than that give one tile of their own size.
+        stride_px: step between tiles, at most ``tile_px``; default three quarters of it (25 % overlap).
+
+    Returns:
+        Windows inside the image that cover every pixel, none twice.
+    """
+    step = round(tile_px * (1 - TILE_OVERLAP)) if stride_px is None else stride_px
+    return [
+        Window(x, y, min(tile_px, width_px), min(tile_px, height_px))
+        for y in _starts(height_px, tile_px, step)
+        for x in _starts(width_px, tile_px, step)
+    ]
+
+
+def read_reduced_window(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
+    """Read a window of a raster reduced by a whole factor, each pixel the mean of ``factor`` x ``factor`` of its.
+
+    Read block by block: the memory is that of the result and one block, however large the factor.
+
+    Args:
+        raster: the image.
+        window: in pixels of the reduced image, of ``width_px // factor`` columns and ``height_px // factor`` rows.
+        factor: 1 reads the window as it is.
+
+    Returns:
+        ``[h, w, 3]`` uint8 RGB.
+    """
+    if factor == 1:
+        return raster.read(window)
+    step = max(1, _BLOCK_PX // factor)
+    reduced = np.empty((window.height_px, window.width_px, 3), np.uint8)
+    for top in range(0, window.height_px, step):
+        rows = min(step, window.height_px - top)
+        for left in range(0, window.width_px, step):
+            columns = min(step, window.width_px - left)
+            x, y = (window.x_px + left) * factor, (window.y_px + top) * factor
+            block = raster.read(Window(x, y, columns * factor, rows * factor))
+            reduced[top : top + rows, left : left + columns] = cv2.resize(
+                block, (columns, rows), interpolation=cv2.INTER_AREA
+            )
+    return reduced

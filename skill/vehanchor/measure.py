@@ -1,0 +1,574 @@
+"""Area of one object: an image and a box or points in, square metres out.
+
+Raster + prompt -> mask -> pixels x GSD^2 -> record. The scale comes from the vehicles of the whole image, or from the
+caller. No language model is ever asked for an area.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vehanchor.detection.boxes import NMS_IOU
+from vehanchor.detection.detector import Detector
+from vehanchor.errors import InvalidParameterError, PromptError
+from vehanchor.estimate import (
+    DEFAULT_LIMITS,
+    GEOREFERENCE_TOLERANCE,
+    ScaleOptions,
+    analyse_raster,
+    check_frame,
+    open_detector,
+    raster_notices,
+)
+from vehanchor.imagery.raster import open_raster
+from vehanchor.models.zoo import resolve_segmenter
+from vehanchor.records import (
+    AreaMeasurement,
+    BoundingBox,
+    FrameArea,
+    ImagePoint,
+    Notice,
+    OutlinePolygon,
+    OutlineRing,
+)
+from vehanchor.scale.calibration import opened_calibration
+from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
+from vehanchor.scale.lengths import OUTLIER_ALPHA, Interval
+from vehanchor.segmentation.segmenter import Prompt, Segmenter, load_segmenter
+from vehanchor.segmentation.shape import (
+    inscribed_circle,
+    mask_bounds,
+    mask_pieces,
+    outline_parts,
+    perimeter,
+    rotated_extents,
+)
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable, Sequence
+    from typing import TypeAlias
+
+    import numpy as np
+    import onnxruntime
+    from numpy.typing import NDArray
+
+    from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.imagery.raster import ImageLimits, ImageSource, Raster
+    from vehanchor.records import Aggregation, GsdEstimate, ScaleSource, Status
+    from vehanchor.scale.calibration import Calibration
+    from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
+
+    Box: TypeAlias = tuple[float, float, float, float]
+    Point: TypeAlias = tuple[float, float] | tuple[float, float, bool]
+    SegmenterSource: TypeAlias = Segmenter | tuple[str | os.PathLike[str], str | os.PathLike[str]]
+
+__all__ = ["AreaAnalysis", "analyse_area", "measure_area"]
+
+MIN_BOX_PX = 2.0
+SMALL_TARGET_PX = 15.0  # the bundled segmenter is measured on objects from this side up
+_OUTSIDE_SHARE = 0.10  # of the mask: a box drawn 5 % off a side leaves about as much outside
+_Z95 = 1.959963984540054
+_CUT_EDGE_PX = 1.0  # the frame's rounding: a prompt may be this far (in its pixels) outside
+
+
+@dataclass(frozen=True, eq=False)
+class AreaAnalysis:
+    """A measurement together with what it came from.
+
+    Attributes:
+        measurement: the record.
+        segmentation: the mask, and the window of the image it lies in.
+        prompt: the box or points, in pixels of the full image.
+        scale: the analysis of the scale; None for a given one.
+    """
+
+    measurement: AreaMeasurement
+    segmentation: Segmentation
+    prompt: Prompt
+    scale: ScaleAnalysis | None
+
+
+def measure_area(
+    image: ImageSource,
+    *,
+    box: Box | None = None,
+    points: Sequence[Point] | None = None,
+    gsd_m_per_px: float | None = None,
+    segmenter: SegmenterSource | None = None,
+    detector: Detector | str | os.PathLike[str] | None = None,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    min_score: float | None = None,
+    tile_px: int | None = None,
+    stride_px: int | None = None,
+    nms_iou: float = NMS_IOU,
+    search_scales: bool | None = None,
+    alpha: float | None = OUTLIER_ALPHA,
+    aggregation: Aggregation | None = None,
+    reference_length_m: float | None = None,
+    region: str | None = None,
+    calibration: Calibration | str | os.PathLike[str] | None = None,
+    frame_width_px: int | None = None,
+    frame_height_px: int | None = None,
+    bands: tuple[int, int, int] | None = None,
+    limits: ImageLimits = DEFAULT_LIMITS,
+) -> AreaMeasurement:
+    """Measure the area of the object in a box or at a point, ``A = N_px * GSD^2`` (paper, section III-G).
+
+    Prompts are in pixels, the image's first pixel spanning 0 to 1; of the caller's resized copy where a frame is named.
+
+    Args:
+        image: as in ``estimate_gsd``.
+        box: x1, y1, x2, y2 around the object. Either a box or points.
+        points: x, y and, optionally, whether the point is on the object (the default) or beside it.
+        gsd_m_per_px: the scale, metres per pixel of the full image, where it is known: then no detector runs.
+        segmenter: encoder and decoder paths, or a loaded ``Segmenter``; default the bundled one.
+        detector: as in ``estimate_gsd``.
+        threads: CPU threads for the models; None leaves it to ONNX Runtime. Ignored for loaded ones.
+        progress: called with (tiles done, tiles in all) while vehicles are searched.
+        min_score: see ``ScaleOptions``, as all that follow.
+        tile_px: tile side, pixels.
+        stride_px: step between tiles, pixels.
+        nms_iou: IoU of the non-maximum suppression.
+        search_scales: search reduced copies of the image, too.
+        alpha: factor of the outlier filter, None for off.
+        aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean``; None for the model's choice.
+        reference_length_m: the fleet's modal vehicle length, metres.
+        region: take the model's reference length for a region.
+        calibration: take the reference length of a calibration, or of its file.
+        frame_width_px: width of the caller's resized copy.
+        frame_height_px: its height.
+        bands: three 1-based bands.
+        limits: limits on bytes and pixels.
+
+    Returns:
+        The record; ``area_m2`` is None, never a guess, where there is no scale.
+
+    Raises:
+        PromptError: neither or both prompts, or one that names nothing in the image.
+        ImageError: the image cannot be used; see ``vehanchor.errors`` for its kinds.
+        ModelError: the segmenter or the detector cannot be used.
+        InvalidParameterError: an option has no meaning.
+        FrameError: the frame has another aspect ratio than the image.
+        CalibrationError: the calibration cannot be read, or was made for another detector.
+    """
+    options = ScaleOptions(
+        min_score=min_score,
+        tile_px=tile_px,
+        stride_px=stride_px,
+        nms_iou=nms_iou,
+        search_scales=search_scales,
+        alpha=alpha,
+        aggregation=aggregation,
+        reference_length_m=reference_length_m,
+        region=region,
+        calibration=opened_calibration(calibration),
+        frame_width_px=frame_width_px,
+        frame_height_px=frame_height_px,
+        bands=bands,
+        limits=limits,
+    )
+    return analyse_area(
+        image,
+        options,
+        box=box,
+        points=points,
+        gsd_m_per_px=gsd_m_per_px,
+        segmenter=segmenter,
+        detector=detector,
+        threads=threads,
+        progress=progress,
+    ).measurement
+
+
+def analyse_area(
+    image: ImageSource,
+    options: ScaleOptions | None = None,
+    *,
+    box: Box | None = None,
+    points: Sequence[Point] | None = None,
+    gsd_m_per_px: float | None = None,
+    segmenter: SegmenterSource | None = None,
+    detector: Detector | str | os.PathLike[str] | None = None,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    run_options: onnxruntime.RunOptions | None = None,
+) -> AreaAnalysis:
+    """As ``measure_area``, with the mask and the vehicles behind the number.
+
+    Args:
+        image: as in ``estimate_gsd``.
+        options: every choice of the method of scale, the frame included; None for the defaults.
+        box: as in ``measure_area``, as all that follow.
+        points: either these or a box.
+        gsd_m_per_px: a known scale.
+        segmenter: encoder and decoder.
+        detector: of vehicles.
+        threads: CPU threads.
+        progress: of the search for vehicles.
+        run_options: ONNX Runtime's, for a caller that may have to end a running model (``terminate``).
+
+    Returns:
+        The record, the mask, the prompt and the scale's analysis.
+
+    Raises:
+        VehAnchorError: as ``measure_area``.
+    """
+    chosen = options or ScaleOptions()
+    prompt = read_prompt(box, points)
+    if gsd_m_per_px is not None and not (math.isfinite(gsd_m_per_px) and gsd_m_per_px > 0):
+        raise InvalidParameterError(f"gsd_m_per_px is {gsd_m_per_px}: use a finite number > 0")
+    segmenting = _open_segmenter(segmenter, threads)
+    scale = gsd_m_per_px or open_detector(detector, chosen, threads=threads)
+    with open_raster(image, bands=chosen.bands, limits=chosen.limits) as raster:
+        return analyse_object(raster, prompt, segmenting, scale, chosen, progress=progress, run_options=run_options)
+
+
+def analyse_object(
+    raster: Raster,
+    prompt: Prompt,
+    segmenter: Segmenter,
+    scale: Detector | float,
+    options: ScaleOptions,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    run_options: onnxruntime.RunOptions | None = None,
+) -> AreaAnalysis:
+    """As ``analyse_area``, of an image that is open already.
+
+    Args:
+        raster: the image.
+        prompt: what ``read_prompt`` gave, in the frame's pixels where the options name one.
+        segmenter: finds the object.
+        scale: what finds the vehicles, or a known scale in metres per pixel.
+        options: every choice of the method of scale.
+        progress: of the search for vehicles.
+        run_options: ONNX Runtime's.
+
+    Returns:
+        The record, the mask, the prompt in the image's pixels and the scale's analysis.
+
+    Raises:
+        VehAnchorError: as ``measure_area``.
+    """
+    check_frame(options, raster.width_px, raster.height_px)
+    prompt = _in_image(prompt, options, raster.width_px, raster.height_px)
+    # The mask first: it is the quicker of the two to find out that the prompt cannot be read.
+    found = segmenter.segment(raster, prompt, limits=options.limits, run_options=run_options)
+    known_gsd = estimated = None
+    if isinstance(scale, Detector):
+        estimated = analyse_raster(raster, scale, options, progress=progress, run_options=run_options)
+    else:
+        known_gsd = scale
+    estimate = None if estimated is None else estimated.estimate
+    measurement = _conclude(raster, found, prompt, segmenter.card, options, estimate, known_gsd)
+    return AreaAnalysis(measurement, found, prompt, estimated)
+
+
+def _open_segmenter(segmenter: SegmenterSource | None, threads: int | None) -> Segmenter:
+    if isinstance(segmenter, Segmenter):
+        return segmenter
+    files = None
+    if segmenter is not None:
+        if isinstance(segmenter, str) or len(segmenter) != 2:
+            raise InvalidParameterError(f"segmenter is {segmenter!r}: give two paths, of its encoder and its decoder")
+        files = Path(segmenter[0]), Path(segmenter[1])
+    return load_segmenter(*resolve_segmenter(files), threads=threads)
+
+
+# --- Prompts ---------------------------------------------------------------------------------------------------------
+
+
+def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
+    """One prompt as the caller gave it, checked for itself.
+
+    Raises:
+        PromptError: neither or both, or what names nothing in any image.
+    """
+    if (box is None) == (not points):
+        found = "neither is given" if box is None else "both are given"
+        raise PromptError(f"give a box or points, one of the two: {found}")
+    if box is not None:
+        corners = tuple(_coordinate(value, "box") for value in box)
+        if len(corners) != 4:
+            raise PromptError(f"box has {len(corners)} numbers: use x1, y1, x2, y2")
+        x1, y1, x2, y2 = corners
+        if x2 <= x1 or y2 <= y1:
+            raise PromptError(f"box is {_numbers(corners)}: x1 < x2 and y1 < y2 are needed, it is reversed or empty")
+        return Prompt(box=(x1, y1, x2, y2))
+    read = []
+    for point in points or ():
+        if len(point) not in (2, 3):
+            raise PromptError(f"a point has {len(point)} parts: use x, y and whether it is on the object")
+        include = point[2] if len(point) == 3 else True
+        read.append((_coordinate(point[0], "point"), _coordinate(point[1], "point"), bool(include)))
+    if not any(include for _, _, include in read):
+        raise PromptError("no point is on the object: give at least one that is")
+    return Prompt(points=tuple(read))
+
+
+def _coordinate(value: float, what: str) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise PromptError(f"{what} has the coordinate {value!r}: use numbers") from None
+    if not math.isfinite(number):
+        raise PromptError(f"{what} has the coordinate {number}: use finite numbers")
+    return number
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:g}" for value in values)
+
+
+def _in_image(given: Prompt, options: ScaleOptions, width_px: int, height_px: int) -> Prompt:
+    """The prompt in pixels of the full image, checked against it.
+
+    What is outside by less than a pixel of the frame, as rounding can bring about, is pulled in.
+
+    Raises:
+        PromptError: it is outside, or the box is too small.
+    """
+    frame_width, frame_height = options.frame_width_px or width_px, options.frame_height_px or height_px
+    across, down = width_px / frame_width, height_px / frame_height
+    size = f"{frame_width} x {frame_height} px {'frame' if options.frame_width_px else 'image'}"
+
+    def inside(x: float, y: float) -> bool:
+        return all(-_CUT_EDGE_PX < at < side + _CUT_EDGE_PX for at, side in ((x, frame_width), (y, frame_height)))
+
+    def scaled(x: float, y: float) -> tuple[float, float]:
+        return min(max(x * across, 0.0), float(width_px)), min(max(y * down, 0.0), float(height_px))
+
+    if given.box is not None:
+        x1, y1, x2, y2 = given.box
+        if not (inside(x1, y1) and inside(x2, y2)):
+            raise PromptError(f"box {_numbers(given.box)} is not inside the {size}: clip it to what is visible")
+        box = (*scaled(x1, y1), *scaled(x2, y2))
+        if min(box[2] - box[0], box[3] - box[1]) < MIN_BOX_PX:
+            raise PromptError(
+                f"box {_numbers(given.box)} is {box[2] - box[0]:.3g} x {box[3] - box[1]:.3g} px of the full image: at "
+                f"least {MIN_BOX_PX:g} px a side are needed"
+            )
+        return Prompt(box=box)
+    for x, y, _ in given.points:
+        if not (0 <= x < frame_width and 0 <= y < frame_height):
+            raise PromptError(f"point {x:g}, {y:g} is not inside the {size}")
+    return Prompt(points=tuple((*scaled(x, y), include) for x, y, include in given.points))
+
+
+# --- The record ------------------------------------------------------------------------------------------------------
+
+
+def _conclude(
+    raster: Raster,
+    found: Segmentation,
+    prompt: Prompt,
+    card: SegmenterCard,
+    options: ScaleOptions,
+    estimate: GsdEstimate | None,
+    given_gsd: float | None,
+) -> AreaMeasurement:
+    """Mask and scale to record."""
+    mask, left, top = found.mask, found.window.x_px, found.window.y_px
+    bounds, circle = mask_bounds(mask), inscribed_circle(mask)
+    n_px = int(mask.sum())
+    gsd = given_gsd if estimate is None else estimate.gsd_m_per_px
+    scale_log_sd = 0.0
+    if estimate is not None and estimate.gsd_ci95_low_m_per_px and estimate.gsd_ci95_high_m_per_px:
+        scale_log_sd = math.log(estimate.gsd_ci95_high_m_per_px / estimate.gsd_ci95_low_m_per_px) / (2 * _Z95)
+
+    outline_px, (length_px, width_px) = perimeter(mask), rotated_extents(mask)
+    measured = gsd if n_px else None  # an empty mask has no size, rather than a size of zero
+    area = area_interval = diameter = diameter_interval = None
+    if measured is not None and circle is not None:
+        area, diameter = n_px * measured**2, circle.diameter * measured
+        area_interval = _interval(area, math.hypot(2 * scale_log_sd, card.mask_area_log_sd))
+        diameter_log_sd = _diameter_log_sd(card.mask_area_log_sd, n_px, outline_px, circle.diameter)
+        diameter_interval = _interval(diameter, math.hypot(scale_log_sd, diameter_log_sd))
+    box = None if bounds is None else _moved_box((bounds.x1, bounds.y1, bounds.x2, bounds.y2), left, top)
+    return AreaMeasurement(
+        status=_status(gsd, estimate, found.score, card, n_px),
+        area_m2=area,
+        area_ci95_low_m2=area_interval and area_interval.low,
+        area_ci95_high_m2=area_interval and area_interval.high,
+        confidence=None if estimate is None else estimate.confidence,
+        gsd_m_per_px=gsd,
+        n_vehicles=None if estimate is None else estimate.n_vehicles,
+        mode_length_px=None if estimate is None else estimate.mode_length_px,
+        scale_source=_source(estimate),
+        mask_area_px=n_px,
+        mask_score=found.score,
+        perimeter_m=measured and outline_px * measured,
+        length_m=measured and length_px * measured,
+        width_m=measured and width_px * measured,
+        inscribed_diameter_m=diameter,
+        inscribed_diameter_ci95_low_m=diameter_interval and diameter_interval.low,
+        inscribed_diameter_ci95_high_m=diameter_interval and diameter_interval.high,
+        inscribed_center=None if circle is None else ImagePoint(x_px=circle.x + left, y_px=circle.y + top),
+        bounding_box=box,
+        outline=_outline(mask, left, top),
+        image_width_px=raster.width_px,
+        image_height_px=raster.height_px,
+        frame=_frame(options, raster, gsd, box),
+        scale=estimate,
+        segmenter=card.name,
+        segmenter_sha256=card.sha256,
+        warnings=(
+            *(raster_notices(raster) if estimate is None else estimate.warnings),
+            *_scale_notices(raster, given_gsd),
+            *_mask_notices(raster, found, prompt, card, width_px),
+        ),
+    )
+
+
+def _source(estimate: GsdEstimate | None) -> ScaleSource:
+    return "given" if estimate is None else "estimated"
+
+
+def _status(gsd: float | None, estimate: GsdEstimate | None, score: float, card: SegmenterCard, n_px: int) -> Status:
+    if gsd is None:
+        return "no_anchor"
+    doubtful = estimate is not None and estimate.confidence < FALLBACK_CONFIDENCE
+    return "low_confidence" if doubtful or score < card.min_score or n_px == 0 else "ok"
+
+
+def _interval(value: float, log_sd: float) -> Interval:
+    """95 % interval of a quantity whose log is normal."""
+    reach = math.exp(_Z95 * log_sd)
+    return Interval(value / reach, value * reach)
+
+
+def _diameter_log_sd(area_log_sd: float, area_px: float, perimeter_px: float, diameter_px: float) -> float:
+    """What the mask's uncertainty means for the circle inside it.
+
+    An outline that is off by d everywhere changes the area by d times the perimeter, and the diameter by 2 d: for a
+    disc half of the area's relative error, for a narrow strip all of it.
+    """
+    return max(area_log_sd / 2, 2 * area_log_sd * area_px / (perimeter_px * diameter_px))
+
+
+def _moved_box(corners: tuple[float, float, float, float], dx: float, dy: float) -> BoundingBox:
+    x1, y1, x2, y2 = corners
+    return BoundingBox(x1_px=x1 + dx, y1_px=y1 + dy, x2_px=x2 + dx, y2_px=y2 + dy)
+
+
+def _outline(mask: NDArray[np.bool_], left: int, top: int) -> tuple[OutlinePolygon, ...]:
+    def ring(points: NDArray[np.float64]) -> OutlineRing:
+        return OutlineRing(points=tuple(ImagePoint(x_px=float(x) + left, y_px=float(y) + top) for x, y in points))
+
+    return tuple(
+        OutlinePolygon(exterior=ring(part.exterior), holes=tuple(ring(hole) for hole in part.holes))
+        for part in outline_parts(mask)
+    )
+
+
+def _frame(options: ScaleOptions, raster: Raster, gsd: float | None, box: BoundingBox | None) -> FrameArea | None:
+    if options.frame_width_px is None or options.frame_height_px is None:
+        return None
+    across, down = options.frame_width_px / raster.width_px, options.frame_height_px / raster.height_px
+    return FrameArea(
+        width_px=options.frame_width_px,
+        height_px=options.frame_height_px,
+        gsd_m_per_px=None if gsd is None else gsd / across,
+        bounding_box=box
+        and BoundingBox(
+            x1_px=box.x1_px * across, y1_px=box.y1_px * down, x2_px=box.x2_px * across, y2_px=box.y2_px * down
+        ),
+    )
+
+
+def _scale_notices(raster: Raster, given_gsd: float | None) -> list[Notice]:
+    """Whether the scale that the caller gave fits the one that the file carries."""
+    own = raster.georeference_gsd_m_per_px
+    if given_gsd is None or own is None or abs(given_gsd - own) <= GEOREFERENCE_TOLERANCE * own:
+        return []
+    return [
+        Notice(
+            code="georeference_differs",
+            message=f"The file's own scale is {own:.4g} m/px, the one given is {given_gsd:.4g} m/px: "
+            f"{100 * (given_gsd / own - 1):+.0f} %. Check which of the two is wrong before using either.",
+        )
+    ]
+
+
+def _mask_notices(
+    raster: Raster, found: Segmentation, prompt: Prompt, card: SegmenterCard, width_px: float
+) -> list[Notice]:
+    """What to know about a mask before its area is used."""
+    pieces = mask_pieces(found.mask)
+    if not len(pieces):
+        return [
+            Notice(
+                code="mask_empty",
+                message="The segmenter found no object here: there is nothing to measure. Give a tighter box, or a "
+                "point on the object.",
+            )
+        ]
+    notices = []
+    if found.score < card.min_score:
+        notices.append(
+            Notice(
+                code="mask_score_low",
+                message=f"The segmenter expects an overlap of {found.score:.2f} with the true object, below its limit "
+                f"of {card.min_score:g}: look at the outline before using the area.",
+            )
+        )
+    if _touches_image_edge(raster, found):
+        notices.append(
+            Notice(
+                code="mask_touches_edge",
+                message="The mask reaches the image's edge: the object may go on outside, its area is a lower bound.",
+            )
+        )
+    outside = _share_outside(found, prompt)
+    if outside > _OUTSIDE_SHARE:
+        notices.append(
+            Notice(
+                code="mask_leaves_box",
+                message=f"{100 * outside:.0f} % of the mask lies outside the box: the box cuts the object, or the mask "
+                "took in its surroundings.",
+            )
+        )
+    if len(pieces) > 1:
+        notices.append(
+            Notice(
+                code="mask_in_pieces",
+                message=f"The mask has {len(pieces)} separate pieces; the largest is "
+                f"{100 * pieces[0] / pieces.sum():.0f} % of it. All of them count towards the area.",
+            )
+        )
+    if width_px < SMALL_TARGET_PX:
+        notices.append(
+            Notice(
+                code="target_small",
+                message=f"The object is {width_px:.1f} px wide: below {SMALL_TARGET_PX:g} px masks are less exact than "
+                "the interval says. Use a larger copy of the image where there is one.",
+            )
+        )
+    return notices
+
+
+def _touches_image_edge(raster: Raster, found: Segmentation) -> bool:
+    mask, window = found.mask, found.window
+    return bool(
+        (window.x_px == 0 and mask[:, 0].any())
+        or (window.y_px == 0 and mask[0].any())
+        or (window.x_px + window.width_px == raster.width_px and mask[:, -1].any())
+        or (window.y_px + window.height_px == raster.height_px and mask[-1].any())
+    )
+
+
+def _share_outside(found: Segmentation, prompt: Prompt) -> float:
+    """Share of the mask's pixels whose centres lie outside the box; 0 without one."""
+    if prompt.box is None:
+        return 0.0
+    x1, y1, x2, y2 = (
+        max(0, round(at - origin))
+        for at, origin in zip(prompt.box, (found.window.x_px, found.window.y_px) * 2, strict=True)
+    )
+    total = int(found.mask.sum())
+    return 1.0 - int(found.mask[y1:y2, x1:x2].sum()) / total if total else 0.0

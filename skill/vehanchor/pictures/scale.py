@@ -1,0 +1,279 @@
+"""The picture that says why: kept vehicles, dropped outliers and a scale bar over the image."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+import cv2
+import numpy as np
+
+from vehanchor.detection.boxes import box_corners
+from vehanchor.errors import OutputError
+from vehanchor.imagery.raster import Window
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.imagery.raster import Raster
+    from vehanchor.records import GsdEstimate
+
+CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
+"""Texts of one line, each with the colour of the swatch before it."""
+
+__all__ = ["PICTURE_SUFFIXES", "check_picture_path", "draw_overlay", "read_reduced", "write_picture"]
+
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
+KEPT_RGB = (86, 180, 233)  # Okabe and Ito's sky blue and orange: told apart with every kind of colour blindness
+DROPPED_RGB = (230, 159, 0)
+MIN_WIDTH_PX = 768  # smaller images are enlarged to it, so that text can be read
+MAX_SIDE_PX = 2048  # larger ones are reduced to it: the picture is for eyes
+
+_MIN_CANVAS_PX = 480  # a picture still narrower (of a tall, thin image) gets margins: the caption needs the room
+_BAR_SHARE = 0.2  # of the picture's width, about what the scale bar takes
+_HALO_MIN_PX = 22.0  # shorter vehicles, as drawn, would drown in the dark line beneath the coloured one
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_SUBPIXEL_BITS = 4
+_PANEL_RGB = (22, 24, 28)
+_TEXT_RGB = (238, 238, 238)
+_JPEG_QUALITY = 92
+_ROWS_A_READ = 1024  # of the image, in strips as wide as it
+
+
+def draw_overlay(image: NDArray[np.uint8], analysis: ScaleAnalysis) -> NDArray[np.uint8]:
+    """Draw what an estimate rests on: kept vehicles in blue, dropped outliers crossed in orange, a bar of round length.
+
+    Small images are enlarged and large ones reduced; a caption below gives scale, interval and confidence.
+
+    Args:
+        image: ``[h, w, 3]`` RGB, the analysed image or a reduced copy of it (see ``read_reduced``).
+        analysis: of that image.
+
+    Returns:
+        ``[h', w', 3]`` RGB, at most 2048 px a side before the caption is added.
+    """
+    estimate = analysis.estimate
+    picture = fit_for_eyes(image)
+    scale = np.array([picture.shape[1] / estimate.image_width_px, picture.shape[0] / estimate.image_height_px])
+    draw_vehicles(picture, analysis, scale)
+    picture = with_margins(picture)
+    if estimate.gsd_m_per_px is not None:
+        draw_scale_bar(picture, estimate.gsd_m_per_px / float(scale[0]))
+    return np.concatenate([picture, caption_panel(picture.shape[1], _caption_lines(analysis))])
+
+
+def fit_for_eyes(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A copy to draw into, enlarged where the image is small and reduced where it is large."""
+    height, width = image.shape[:2]
+    factor = _picture_factor(width, height)
+    size = max(1, round(width * factor)), max(1, round(height * factor))
+    if size == (width, height):
+        return np.array(image)  # never the caller's own
+    method = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
+    return cv2.resize(image, size, interpolation=method).astype(np.uint8, copy=False)
+
+
+def read_reduced(raster: Raster) -> NDArray[np.uint8]:
+    """The whole of an image, reduced so that no side is above 4096 px, without holding it in full size.
+
+    Args:
+        raster: the image.
+
+    Returns:
+        ``[h, w, 3]`` RGB, all of the image.
+    """
+    step = max(1, math.ceil(max(raster.width_px, raster.height_px) / (2 * MAX_SIDE_PX)))
+    if step == 1:
+        return raster.read()
+    width, height = max(1, round(raster.width_px / step)), max(1, round(raster.height_px / step))
+    reduced = np.empty((height, width, 3), np.uint8)
+    for top in range(0, height, _ROWS_A_READ // step + 1):
+        bottom = min(height, top + _ROWS_A_READ // step + 1)
+        first, last = (round(row * raster.height_px / height) for row in (top, bottom))
+        strip = raster.read(Window(0, first, raster.width_px, last - first))
+        reduced[top:bottom] = cv2.resize(strip, (width, bottom - top), interpolation=cv2.INTER_AREA)
+    return reduced
+
+
+def check_picture_path(path: str | Path) -> Path:
+    """Make sure that a picture can be written there, before the work of making it.
+
+    Returns:
+        The path.
+
+    Raises:
+        OutputError: the suffix is not .png, .jpg or .jpeg, or the folder does not exist.
+    """
+    target = Path(path)
+    if target.suffix.lower() not in PICTURE_SUFFIXES:
+        raise OutputError(
+            f"cannot write a picture as {str(path)!r}: use one of the suffixes {', '.join(PICTURE_SUFFIXES)}"
+        )
+    if not target.parent.is_dir():
+        raise OutputError(f"cannot write {str(path)!r}: there is no folder {str(target.parent)!r}; create it first")
+    if target.is_dir():
+        raise OutputError(f"cannot write {str(path)!r}: it is a folder; name a file")
+    return target
+
+
+def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> Path:
+    """Write a picture as PNG or JPEG, whichever the suffix says.
+
+    Args:
+        path: of the file, in a folder that exists.
+        picture: ``[h, w, 3]`` RGB.
+
+    Returns:
+        The path.
+
+    Raises:
+        OutputError: see ``check_picture_path``; or the file system refuses.
+    """
+    target = check_picture_path(path)
+    suffix = target.suffix.lower()
+    quality = [] if suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    _, encoded = cv2.imencode(suffix, np.ascontiguousarray(picture[:, :, ::-1]), quality)
+    try:  # encoded in memory: OpenCV's own writer fails silently, and cannot open every path that Python can
+        target.write_bytes(encoded.tobytes())
+    except OSError as error:
+        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
+    return target
+
+
+def _picture_factor(width_px: int, height_px: int) -> float:
+    """How much larger the picture is drawn than the image."""
+    longest = max(width_px, height_px)
+    if longest > MAX_SIDE_PX:
+        return MAX_SIDE_PX / longest
+    return min(max(1.0, MIN_WIDTH_PX / width_px), MAX_SIDE_PX / longest)
+
+
+def draw_vehicles(picture: NDArray[np.uint8], analysis: ScaleAnalysis, scale: NDArray[np.float64]) -> None:
+    """Kept vehicles in blue, dropped outliers crossed in orange; ``scale`` is pixels of the picture per image pixel."""
+    boxes = analysis.detections.boxes
+    if not len(boxes):
+        return
+    # Box coordinates count from the corner of the first pixel, OpenCV's from its centre.
+    corners = box_corners(boxes) * scale - 0.5
+    fixed_point = np.rint(corners * (1 << _SUBPIXEL_BITS)).astype(np.int32)
+    drawn_length = float(np.median(boxes[:, 2]) * scale.mean())
+    line = int(np.clip(round(min(max(picture.shape[:2]) / 500, drawn_length / 16)), 1, 3))
+    kept, dropped = fixed_point[analysis.kept], fixed_point[~analysis.kept]
+    crosses = np.ascontiguousarray(np.concatenate([dropped[:, [0, 2]], dropped[:, [1, 3]]]))
+    layers = [(kept, True, KEPT_RGB, line), (dropped, True, DROPPED_RGB, line), (crosses, False, DROPPED_RGB, 1)]
+    if drawn_length >= _HALO_MIN_PX:
+        layers = [(fixed_point, True, _PANEL_RGB, line + 2), *layers]
+    for shapes, closed, colour, thickness in layers:
+        if len(shapes):
+            cv2.polylines(picture, list(shapes), closed, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
+
+
+def with_margins(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Room around a strip of an image for the scale bar and the caption."""
+    height, width = picture.shape[:2]
+    across = max(0, _MIN_CANVAS_PX - width)
+    down = max(0, 5 * _text_px(width + across) - height)
+    if not across and not down:
+        return picture
+    sides = down // 2, down - down // 2, across // 2, across - across // 2
+    return cv2.copyMakeBorder(picture, *sides, cv2.BORDER_CONSTANT, value=_PANEL_RGB).astype(np.uint8, copy=False)
+
+
+def _round_length(metres: float) -> float:
+    """The nearest of 1, 2, 5 times a power of ten, nearest by ratio."""
+    power = 10.0 ** math.floor(math.log10(metres))
+    return min((m * power for m in (1.0, 2.0, 5.0, 10.0)), key=lambda length: abs(math.log(length / metres)))
+
+
+def _text_px(picture_width_px: int) -> int:
+    """Height of capitals."""
+    return int(np.clip(picture_width_px / 58, 11, 28))
+
+
+def _font_scale(capital_px: float) -> float:
+    return capital_px / float(cv2.getTextSize("M", _FONT, 1.0, 1)[0][1])
+
+
+def _stroke(capital_px: float) -> int:
+    return max(1, round(capital_px / 10))
+
+
+def _text_width(text: str, capital_px: float) -> int:
+    return int(cv2.getTextSize(text, _FONT, _font_scale(capital_px), _stroke(capital_px))[0][0])
+
+
+def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
+    """A bar of round length at the lower left, white with a black rim, its length above it."""
+    height, width = picture.shape[:2]
+    metres = _round_length(_BAR_SHARE * width * m_per_px)
+    capital = _text_px(width)
+    margin, thick, rim = capital, max(4, capital // 2), max(2, capital // 7)
+    left, bottom = margin, height - margin
+    right = left + round(metres / m_per_px)
+    for grow, colour in ((rim, (0, 0, 0)), (0, (255, 255, 255))):
+        cv2.rectangle(picture, (left - grow, bottom - thick - grow), (right + grow, bottom + grow), colour, cv2.FILLED)
+    baseline = bottom - thick - rim - capital // 2
+    region = picture[max(0, baseline - 2 * capital) : bottom - thick]
+    text = np.zeros(region.shape[:2], np.uint8)
+    origin = (left, baseline - max(0, baseline - 2 * capital))
+    cv2.putText(text, f"{metres:g} m", origin, _FONT, _font_scale(capital), 255, _stroke(capital) + 1, cv2.LINE_AA)
+    around = cv2.dilate(text, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * rim + 1, 2 * rim + 1)))
+    for mask, level in (
+        (around, 0.0),
+        (text, 255.0),
+    ):  # OpenCV 5 takes a wider stroke for a bolder letter, not for a rim
+        cover = mask[:, :, None] / 255.0
+        region[:] = np.rint(region * (1.0 - cover) + level * cover).astype(np.uint8)
+
+
+def _headline(estimate: GsdEstimate) -> str:
+    if estimate.gsd_m_per_px is None:
+        return "no scale: no vehicle found"
+    text = f"{estimate.gsd_m_per_px:.4g} m/px"
+    if estimate.gsd_ci95_low_m_per_px is not None and estimate.gsd_ci95_high_m_per_px is not None:
+        text += f"  (95 %: {estimate.gsd_ci95_low_m_per_px:.4g} to {estimate.gsd_ci95_high_m_per_px:.4g})"
+    return text
+
+
+def _caption_lines(analysis: ScaleAnalysis) -> list[CaptionLine]:
+    """Scale and interval; confidence; the legend of both colours."""
+    estimate = analysis.estimate
+    low = " - low: use another anchor" if estimate.status == "low_confidence" else ""
+    n_dropped = estimate.n_detections - estimate.n_vehicles
+    legend = [(KEPT_RGB, f"{estimate.n_vehicles} vehicle{'s' * (estimate.n_vehicles != 1)}")]
+    if n_dropped:
+        legend.append((DROPPED_RGB, f"{n_dropped} outlier{'s' * (n_dropped != 1)}, dropped"))
+    lines: list[CaptionLine] = [
+        [(None, _headline(estimate))],
+        [(None, f"confidence {estimate.confidence:.2f}{low}")],
+    ]
+    if estimate.n_detections:
+        lines.append([*legend])
+    return lines
+
+
+def caption_panel(width_px: int, lines: list[CaptionLine]) -> NDArray[np.uint8]:
+    """The panel below a picture: lines of texts, some behind a swatch of their colour; the first line is bold."""
+    capital = float(_text_px(width_px))
+    while capital > 8 and max(_line_width(line, capital) for line in lines) > width_px - 2 * capital:
+        capital -= 1
+    pitch = round(2.1 * capital)
+    panel = np.full((pitch * len(lines) + round(capital), width_px, 3), _PANEL_RGB, np.uint8)
+    for row, line in enumerate(lines):
+        x, baseline = round(capital), round(1.7 * capital) + row * pitch
+        for colour, text in line:
+            if colour is not None:
+                side = round(capital)
+                cv2.rectangle(panel, (x, baseline - side), (x + side, baseline), colour, cv2.FILLED)
+                x += round(1.7 * capital)
+            stroke = _stroke(capital) + (row == 0)
+            cv2.putText(panel, text, (x, baseline), _FONT, _font_scale(capital), _TEXT_RGB, stroke, cv2.LINE_AA)
+            x += _text_width(text, capital) + round(2 * capital)
+    return panel
+
+
+def _line_width(line: CaptionLine, capital_px: float) -> float:
+    swatches = sum(1.7 * capital_px for colour, _ in line if colour is not None)
+    return sum(_text_width(text, capital_px) for _, text in line) + swatches + 2 * capital_px * (len(line) - 1)

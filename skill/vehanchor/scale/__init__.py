@@ -1,0 +1,1 @@
+"""From lengths in pixels to metres per pixel, its interval and its confidence."""

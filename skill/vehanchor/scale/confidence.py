@@ -1,0 +1,171 @@
+"""The confidence a planner acts on: four terms with the paper's weights, and the resolution guard.
+
+The paper gives the weights (section III-D); the terms' shapes are ours, fitted on the held-out tenth of the train split
+by ``training/detector/fit_confidence.py``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+import numpy as np
+
+from vehanchor.records import ConfidenceTerms
+from vehanchor.scale.lengths import MIN_KDE_VEHICLES
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+__all__ = [
+    "DISPUTE_CONFIDENCE",
+    "FALLBACK_CONFIDENCE",
+    "GUARD_CONFIDENCE",
+    "GUARD_GSD_M_PER_PX",
+    "FleetDoubt",
+    "composite",
+    "confidence_terms",
+    "fleet_doubts",
+    "guard_length",
+]
+
+FALLBACK_CONFIDENCE = 0.5  # paper, section III-E: below it a planner must fall back
+GUARD_GSD_M_PER_PX = 0.3  # paper, GSD_max
+GUARD_CONFIDENCE = 0.3  # paper: C = min(C_raw, 0.3)
+DISPUTE_CONFIDENCE = 0.4  # where it is open whether the dominant lengths are those of cars
+_RIVAL_SHARE = 0.35  # of the dominant group's weight in another group of lengths
+_ALIKE_LOG_SPREAD = 0.045  # 99 of 100 fleets of the train split have 0.047 and more; equal things in rows 0.03 to 0.06
+_ALIKE_LOG_ODDS = 0.7  # standard deviation; fleets of the train split have 0.76 and more, caravans in rows 0.4 to 0.7
+_UNLIKE_LOG_ODDS = -3.2  # mean; fleets of the train split have -2.9 and more, boats in rows -2.5 to -4.5
+_ALIKE_VEHICLES = 20  # from so many on the spread is known to a sixth
+_CLEAR_PERCENTILE = 90
+_WEIGHTS = ConfidenceTerms.model_construct(sample=0.35, concentration=0.35, quality=0.20, plausibility=0.10)  # paper
+
+_SAMPLE_SCALE = 12.0  # vehicles; 1 - exp(-n / 12): 5 give 0.34, 20 give 0.81
+_CV_FULL, _CV_NONE = 0.05, 0.25  # coefficient of variation: a clean fleet; lengths that say nothing
+_SCORE_NONE, _SCORE_FULL = 0.55, 0.75  # median detection score
+_QUARTILES_PER_SD = 1.349  # of a normal distribution
+_FADE = 1.5  # factor outside the trained range over which plausibility falls to 0
+
+
+FleetDoubt: TypeAlias = Literal[
+    "lengths_disagree", "lengths_alike", "scores_unclear", "looks_alike", "looks_unlike_cars"
+]
+
+
+def _ramp(value: float, zero_at: float, one_at: float) -> float:
+    return float(np.clip((value - zero_at) / (one_at - zero_at), 0.0, 1.0))
+
+
+def confidence_terms(
+    lengths: ArrayLike, scores: ArrayLike, mode_px: float, length_range_px: tuple[float, float]
+) -> ConfidenceTerms:
+    """The four terms, each in [0, 1].
+
+    * sample: ``1 - exp(-n / 12)``.
+    * concentration: 1 at a coefficient of variation of 0.05, 0 at 0.25, linear between; 0 with fewer than 5 vehicles,
+      since one false alarm has no spread. Together with the sample term this keeps C below 0.5 for N' < 5.
+    * quality: median score, 0 at 0.55, 1 at 0.75.
+    * plausibility: 1 while ``mode_px`` is in the model's range, falling to 0 over a factor of 1.5 outside it.
+
+    Args:
+        lengths: ``[n]`` pixels of the kept vehicles.
+        scores: ``[n]`` their detection scores.
+        mode_px: ``P_mode``.
+        length_range_px: shortest and longest vehicle the model measures well.
+
+    Returns:
+        The terms; all zero for no vehicles.
+    """
+    values, score = np.asarray(lengths, dtype=np.float64), np.asarray(scores, dtype=np.float64)
+    if len(values) == 0:
+        return ConfidenceTerms(sample=0.0, concentration=0.0, quality=0.0, plausibility=0.0)
+    variation = float(np.std(values) / np.mean(values))
+    shortest, longest = length_range_px
+    outside = max(np.log(shortest / mode_px), np.log(mode_px / longest), 0.0)
+    return ConfidenceTerms(
+        sample=float(1.0 - np.exp(-len(values) / _SAMPLE_SCALE)),
+        concentration=_ramp(variation, _CV_NONE, _CV_FULL) if len(values) >= MIN_KDE_VEHICLES else 0.0,
+        quality=_ramp(float(np.median(score)), _SCORE_NONE, _SCORE_FULL),
+        plausibility=_ramp(outside, float(np.log(_FADE)), 0.0),
+    )
+
+
+def fleet_doubts(
+    lengths: ArrayLike,
+    scores: ArrayLike,
+    *,
+    rival_share: float,
+    clear_score: float,
+    fleet_log_odds: ArrayLike | None = None,
+) -> tuple[FleetDoubt, ...]:
+    """What speaks against vehicles being cars, where a search over scales has given up their size as evidence.
+
+    * ``lengths_disagree``: another group of lengths has 0.35 or more of the evidence of this one.
+    * ``lengths_alike``: 20 or more vehicles whose log lengths spread by less than 0.045 (interquartile range over
+      1.349): a yard of equal lorries, containers or roof units. Makes and models differ by 0.08.
+    * ``scores_unclear``: not a tenth of them reach the score that some cars of every fleet do.
+    * ``looks_alike``: 20 or more whose log odds (see ``vehanchor.detection.look``) have a standard deviation below 0.7:
+      makes, models and paint differ more.
+    * ``looks_unlike_cars``: 20 or more whose mean log odds are below -3.2, where no fleet of cars was seen.
+
+    Args:
+        lengths: ``[n]`` pixels of the kept vehicles.
+        scores: ``[n]`` their detection scores.
+        rival_share: see ``vehanchor.scale.lengths.dominant_group``.
+        clear_score: score that the best tenth of a fleet reaches with this model; 0 where it is not known.
+        fleet_log_odds: ``[m]`` of those vehicles that were looked at; None where the model cannot tell.
+
+    Returns:
+        The doubts, as codes of warnings; none for no vehicles.
+    """
+    values, score = np.asarray(lengths, dtype=np.float64), np.asarray(scores, dtype=np.float64)
+    if len(values) == 0:
+        return ()
+    doubts: list[FleetDoubt] = []
+    if rival_share >= _RIVAL_SHARE:
+        doubts.append("lengths_disagree")
+    low, high = np.percentile(np.log(values), [25, 75])
+    if len(values) >= _ALIKE_VEHICLES and (high - low) / _QUARTILES_PER_SD < _ALIKE_LOG_SPREAD:
+        doubts.append("lengths_alike")
+    if np.percentile(score, _CLEAR_PERCENTILE) < clear_score:
+        doubts.append("scores_unclear")
+    look = np.asarray([] if fleet_log_odds is None else fleet_log_odds, dtype=np.float64)
+    if len(look) >= _ALIKE_VEHICLES:
+        if look.std() < _ALIKE_LOG_ODDS:
+            doubts.append("looks_alike")
+        if look.mean() < _UNLIKE_LOG_ODDS:
+            doubts.append("looks_unlike_cars")
+    return tuple(doubts)
+
+
+def guard_length(reference_length_m: float, min_length_px: float = 0.0) -> float:
+    """``P_thresh`` of the resolution guard (paper, equation 6), raised where the model needs longer vehicles.
+
+    Args:
+        reference_length_m: ``L_ref``.
+        min_length_px: the shortest length the model measures without bias.
+
+    Returns:
+        Pixels: ``max(L_ref / 0.3, min_length_px)``.
+    """
+    return max(reference_length_m / GUARD_GSD_M_PER_PX, min_length_px)
+
+
+def composite(terms: ConfidenceTerms, *, guarded: bool, disputed: bool = False) -> float:
+    """Weighted sum of the terms (paper, equation 5).
+
+    Args:
+        terms: as ``confidence_terms`` gives them.
+        guarded: whether the resolution guard holds: at most 0.3.
+        disputed: whether there are doubts that the vehicles are cars (``fleet_doubts``): at most 0.4.
+
+    Returns:
+        C in [0, 1].
+    """
+    total = (
+        _WEIGHTS.sample * terms.sample
+        + _WEIGHTS.concentration * terms.concentration
+        + _WEIGHTS.quality * terms.quality
+        + _WEIGHTS.plausibility * terms.plausibility
+    )
+    return min(total, GUARD_CONFIDENCE if guarded else DISPUTE_CONFIDENCE if disputed else 1.0)

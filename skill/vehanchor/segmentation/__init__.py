@@ -1,0 +1,1 @@
+"""One object as a mask: prompt, segmenter, the SAM contracts, the mask's shape."""

@@ -1,0 +1,174 @@
+"""The paper's Table III: one choice of the method changed at a time, all from the same boxes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from vehanchor.detection.detector import REFERENCE_LENGTH_M
+from vehanchor.estimate import scale_from_detections
+from vehanchor.records import Aggregation
+from vehanchor.scale.lengths import MIN_KDE_VEHICLES, OUTLIER_ALPHA
+from vehanchor_evaluation.gsd import ErrorRow, ScaleTrial
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from vehanchor.estimate import ScaleAnalysis, ScaleOptions
+    from vehanchor_evaluation.gsd import ScaleBenchmark
+    from vehanchor_evaluation.known_scale import KnownScaleImage
+
+__all__ = ["AblationReport", "AblationRow", "ablate"]
+
+Boxes = Literal["detector", "labels"]
+
+_LENGTHS_M = (4.5, REFERENCE_LENGTH_M, 5.5)  # paper: European, DOTA's, North American
+_ALPHAS = (1.0, OUTLIER_ALPHA, None)  # paper
+_MANY_VEHICLES = 20  # paper
+_GSD_EDGES = (0.0, 0.3, 0.5, 0.7, float("inf"))  # the paper gives below 0.3 and above 0.7
+_PAPER: dict[tuple[str, str, Boxes], tuple[float, float | None]] = {
+    ("aggregation", "kde", "detector"): (0.0687, 0.833),
+    ("aggregation", "median", "detector"): (0.0731, 0.840),
+    ("aggregation", "mean", "detector"): (0.0827, 0.837),
+    ("reference length", "4.5 / 5.045", "labels"): (0.1059, 0.803),
+    ("reference length", "1", "labels"): (0.0688, 0.926),
+    ("reference length", "5.5 / 5.045", "labels"): (0.1071, 0.799),
+    ("alpha", "1", "labels"): (0.0727, 0.877),
+    ("alpha", "1.5", "labels"): (0.0688, 0.926),
+    ("alpha", "none", "labels"): (0.0674, 0.926),
+    ("vehicles", "N >= 20", "detector"): (0.0612, None),
+    ("vehicles", "N < 5", "detector"): (0.1347, None),
+    ("true scale", "< 0.3 m/px", "detector"): (0.0610, None),
+    ("true scale", "> 0.7 m/px", "detector"): (0.6719, None),
+}
+
+
+class AblationRow(BaseModel):
+    """The error with one choice changed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    choice: str = Field(description="What is varied.")
+    setting: str = Field(description="Its value; a reference length is given as a factor on the one in use.")
+    boxes: Boxes = Field(description="Whose vehicles: the detector's or the labels'.")
+    errors: ErrorRow = Field(description="The errors.")
+    paper_median: float | None = Field(description="Median error that the paper gives for it.")
+    paper_within_20: float | None = Field(description="Share of errors below 20 % that the paper gives for it.")
+
+
+class AblationReport(BaseModel):
+    """Table III on some data."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    data: str = Field(description="Where the images come from.")
+    detector: str = Field(description="Name of the detector.")
+    detector_sha256: str = Field(description="SHA-256 of its file.")
+    rows: tuple[AblationRow, ...] = Field(description="The table.")
+
+
+class _Variant(NamedTuple):
+    choice: str
+    setting: str
+    changed: Callable[[ScaleAnalysis, ScaleOptions], ScaleOptions]
+
+
+def ablate(benchmark: ScaleBenchmark) -> AblationReport:
+    """Repeat the second half of the skill with one choice changed, on the boxes of the benchmark.
+
+    Aggregation, reference length and outlier filter are varied with the detector's and with the labelled vehicles;
+    number of vehicles and true scale split the detector's estimates.
+
+    Args:
+        benchmark: found and labelled vehicles.
+
+    Returns:
+        A row for each setting and kind of boxes, with the paper's number where it has one.
+    """
+    sides: list[tuple[Boxes, tuple[ScaleTrial, ...], Callable[[KnownScaleImage], ScaleOptions]]] = [
+        ("detector", benchmark.trials, benchmark.options_of)
+    ]
+    if benchmark.baseline:
+        sides.append(("labels", benchmark.baseline, benchmark.label_options_of))
+    rows = []
+    for variant in _variants():
+        for boxes, trials, options_of in sides:
+            again = [_repeated(trial, options_of, variant, benchmark) for trial in trials]
+            rows.append(_row(variant.choice, variant.setting, boxes, again))
+    rows += [_row(choice, setting, "detector", some) for choice, setting, some in _splits(benchmark.trials)]
+    return AblationReport(
+        data=benchmark.data.source,
+        detector=benchmark.detector.name,
+        detector_sha256=benchmark.detector.sha256,
+        rows=tuple(rows),
+    )
+
+
+def _variants() -> Iterator[_Variant]:
+    for aggregation in get_args(Aggregation):
+        yield _Variant("aggregation", aggregation, partial(_with, aggregation=aggregation))
+    for length in _LENGTHS_M:
+        factor = length / REFERENCE_LENGTH_M
+        setting = "1" if factor == 1 else f"{length:g} / {REFERENCE_LENGTH_M:g}"
+        yield _Variant("reference length", setting, partial(_with_length, factor=factor))
+    for alpha in _ALPHAS:
+        yield _Variant("alpha", "none" if alpha is None else f"{alpha:g}", partial(_with, alpha=alpha))
+
+
+def _with(_: ScaleAnalysis, options: ScaleOptions, **changes: Any) -> ScaleOptions:
+    return replace(options, **changes)
+
+
+def _with_length(analysis: ScaleAnalysis, options: ScaleOptions, factor: float) -> ScaleOptions:
+    length = analysis.estimate.reference_length_m * factor
+    return replace(options, reference_length_m=length, region=None, calibration=None)
+
+
+def _repeated(
+    trial: ScaleTrial,
+    options_of: Callable[[KnownScaleImage], ScaleOptions],
+    variant: _Variant,
+    benchmark: ScaleBenchmark,
+) -> ScaleTrial:
+    before = trial.analysis
+    after = scale_from_detections(
+        before.detections,
+        benchmark.detector,
+        variant.changed(before, options_of(trial.image)),
+        image_width_px=before.estimate.image_width_px,
+        image_height_px=before.estimate.image_height_px,
+        resolved=before.resolved,
+    )
+    return ScaleTrial(trial.image, after)
+
+
+def _splits(trials: Sequence[ScaleTrial]) -> Iterator[tuple[str, str, list[ScaleTrial]]]:
+    counts = [
+        (f"N < {MIN_KDE_VEHICLES}", 1, MIN_KDE_VEHICLES),
+        (f"{MIN_KDE_VEHICLES} <= N < {_MANY_VEHICLES}", MIN_KDE_VEHICLES, _MANY_VEHICLES),
+        (f"N >= {_MANY_VEHICLES}", _MANY_VEHICLES, None),
+    ]
+    for name, low, high in counts:
+        yield "vehicles", name, [t for t in trials if _within(t.analysis.estimate.n_detections, low, high)]
+    names = ("< 0.3 m/px", "0.3 to 0.5 m/px", "0.5 to 0.7 m/px", "> 0.7 m/px")
+    for name, low_gsd, high_gsd in zip(names, _GSD_EDGES[:-1], _GSD_EDGES[1:], strict=True):
+        yield "true scale", name, [t for t in trials if low_gsd <= t.image.gsd_m_per_px < high_gsd]
+
+
+def _within(value: int, low: int, high: int | None) -> bool:
+    return value >= low and (high is None or value < high)
+
+
+def _row(choice: str, setting: str, boxes: Boxes, trials: Sequence[ScaleTrial]) -> AblationRow:
+    median, within_20 = _PAPER.get((choice, setting, boxes), (None, None))
+    return AblationRow(
+        choice=choice,
+        setting=setting,
+        boxes=boxes,
+        errors=ErrorRow.of(f"{choice} {setting}", trials),
+        paper_median=median,
+        paper_within_20=within_20,
+    )

@@ -1,0 +1,277 @@
+"""Error of measured areas on a benchmark, with its two sources told apart.
+
+The scale of an image comes from one search for vehicles (``vehanchor_evaluation.search``), whatever the number of its
+objects; each object's mask comes from its box. Three areas follow from them:
+
+* **end to end**: the model's mask, the estimated scale, ``A = N_px * GSD^2``: what a user gets;
+* **true scale** (GT-GSD): the model's mask with the image's true scale: the segmenter's error alone;
+* **true mask** (GT-mask): the object's true mask with the estimated scale: the scale's error alone.
+"""
+
+from __future__ import annotations
+
+import itertools
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from vehanchor.errors import OutputError, VehAnchorError
+from vehanchor.imagery.raster import ImageLimits, open_raster
+from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
+from vehanchor.segmentation.segmenter import Prompt
+from vehanchor_evaluation.area_errors import AreaErrors, area_errors
+from vehanchor_evaluation.known_scale import FileIssue
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from vehanchor.records import GsdEstimate
+    from vehanchor.segmentation.segmenter import Segmentation, Segmenter
+    from vehanchor_evaluation.rs_gsd import Benchmark, BenchmarkEntry
+
+__all__ = ["AreaTrial", "MaskLog", "MaskTrial", "area_trials", "segment_entries", "summarise_area"]
+
+
+class MaskTrial(BaseModel):
+    """What the segmenter made of one entry."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    entry: str
+    mask_area_px: int = Field(description="Pixels of the model's mask; 0 counts as no answer.")
+    mask_score: float = Field(description="The segmenter's own estimate of its overlap with the true one.")
+    mask_iou: float = Field(description="That overlap: intersection over union.")
+
+
+class AreaTrial(BaseModel):
+    """What the pipeline said about one entry."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    entry: str
+    image: str
+    category: str
+    true_area_m2: float
+    true_gsd_m_per_px: float
+    true_mask_area_px: int
+    gsd_m_per_px: float | None = Field(description="Estimated scale; null without an anchor.")
+    confidence: float
+    n_vehicles: int
+    mask_area_px: int
+    mask_score: float
+    mask_iou: float
+    end_to_end_m2: float | None = Field(description="The model's mask at the estimated scale.")
+    true_scale_m2: float | None = Field(description="The model's mask at the true scale.")
+    true_mask_m2: float | None = Field(description="The true mask at the estimated scale.")
+
+
+class MaskLog:
+    """Masks' figures on disk, one JSON object a line: an interrupted run goes on where it stopped.
+
+    Lines of other models or benchmarks, and lines cut short, are ignored.
+
+    Args:
+        path: of the file; its folder is made.
+        settings: what the figures depend on; hashes of the benchmark and the segmenter.
+
+    Raises:
+        OutputError: the file cannot be read or written.
+    """
+
+    def __init__(self, path: Path, settings: str) -> None:
+        self._path, self._settings = path, settings
+        self.trials: dict[str, MaskTrial] = {}
+        """What is known, by entry."""
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            lines = path.read_bytes().splitlines(keepends=True) if path.exists() else []
+            if lines and not lines[-1].endswith(b"\n"):
+                path.write_bytes(b"".join(lines[:-1]))
+        except OSError as error:
+            raise OutputError(f"cannot use {str(path)!r}: {error.strerror or error}") from error
+        for line in lines:
+            try:
+                kept = _LoggedMask.model_validate_json(line)
+            except ValidationError:
+                continue
+            if kept.settings == settings:
+                self.trials[kept.trial.entry] = kept.trial
+
+    def add(self, trial: MaskTrial) -> None:
+        """Keep one result.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        self.trials[trial.entry] = trial
+        try:
+            with self._path.open("a", encoding="utf-8") as handle:
+                handle.write(_LoggedMask(settings=self._settings, trial=trial).model_dump_json() + "\n")
+        except OSError as error:
+            raise OutputError(f"cannot write {str(self._path)!r}: {error.strerror or error}") from error
+
+
+class _LoggedMask(BaseModel):
+    settings: str
+    trial: MaskTrial
+
+
+def segment_entries(
+    benchmark: Benchmark,
+    folder: Path,
+    entries: Sequence[BenchmarkEntry],
+    segmenter: Segmenter,
+    log: MaskLog,
+    *,
+    limits: ImageLimits | None = None,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[FileIssue]:
+    """Segment the entries that the log does not know yet, each prompted by its box; the log takes the results.
+
+    Args:
+        benchmark: that they belong to.
+        folder: of the benchmark.
+        entries: what to segment.
+        segmenter: shared by all workers.
+        log: of this benchmark and segmenter.
+        limits: of the images.
+        workers: images at once, each held in memory.
+        progress: called with (entries done, entries in all).
+
+    Returns:
+        Entries and images that could not be segmented, which never stop a run.
+    """
+    missing = sorted((entry for entry in entries if entry.name not in log.trials), key=_image)
+    groups = [list(group) for _, group in itertools.groupby(missing, key=_image)]
+    bounds = limits or ImageLimits()
+    issues: list[FileIssue] = []
+    done = len(entries) - len(missing)
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            futures = {
+                pool.submit(_segment_image, benchmark, folder, group, segmenter, bounds): len(group) for group in groups
+            }
+            for future in as_completed(futures):
+                trials, found_issues = future.result()
+                for trial in trials:
+                    log.add(trial)
+                issues += found_issues
+                done += futures[future]
+                if progress is not None:
+                    progress(done, len(entries))
+        finally:
+            pool.shutdown(cancel_futures=True)
+    return issues
+
+
+def _image(entry: BenchmarkEntry) -> str:
+    return entry.image
+
+
+def _segment_image(
+    benchmark: Benchmark,
+    folder: Path,
+    entries: Sequence[BenchmarkEntry],
+    segmenter: Segmenter,
+    limits: ImageLimits,
+) -> tuple[list[MaskTrial], list[FileIssue]]:
+    """All entries of one image."""
+    trials, issues = [], []
+    image = Path(entries[0].image)
+    try:
+        with open_raster(image, limits=limits) as raster:
+            for entry in entries:
+                try:
+                    truth = benchmark.mask(folder, entry)
+                    found = segmenter.segment(raster, Prompt(box=entry.corners), limits=limits)
+                except (VehAnchorError, ValueError) as error:
+                    code = error.code if isinstance(error, VehAnchorError) else "mask_differs"
+                    issues.append(FileIssue(image, code, f"{entry.name}: {error}"))
+                else:
+                    trials.append(_mask_trial(entry, found, truth))
+    except VehAnchorError as error:
+        issues.append(FileIssue(image, error.code, str(error)))
+    return trials, issues
+
+
+def _mask_trial(entry: BenchmarkEntry, found: Segmentation, truth: NDArray[np.bool_]) -> MaskTrial:
+    return MaskTrial(
+        entry=entry.name,
+        mask_area_px=int(found.mask.sum()),
+        mask_score=found.score,
+        mask_iou=_overlap(entry, found, truth),
+    )
+
+
+def _overlap(entry: BenchmarkEntry, found: Segmentation, truth: NDArray[np.bool_]) -> float:
+    """Intersection over union; the model's window and the entry's box may each reach out of the other."""
+    window = found.window
+    left, top = int(entry.corners[0]), int(entry.corners[1])
+    height, width = truth.shape
+    x1, x2 = max(left, window.x_px), min(left + width, window.x_px + window.width_px)
+    y1, y2 = max(top, window.y_px), min(top + height, window.y_px + window.height_px)
+    if x2 <= x1 or y2 <= y1:
+        return 0.0
+    seen = found.mask[y1 - window.y_px : y2 - window.y_px, x1 - window.x_px : x2 - window.x_px]
+    both = int((seen & truth[y1 - top : y2 - top, x1 - left : x2 - left]).sum())
+    return both / (int(found.mask.sum()) + int(truth.sum()) - both)
+
+
+def area_trials(
+    entries: Sequence[BenchmarkEntry], masks: Mapping[str, MaskTrial], scales: Mapping[str, GsdEstimate]
+) -> list[AreaTrial]:
+    """Join masks and scales.
+
+    Args:
+        entries: of the benchmark.
+        masks: by entry.
+        scales: by image.
+
+    Returns:
+        The trials of those entries that have both, in the order of ``entries``.
+    """
+    return [
+        _area_trial(entry, masks[entry.name], scales[entry.image])
+        for entry in entries
+        if entry.name in masks and entry.image in scales
+    ]
+
+
+def _area_trial(entry: BenchmarkEntry, mask: MaskTrial, scale: GsdEstimate) -> AreaTrial:
+    gsd, n_px = scale.gsd_m_per_px, mask.mask_area_px
+    return AreaTrial(
+        **mask.model_dump(),
+        image=entry.image,
+        category=entry.category,
+        true_area_m2=entry.area_m2,
+        true_gsd_m_per_px=entry.gsd_m_per_px,
+        true_mask_area_px=entry.mask_area_px,
+        gsd_m_per_px=gsd,
+        confidence=scale.confidence,
+        n_vehicles=scale.n_vehicles,
+        end_to_end_m2=None if gsd is None or not n_px else n_px * gsd**2,
+        true_scale_m2=n_px * entry.gsd_m_per_px**2 if n_px else None,
+        true_mask_m2=None if gsd is None else entry.mask_area_px * gsd**2,
+    )
+
+
+def summarise_area(trials: Sequence[AreaTrial]) -> list[AreaErrors]:
+    """The table's rows: end to end, of it what has a scale and what a planner may use, and both sources of error."""
+    scaled = [trial for trial in trials if trial.gsd_m_per_px is not None]
+    usable = [trial for trial in trials if trial.confidence >= FALLBACK_CONFIDENCE]
+    return [
+        area_errors("end to end", ((t.category, t.end_to_end_m2, t.true_area_m2) for t in trials)),
+        area_errors("end to end, with a scale", ((t.category, t.end_to_end_m2, t.true_area_m2) for t in scaled)),
+        area_errors(
+            f"end to end, confidence >= {FALLBACK_CONFIDENCE:g}",
+            ((t.category, t.end_to_end_m2, t.true_area_m2) for t in usable),
+        ),
+        area_errors("true scale (GT-GSD)", ((t.category, t.true_scale_m2, t.true_area_m2) for t in trials)),
+        area_errors("true mask (GT-mask)", ((t.category, t.true_mask_m2, t.true_area_m2) for t in trials)),
+    ]

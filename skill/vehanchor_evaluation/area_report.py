@@ -1,0 +1,116 @@
+"""Results of an area benchmark: the record, and its tables in Markdown."""
+
+from __future__ import annotations
+
+from collections import Counter
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from vehanchor_evaluation.area_errors import AreaErrors
+from vehanchor_evaluation.report import markdown_table, percent, write_issues, write_results
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from vehanchor_evaluation.known_scale import FileIssue
+    from vehanchor_evaluation.rs_gsd import Benchmark
+
+__all__ = ["AreaReport", "area_markdown", "area_report", "write_area_report"]
+
+
+class AreaReport(BaseModel):
+    """What a run found, and what it depends on."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    vehanchor: str = Field(description="Version of the library.")
+    benchmark_sha256: str
+    recipe: dict[str, Any] = Field(description="How the benchmark was made.")
+    available: dict[str, int] = Field(description="Objects it was chosen from, by category.")
+    run: dict[str, Any] = Field(description="Models and options.")
+    rows: tuple[AreaErrors, ...]
+    facts: tuple[str, ...] = Field(description="What else to know, a sentence each.")
+    left_out: dict[str, int] = Field(description="Files and entries that could not be measured, by reason.")
+
+
+def area_report(
+    benchmark: Benchmark,
+    sha256: str,
+    run: Mapping[str, Any],
+    rows: Sequence[AreaErrors],
+    facts: Sequence[str],
+    issues: Sequence[FileIssue],
+) -> AreaReport:
+    """Put a report together."""
+    return AreaReport(
+        vehanchor=version("vehanchor"),
+        benchmark_sha256=sha256,
+        recipe=benchmark.recipe.model_dump(mode="json"),
+        available=benchmark.available,
+        run=dict(run),
+        rows=tuple(rows),
+        facts=tuple(facts),
+        left_out=dict(Counter(issue.reason for issue in issues)),
+    )
+
+
+def area_markdown(report: AreaReport) -> str:
+    """The table, the medians by category, and what they rest on."""
+    headings = (
+        "area",
+        "entries",
+        "answered",
+        "median",
+        "mean",
+        *(f"< {limit} %" for limit in (10, 25, 50, 100)),
+        "catastrophic",
+        "polarisation",
+    )
+    rows = [
+        (
+            row.name,
+            str(row.entries),
+            str(row.answered),
+            *map(percent, (row.median, row.mean, row.below_10, row.below_25, row.below_50, row.below_100)),
+            percent(row.catastrophic),
+            "-" if row.polarisation is None else f"{row.polarisation:.1f}x",
+        )
+        for row in report.rows
+    ]
+    names = sorted({category for row in report.rows for category in row.categories})
+    medians = [(row.name, *(_median(row, name) for name in names)) for row in report.rows]
+    tables = markdown_table(headings, rows)
+    if names:
+        tables += "\n" + markdown_table(("median error (entries)", *names), medians)
+    return tables + "\n" + "".join(f"- {fact}\n" for fact in report.facts)
+
+
+def _median(row: AreaErrors, category: str) -> str:
+    found = row.categories.get(category)
+    return "-" if found is None else f"{percent(found.median)} ({found.entries})"
+
+
+def write_area_report(
+    folder: Path, stem: str, report: AreaReport, records: Sequence[BaseModel], issues: Sequence[FileIssue]
+) -> list[Path]:
+    """Write the report as JSON and Markdown, each entry as a line of CSV, and what was left out.
+
+    Args:
+        folder: made.
+        stem: of the names.
+        report: the results.
+        records: one for each entry.
+        issues: what was left out.
+
+    Returns:
+        The files.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    rows = [record.model_dump(mode="json") for record in records]
+    files = write_results(folder, stem, report, rows, area_markdown(report))
+    return [*files, write_issues(folder / f"{stem}_left_out.csv", issues)]

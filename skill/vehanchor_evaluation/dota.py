@@ -1,0 +1,205 @@
+"""DOTA data: ``images/`` and, in ``labelTxt*/``, text files of ``x1 y1 x2 y2 x3 y3 x4 y4 class difficult`` lines.
+
+The files start with ``imagesource:`` and ``gsd:`` lines in versions 1.0 and 1.5; version 2.0 keeps these in ``meta/``.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.detection.boxes import boxes_from_corners
+from vehanchor.errors import InvalidParameterError
+from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet, image_files
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+__all__ = ["SMALL_VEHICLE", "DotaLabels", "labelled_boxes", "parse_labels", "read_labels", "survey_dota"]
+
+SMALL_VEHICLE = "small-vehicle"
+_HORIZONTAL = re.compile(r"hbb|task2|reclabel", re.IGNORECASE)  # folders of upright boxes: their lengths are not cars'
+_SHOWN_PROBLEMS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class DotaLabels:
+    """The labels of one image.
+
+    Attributes:
+        gsd_m_per_px: ground sampling distance of the header, or None where it is missing or ``None``.
+        corners: ``[n, 4, 2]`` float64 corners in pixels, in order around each box.
+        classes: ``n`` class names, as written.
+        difficult: ``[n]`` bool, the last field.
+    """
+
+    gsd_m_per_px: float | None
+    corners: NDArray[np.float64]
+    classes: tuple[str, ...]
+    difficult: NDArray[np.bool_]
+
+    def of_class(self, *names: str) -> NDArray[np.float64]:
+        """Corners ``[k, 4, 2]`` of the labels with one of these class names."""
+        keep = np.array([name in names for name in self.classes], dtype=bool)
+        return np.asarray(self.corners[keep])
+
+
+def parse_labels(text: str, problems: list[str] | None = None) -> DotaLabels:
+    """Parse the text of one label file.
+
+    Args:
+        text: of the file.
+        problems: takes a message for each malformed line, which is then left out; None refuses the text instead.
+
+    Raises:
+        ValueError: a line is malformed and ``problems`` is None; the message gives its number.
+    """
+    gsd: float | None = None
+    corners: list[list[float]] = []
+    classes: list[str] = []
+    difficult: list[bool] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        stripped = line.strip()
+        key, colon, value = stripped.partition(":")
+        if not stripped or (colon and key.lower() in ("imagesource", "acquisition dates")):
+            continue
+        try:
+            if key.lower() == "gsd":
+                gsd = _header_gsd(value)
+                continue
+            fields = stripped.split()
+            points, name = [float(field) for field in fields[:8]], fields[8]
+            if not np.isfinite(points).all():
+                raise ValueError
+        except (ValueError, IndexError):
+            message = f"line {number}: expected 'x1 y1 x2 y2 x3 y3 x4 y4 class difficult', found {line[:120]!r}"
+            if problems is None:
+                raise ValueError(message) from None
+            problems.append(message)
+            continue
+        corners.append(points)
+        classes.append(name)
+        difficult.append(len(fields) > 9 and fields[9] != "0")
+    return DotaLabels(
+        gsd_m_per_px=gsd,
+        corners=np.array(corners, dtype=np.float64).reshape(-1, 4, 2),
+        classes=tuple(classes),
+        difficult=np.array(difficult, dtype=bool),
+    )
+
+
+def _header_gsd(text: str) -> float | None:
+    value = None if text.strip().lower() in ("", "none", "null") else float(text)
+    return value if value is not None and np.isfinite(value) and value > 0 else None
+
+
+def read_labels(path: Path, problems: list[str] | None = None) -> DotaLabels:
+    """Read one label file; see ``parse_labels``.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is not text, or a line is malformed and ``problems`` is None; the message names file and line.
+    """
+    try:
+        return parse_labels(path.read_text(encoding="utf-8-sig"), problems)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def labelled_boxes(path: Path, classes: Sequence[str] = (SMALL_VEHICLE,)) -> NDArray[np.float64]:
+    """Labelled vehicles of one image, the difficult ones too, as ``[n, 5]`` boxes ``(x, y, length, width, angle)``.
+
+    Malformed lines are left out: ``survey_dota`` and its like report them.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is not text.
+    """
+    boxes = boxes_from_corners(read_labels(path, []).of_class(*classes))
+    return np.asarray(boxes[boxes[:, 2] > 0])
+
+
+def survey_dota(folder: Path, labels: Path | None = None) -> KnownScaleSet:
+    """Find the images of one split of DOTA and their scales.
+
+    Args:
+        folder: of a split, with ``images/`` (searched in depth) and ``labelTxt*/``; of several label folders the one of
+            the latest version is taken, oriented boxes only.
+        labels: another folder of labels.
+
+    Returns:
+        The images with a ``gsd:``; the others, labels without an image and malformed lines as issues.
+
+    Raises:
+        InvalidParameterError: there are no such folders.
+    """
+    if not (folder / "images").is_dir():
+        splits = sorted(path.parent.name for path in folder.glob("*/images") if path.is_dir())
+        hint = f"; name one of its splits: {', '.join(splits)}" if splits else ""
+        raise InvalidParameterError(f"no images/ folder in {str(folder)!r}{hint}")
+    label_folder = labels or _latest_labels(folder)
+    if not label_folder.is_dir():
+        raise InvalidParameterError(f"no label folder at {str(label_folder)!r}")
+    texts = {path.stem: path for path in sorted(label_folder.rglob("*.txt")) if not _upright(path, label_folder)}
+    images, issues = [], []
+    seen: dict[str, Path] = {}
+    for path in image_files(folder / "images"):
+        if path.stem in seen:
+            message = f"{seen[path.stem]} has the same name: only that one is used"
+            issues.append(FileIssue(path, "duplicate_name", message))
+            continue
+        seen[path.stem] = path
+        text = texts.get(path.stem)
+        if text is None:
+            issues.append(FileIssue(path, "no_label", f"no {path.stem}.txt in {label_folder}"))
+            continue
+        problems: list[str] = []
+        try:
+            read = read_labels(text, problems)
+            gsd = read.gsd_m_per_px or _meta_gsd(folder / "meta" / text.name)
+        except (OSError, ValueError) as error:
+            issues.append(FileIssue(text, "unreadable_labels", str(error)))
+            continue
+        if problems:
+            more = f" and {len(problems) - _SHOWN_PROBLEMS} more" if len(problems) > _SHOWN_PROBLEMS else ""
+            message = "; ".join(problems[:_SHOWN_PROBLEMS]) + more
+            issues.append(FileIssue(text, "malformed_labels", message, skipped=False))
+        if gsd is None:
+            issues.append(FileIssue(path, "no_gsd", "its labels have no 'gsd:' line, or one without a number"))
+            continue
+        n_vehicles = sum(name == SMALL_VEHICLE for name in read.classes)
+        images.append(KnownScaleImage(path, gsd, labelled_vehicles=n_vehicles, labels=text))
+    issues += [
+        FileIssue(text, "no_image", "labels without an image") for stem, text in texts.items() if stem not in seen
+    ]
+    return KnownScaleSet(str(folder), tuple(images), tuple(issues))
+
+
+def _latest_labels(folder: Path) -> Path:
+    found = [path for path in folder.glob("labelTxt*") if path.is_dir() and not _HORIZONTAL.search(path.name)]
+    if found:
+        return max(found, key=lambda path: ([int(part) for part in re.findall(r"\d+", path.name)], path.name))
+    if (folder / "labels").is_dir():
+        return folder / "labels"
+    raise InvalidParameterError(f"no labelTxt*/ (or labels/) folder in {str(folder)!r}; name one with --labels")
+
+
+def _upright(path: Path, label_folder: Path) -> bool:
+    return any(_HORIZONTAL.search(part) for part in path.relative_to(label_folder).parts[:-1])
+
+
+def _meta_gsd(path: Path) -> float | None:
+    """The ``gsd:`` of a file of version 2.0's ``meta/``."""
+    if not path.is_file():
+        return None
+    for line in path.read_text(encoding="utf-8-sig").splitlines():
+        key, _, value = line.partition(":")
+        if key.strip().lower() == "gsd":
+            return _header_gsd(value)
+    return None

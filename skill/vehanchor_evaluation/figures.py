@@ -1,0 +1,351 @@
+"""The figures of a scale benchmark: true against predicted, cumulative error, calibration, and a sheet of images."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+
+from vehanchor.imagery.raster import open_raster
+from vehanchor.pictures.plot import require_plots
+from vehanchor.pictures.scale import caption_panel, draw_vehicles, fit_for_eyes, read_reduced
+from vehanchor.scale.calibration import length_density
+from vehanchor.scale.confidence import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX
+from vehanchor_evaluation.gsd import HIGH_ERROR
+from vehanchor_evaluation.known_scale import DATASET_LIMITS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from vehanchor.scale.calibration import Calibration, SurveyedImage
+    from vehanchor_evaluation.gsd import ScaleTrial
+
+__all__ = [
+    "SheetCell",
+    "draw_sheet",
+    "interval_coverage",
+    "plot_calibration",
+    "plot_cumulative_error",
+    "plot_predicted",
+    "plot_reference_length",
+    "sheet_cell",
+    "sheet_trials",
+]
+
+_BLUE, _ORANGE, _GREEN, _RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"  # Okabe and Ito
+_INK, _GREY = "#222222", "0.6"
+_DPI = 150
+_BAND = 0.10  # paper: +-10 %
+_MAX_ERROR = 1.0
+_Z95 = 1.959963984540054
+_CONFIDENCE_BINS = np.linspace(0.0, 1.0, 6)
+_CELL_PX = 640
+_GAP_PX = 12
+
+
+def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
+    """Predicted against true GSD, logarithmic, with the +-10 % band and the resolution guard's line.
+
+    Args:
+        trials: of the detector; those without an estimate are marked at the lower edge.
+
+    Returns:
+        A figure; see ``vehanchor.pictures.plot.write_plot``.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    figure = require_plots()(figsize=(7.0, 7.2), dpi=_DPI, layout="constrained")
+    axes = _axes(figure.add_subplot())
+    known = [trial for trial in trials if trial.estimated]
+    missed = [trial.image.gsd_m_per_px for trial in trials if not trial.estimated]
+    truth = np.array([trial.image.gsd_m_per_px for trial in known])
+    estimate = np.array([trial.analysis.estimate.gsd_m_per_px or np.nan for trial in known])
+    guard = _guard_gsd(known)
+    ends = np.concatenate([truth, estimate, missed, [guard]])
+    low, high = float(ends.min()) / 1.25, float(ends.max()) * 1.25
+    line = np.array([low, high])
+    axes.fill_between(line, line * (1 - _BAND), line * (1 + _BAND), color=_GREEN, alpha=0.18, lw=0, label="\u00b110 %")
+    axes.plot(line, line, color=_GREEN, lw=1.2)
+    axes.axhline(guard, color=_RED, ls="--", lw=1.4, label=f"resolution guard {guard:.2g} m/px")
+    confidence = np.array([trial.analysis.estimate.confidence for trial in known])
+    for sure, colour, name in ((True, _BLUE, "confidence \u2265 0.5"), (False, _ORANGE, "confidence < 0.5")):
+        some = (confidence >= FALLBACK_CONFIDENCE) == sure
+        count = int(some.sum())
+        axes.scatter(truth[some], estimate[some], s=18, color=colour, alpha=0.7, lw=0, label=f"{name} ({count})")
+    if missed:
+        label = f"no estimate ({len(missed)})"
+        axes.scatter(missed, np.full(len(missed), low), marker="|", s=60, color=_INK, clip_on=False, label=label)
+    axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high), aspect="equal")
+    _plain_log(axes)
+    axes.set_xlabel("true GSD, m/px")
+    axes.set_ylabel("predicted GSD, m/px")
+    figure.legend(loc="outside lower center", ncols=3, fontsize=9, frameon=False)
+    return figure
+
+
+def _guard_gsd(trials: Sequence[ScaleTrial]) -> float:
+    """The predicted scale from which the resolution guard holds: 0.3 m/px, or finer where the model needs it."""
+    limits = [t.analysis.estimate.reference_length_m / t.analysis.guard_length_px for t in trials]
+    return float(np.median(limits)) if limits else GUARD_GSD_M_PER_PX
+
+
+def plot_cumulative_error(curves: Mapping[str, Sequence[ScaleTrial]]) -> Figure:
+    """Share of images below an error, for each kind of boxes; images without an estimate never come below any.
+
+    Args:
+        curves: name to trials.
+
+    Returns:
+        A figure.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    figure = require_plots()(figsize=(7.0, 4.6), dpi=_DPI, layout="constrained")
+    axes = _axes(figure.add_subplot())
+    for (name, trials), colour in zip(curves.items(), (_BLUE, _ORANGE, _GREEN, _RED), strict=False):
+        errors = np.sort([abs(trial.signed_error) for trial in trials if trial.estimated])
+        share = np.arange(1, len(errors) + 1) / max(1, len(trials))
+        axes.step(
+            [0, *errors * 100, 100],
+            [0, *share, share[-1] if len(share) else 0],
+            where="post",
+            color=colour,
+            lw=1.8,
+            label=f"{name} ({len(errors)} of {len(trials)})",
+        )
+    for error in (10, 20):
+        axes.axvline(error, color=_GREY, lw=0.8, ls=":")
+    axes.set(xlim=(0, 60), ylim=(0, 1))
+    axes.set_xlabel("error of the scale, %")
+    axes.set_ylabel("share of images")
+    axes.legend(frameon=False, fontsize=9, loc="lower right")
+    return figure
+
+
+def interval_coverage(trials: Sequence[ScaleTrial], nominal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Observed coverage of the intervals at other levels than 95 %: they are log-normal, so they scale.
+
+    Args:
+        trials: with an estimate, at least one.
+        nominal: ``[k]`` levels in 0..1.
+
+    Returns:
+        ``[k]`` share of trials whose truth lies in the interval of that level.
+    """
+    from scipy.stats import norm
+
+    estimates = [trial.analysis.estimate for trial in trials]
+    reach = np.array([np.log((e.gsd_ci95_high_m_per_px or np.nan) / (e.gsd_m_per_px or np.nan)) for e in estimates])
+    error = np.abs(np.log1p([trial.signed_error for trial in trials]))
+    needed = error / reach * _Z95  # standard deviations off
+    reached = norm.ppf((1 + np.asarray(nominal)) / 2)
+    return np.asarray((needed[None, :] <= reached[:, None]).mean(axis=1))
+
+
+def plot_calibration(trials: Sequence[ScaleTrial]) -> Figure:
+    """Whether interval and confidence mean what they say.
+
+    Left: nominal against observed coverage of the interval. Right: by bins of confidence, the median error and the
+    share of errors above 20 %.
+
+    Args:
+        trials: of the detector; those without an estimate say nothing here.
+
+    Returns:
+        A figure.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    figure = require_plots()(figsize=(10.0, 4.6), dpi=_DPI, layout="constrained")
+    left, right = (_axes(axes) for axes in figure.subplots(1, 2))
+    known = [trial for trial in trials if trial.estimated]
+    nominal = np.linspace(0.0, 0.99, 100)
+    left.plot([0, 1], [0, 1], color=_GREY, lw=1, ls="--", label="as it should be")
+    if known:
+        left.plot(nominal, interval_coverage(known, nominal), color=_BLUE, lw=2, label=f"{len(known)} images")
+    left.axvline(0.95, color=_GREY, lw=0.8, ls=":")
+    left.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
+    left.set_xlabel("nominal coverage of the interval")
+    left.set_ylabel("observed coverage")
+    left.legend(frameon=False, fontsize=9, loc="upper left")
+    _confidence_bars(right, known)
+    return figure
+
+
+def _confidence_bars(axes: Axes, trials: Sequence[ScaleTrial]) -> None:
+    confidence = np.array([trial.analysis.estimate.confidence for trial in trials])
+    errors = np.array([trial.error for trial in trials])
+    bins = np.clip(np.digitize(confidence, _CONFIDENCE_BINS) - 1, 0, len(_CONFIDENCE_BINS) - 2)
+    width = 0.4
+    for index in range(len(_CONFIDENCE_BINS) - 1):
+        some = errors[bins == index]
+        if not len(some):
+            continue
+        first = index == int(bins.min())
+        high = 100 * float((some > HIGH_ERROR).mean())
+        median = 100 * min(float(np.median(some)), _MAX_ERROR)
+        axes.bar(index - width / 2, median, width, color=_BLUE, label="median error, %" if first else None)
+        axes.bar(index + width / 2, high, width, color=_ORANGE, label="share of errors > 20 %" if first else None)
+        axes.annotate(
+            f"n = {len(some)}", (index, max(high, median)), (0, 3), textcoords="offset points", ha="center", fontsize=8
+        )
+    names = [f"{a:.1f} to {b:.1f}" for a, b in pairwise(_CONFIDENCE_BINS)]
+    axes.set_xticks(range(len(names)), names)
+    axes.set_xlim(-0.6, len(names) - 0.4)
+    axes.set_xlabel("confidence")
+    axes.set_ylabel("%")
+    if len(trials):
+        axes.legend(frameon=False, fontsize=9, loc="upper right")
+
+
+def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibration) -> Figure:
+    """How a calibration came about: the vehicles' lengths in metres, their density, the mode and its interval.
+
+    Args:
+        images: vehicles and true scales that were measured.
+        calibration: what came of them.
+
+    Returns:
+        A figure.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    figure = require_plots()(figsize=(8.0, 4.6), dpi=_DPI, layout="constrained")
+    axes = _axes(figure.add_subplot())
+    metres = np.concatenate([image.boxes[:, 2] * image.gsd_m_per_px for image in images])
+    mode = calibration.reference_length_m
+    low, high = np.percentile(metres, [0.5, 99.5])
+    low, high = max(0.0, min(low, 0.6 * mode)), max(min(high, 2.5 * mode), 1.4 * mode)
+    shown = metres[(metres >= low) & (metres <= high)]
+    edges = np.linspace(low, high, int(np.clip(np.sqrt(len(shown)) * 2, 12, 80)) + 1)
+    axes.hist(
+        shown, bins=list(edges), color="#56B4E9", edgecolor="white", linewidth=0.5, label=f"{len(metres)} vehicles"
+    )
+    at = np.linspace(low, high, 800)
+    density = length_density(images, at) * len(metres) * (edges[1] - edges[0])
+    axes.plot(at, density, color=_BLUE, lw=2, label="density (KDE)")
+    ends = calibration.reference_length_ci95_low_m, calibration.reference_length_ci95_high_m
+    axes.axvspan(
+        *ends, color="0.75", alpha=0.5, lw=0, zorder=0, label=f"95 % interval {ends[0]:.3f} to {ends[1]:.3f} m"
+    )
+    axes.axvline(mode, color=_INK, lw=1.6, label=f"mode {mode:.3f} m")
+    axes.set_xlim(low, high)
+    axes.set_xlabel("vehicle length, metres")
+    axes.set_ylabel("vehicles")
+    beyond = len(metres) - len(shown)
+    note = f", {beyond} beyond the axis" if beyond else ""
+    axes.set_title(f"{calibration.n_images} images{note}", loc="left", fontsize=11)
+    axes.legend(frameon=False, fontsize=9)
+    return figure
+
+
+def _axes(axes: Axes) -> Axes:
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    return axes
+
+
+def _plain_log(axes: Axes) -> None:
+    """Ticks such as 0.1, 0.2, 0.5 instead of powers of ten."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_locator(NullLocator())
+
+
+# --- The sheet of images ---------------------------------------------------------------------------------------------
+
+
+class SheetCell(NamedTuple):
+    """One picture of a sheet.
+
+    Attributes:
+        picture: ``[h, w, 3]`` RGB.
+        lines: texts below it, the first in bold.
+    """
+
+    picture: NDArray[np.uint8]
+    lines: tuple[str, ...]
+
+
+def sheet_trials(trials: Sequence[ScaleTrial], per_row: int = 3) -> dict[str, tuple[ScaleTrial, ...]]:
+    """The best, the middle and the worst estimates, each once."""
+    ordered = sorted((trial for trial in trials if trial.estimated), key=lambda trial: trial.error)
+    count = min(per_row, len(ordered) // 3)
+    start = (len(ordered) - count) // 2
+    if not count:
+        return {"best": tuple(ordered)}
+    return {
+        "best": tuple(ordered[:count]),
+        "median": tuple(ordered[start : start + count]),
+        "worst": tuple(ordered[-count:]),
+    }
+
+
+def sheet_cell(trial: ScaleTrial) -> SheetCell:
+    """An image with its vehicles drawn, its error and its confidence.
+
+    Raises:
+        ImageError: the image cannot be read any more.
+    """
+    estimate = trial.analysis.estimate
+    with open_raster(trial.image.path, limits=DATASET_LIMITS) as raster:
+        picture = fit_for_eyes(read_reduced(raster))
+    scale = np.array([picture.shape[1] / estimate.image_width_px, picture.shape[0] / estimate.image_height_px])
+    draw_vehicles(picture, trial.analysis, scale)
+    return SheetCell(
+        picture,
+        (
+            f"error {100 * trial.signed_error:+.1f} %",
+            f"{estimate.gsd_m_per_px:.3g} m/px, true {trial.image.gsd_m_per_px:.3g}",
+            f"{estimate.n_vehicles} vehicles, confidence {estimate.confidence:.2f}",
+            trial.image.path.name[-48:].encode("ascii", "replace").decode(),
+        ),
+    )
+
+
+def draw_sheet(rows: Sequence[Sequence[SheetCell]]) -> NDArray[np.uint8]:
+    """Pictures side by side in rows, each above its texts.
+
+    Args:
+        rows: of cells; a row may be shorter than the longest.
+
+    Returns:
+        ``[h, w, 3]`` RGB.
+    """
+    columns = max((len(row) for row in rows), default=0)
+    width = columns * (_CELL_PX + _GAP_PX) + _GAP_PX
+    strips = [np.full((_GAP_PX, max(width, 1), 3), 255, np.uint8)]
+    for row in rows:
+        cells = [_cell(cell) for cell in row]
+        height = max((len(cell) for cell in cells), default=0)
+        strip = np.full((height + _GAP_PX, max(width, 1), 3), 255, np.uint8)
+        for index, cell in enumerate(cells):
+            left = _GAP_PX + index * (_CELL_PX + _GAP_PX)
+            strip[: len(cell), left : left + _CELL_PX] = cell
+        strips.append(strip)
+    return np.concatenate(strips)
+
+
+def _cell(cell: SheetCell) -> NDArray[np.uint8]:
+    """The picture fitted into a square, its texts below."""
+    height, width = cell.picture.shape[:2]
+    factor = _CELL_PX / max(height, width)
+    size = max(1, round(width * factor)), max(1, round(height * factor))
+    method = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
+    square = np.full((_CELL_PX, _CELL_PX, 3), 235, np.uint8)
+    top, left = (_CELL_PX - size[1]) // 2, (_CELL_PX - size[0]) // 2
+    square[top : top + size[1], left : left + size[0]] = cv2.resize(cell.picture, size, interpolation=method)
+    return np.concatenate([square, caption_panel(_CELL_PX, [[(None, line)] for line in cell.lines])])

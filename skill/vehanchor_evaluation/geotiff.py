@@ -1,0 +1,58 @@
+"""Georeferenced images: their own geotransform tells the true scale."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from vehanchor.errors import InvalidParameterError, VehAnchorError
+from vehanchor.imagery.raster import open_raster
+from vehanchor_evaluation.known_scale import (
+    DATASET_LIMITS,
+    FileIssue,
+    KnownScaleImage,
+    KnownScaleSet,
+    image_files,
+    labels_beside,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+__all__ = ["survey_geotiffs"]
+
+
+def survey_geotiffs(paths: Sequence[Path]) -> KnownScaleSet:
+    """Read the true scale of orthophotos from their georeference, at their centre.
+
+    Pixels in degrees are taken at their latitude, and Mercator's stretched metres by its cosine: see
+    ``vehanchor.imagery.georeference``.
+
+    Args:
+        paths: files, and folders to search for images.
+
+    Returns:
+        The images with a georeference; the others as issues.
+
+    Raises:
+        InvalidParameterError: a path does not exist.
+    """
+    files: list[Path] = []
+    for path in paths:
+        if not path.exists():
+            raise InvalidParameterError(f"no file or folder at {str(path)!r}")
+        files += image_files(path) if path.is_dir() else [path]
+    images, issues = [], []
+    for file in dict.fromkeys(files):
+        try:
+            with open_raster(file, limits=DATASET_LIMITS) as raster:
+                gsd = raster.georeference_gsd_m_per_px
+        except VehAnchorError as error:
+            issues.append(FileIssue(file, error.code, str(error)))
+            continue
+        if gsd is None:
+            issues.append(FileIssue(file, "no_georeference", "the file carries no scale that makes sense"))
+            continue
+        images.append(KnownScaleImage(file, gsd, labels=labels_beside(file)))
+    source = str(paths[0]) if len(paths) == 1 else f"{len(paths)} georeferenced files"
+    return KnownScaleSet(source, tuple(images), tuple(issues))

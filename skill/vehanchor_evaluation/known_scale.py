@@ -1,0 +1,111 @@
+"""Images whose scale is known, and the files that could not be taken, each with the reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+from vehanchor.imagery.raster import ImageLimits
+
+__all__ = [
+    "DATASET_LIMITS",
+    "IMAGE_SUFFIXES",
+    "FileIssue",
+    "KnownScaleImage",
+    "KnownScaleSet",
+    "image_files",
+    "labels_beside",
+]
+
+DATASET_LIMITS = ImageLimits(max_bytes=2 << 30, max_pixels=500_000_000)
+"""Benchmark images are the user's own, not a stranger's: DOTA's largest have 20,000 x 20,000 px."""
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
+
+
+class KnownScaleImage(NamedTuple):
+    """An image and its true scale.
+
+    Attributes:
+        path: the image.
+        gsd_m_per_px: its true ground sampling distance.
+        set: the set it belongs to, or an empty string.
+        split: ``train``, ``val`` or an empty string.
+        labelled_vehicles: number of labelled small vehicles, None where unknown.
+        labels: its file of DOTA labels, None where there is none.
+    """
+
+    path: Path
+    gsd_m_per_px: float
+    set: str = ""
+    split: str = ""
+    labelled_vehicles: int | None = None
+    labels: Path | None = None
+
+
+class FileIssue(NamedTuple):
+    """What is wrong with one file of the data.
+
+    Attributes:
+        file: the file.
+        reason: stable word for the kind, as in ``no_gsd``; codes of ``vehanchor.errors`` for images.
+        message: what was found.
+        skipped: whether the image is left out; else it is used without what is wrong.
+    """
+
+    file: Path
+    reason: str
+    message: str
+    skipped: bool = True
+
+
+@dataclass(frozen=True)
+class KnownScaleSet:
+    """What a folder, a table or a list of files holds.
+
+    Attributes:
+        source: the folder, table or files, in words.
+        images: those of known scale, in a fixed order.
+        issues: files that could not be taken, or not whole.
+    """
+
+    source: str
+    images: tuple[KnownScaleImage, ...]
+    issues: tuple[FileIssue, ...] = ()
+
+    def chosen(
+        self, *, set_name: str | None = None, split: str | None = None, limit: int | None = None
+    ) -> KnownScaleSet:
+        """The images of one set, of one split, and of those the first few; None takes all."""
+        images = [
+            image
+            for image in self.images
+            if (set_name is None or image.set == set_name) and (split is None or image.split == split)
+        ]
+        return replace(self, images=tuple(images[:limit]))
+
+    def without_duplicates(self) -> KnownScaleSet:
+        """Each file once; what is named again becomes an issue."""
+        first: dict[Path, KnownScaleImage] = {}
+        issues = list(self.issues)
+        for image in self.images:
+            if image.path in first:
+                issues.append(FileIssue(image.path, "duplicate_name", "named more than once: only the first is used"))
+            first.setdefault(image.path, image)
+        return replace(self, images=tuple(first.values()), issues=tuple(issues))
+
+
+def image_files(folder: Path) -> list[Path]:
+    """All files below a folder with an image's suffix, sorted by their path."""
+    return sorted(path for path in folder.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file())
+
+
+def labels_beside(image: Path) -> Path | None:
+    """Labels of an image, where they usually are: in ``labels/`` or ``labelTxt*/`` beside its folder, or in its own."""
+    name = f"{image.stem}.txt"
+    around = image.parent.parent
+    for folder in (around / "labels", *sorted(around.glob("labelTxt*"), reverse=True), image.parent):
+        if (folder / name).is_file():
+            return folder / name
+    return None

@@ -1,0 +1,220 @@
+"""Results as files: JSON for programs, CSV for spreadsheets, Markdown for readers."""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import TYPE_CHECKING
+
+from vehanchor.errors import OutputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from pydantic import BaseModel
+
+    from vehanchor_evaluation.ablation import AblationReport
+    from vehanchor_evaluation.gsd import ScaleBenchmark, ScaleReport, ScaleTrial
+    from vehanchor_evaluation.known_scale import FileIssue
+
+__all__ = [
+    "ablation_markdown",
+    "markdown_table",
+    "percent",
+    "scale_markdown",
+    "write_issues",
+    "write_results",
+    "write_table",
+    "write_trials",
+]
+
+_SHORT_SHA = 12
+_LISTED_LENGTHS = 5  # more reference lengths are given as their range
+
+
+def percent(value: float | None, digits: int = 1, *, signed: bool = False) -> str:
+    """A share as text; a dash for None."""
+    return "-" if value is None else f"{value:{'+' if signed else ''}.{digits}%}".replace("%", " %")
+
+
+def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    lines = ["| " + " | ".join(cells) + " |" for cells in (headings, *rows)]
+    lines.insert(1, "|" + "---|" * len(headings))
+    return "\n".join(lines) + "\n"
+
+
+def write_results(
+    folder: Path, stem: str, record: BaseModel, rows: Sequence[Mapping[str, object]], markdown: str
+) -> list[Path]:
+    """Write a result three times: ``<stem>.json``, its table as ``<stem>.csv``, and ``<stem>.md``.
+
+    Args:
+        folder: made where it does not exist.
+        stem: of the names.
+        record: the whole result.
+        rows: its table, all with the same keys.
+        markdown: the text for readers.
+
+    Returns:
+        The files.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    return [
+        _write(folder / f"{stem}.json", record.model_dump_json(indent=2) + "\n"),
+        write_table(folder / f"{stem}.csv", rows),
+        _write(folder / f"{stem}.md", markdown),
+    ]
+
+
+def write_table(path: Path, rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()) -> Path:
+    """Write rows with the same keys as CSV; None is an empty cell.
+
+    Args:
+        path: of the file; its folder is made where there is none.
+        rows: the table.
+        columns: their keys, where there may be no row to tell them.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]) if rows else columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return _write(path, text.getvalue())
+
+
+def _write(path: Path, text: str) -> Path:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8", errors="backslashreplace")
+    except OSError as error:
+        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
+    return path
+
+
+def write_issues(path: Path, issues: Iterable[FileIssue]) -> Path:
+    """Write what was wrong with which file as CSV.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    rows = [
+        {"file": str(i.file), "reason": i.reason, "skipped": str(i.skipped).lower(), "message": i.message}
+        for i in issues
+    ]
+    return write_table(path, rows, ("file", "reason", "skipped", "message"))
+
+
+def write_trials(path: Path, benchmark: ScaleBenchmark) -> Path:
+    """Write one line an image as CSV: truth, estimate, error, confidence, and the same of its labels.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    labelled = {trial.image.path: trial for trial in benchmark.baseline}
+    return write_table(path, [_trial_row(trial, labelled.get(trial.image.path)) for trial in benchmark.trials])
+
+
+def _trial_row(trial: ScaleTrial, labelled: ScaleTrial | None) -> dict[str, object]:
+    estimate = trial.analysis.estimate
+    by_labels = labelled.analysis.estimate if labelled else None
+    return {
+        "file": str(trial.image.path),
+        "set": trial.image.set,
+        "true_gsd_m_per_px": trial.image.gsd_m_per_px,
+        "gsd_m_per_px": estimate.gsd_m_per_px,
+        "signed_error": trial.signed_error if trial.estimated else None,
+        "confidence": round(estimate.confidence, 4),
+        "gsd_ci95_low_m_per_px": estimate.gsd_ci95_low_m_per_px,
+        "gsd_ci95_high_m_per_px": estimate.gsd_ci95_high_m_per_px,
+        "n_vehicles": estimate.n_vehicles,
+        "n_detections": estimate.n_detections,
+        "mode_length_px": estimate.mode_length_px,
+        "resolution_guard": str(estimate.resolution_guard).lower(),
+        "reference_length_m": estimate.reference_length_m,
+        "labelled_vehicles": by_labels.n_detections if by_labels else None,
+        "labels_gsd_m_per_px": by_labels.gsd_m_per_px if by_labels else None,
+        "labels_signed_error": labelled.signed_error if labelled and labelled.estimated else None,
+    }
+
+
+# --- Texts -----------------------------------------------------------------------------------------------------------
+
+
+def scale_markdown(report: ScaleReport) -> str:
+    """Table I with the facts below it."""
+    rows = [
+        (
+            row.name,
+            str(row.images),
+            percent(row.median, 2),
+            percent(row.mean, 2),
+            percent(row.within_10),
+            percent(row.within_20),
+            percent(row.bias, 2, signed=True),
+            f"{percent(row.coverage)} of {row.of_images}",
+            percent(row.interval_coverage),
+        )
+        for row in report.rows
+    ]
+    headings = ("boxes", "images", "median", "mean", "< 10 %", "< 20 %", "bias", "estimate on", "95 % interval holds")
+    in_use = report.reference_length_m
+    lengths = ", ".join(f"{length:.4g}" for length in in_use) or "-"
+    if len(in_use) > _LISTED_LENGTHS:
+        lengths = f"{in_use[0]:.4g} to {in_use[-1]:.4g}"
+    facts = [
+        f"Reference length in use: {lengths} m"
+        + (
+            ""
+            if report.label_reference_length_m is None
+            else f"; KDE mode of these labels: {report.label_reference_length_m:.4g} m"
+        ),
+        f"No estimate, as no vehicle was found: {report.no_vehicle_found} images; "
+        f"labels without a vehicle: {report.no_vehicle_labelled}",
+        f"Skipped: {_counts(report.skipped)}; used in part: {_counts(report.noted)}",
+        f"Confidence against error: Pearson {_number(report.confidence_error_pearson)}, "
+        f"Spearman {_number(report.confidence_error_spearman)}",
+        f"Errors above 20 %: {report.high_errors}, of which the resolution guard flags {report.high_errors_guarded} "
+        f"and a confidence below 0.5 flags {report.high_errors_low_confidence}; of the {report.low_errors} others "
+        f"{report.low_errors_guarded} and {report.low_errors_low_confidence}",
+    ]
+    title = f"Detector `{report.detector}` ({report.detector_sha256[:_SHORT_SHA]}) on `{report.data}`"
+    return f"{title}. Errors are over images with an estimate.\n\n{markdown_table(headings, rows)}\n{_bullets(facts)}"
+
+
+def ablation_markdown(report: AblationReport) -> str:
+    """Table III beside the paper's numbers."""
+    rows = [
+        (
+            row.choice,
+            row.setting,
+            row.boxes,
+            str(row.errors.images),
+            percent(row.errors.median, 2),
+            percent(row.errors.mean, 2),
+            percent(row.errors.within_20),
+            percent(row.paper_median, 2),
+            percent(row.paper_within_20),
+        )
+        for row in report.rows
+    ]
+    headings = ("choice", "setting", "boxes", "images", "median", "mean", "< 20 %", "paper: median", "paper: < 20 %")
+    title = f"Detector `{report.detector}` ({report.detector_sha256[:_SHORT_SHA]}) on `{report.data}`"
+    return f"{title}. Errors are over images with an estimate.\n\n{markdown_table(headings, rows)}"
+
+
+def _number(value: float | None) -> str:
+    return "not defined" if value is None else f"{value:+.3f}"
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {reason}" for reason, count in counts.items()) or "none"
+
+
+def _bullets(lines: Iterable[str]) -> str:
+    return "".join(f"- {line}\n" for line in lines)

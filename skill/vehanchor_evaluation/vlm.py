@@ -1,0 +1,271 @@
+"""Areas by the eye of a vision-language model: the paper's baselines, and the same model with this project's tools.
+
+The protocol is the paper's: the system role, the target in a red rectangle, one question that asks for square metres
+and for a last line ``AREA=<number>``; the hinted setting adds one sentence. Every model gets the same query. A refusal,
+or a reply without such a number, counts as an error of 100 %, as does a pipeline without a scale.
+"""
+
+from __future__ import annotations
+
+import base64
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from vehanchor.errors import VehAnchorError
+from vehanchor.imagery.raster import open_raster
+from vehanchor.pictures.scale import read_reduced
+from vehanchor_evaluation.area_errors import AreaErrors, area_errors
+from vehanchor_evaluation.known_scale import FileIssue
+from vehanchor_evaluation.stated_area import read_area
+from vehanchor_evaluation.vlm_api import ApiRefusedError, BudgetSpentError, RequestFailedError, ToolResult
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from vehanchor_evaluation.rs_gsd import BenchmarkEntry
+    from vehanchor_evaluation.vlm_api import ModelApi, ToolRunner
+
+__all__ = [
+    "HINT",
+    "QUESTION",
+    "SYSTEM",
+    "Query",
+    "VlmRun",
+    "VlmTrial",
+    "draw_question",
+    "run_vlm_trials",
+    "summarise_vlm",
+]
+
+SYSTEM = "You are a remote sensing image analysis expert."
+QUESTION = (
+    "What is the area, in square metres (m^2), of the object inside the red rectangle? "
+    "End your answer with a last line of the form AREA=<number>, the area in m^2."
+)
+HINT = "Small vehicles (cars) are approximately 5 m long; use them as a scale reference."
+_AGENT = (
+    "Measure with your tools instead of guessing; they work on the image file at full size, not on the picture. "
+    "The file is {path}. The picture that you see is {width} x {height} px: give that size as frame. In the picture's "
+    "pixels the red rectangle has the corners ({x1:.1f}, {y1:.1f}) and ({x2:.1f}, {y2:.1f})."
+)
+MAX_SIDE_PX = 1568  # the longest side that the Messages API shows to models without reducing it
+MAX_TURNS = 8
+_RED_RGB = (255, 0, 0)
+_JPEG_QUALITY = 95
+_FAILURES_IN_A_ROW = 5  # then the service is down, and the rest would fail as well
+
+
+@dataclass(frozen=True)
+class Query:
+    """What is asked, and how.
+
+    Attributes:
+        hint: append the paper's sentence on the length of cars.
+        agent: let the model use the tools; it is told the file, the picture's size and the rectangle's corners, which
+            a planner knows.
+        max_side_px: longest side of the picture; larger images are reduced.
+        max_turns: replies that an agent may give for one entry.
+    """
+
+    hint: bool = False
+    agent: bool = False
+    max_side_px: int = MAX_SIDE_PX
+    max_turns: int = MAX_TURNS
+
+
+class VlmTrial(BaseModel):
+    """What the model said about one entry."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    entry: str
+    image: str
+    category: str
+    true_area_m2: float
+    stated_area_m2: float | None
+    problem: str | None = Field(
+        description="Why there is no area: refused, too_many_turns, no_area_line, no_number, ambiguous_number, "
+        "unknown_unit."
+    )
+    last_line: str = Field(description="Last line of the reply.")
+    turns: int = Field(description="Replies; one without tools.")
+    tool_calls: str = Field(description="Tools called, in order.")
+    input_tokens: int
+    output_tokens: int
+
+
+class VlmRun(NamedTuple):
+    """Trials in the order of the entries, what failed, and why the run ended early (None: it did not)."""
+
+    trials: list[VlmTrial]
+    issues: list[FileIssue]
+    stopped: str | None
+
+
+class Question(NamedTuple):
+    """The picture that a model sees.
+
+    Attributes:
+        jpeg: the image with the red rectangle.
+        width_px: of the picture.
+        height_px: of it.
+        corners: x1, y1, x2, y2 of the target's box in its pixels; the rectangle is drawn just outside.
+    """
+
+    jpeg: bytes
+    width_px: int
+    height_px: int
+    corners: tuple[float, float, float, float]
+
+
+def draw_question(image: NDArray[np.uint8], scale: float, box: Sequence[float], max_side_px: int) -> Question:
+    """Reduce an image and draw a red rectangle around a box.
+
+    Args:
+        image: ``[h, w, 3]`` RGB.
+        scale: pixels of ``image`` per pixel that the box is given in; 1, or less where it is a reduced copy.
+        box: x1, y1, x2, y2.
+        max_side_px: of the picture; images are never enlarged.
+    """
+    height, width = image.shape[:2]
+    factor = min(1.0, max_side_px / max(width, height))
+    size = max(1, round(width * factor)), max(1, round(height * factor))
+    picture = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if factor < 1 else np.array(image)
+    corners = np.asarray(box, np.float64) * scale * np.tile(np.array(size) / (width, height), 2)
+    line = max(2, round(max(size) / 500))
+    outset = (line + 1) // 2  # the line keeps off the object
+    first = np.floor(corners[:2]).astype(int) - outset
+    last = np.ceil(corners[2:]).astype(int) - 1 + outset
+    first, last = np.maximum(first, 0), np.minimum(last, np.array(size) - 1)
+    cv2.rectangle(picture, first.tolist(), last.tolist(), _RED_RGB, line)
+    quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    _, encoded = cv2.imencode(".jpg", np.ascontiguousarray(picture[:, :, ::-1]), quality)
+    x1, y1, x2, y2 = corners.tolist()
+    return Question(encoded.tobytes(), *size, (x1, y1, x2, y2))
+
+
+def run_vlm_trials(
+    entries: Sequence[BenchmarkEntry],
+    api: ModelApi,
+    query: Query,
+    *,
+    tools: ToolRunner | None = None,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> VlmRun:
+    """Ask about every entry.
+
+    An entry that fails is reported and left out; the run ends early, with what it has, once the budget is spent, the
+    service refuses the key or the model, or five requests in a row fail.
+
+    Args:
+        entries: of a benchmark.
+        api: the model.
+        query: what to ask.
+        tools: for an agent.
+        workers: requests at once.
+        progress: called with (entries done, entries in all).
+    """
+    trials: dict[str, VlmTrial] = {}
+    issues: list[FileIssue] = []
+    stopped: str | None = None
+    failures = 0
+    ended = Event()  # so that no thread takes up another entry before this one has heard of the end
+
+    def work(entry: BenchmarkEntry) -> VlmTrial | None:
+        if ended.is_set():
+            return None
+        try:
+            return _ask(entry, api, query, tools)
+        except (BudgetSpentError, ApiRefusedError):
+            ended.set()
+            raise
+
+    with ThreadPoolExecutor(workers) as pool:
+        futures = {pool.submit(work, entry): entry for entry in entries}
+        try:
+            for done, future in enumerate(as_completed(futures), start=1):
+                entry = futures[future]
+                try:
+                    trial = future.result()
+                    if trial is not None:
+                        trials[entry.name] = trial
+                    failures = 0
+                except (BudgetSpentError, ApiRefusedError) as error:
+                    stopped = stopped or str(error)
+                except RequestFailedError as error:
+                    issues.append(FileIssue(Path(entry.image), "request_failed", f"{entry.name}: {error}"))
+                    failures += 1
+                    if failures >= _FAILURES_IN_A_ROW:
+                        stopped = stopped or f"{failures} requests in a row failed, the last: {error}"
+                except VehAnchorError as error:
+                    issues.append(FileIssue(Path(entry.image), error.code, f"{entry.name}: {error}"))
+                if stopped:
+                    ended.set()
+                    break
+                if progress is not None:
+                    progress(done, len(entries))
+        finally:
+            pool.shutdown(cancel_futures=True)
+    for future, entry in futures.items():  # what was under way when the run ended has its answer by now
+        if stopped and not future.cancelled() and future.exception() is None and (late := future.result()) is not None:
+            trials[entry.name] = late
+    return VlmRun([trials[entry.name] for entry in entries if entry.name in trials], issues, stopped)
+
+
+def _ask(entry: BenchmarkEntry, api: ModelApi, query: Query, tools: ToolRunner | None) -> VlmTrial:
+    with open_raster(entry.image) as raster:
+        seen = read_reduced(raster)
+        question = draw_question(seen, seen.shape[1] / raster.width_px, entry.corners, query.max_side_px)
+    text = f"{QUESTION} {HINT}" if query.hint else QUESTION
+    if tools is not None:
+        x1, y1, x2, y2 = question.corners
+        text += " " + _AGENT.format(
+            path=entry.image, width=question.width_px, height=question.height_px, x1=x1, y1=y1, x2=x2, y2=y2
+        )
+    messages = api.first_messages(SYSTEM, text, base64.b64encode(question.jpeg).decode())
+    turns = input_tokens = output_tokens = 0
+    called: list[str] = []
+    while True:
+        reply = api.ask(SYSTEM, messages, tools)
+        turns += 1
+        input_tokens += reply.input_tokens
+        output_tokens += reply.output_tokens
+        if tools is None or not reply.tool_calls or turns >= query.max_turns:
+            break
+        results = [ToolResult(*tools.call(call.name, call.arguments)) for call in reply.tool_calls]
+        called += [call.name for call in reply.tool_calls]
+        messages = api.next_messages(messages, reply, results)
+    stated = read_area(reply.text)
+    problem: str | None = stated.problem
+    if problem and reply.refused:
+        problem = "refused"
+    elif problem and reply.tool_calls:
+        problem = "too_many_turns"
+    return VlmTrial(
+        entry=entry.name,
+        image=entry.image,
+        category=entry.category,
+        true_area_m2=entry.area_m2,
+        stated_area_m2=stated.area_m2,
+        problem=problem,
+        last_line=(reply.text.strip().splitlines() or [""])[-1][:200],
+        turns=turns,
+        tool_calls=" ".join(called),
+        input_tokens=input_tokens,
+        output_tokens=output_tokens,
+    )
+
+
+def summarise_vlm(name: str, trials: Sequence[VlmTrial]) -> AreaErrors:
+    """The table's row of a model."""
+    return area_errors(name, ((t.category, t.stated_area_m2, t.true_area_m2) for t in trials))

@@ -1,0 +1,128 @@
+"""The vehicles of a scene: how long, how wide, of which body and colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vehanchor_scenes.truth import VehicleKind
+
+__all__ = ["Fleet", "VehicleModel"]
+
+# (mean length in m, standard deviation, share, bodies) before scaling to the mean asked for. Together: mean 4.544 m,
+# standard deviation 8.7 % of it, mode 1.010 x the mean.
+_CLASSES: tuple[tuple[float, float, float, tuple[str, ...]], ...] = (
+    (3.72, 0.13, 0.07, ("city",)),
+    (4.18, 0.15, 0.20, ("hatchback", "hatchback", "city")),
+    (4.55, 0.15, 0.38, ("hatchback", "sedan", "estate", "suv")),
+    (4.80, 0.17, 0.24, ("sedan", "sedan", "estate", "suv")),
+    (5.15, 0.18, 0.11, ("van", "pickup", "sedan", "van")),
+)
+_SHARES = np.array([entry[2] for entry in _CLASSES])
+_CLASSES_MEAN_M = float(np.dot(_SHARES, [entry[0] for entry in _CLASSES]))
+_CUMULATIVE = np.cumsum(_SHARES) / _SHARES.sum()
+_MAX_DEVIATION = 2.5
+
+_WIDTH_PER_LENGTH = 0.40
+_WIDTH_FOLLOWS_LENGTH = 0.55  # a short car is narrower, but not in proportion
+_WIDTH_SD = 0.02
+
+# Shares of paint as seen on European car parks: white, silver, grey, black, blue, red, green, beige, yellow/orange.
+_PAINTS: tuple[tuple[float, tuple[int, int, int]], ...] = (
+    (0.25, (232, 233, 232)),
+    (0.17, (178, 181, 184)),
+    (0.17, (112, 115, 119)),
+    (0.20, (38, 39, 43)),
+    (0.085, (48, 70, 118)),
+    (0.07, (150, 32, 34)),
+    (0.02, (52, 82, 62)),
+    (0.025, (170, 155, 130)),
+    (0.01, (205, 140, 40)),
+)
+_PAINT_CUMULATIVE = np.cumsum([share for share, _ in _PAINTS]) / sum(share for share, _ in _PAINTS)
+
+# (body, length range in m, width range in m, paints)
+_LARGE: tuple[tuple[str, tuple[float, float], tuple[float, float]], ...] = (
+    ("truck", (7.0, 10.5), (2.35, 2.5)),
+    ("bus", (10.5, 12.5), (2.5, 2.55)),
+    ("semitrailer", (14.5, 16.5), (2.5, 2.55)),
+    ("caravan", (6.0, 7.6), (2.2, 2.35)),
+)
+
+
+@dataclass(frozen=True)
+class VehicleModel:
+    """One vehicle before it is placed."""
+
+    kind: VehicleKind
+    body: str
+    length_m: float
+    width_m: float
+    paint: tuple[int, int, int]
+
+
+class Fleet:
+    """Draws vehicles; small ones have the mean length given."""
+
+    def __init__(self, mean_length_m: float, rng: np.random.Generator) -> None:
+        self.mean_length_m = mean_length_m
+        self._scale = mean_length_m / _CLASSES_MEAN_M
+        self._rng = rng
+
+    @property
+    def max_length_m(self) -> float:
+        """No small vehicle is longer."""
+        return (_CLASSES[-1][0] + _MAX_DEVIATION * _CLASSES[-1][1]) * self._scale
+
+    @property
+    def max_width_m(self) -> float:
+        """No small vehicle is wider."""
+        typical = _WIDTH_FOLLOWS_LENGTH * self.max_length_m + (1 - _WIDTH_FOLLOWS_LENGTH) * self.mean_length_m
+        return _WIDTH_PER_LENGTH * typical * (1 + _WIDTH_SD * _MAX_DEVIATION)
+
+    @property
+    def bay_length_m(self) -> float:
+        """Of a parking bay that suits the fleet."""
+        return max(5.0, 1.1 * self.mean_length_m)
+
+    @property
+    def bay_width_m(self) -> float:
+        """Of a parking bay that suits the fleet."""
+        return max(2.5, 0.54 * self.mean_length_m)
+
+    def small(self) -> VehicleModel:
+        """A car or van."""
+        rng = self._rng
+        mean, sd, _, bodies = _CLASSES[int(np.searchsorted(_CUMULATIVE, rng.random()))]
+        deviation = _bounded(rng)
+        length = (mean + sd * deviation) * self._scale
+        typical = _WIDTH_FOLLOWS_LENGTH * length + (1 - _WIDTH_FOLLOWS_LENGTH) * self.mean_length_m
+        spread = 1 + _WIDTH_SD * _bounded(rng)
+        body = bodies[rng.integers(len(bodies))]
+        return VehicleModel("small-vehicle", body, length, _WIDTH_PER_LENGTH * typical * spread, self._paint(body))
+
+    def large(self, *bodies: str) -> VehicleModel:
+        """A truck, bus, articulated lorry or caravan (any of the bodies named)."""
+        rng = self._rng
+        choices = [entry for entry in _LARGE if not bodies or entry[0] in bodies]
+        body, (shortest, longest), (narrowest, widest) = choices[rng.integers(len(choices))]
+        length, width = rng.uniform(shortest, longest), rng.uniform(narrowest, widest)
+        return VehicleModel("large-vehicle", body, float(length), float(width), self._paint(body))
+
+    def _paint(self, body: str) -> tuple[int, int, int]:
+        rng = self._rng
+        index = int(np.searchsorted(_PAINT_CUMULATIVE, rng.random()))
+        if (body in ("van", "caravan") and rng.random() < 0.75) or (
+            body in ("truck", "semitrailer") and rng.random() < 0.5
+        ):
+            index = 0
+        if body == "bus" and rng.random() < 0.6:
+            index = int(rng.choice([0, 4, 5, 6]))
+        gain, tint = rng.normal(1, 0.08), rng.normal(0, 3, 3).tolist()
+        red, green, blue = (int(min(max(c * gain + t, 14), 246)) for c, t in zip(_PAINTS[index][1], tint, strict=True))
+        return red, green, blue
+
+
+def _bounded(rng: np.random.Generator) -> float:
+    return min(max(float(rng.standard_normal()), -_MAX_DEVIATION), _MAX_DEVIATION)

@@ -1,0 +1,241 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.isaid_data import write_coco, write_dota_image, write_isaid_pictures
+from vehanchor.errors import ImageError, InvalidParameterError
+from vehanchor_evaluation import isaid, segments
+from vehanchor_evaluation.dota import survey_dota
+from vehanchor_evaluation.instance_masks import InstanceMask, decode_segmentation, split_instances
+from vehanchor_scenes import Scene, render_scene
+
+CATEGORIES = {"swimming-pool": "swimming-pool", "sports-court": "tennis-court", "field": "soccer-ball-field"}
+Objects = list[tuple[str, NDArray[np.bool_]]]
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return render_scene(gsd_m_per_px=0.25, width_px=512, height_px=448, seed=4)
+
+
+@pytest.fixture(scope="module")
+def objects(scene: Scene) -> Objects:
+    """What the scene is known to hold, under iSAID's names."""
+    found = [
+        (CATEGORIES[item.category], scene.masks[item.category] == item.instance)
+        for item in scene.objects
+        if item.category in CATEGORIES
+    ]
+    assert len({category for category, _ in found}) >= 2
+    return found
+
+
+def full(mask: InstanceMask, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    whole = np.zeros(shape[:2], bool)
+    height, width = mask.mask.shape
+    whole[mask.top_px : mask.top_px + height, mask.left_px : mask.left_px + width] = mask.mask
+    return whole
+
+
+@pytest.mark.parametrize("apart", [False, True], ids=["beside the image", "as downloaded"])
+def test_pictures_give_every_object_its_mask_and_category(
+    tmp_path: Path, scene: Scene, objects: Objects, apart: bool
+) -> None:
+    ids, colours = ("Instance_masks/images", "Semantic_masks/images") if apart else ("images", "images")
+    size = scene.image.shape[0], scene.image.shape[1]
+    write_dota_image(tmp_path / "dota", "P0003", scene.image, 0.25)
+    write_isaid_pictures(tmp_path / "isaid" / ids, tmp_path / "isaid" / colours, "P0003", size, objects, first=70_000)
+    (image,), issues = isaid.find_annotated_images(tmp_path / "isaid", survey_dota(tmp_path / "dota"))
+    assert (image.name, image.gsd_m_per_px, image.path.name) == ("P0003", 0.25, "P0003.png")
+    assert issues == []
+    found = image.read_masks()
+    assert [(mask.category, mask.instance) for mask in found] == [
+        (category, 70_000 + 3001 * index) for index, (category, _) in enumerate(objects)
+    ]
+    for mask, (_, truth) in zip(found, objects, strict=True):
+        assert np.array_equal(full(mask, truth.shape), truth)
+
+
+def test_coco_files_give_the_same_masks_where_there_are_no_pictures(
+    tmp_path: Path, scene: Scene, objects: Objects
+) -> None:
+    size = scene.image.shape[0], scene.image.shape[1]
+    holed = np.zeros(size, bool)
+    holed[10:20, 10:30] = True
+    thin = np.zeros(size, bool)
+    thin[40, 10:30] = thin[50:52, 60] = True
+    drawn: Objects = [*objects, ("storage-tank", holed), ("small-vehicle", thin)]
+    write_dota_image(tmp_path / "dota", "P0003", scene.image, 0.25)
+    write_coco(tmp_path / "isaid" / "Annotations" / "iSAID_val.json", {"P0003": (size, drawn)})
+    (image,), issues = isaid.find_annotated_images(tmp_path / "isaid", survey_dota(tmp_path / "dota"))
+    assert issues == []
+    found = image.read_masks()
+    assert [mask.category for mask in found] == [category for category, _ in drawn]
+    for mask, (_, truth) in zip(found, drawn, strict=True):
+        filled = np.zeros(size, np.uint8)  # contours from outside know no holes, as in iSAID's own files
+        contours, _ = cv2.findContours(truth.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(filled, contours, -1, 1, cv2.FILLED)
+        assert np.array_equal(full(mask, size), filled > 0)
+    assert np.array_equal(full(found[-2], size), holed)
+
+
+def test_an_image_that_lacks_something_is_reported_and_the_others_are_read(tmp_path: Path) -> None:
+    blank = np.full((40, 60, 3), 90, np.uint8)
+    mask = np.zeros((40, 60), bool)
+    mask[10:30, 10:30] = True
+    dota, masks = tmp_path / "dota", tmp_path / "isaid" / "images"
+    for name, gsd in (("P1", 0.2), ("P2", None), ("P3", 0.3), ("P4", 0.3)):
+        write_dota_image(dota, name, blank, gsd)
+    for name in ("P1", "P2", "P4", "P5"):
+        write_isaid_pictures(masks, masks, name, (40, 60), [("swimming-pool", mask)])
+    write_isaid_pictures(masks / "again", masks / "again", "P1", (40, 60), [("swimming-pool", mask)])
+    (masks / "P4_instance_color_RGB.png").write_bytes(b"no picture")
+    images, issues = isaid.find_annotated_images(tmp_path / "isaid", survey_dota(dota))
+    assert [image.name for image in images] == ["P1", "P4"]
+    assert sorted((issue.reason, issue.file.stem) for issue in issues) == [
+        ("duplicate_name", "P1_instance_id_RGB"),
+        ("no_gsd", "P2"),
+        ("no_masks", "P3"),
+    ]
+    assert len(images[0].read_masks()) == 1
+    with pytest.raises(ImageError, match=r"P4_instance_color_RGB\.png"):
+        images[1].read_masks()
+
+
+def test_an_object_in_no_categorys_colour_is_unlabelled(tmp_path: Path) -> None:
+    mask = np.zeros((40, 60), bool)
+    mask[10:30, 10:30] = True
+    write_isaid_pictures(tmp_path, tmp_path, "P1", (40, 60), [("unheard of", mask)])
+    (found,) = isaid.read_instances(tmp_path / "P1_instance_id_RGB.png", tmp_path / "P1_instance_color_RGB.png")
+    assert found.category == "unlabelled"
+    assert found.box == (10, 10, 30, 30)
+
+
+def test_pictures_of_two_sizes_are_refused(tmp_path: Path) -> None:
+    mask = np.ones((40, 60), bool)
+    write_isaid_pictures(tmp_path, tmp_path / "other", "P1", (40, 60), [("swimming-pool", mask)])
+    write_isaid_pictures(tmp_path / "other", tmp_path, "P1", (30, 60), [("swimming-pool", mask[:30])])
+    with pytest.raises(ValueError, match=r"60 x 40 px.*60 x 30 px"):
+        isaid.read_instances(tmp_path / "P1_instance_id_RGB.png", tmp_path / "P1_instance_color_RGB.png")
+
+
+@pytest.mark.parametrize("text", ["{}", "[1]", "no json", '{"images": [], "categories": [], "annotations": []}'])
+def test_a_folder_without_annotations_is_refused(tmp_path: Path, text: str) -> None:
+    write_dota_image(tmp_path / "dota", "P1", np.zeros((20, 20, 3), np.uint8), 0.2)
+    (tmp_path / "isaid").mkdir()
+    (tmp_path / "isaid" / "a.json").write_text(text)
+    with pytest.raises(InvalidParameterError, match="no iSAID annotations"):
+        isaid.find_annotated_images(tmp_path / "isaid", survey_dota(tmp_path / "dota"))
+
+
+# --- Numbers, polygons, run lengths ----------------------------------------------------------------------------------
+
+
+def test_instances_are_split_by_their_numbers_whatever_those_are() -> None:
+    ids = np.zeros((6, 9), np.int32)
+    ids[1:3, 2:5] = 16_777_215
+    ids[4, 7] = 3
+    ids[5, 8] = 3
+    found = list(split_instances(ids))
+    assert [(number, left, top, mask.tolist()) for number, left, top, mask in found] == [
+        (3, 7, 4, [[True, False], [False, True]]),
+        (16_777_215, 2, 1, [[True] * 3] * 2),
+    ]
+    assert list(split_instances(np.zeros((3, 3), np.uint16))) == []
+
+
+def test_pieces_of_an_object_that_overlap_are_one_area() -> None:
+    decoded = decode_segmentation([[0, 0, 4, 0, 4, 4, 0, 4], [2, 2, 6, 2, 6, 6, 2, 6]], 20, 20)
+    assert decoded is not None
+    assert int(decoded[2].sum()) == 25 + 25 - 9
+
+
+def test_what_a_polygon_has_outside_the_image_is_cut() -> None:
+    decoded = decode_segmentation([[-5.2, -5, 3, -5, 3, 3, -5, 3]], 20, 20)
+    assert decoded is not None
+    assert (decoded[0], decoded[1], decoded[2].shape, int(decoded[2].sum())) == (0, 0, (4, 4), 16)
+    assert decode_segmentation([[30, 30, 40, 30, 40, 40]], 20, 20) is None
+
+
+@pytest.mark.parametrize("counts", [[11, 3, 7, 3, 76], ";370U2"], ids=["numbers", "compressed"])
+def test_run_lengths_go_down_the_columns(counts: object) -> None:
+    decoded = decode_segmentation({"size": [10, 10], "counts": counts}, 10, 10)  # the text is pycocotools' own
+    assert decoded is not None
+    left, top, mask = decoded
+    assert (left, top, mask.tolist()) == (1, 1, [[True, True]] * 3)
+
+
+@pytest.mark.parametrize(
+    "segmentation",
+    [[], [[1, 2, 3]], [["a", "b"]], [[1, float("nan")]], {"counts": [5]}, {"size": [9, 9], "counts": [81]}]
+    + [{"size": [20, 20], "counts": counts} for counts in ([399], [-1, 401], "0", 7)],
+)
+def test_a_segmentation_of_another_kind_is_refused(segmentation: object) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        decode_segmentation(segmentation, 20, 20)
+
+
+# --- Folders of numbered masks ---------------------------------------------------------------------------------------
+
+
+def write_index(folder: Path, *rows: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "index.csv").write_text("\n".join(["image,mask,category,split,gsd_m_per_px", *rows]) + "\n")
+
+
+def test_an_index_gives_its_split_and_reports_bad_rows(tmp_path: Path) -> None:
+    write_index(
+        tmp_path,
+        "a.jpg,a.png,swimming-pool,val,0.2",
+        "a.jpg,b.png,building,val,0.2",
+        "c.jpg,c.png,building,train,0.2",
+        "d.jpg,d.png,building,val,wide",
+        "e.jpg,,building,val,0.2",
+        "f.jpg,a.png,building,val,0.2",
+    )
+    images, issues = segments.find_annotated_images(tmp_path, "val")
+    assert [(image.name, image.path) for image in images] == [
+        ("a-swimming-pool", tmp_path / "a.jpg"),
+        ("a-building", tmp_path / "a.jpg"),
+    ]
+    assert [(issue.reason, issue.message.split(":")[0]) for issue in issues] == [
+        ("malformed_row", "line 5"),
+        ("malformed_row", "line 6"),
+        ("duplicate_name", "line 7"),
+    ]
+    assert len(segments.find_annotated_images(tmp_path)[0]) == 3
+
+
+def test_numbered_masks_of_16_bit_are_read_as_they_are(tmp_path: Path) -> None:
+    ids = np.zeros((20, 30), np.uint16)
+    ids[2:5, 3:9] = 1000
+    ids[10:12, 3:9] = 1001
+    cv2.imwrite(str(tmp_path / "m.png"), ids)
+    found = segments.read_numbered_masks(tmp_path / "m.png", "building")
+    assert [(mask.instance, mask.category, mask.box) for mask in found] == [
+        (1000, "building", (3, 2, 9, 5)),
+        (1001, "building", (3, 10, 9, 12)),
+    ]
+    cv2.imwrite(str(tmp_path / "c.png"), np.zeros((20, 30, 3), np.uint8))
+    with pytest.raises(ImageError, match="one band"):
+        segments.read_numbered_masks(tmp_path / "c.png", "building")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, "give a folder with an index"),
+        ("image,mask\n", "no column category, gsd_m_per_px"),
+        ("image,mask,category,split,gsd_m_per_px\na,b,c,train,1\n", "no rows of split 'val': it has train"),
+    ],
+)
+def test_an_index_that_cannot_be_used_says_what_it_lacks(tmp_path: Path, text: str | None, message: str) -> None:
+    if text is not None:
+        (tmp_path / "index.csv").write_text(text)
+    with pytest.raises(InvalidParameterError, match=message):
+        segments.find_annotated_images(tmp_path, "val")

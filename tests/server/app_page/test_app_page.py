@@ -1,0 +1,192 @@
+"""The page that hosts of MCP Apps show to people, and what the server sends for it; the next file opens it."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcp import Client
+from mcp.client import advertise
+from mcp.server import MCPServer
+from mcp.server.apps import APP_MIME_TYPE, EXTENSION_ID
+from mcp.types import CallToolResult, ImageContent, TextResourceContents
+
+from tests.analyses import make_analysis
+from tests.server.conftest import POOL_BOX
+from tests.server.tools.test_tools import ERAS, by_path
+from vehanchor.records import ConfidenceTerms
+from vehanchor.scale.confidence import composite
+from vehanchor_server.app_page import APP_URI, PANEL_KEY, page_html
+from vehanchor_server.app_page.panel import LengthHistogram, length_histogram
+
+SHOWS_PAGES = [advertise(EXTENSION_ID, {"mimeTypes": [APP_MIME_TYPE]})]
+
+
+# --- What the server sends -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("era", ERAS)
+async def test_both_tools_name_a_page_that_can_be_listed_and_read(server: MCPServer[object], era: str) -> None:
+    async with Client(server, mode=era) as client:
+        tools = (await client.list_tools()).tools
+        listed = (await client.list_resources()).resources
+        [page] = (await client.read_resource(APP_URI)).contents
+    assert [tool.meta for tool in tools] == [{"ui": {"resourceUri": APP_URI}}] * 2
+    assert [(resource.uri, resource.mime_type) for resource in listed] == [(APP_URI, "text/html;profile=mcp-app")]
+    assert isinstance(page, TextResourceContents)
+    assert page.mime_type == "text/html;profile=mcp-app"
+    assert page.text == page_html()
+    assert page.meta == {"ui": {"csp": {"connectDomains": [], "resourceDomains": []}, "prefersBorder": True}}
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("era", ERAS)
+@pytest.mark.parametrize("tool", ["estimate_gsd", "measure_area"])
+async def test_the_picture_goes_to_the_page_unless_the_model_asked_for_it(
+    server: MCPServer[object], images: Path, era: str, tool: str
+) -> None:
+    arguments = by_path(images / "pool.png")
+    if tool == "measure_area":
+        arguments["target"] = {"box": POOL_BOX}
+    async with Client(server, mode=era) as client:
+        plain = await client.call_tool(tool, arguments)
+    async with Client(server, mode=era, extensions=SHOWS_PAGES) as client:
+        shown = await client.call_tool(tool, arguments)
+        asked = await client.call_tool(tool, {**arguments, "include_overlay": True})
+    assert panel_of(plain)["picture_jpeg"] is None
+    assert base64.b64decode(panel_of(shown)["picture_jpeg"]).startswith(b"\xff\xd8\xff")
+    assert panel_of(asked)["picture_jpeg"] is None
+    assert isinstance(asked.content[1], ImageContent)
+    assert asked.content[1].data == panel_of(shown)["picture_jpeg"]
+    assert plain.content == shown.content == asked.content[:1]
+    assert plain.structured_content == shown.structured_content == asked.structured_content
+    assert panel_of(plain)["histogram"]["bins"]
+
+
+@pytest.mark.anyio
+async def test_a_given_scale_has_no_histogram(server: MCPServer[object], images: Path) -> None:
+    arguments = {**by_path(images / "pool.png"), "target": {"box": POOL_BOX}, "gsd_m_per_px": 0.2}
+    async with Client(server) as client:
+        result = await client.call_tool("measure_area", arguments)
+    assert panel_of(result)["histogram"] is None
+
+
+def panel_of(result: CallToolResult) -> dict[str, Any]:
+    assert result.meta is not None
+    panel: dict[str, Any] = result.meta[PANEL_KEY]
+    return panel
+
+
+# --- The histogram ---------------------------------------------------------------------------------------------------
+
+
+def boxes_of(*lengths: float) -> np.ndarray:
+    rows = np.zeros((len(lengths), 5))
+    rows[:, :2] = 500
+    rows[:, 2] = lengths
+    rows[:, 3] = 10
+    return rows
+
+
+def histogram_of(*lengths: float, **options: Any) -> LengthHistogram:
+    histogram = length_histogram(make_analysis(boxes_of(*lengths), 1000, 1000, **options))
+    assert histogram is not None
+    return histogram
+
+
+def edges_of(histogram: LengthHistogram) -> np.ndarray:
+    return histogram.start_px + histogram.bin_px * np.arange(len(histogram.bins) + 1)
+
+
+def test_every_length_is_in_its_bin() -> None:
+    lengths = np.random.default_rng(1).normal(33, 2, 60)
+    histogram = histogram_of(*lengths)
+    assert [each.kept for each in histogram.bins] == list(np.histogram(lengths, edges_of(histogram))[0])
+    assert all(each.dropped == 0 for each in histogram.bins)
+    assert histogram.beyond == 0
+
+
+def test_the_density_peaks_at_the_modal_length_and_counts_vehicles() -> None:
+    lengths = np.random.default_rng(2).normal(33, 2, 60)
+    histogram = histogram_of(*lengths)
+    edges = edges_of(histogram)
+    points = np.linspace(edges[0], edges[-1], len(histogram.density))
+    mode = make_analysis(boxes_of(*lengths), 1000, 1000).estimate.mode_length_px
+    assert points[np.argmax(histogram.density)] == pytest.approx(mode, abs=points[1] - points[0])
+    assert np.trapezoid(histogram.density, points) / histogram.bin_px == pytest.approx(60, rel=0.01)
+
+
+def test_outliers_are_counted_apart_and_the_longest_beside_the_axis() -> None:
+    histogram = histogram_of(*[30.0 + 0.1 * i for i in range(20)], 50, 60, 900)
+    assert sum(each.kept for each in histogram.bins) == 20
+    assert sum(each.dropped for each in histogram.bins) == 2
+    assert histogram.beyond == 1
+    assert edges_of(histogram)[-1] < 100
+
+
+@pytest.mark.parametrize("length", [8.0, 60.0])
+def test_the_guards_length_is_on_the_axis(length: float) -> None:
+    histogram = histogram_of(*[length + 0.1 * i for i in range(20)])
+    edges = edges_of(histogram)
+    assert histogram.guard_px == pytest.approx(5.045 / 0.3)
+    assert edges[0] < histogram.guard_px < edges[-1]
+    assert sum(each.kept for each in histogram.bins) == 20
+
+
+@pytest.mark.parametrize("lengths", [(33.0,), (33.0, 33.0, 33.0), (5.045 / 0.3,), (33.0,) * 8])
+def test_lengths_without_a_spread_have_bins_and_no_density(lengths: tuple[float, ...]) -> None:
+    histogram = histogram_of(*lengths)
+    assert sum(each.kept for each in histogram.bins) == len(lengths)
+    assert histogram.density == ()
+
+
+def test_a_median_has_no_density_and_a_weighted_mode_has() -> None:
+    lengths = [30.0, 31, 32, 33, 34, 35]
+    assert histogram_of(*lengths, aggregation="median").density == ()
+    plain, weighted = (histogram_of(*lengths, aggregation=name).density for name in ("kde", "weighted_kde"))
+    assert len(weighted) == len(plain) > 0
+    assert max(weighted) < max(plain)  # it is the smoother of the two
+
+
+def test_no_vehicles_have_no_histogram() -> None:
+    assert length_histogram(make_analysis(boxes_of(), 1000, 1000)) is None
+
+
+def test_the_histogram_is_small_however_many_vehicles_there_are() -> None:
+    histogram = histogram_of(*np.random.default_rng(3).lognormal(3.5, 0.6, 20_000))
+    assert len(histogram.bins) <= 42
+    assert len(histogram.model_dump_json()) < 4000
+
+
+# --- The document ----------------------------------------------------------------------------------------------------
+
+
+def test_the_page_names_no_other_place_and_its_policy_allows_nothing_but_its_own_parts() -> None:
+    page = page_html()
+    assert re.findall(r"https?://[^\"'\s]+", page) == ["http://www.w3.org/2000/svg"]  # the name of a vocabulary
+    assert not re.findall(r"\s(?:on\w+|style|src|href)=", page)
+    [policy] = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]+)"', page)
+    rules = dict(rule.split(" ", 1) for rule in policy.split("; "))
+    assert rules.pop("style-src") == hash_of(page, "style")
+    assert rules.pop("script-src") == hash_of(page, "script")
+    assert rules == {"default-src": "'none'", "img-src": "data:", "base-uri": "'none'", "form-action": "'none'"}
+
+
+def hash_of(page: str, tag: str) -> str:
+    [text] = re.findall(f"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def test_the_page_shows_the_papers_weights() -> None:
+    shown = {name: float(weight) for name, weight in re.findall(r'\["(\w+)", "[\w ]+", ([\d.]+)\]', page_html())}
+    nothing = dict.fromkeys(ConfidenceTerms.model_fields, 0.0)
+    assert shown == {
+        name: composite(ConfidenceTerms(**{**nothing, name: 1.0}), guarded=False)
+        for name in ConfidenceTerms.model_fields
+    }

@@ -1,0 +1,535 @@
+"""The page in a real browser, inside a host of MCP Apps that the test plays: sandboxed, under the host's own policy."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import anyio
+import cv2
+import numpy as np
+import pytest
+from mcp import Client
+from mcp.types import CallToolResult
+
+from tests.models import paint_vehicles
+from tests.sam_models import SamFiles
+from tests.server.app_page.test_app_page import SHOWS_PAGES
+from tests.server.conftest import POOL_BOX, paint_scene, write_image
+from tests.server.tools.test_tools import by_path
+from vehanchor_server.app import create_server, create_services
+from vehanchor_server.app_page import PANEL_KEY, page_html
+from vehanchor_server.settings import Settings
+
+pytestmark = pytest.mark.browser
+
+_POLICY = (  # what a host must enforce where a page declares no domains (MCP Apps, 2026-01-26, "Host Behavior")
+    "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
+    "media-src 'self' data:; connect-src 'none'; frame-src 'self'; object-src 'none'; base-uri 'self'"
+)
+_HOST = """<!doctype html><title>host</title><style>body { margin: 0 } iframe { border: 0; width: 100%; display: block }
+</style><body><script>
+const heard = [];
+let context = {}, capabilities = {}, answer = null;
+const view = () => document.querySelector("iframe").contentWindow;
+const tell = (message) => view().postMessage({ jsonrpc: "2.0", ...message }, "*");
+addEventListener("message", ({ source, data }) => {
+  if (source !== view()) return;
+  heard.push(data);
+  if (data.method === "ui/initialize") {
+    const hostInfo = { name: "test", version: "1" };
+    const result = { protocolVersion: "2026-01-26", hostInfo, hostCapabilities: capabilities, hostContext: context };
+    tell({ id: data.id, result });
+  }
+  if (data.method === "tools/call") tell({ id: data.id, ...answer });
+  if (data.method === "ui/notifications/size-changed") {
+    document.querySelector("iframe").style.height = `${data.params.height}px`;
+  }
+});
+function show(html, itsContext, itsCapabilities) {
+  [context, capabilities] = [itsContext, itsCapabilities];
+  const frame = document.createElement("iframe");
+  frame.sandbox = "allow-scripts";
+  frame.srcdoc = html;
+  document.body.append(frame);
+}
+</script>"""
+
+Call = tuple[str, dict[str, Any]]
+PATIENCE_MS = 60_000
+
+
+class Host:
+    """A host of MCP Apps in a browser's tab, and the page inside it."""
+
+    def __init__(self, tab: Any) -> None:
+        self.tab = tab
+        self.requested: list[str] = []
+        self.complaints: list[str] = []
+        self.page = tab.frame_locator("iframe")
+        tab.on("console", lambda message: self.complaints.append(message.text))
+        tab.on("pageerror", lambda error: self.complaints.append(str(error)))
+        tab.route("**/*", self._serve)
+        tab.goto("http://host.test/")
+
+    def _serve(self, route: Any) -> None:
+        self.requested.append(route.request.url)
+        route.fulfill(body=_HOST, content_type="text/html", headers={"Content-Security-Policy": _POLICY})
+
+    def show(self, *, tools: bool = False, **context: Any) -> None:
+        """Load the page and wait until it is ready."""
+        self.tab.evaluate("(page) => show(...page)", [page_html(), context, {"serverTools": {}} if tools else {}])
+        self.until(lambda: "ui/notifications/initialized" in [message.get("method") for message in self.heard()])
+
+    def notify(self, method: str, params: dict[str, Any]) -> None:
+        self.tab.evaluate("(message) => tell(message)", {"method": method, "params": params})
+
+    def result(self, call: Call, result: dict[str, Any]) -> None:
+        """What a host says once a tool has run."""
+        self.notify("ui/notifications/tool-input", {"arguments": call[1]})
+        self.notify("ui/notifications/tool-result", result)
+
+    def heard(self) -> list[dict[str, Any]]:
+        """Every message from the page so far."""
+        return list(self.tab.evaluate("() => heard"))
+
+    def until(self, holds: Callable[[], bool]) -> None:
+        for _ in range(PATIENCE_MS // 50):
+            if holds():
+                return
+            self.tab.wait_for_timeout(50)
+        raise AssertionError("it never came true")
+
+    def says(self, selector: str, text: str | re.Pattern[str]) -> None:
+        from playwright.sync_api import expect
+
+        expect(self.page.locator(selector)).to_have_text(text, timeout=PATIENCE_MS)
+
+    def shows_all(self) -> bool:
+        """Whether the frame is as high as the page in it."""
+        return bool(self.in_page("() => innerHeight === document.documentElement.scrollHeight"))
+
+    def in_page(self, script: str) -> Any:
+        [frame] = self.tab.frames[1:]
+        return frame.evaluate(script)
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    api = pytest.importorskip("playwright.sync_api", reason="needs the extra 'browser': pip install -e '.[browser]'")
+    path = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+    if path is None:
+        pytest.skip("no Chromium: apt-get install chromium, or name one by CHROMIUM")
+    with api.sync_playwright() as playwright:
+        # A sandboxed frame in a process of its own is missing from screenshots.
+        arguments = ["--no-sandbox", "--disable-features=IsolateSandboxedIframes"]
+        browser = playwright.chromium.launch(executable_path=path, args=arguments, timeout=2 * PATIENCE_MS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def host(chromium: Any) -> Iterator[Host]:
+    tab = chromium.new_page(viewport={"width": 900, "height": 1200})
+    tab.set_default_timeout(PATIENCE_MS)
+    host = Host(tab)
+    yield host
+    assert set(host.requested) == {"http://host.test/"}, "the page asked for something"
+    assert host.complaints == []
+    tab.close()
+
+
+@pytest.fixture(scope="module")
+def calls(tmp_path_factory: pytest.TempPathFactory, _images: Path) -> dict[str, Call]:
+    """What an agent asks, by what comes of it."""
+    folder = tmp_path_factory.mktemp("page").resolve()
+    short = paint_scene(640, 512, 0)
+    paint_vehicles(short, [(60 + 40 * (i % 12), 60 + 60 * (i // 12), 12 + 0.1 * (i % 7), 6, 0.0) for i in range(24)])
+    long = paint_scene(640, 512)
+    paint_vehicles(long, [(80 + 110 * i, 420, 70, 20, 0.0) for i in range(3)])
+    pool = {**by_path(_images / "pool.png"), "target": {"box": POOL_BOX}}
+    alone = {**by_path(_images / "pool_alone.png"), "target": {"box": POOL_BOX}}
+    return {
+        "good": ("estimate_gsd", by_path(_images / "cars.png")),
+        "guarded": ("estimate_gsd", by_path(write_image(folder / "short.png", short))),
+        "outliers": ("estimate_gsd", by_path(write_image(folder / "long.png", long))),
+        "few": ("estimate_gsd", {**by_path(_images / "two.png"), "frame": {"width_px": 320, "height_px": 256}}),
+        "no anchor": ("estimate_gsd", by_path(_images / "empty.png")),
+        "failed": ("estimate_gsd", by_path(folder / "nothing.png")),
+        "area": ("measure_area", pool),
+        "area, scale given": ("measure_area", {**alone, "gsd_m_per_px": 0.2}),
+        "area, no anchor": ("measure_area", alone),
+    }
+
+
+@pytest.fixture(scope="module")
+def results(
+    calls: dict[str, Call], _images: Path, detector_path: Path, segmenter_paths: SamFiles
+) -> dict[str, dict[str, Any]]:
+    """What the server answers to a host that shows pages, as on the wire."""
+    roots = (_images, Path(calls["guarded"][1]["image"]["path"]).parent)
+    settings = Settings(roots=roots, detector=str(detector_path), segmenter=segmenter_paths, threads=1)
+
+    async def ask() -> dict[str, dict[str, Any]]:
+        async with Client(create_server(create_services(settings)), extensions=SHOWS_PAGES) as client:
+            return {name: on_the_wire(await client.call_tool(*call)) for name, call in calls.items()}
+
+    with ThreadPoolExecutor(1) as thread:  # Playwright has the event loop of this one
+        return thread.submit(anyio.run, ask).result()
+
+
+def on_the_wire(result: CallToolResult) -> dict[str, Any]:
+    return {
+        "content": [part.model_dump(mode="json", by_alias=True, exclude_none=True) for part in result.content],
+        "structuredContent": result.structured_content,
+        "isError": result.is_error,
+        "_meta": result.meta,
+    }
+
+
+def without_picture(result: dict[str, Any]) -> dict[str, Any]:
+    return {**result, "_meta": {PANEL_KEY: {**result["_meta"][PANEL_KEY], "picture_jpeg": None}}}
+
+
+def test_the_page_introduces_itself_before_it_says_anything_else(host: Host) -> None:
+    host.show()
+    first, second, *_ = host.heard()
+    assert first["method"] == "ui/initialize"
+    assert first["params"]["protocolVersion"] == "2026-01-26"
+    assert set(first["params"]) == {"appInfo", "appCapabilities", "protocolVersion"}
+    assert set(first["params"]["appInfo"]) == {"name", "version"}
+    assert second == {"jsonrpc": "2.0", "method": "ui/notifications/initialized", "params": {}}
+
+
+def test_a_good_estimate_is_shown_in_words_numbers_and_a_histogram(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    record, panel = results["good"]["structuredContent"], results["good"]["_meta"][PANEL_KEY]
+    host.show()
+    host.result(calls["good"], results["good"])
+    host.says("#sentence", results["good"]["content"][0]["text"])
+    host.says("#status", "Safe to use")
+    host.says(".readings > div:first-child .value", f"{record['gsd_m_per_px']:.3g}m/px")
+    host.says(".gauge .reading", f"{record['confidence']:.2f}")
+    host.says("svg text.strong", f"P_mode {record['mode_length_px']:.1f} px")
+    host.says("svg text.warn", f"guard {panel['histogram']['guard_px']:.1f} px")
+    assert host.page.locator(".bar-kept").count() == sum(1 for each in panel["histogram"]["bins"] if each["kept"])
+    assert host.page.locator(".curve").count() == 1
+    image = host.page.get_by_role("img", name="24 measured vehicles outlined in blue, a scale bar.")
+    assert image.get_attribute("src") == f"data:image/jpeg;base64,{panel['picture_jpeg']}"
+    assert image.evaluate("(image) => image.naturalWidth") > 0
+
+
+def test_the_modal_length_and_the_guard_stand_at_their_places(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    record, histogram = results["good"]["structuredContent"], results["good"]["_meta"][PANEL_KEY]["histogram"]
+    host.show()
+    host.result(calls["good"], results["good"])
+    host.page.locator(".curve").wait_for()
+    line, guard = (float(host.page.locator(kind).get_attribute("x1")) for kind in (".mode-line", ".guard-line"))
+    points = [float(point.split(",")[0]) for point in host.page.locator(".curve").get_attribute("points").split()]
+    span = histogram["bin_px"] * len(histogram["bins"])
+    for at, px in ((line, record["mode_length_px"]), (guard, histogram["guard_px"])):
+        assert (at - points[0]) / (points[-1] - points[0]) == pytest.approx(
+            (px - histogram["start_px"]) / span, abs=0.002
+        )
+
+
+def test_the_guard_and_its_cap_are_shown(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    assert results["guarded"]["structuredContent"]["resolution_guard"]
+    host.show()
+    host.result(calls["guarded"], results["guarded"])
+    host.says("#status", "Low confidence: fall back")
+    host.says(".tick.cap", "0.3guard's cap")
+    meter = host.page.get_by_role("meter", name="Confidence")
+    assert meter.get_attribute("aria-valuenow") == "0.30"
+    assert float(host.page.locator(".mode-line").get_attribute("x1")) < float(
+        host.page.locator(".guard-line").get_attribute("x1")
+    )
+    assert "The guard caps the confidence." in host.page.get_by_role("img", name="Histogram").get_attribute(
+        "aria-label"
+    )
+
+
+def test_outliers_are_shown_apart(host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]) -> None:
+    host.show()
+    host.result(calls["outliers"], results["outliers"])
+    host.says(".readings > div:nth-child(2)", "Vehicles measured24of 27 found; 3 outliers")
+    assert host.page.locator(".bar-dropped").count() >= 1
+    host.page.get_by_text("As a table").click()
+    rows = [row.split("\t") for row in host.page.locator("table tr").all_inner_texts()]
+    assert rows[0] == ["length, px", "measured", "left out"]
+    assert [sum(int(row[i]) for row in rows[1:]) for i in (1, 2)] == [24, 3]
+
+
+def test_a_median_of_few_is_called_one_and_the_callers_copy_has_its_scale(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    host.show()
+    host.result(calls["few"], results["few"])
+    host.says("#status", "Low confidence: fall back")
+    host.says(".legend .mode", "P_mode, the median")
+    assert host.page.locator(".curve").count() == 0
+    frame = results["few"]["structuredContent"]["frame"]
+    assert f"{frame['gsd_m_per_px']:.3g} m/px at 320 \u00d7 256 px" in host.page.locator(".record").inner_text()
+
+
+def test_no_anchor_shows_no_number(host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]) -> None:
+    host.show()
+    host.result(calls["no anchor"], results["no anchor"])
+    host.says("#status", "No metric scale")
+    host.says(".readings > div:first-child", "Scalenoneno vehicle found")
+    host.says(".gauge .reading", "0.00")
+    assert host.page.get_by_role("img", name="Histogram").count() == 0
+    assert "null" not in host.page.locator("main").inner_text()
+
+
+def test_an_area_is_drawn_to_scale_with_the_largest_circle_inside(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    record = results["area"]["structuredContent"]
+    host.show()
+    host.result(calls["area"], results["area"])
+    host.says("#subject", "area of an object")
+    host.says(".readings > div:first-child .value", f"{record['area_m2']:.3g}m²")
+    host.says(".readings > div:nth-child(2) .value", f"⌀ {record['inscribed_diameter_m']:.3g}m")
+    shape, circle = host.page.locator(".shape"), host.page.locator(".circle")
+    drawn = shape.evaluate("(shape) => { const box = shape.getBBox(); return [box.width, box.height]; }")
+    box = record["bounding_box"]
+    zoom = drawn[0] / (box["x2_px"] - box["x1_px"])
+    assert drawn[1] == pytest.approx(zoom * (box["y2_px"] - box["y1_px"]), abs=1)
+    radius = record["inscribed_diameter_m"] / record["gsd_m_per_px"] / 2
+    assert float(circle.get_attribute("r")) == pytest.approx(zoom * radius, rel=0.02)
+    ruler = host.page.locator(".ruler").evaluate("(line) => line.getBBox().width")
+    metres = float(host.page.locator(".ruler + text").text_content().removesuffix(" m"))
+    assert ruler == pytest.approx(zoom * metres / record["gsd_m_per_px"], abs=1)
+    assert host.page.get_by_role("img", name="Histogram of 24 vehicle lengths").count() == 1
+
+
+def test_an_area_of_a_given_scale_shows_no_confidence(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    host.show()
+    host.result(calls["area, scale given"], results["area, scale given"])
+    host.says(".readings > div:last-child", "Scale0.2m/pxgiven by the caller")
+    assert host.page.get_by_role("meter").count() == 0
+    assert host.page.locator(".shape").count() == 1
+
+
+def test_an_area_without_a_scale_is_in_pixels(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    pixels = results["area, no anchor"]["structuredContent"]["mask_area_px"]
+    host.show()
+    host.result(calls["area, no anchor"], results["area, no anchor"])
+    host.says(".readings > div:first-child", f"Area{pixels:,}pxno scale: pixels only")
+    assert host.page.locator(".shape").count() == 1
+    assert host.page.locator(".circle, .ruler").count() == 0
+
+
+def test_what_went_wrong_is_told(host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]) -> None:
+    assert results["failed"]["isError"]
+    host.show()
+    host.notify("ui/notifications/tool-input", {"arguments": calls["failed"][1]})
+    host.says("#sentence", "Measuring.")
+    host.notify("ui/notifications/tool-result", results["failed"])
+    host.says("#status", "No result")
+    host.says("#sentence", results["failed"]["content"][0]["text"])
+
+
+def test_a_cancelled_call_is_told(host: Host, calls: dict[str, Call]) -> None:
+    host.show()
+    host.notify("ui/notifications/tool-input", {"arguments": calls["good"][1]})
+    host.notify("ui/notifications/tool-cancelled", {"reason": "user action"})
+    host.says("#sentence", "Cancelled: user action.")
+
+
+def test_a_host_that_passes_on_the_text_alone_still_shows_it(host: Host, calls: dict[str, Call]) -> None:
+    host.show()
+    host.result(calls["good"], {"content": [{"type": "text", "text": "0.1 m/px"}]})
+    host.says("#sentence", "0.1 m/px")
+
+
+def test_a_picture_in_the_content_is_shown(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    data = results["good"]["_meta"][PANEL_KEY]["picture_jpeg"]
+    picture = {"type": "image", "mimeType": "image/jpeg", "data": data}
+    result = without_picture(results["good"])
+    host.show()
+    host.result(calls["good"], {**result, "content": [*result["content"], picture]})
+    assert host.page.locator(".picture img").get_attribute("src") == f"data:image/jpeg;base64,{data}"
+
+
+def test_a_missing_picture_is_asked_for_through_the_host(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    tool, arguments = calls["area"]
+    host.show(tools=True)
+    host.result(calls["area"], without_picture(results["area"]))
+    button = host.page.get_by_role("button", name="Show the picture")
+    host.tab.evaluate("(text) => { answer = { error: { code: -32000, message: text } }; }", "the user said no")
+    button.click()
+    host.says(".picture [role=status]", "No picture: the user said no")
+    host.tab.evaluate("(result) => { answer = { result }; }", results["area"])
+    button.click()
+    host.page.get_by_role("button", name="Actual pixels").wait_for()
+    assert host.page.locator(".picture img").count() == 1
+    asked = [message["params"] for message in host.heard() if message.get("method") == "tools/call"]
+    assert asked == [{"name": tool, "arguments": {**arguments, "include_overlay": True}}] * 2
+
+
+def test_without_a_way_to_a_picture_nothing_is_offered(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    host.show(tools=False)
+    host.result(calls["good"], without_picture(results["good"]))
+    host.page.locator(".gauge").wait_for()
+    assert host.page.locator(".picture").count() == 0
+
+
+def test_the_keyboard_reaches_the_picture_and_the_table(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    host.show()
+    host.result(calls["good"], results["good"])
+    zoom = host.page.get_by_role("button")
+    zoom.focus()
+    host.tab.keyboard.press("Enter")
+    host.says("button", "Fit to width")
+    assert zoom.get_attribute("aria-pressed") == "true"
+    host.tab.keyboard.press("Shift+Tab")
+    assert host.in_page("() => document.activeElement.className") == "frame full"  # scrolls with the arrow keys
+    host.tab.keyboard.press("Tab")
+    host.tab.keyboard.press("Tab")
+    assert host.in_page("() => document.activeElement.tagName") == "SUMMARY"
+    host.tab.keyboard.press("Enter")
+    host.page.locator("table").wait_for()
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_every_letter_can_be_read_in_both_themes(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]], theme: str
+) -> None:
+    host.show(theme=theme)
+    for name in ("guarded", "good", "area", "no anchor", "failed"):
+        host.result(calls[name], results[name])
+        host.says("#sentence", results[name]["content"][0]["text"])
+        for where, ink, ground in host.in_page(_LETTERS):
+            assert contrast(ink, ground) >= 4.5, f"{where} on {name}: {ink} on {ground}"
+    assert (luminance(host.in_page("() => getComputedStyle(document.body).backgroundColor")) < 0.1) == (theme == "dark")
+
+
+_LETTERS = """() => [...document.querySelectorAll("body *:not(script):not(style)")]
+  .filter((each) => [...each.childNodes].some((node) => node.nodeType === 3 && node.data.trim()))
+  .filter((each) => each.getClientRects().length)
+  .map((each) => {
+    const style = getComputedStyle(each);
+    const ink = each instanceof SVGElement ? style.fill : style.color;
+    const ground = (under) => {
+      const own = getComputedStyle(under).backgroundColor;
+      return own === "rgba(0, 0, 0, 0)" ? ground(under.parentElement) : own;
+    };
+    return [`${each.tagName} ${each.textContent.slice(0, 30)}`, ink, ground(each)];
+  })"""
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance of a CSS colour, WCAG 2."""
+    shares = np.array([float(number) for number in re.findall(r"[\d.]+", colour)[:3]]) / 255
+    linear = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def contrast(one: str, other: str) -> float:
+    high, low = sorted((luminance(one), luminance(other)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_the_theme_follows_the_host_and_takes_its_colours(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    host.show(theme="dark", styles={"variables": {"--color-background-primary": "light-dark(#fefefe, #010203)"}})
+    host.result(calls["good"], results["good"])
+    ground = "() => getComputedStyle(document.body).backgroundColor"
+    assert host.in_page(ground) == "rgb(1, 2, 3)"
+    host.notify("ui/notifications/host-context-changed", {"theme": "light"})
+    host.until(lambda: bool(host.in_page(ground) == "rgb(254, 254, 254)"))
+
+
+@pytest.mark.parametrize("width", [340, 900])
+def test_the_page_tells_its_height_and_never_scrolls_sideways(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]], width: int, tmp_path: Path
+) -> None:
+    host.tab.set_viewport_size({"width": width, "height": 2400})
+    host.show()
+    for name, call in calls.items():
+        host.result(call, results[name])
+        host.says("#sentence", results[name]["content"][0]["text"])
+        host.until(host.shows_all)
+        assert host.in_page("() => document.documentElement.scrollWidth") <= width
+        assert host.in_page(_CUT_OFF) == []
+        host.tab.screenshot(path=tmp_path / f"{name}.png")
+    picture = cv2.imread(str(tmp_path / "good.png"))
+    assert picture is not None
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100  # it is really painted
+
+
+_CUT_OFF = """() => [...document.querySelectorAll("section, section *, dl *")]
+  .filter((each) => each instanceof HTMLElement && each.clientWidth && each.scrollWidth > each.clientWidth + 1)
+  .map((each) => each.outerHTML.slice(0, 80))"""
+
+
+def test_words_of_the_server_are_shown_as_words(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    attack = "<img src=x onerror=\"document.title='taken'\">"
+    record = {**results["good"]["structuredContent"], "warnings": [{"code": "x", "message": attack}], "model": attack}
+    host.show()
+    host.result(calls["good"], {**results["good"], "structuredContent": record})
+    host.says(".warnings li", attack)
+    assert attack in host.page.locator(".record").inner_text()
+    assert host.in_page("() => document.title") != "taken"
+
+
+def test_only_the_host_is_listened_to(host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]) -> None:
+    host.show()
+    host.result(calls["good"], results["good"])
+    host.says("#status", "Safe to use")
+    forged = {"jsonrpc": "2.0", "method": "ui/notifications/tool-result", "params": results["no anchor"]}
+    host.in_page(f"() => window.postMessage({json.dumps(forged)}, '*')")
+    host.tab.evaluate("() => tell({ jsonrpc: '1.0', method: 'ui/notifications/tool-cancelled', params: {} })")
+    host.tab.evaluate("() => tell({ id: 1, method: 'ping' })")
+    host.until(lambda: len(answers(host)) == 1)  # it has read all three
+    host.says("#status", "Safe to use")
+
+
+def test_the_host_gets_its_answers(host: Host) -> None:
+    host.show()
+    for id_, method in ((7, "ping"), (8, "ui/resource-teardown"), (9, "ui/unheard-of")):
+        host.tab.evaluate("(message) => tell(message)", {"id": id_, "method": method, "params": {}})
+    host.until(lambda: len(answers(host)) == 3)
+    seven, eight, nine = answers(host)
+    assert seven == {"jsonrpc": "2.0", "id": 7, "result": {}}
+    assert eight == {"jsonrpc": "2.0", "id": 8, "result": {}}
+    assert nine["error"]["code"] == -32601
+
+
+def answers(host: Host) -> list[dict[str, Any]]:
+    return [message for message in host.heard() if "method" not in message]
+
+
+def test_opened_by_itself_the_page_says_what_it_is_for(chromium: Any) -> None:
+    tab = chromium.new_page()
+    tab.set_content(page_html())
+    assert "opened by itself it has nothing to show" in tab.locator("#sentence").inner_text()
+    tab.close()

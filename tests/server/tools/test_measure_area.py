@@ -1,0 +1,260 @@
+"""What differs from ``estimate_gsd``: the target, a given scale, the segmenter. The rest is one code path for both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import anyio
+import numpy as np
+import pytest
+from mcp import Client
+from mcp.server import MCPServer
+from mcp.types import CallToolResult
+
+import vehanchor
+from tests.sam_models import EMPTY, SamFiles, write_sam
+from tests.server.conftest import POOL, POOL_BOX
+from tests.server.tools.test_tools import ERAS, by_path, error_of, picture_of, text_of
+from vehanchor.detection.detector import load_detector
+from vehanchor_server import models as models_module
+from vehanchor_server.app import create_server, create_services
+from vehanchor_server.settings import Settings
+
+pytestmark = pytest.mark.anyio
+
+Call = Callable[..., Any]
+BOX = POOL_BOX["x_min"], POOL_BOX["y_min"], POOL_BOX["x_max"], POOL_BOX["y_max"]
+
+
+def pool_in(path: Path, **more: Any) -> dict[str, Any]:
+    return {**by_path(path), "target": {"box": POOL_BOX}, **more}
+
+
+async def asked(server: MCPServer[object], arguments: dict[str, Any], era: str = "auto") -> CallToolResult:
+    async with Client(server, mode=era) as client:
+        return await client.call_tool("measure_area", arguments)
+
+
+def record_of(result: CallToolResult) -> dict[str, Any]:
+    assert not result.is_error, text_of(result)
+    record = result.structured_content
+    assert isinstance(record, dict)
+    return record
+
+
+@pytest.mark.parametrize("era", ERAS)
+async def test_a_call_gives_the_librarys_record_and_a_sentence(
+    server: MCPServer[object], images: Path, detector_path: Path, segmenter_paths: SamFiles, era: str
+) -> None:
+    expected = vehanchor.measure_area(
+        images / "pool.png", box=BOX, detector=load_detector(detector_path, threads=1), segmenter=segmenter_paths
+    )
+    result = await asked(server, pool_in(images / "pool.png"), era)
+    assert record_of(result) == expected.model_dump(mode="json")
+    assert len(result.content) == 1
+    assert text_of(result).startswith(f"{expected.area_m2:.0f} m2 (95 % interval ")
+    assert f"confidence {expected.confidence:.2f} from 24 vehicles: safe to use." in text_of(result)
+    assert "The mask spans x 300 to 348, y 330 to 426 px of your image." in text_of(result)
+
+
+async def test_points_say_what_is_on_the_object_and_what_is_beside_it(
+    server: MCPServer[object], images: Path, detector_path: Path, segmenter_paths: SamFiles
+) -> None:
+    points = [(324.0, 378.0, True), (200.0, 400.0, False)]
+    expected = vehanchor.measure_area(
+        images / "pool.png", points=points, detector=load_detector(detector_path, threads=1), segmenter=segmenter_paths
+    )
+    named: list[dict[str, Any]] = [{"x": 324, "y": 378}, {"x": 200, "y": 400, "label": "exclude"}]
+    assert record_of(await asked(server, {**by_path(images / "pool.png"), "target": {"points": named}})) == (
+        expected.model_dump(mode="json")
+    )
+    named[1]["label"] = "include"
+    other = record_of(await asked(server, {**by_path(images / "pool.png"), "target": {"points": named}}))
+    assert other["mask_area_px"] > expected.mask_area_px
+
+
+async def test_a_frame_is_what_the_target_and_the_answer_are_in(server: MCPServer[object], images: Path) -> None:
+    half = {name: value / 2 for name, value in POOL_BOX.items()}
+    frame = {"width_px": 320, "height_px": 256}
+    result = await asked(server, {**by_path(images / "pool.png"), "target": {"box": half}, "frame": frame})
+    whole = record_of(await asked(server, pool_in(images / "pool.png")))
+    record = record_of(result)
+    assert record["area_m2"] == whole["area_m2"]
+    assert record["frame"]["gsd_m_per_px"] == pytest.approx(2 * whole["gsd_m_per_px"])
+    assert "The mask spans x 150 to 174, y 165 to 213 px of your 320 x 256 copy." in text_of(result)
+
+
+async def test_a_given_scale_needs_neither_cars_nor_a_detector(settings: Settings, images: Path) -> None:
+    server = create_server(create_services(replace(settings, detector="/nowhere.onnx", calibration=Path("/nowhere"))))
+    result = await asked(server, pool_in(images / "pool_alone.png", gsd_m_per_px=0.15, region="atlantis"))
+    record = record_of(result)
+    assert record["area_m2"] == pytest.approx(0.15**2 * record["mask_area_px"])
+    assert (record["scale_source"], record["confidence"], record["scale"]) == ("given", None, None)
+    assert "scale 0.15 m/px as given: as good as the given scale." in text_of(result)
+
+
+async def test_no_vehicle_is_a_result_without_an_area(server: MCPServer[object], images: Path) -> None:
+    result = await asked(server, pool_in(images / "pool_alone.png"))
+    record = record_of(result)
+    assert (record["status"], record["area_m2"], record["confidence"]) == ("no_anchor", None, 0)
+    assert text_of(result).startswith(
+        f"The object covers {record['mask_area_px']} px, but no vehicles were found, confidence 0: no metric scale, so "
+        "no area; use another anchor, and give its scale as gsd_m_per_px."
+    )
+
+
+async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCPServer[object], images: Path) -> None:
+    result = await asked(server, pool_in(images / "pool_two.png"))
+    assert record_of(result)["status"] == "low_confidence"
+    assert "from 2 vehicles: do not rely on it (too little evidence); fall back to another anchor." in text_of(result)
+
+
+async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
+    settings: Settings, images: Path, tmp_path: Path
+) -> None:
+    server = create_server(create_services(replace(settings, segmenter=write_sam(tmp_path, scores=[0.4]))))
+    result = await asked(server, pool_in(images / "pool.png"))
+    assert record_of(result)["status"] == "low_confidence"
+    assert "do not rely on it (the segmenter doubts its mask)" in text_of(result)
+    assert "Warning mask_score_low: " in text_of(result)
+
+
+async def test_an_empty_mask_is_told_as_such(settings: Settings, images: Path, tmp_path: Path) -> None:
+    server = create_server(create_services(replace(settings, segmenter=write_sam(tmp_path, masks=[EMPTY]))))
+    result = await asked(server, pool_in(images / "pool.png"))
+    assert record_of(result)["area_m2"] is None
+    assert text_of(result).startswith("No object found there: no area.")
+
+
+async def test_the_overlay_is_a_small_jpeg_that_shows_the_object(server: MCPServer[object], images: Path) -> None:
+    result = await asked(server, pool_in(images / "pool.png", include_overlay=True))
+    record_of(result)
+    decoded = picture_of(result)
+    scale = decoded.shape[1] / 640
+    x, y = (POOL[0] + POOL[2]) / 2 * scale, (POOL[1] + POOL[3]) / 2 * scale
+    tint = decoded[round(y), round(x), ::-1].astype(int)
+    assert np.abs(tint - [97, 134, 195]).max() < 12, "the pool is not tinted"
+
+
+@pytest.mark.parametrize(
+    ("target", "words"),
+    [
+        ({}, "target: give box or points, one of the two: "),
+        ("the pool", "target: give box or points"),
+        (None, "target: give box or points"),
+        ({"box": POOL_BOX, "points": [{"x": 1, "y": 1}]}, "target: give box or points"),
+        ({"box": {**POOL_BOX, "x_min": None}}, "target.box.x_min: "),
+        ({"box": {"x_min": 1, "y_min": 2, "x_max": 3}}, "target.box.y_max: it is required"),
+        ({"box": [1, 2, 3, 4]}, "target.box: "),
+        ({"box": {**POOL_BOX, "x_max": "inf"}}, "target.box.x_max: Input should be a finite number"),
+        ({"box": {**POOL_BOX, "unit": "m"}}, "target.box.unit: there is no such argument"),
+        ({"points": []}, "target.points: List should have at least 1 item"),
+        ({"points": [{"x": 1, "y": 1}] * 33}, "target.points: List should have at most 32 items"),
+        ({"points": [{"x": 1, "y": 1, "label": "yes"}]}, "target.points.0.label: Input should be 'include' or"),
+        ({"points": [{"x": 1}]}, "target.points.0.y: it is required"),
+    ],
+)
+async def test_a_target_of_the_wrong_form_is_told_in_one_line(
+    server: MCPServer[object], images: Path, target: Any, words: str
+) -> None:
+    result = await asked(server, {**by_path(images / "pool.png"), "target": target})
+    assert error_of(result) == "invalid_arguments"
+    assert words in text_of(result)
+    assert "\n" not in text_of(result)
+
+
+@pytest.mark.parametrize("scale", [0, -0.1, "nan", "inf", 1001])
+async def test_a_scale_without_meaning_is_told(server: MCPServer[object], images: Path, scale: Any) -> None:
+    result = await asked(server, pool_in(images / "pool.png", gsd_m_per_px=scale))
+    assert error_of(result) == "invalid_arguments"
+    assert "gsd_m_per_px: " in text_of(result)
+
+
+async def test_without_a_target_there_is_nothing_to_measure(server: MCPServer[object], images: Path) -> None:
+    result = await asked(server, by_path(images / "pool.png"))
+    assert error_of(result) == "invalid_arguments"
+    assert "target: it is required" in text_of(result)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        ({"target": {"box": {**POOL_BOX, "x_max": 9999.0}}}, "invalid_prompt"),
+        ({"target": {"box": {**POOL_BOX, "x_max": POOL_BOX["x_min"]}}}, "invalid_prompt"),
+        ({"target": {"points": [{"x": 1, "y": 1, "label": "exclude"}]}}, "invalid_prompt"),
+        ({"frame": {"width_px": 100, "height_px": 100}}, "frame_mismatch"),
+        ({"region": "atlantis"}, "invalid_parameter"),
+        ({"region": "europe", "reference_length_m": 4.6}, "invalid_parameter"),
+    ],
+)
+async def test_the_librarys_refusals_keep_their_code(
+    server: MCPServer[object], images: Path, arguments: dict[str, Any], code: str
+) -> None:
+    assert error_of(await asked(server, {**pool_in(images / "pool.png"), **arguments})) == code
+
+
+@pytest.mark.parametrize("named", ["paths that lead nowhere", "none, and none is bundled"])
+async def test_without_a_segmenter_estimate_gsd_works_and_measure_area_says_so(
+    settings: Settings, images: Path, named: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("vehanchor.models.zoo.bundled_segmenter", lambda: None)
+    monkeypatch.setattr(models_module, "bundled_segmenter", lambda: None)
+    files = (Path("/nowhere/secret.onnx"), Path("/nowhere/decoder.onnx")) if named.startswith("paths") else None
+    async with Client(create_server(create_services(replace(settings, segmenter=files)))) as client:
+        result = await client.call_tool("measure_area", pool_in(images / "pool.png"))
+        estimate = await client.call_tool("estimate_gsd", by_path(images / "pool.png"))
+    assert text_of(result) == (
+        "model_unavailable: this server's segmenter cannot be loaded (model_not_found). Its operator must look at "
+        "--segmenter."
+    )
+    assert ("/nowhere/secret.onnx" if files else "pass both: ") in caplog.text
+    assert not estimate.is_error
+
+
+@pytest.mark.parametrize(("more", "n_reports"), [({}, 5), ({"gsd_m_per_px": 0.2}, 3)])
+async def test_progress_is_reported_three_to_five_times_and_rises(
+    server: MCPServer[object], images: Path, more: dict[str, Any], n_reports: int
+) -> None:
+    reports: list[float] = []
+
+    async def on_progress(progress: float, total: float | None, message: str | None) -> None:
+        assert total == 100
+        assert message
+        reports.append(progress)
+
+    async with Client(server) as client:
+        arguments = pool_in(images / "pool_large.png", **more)
+        await client.call_tool("measure_area", arguments, progress_callback=on_progress)
+        await anyio.sleep(0.05)
+    assert len(reports) == n_reports
+    assert reports == sorted(set(reports))
+    assert (reports[0], reports[-1]) == (0, 100)
+
+
+async def test_the_deadline_and_the_number_of_places_count_for_it_too(
+    settings: Settings, images: Path, slow_tiles: Callable[[float], None]
+) -> None:
+    slow_tiles(0.1)
+    services = create_services(replace(settings, deadline_s=0.5, max_concurrency=1))
+    codes: list[str] = []
+    async with Client(create_server(services)) as client, anyio.create_task_group() as group:
+
+        async def call(tool: str, arguments: dict[str, Any]) -> None:
+            codes.append(error_of(await client.call_tool(tool, arguments)))
+
+        group.start_soon(call, "measure_area", pool_in(images / "pool_large.png"))
+        await anyio.sleep(0.2)
+        await call("estimate_gsd", by_path(images / "pool_large.png"))
+    assert codes == ["busy", "deadline_exceeded"]
+    assert services.capacity.running == 0
+
+
+async def test_a_file_that_is_no_image_is_told_without_a_descriptors_name(
+    server: MCPServer[object], images: Path
+) -> None:
+    result = await asked(server, pool_in(images / "notes.txt"))
+    assert error_of(result) == "image_undecodable"
+    assert "/proc" not in text_of(result)

@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+import base64
+import hmac
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import jwt
+import pytest
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+
+from vehanchor_server.settings import Settings, SettingsError
+from vehanchor_server.transport.auth import OidcVerifier, StaticTokenVerifier, read_tokens, token_verifier
+
+pytestmark = pytest.mark.anyio
+
+ISSUER, AUDIENCE = "https://issuer.test/realm", "https://vehanchor.test/mcp"
+TOKEN = "a-long-enough-token-1234"
+
+
+async def test_a_known_token_is_accepted_and_all_others_are_not() -> None:
+    verifier = StaticTokenVerifier(["another-token-0123456789", TOKEN])
+    accepted = await verifier.verify_token(TOKEN)
+    assert accepted is not None
+    assert accepted.client_id == "token-2"
+    for wrong in ("", TOKEN[:-1], TOKEN + "x", TOKEN.upper(), f" {TOKEN}", "ä", "\udcff"):
+        assert await verifier.verify_token(wrong) is None
+
+
+async def test_tokens_are_compared_in_constant_time_with_every_known_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared: list[int] = []
+    original = hmac.compare_digest
+
+    def counted(a: bytes, b: bytes) -> bool:
+        compared.append(len(a))
+        return original(a, b)
+
+    monkeypatch.setattr(hmac, "compare_digest", counted)
+    verifier = StaticTokenVerifier([TOKEN, "another-token-0123456789"])
+    await verifier.verify_token(TOKEN)
+    await verifier.verify_token("x")
+    assert compared == [32] * 4
+
+
+def test_token_files_are_read_by_line(tmp_path: Path) -> None:
+    path = tmp_path / "tokens"
+    path.write_text(f"# for the planner\n{TOKEN}\n\n  another-token-0123456789 \n")
+    assert read_tokens(path) == [TOKEN, "another-token-0123456789"]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"), [(None, "cannot be read"), (b"# none\n", "no token"), (b"short\n", "16"), (b"\xff", "cannot")]
+)
+def test_token_files_that_protect_nothing_are_refused(tmp_path: Path, content: bytes | None, words: str) -> None:
+    path = tmp_path / "tokens"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(SettingsError, match=words):
+        token_verifier(Settings(token_file=path))
+
+
+def test_settings_choose_the_verifier() -> None:
+    assert token_verifier(Settings()) is None
+    oidc = token_verifier(Settings(oidc_issuer=ISSUER, oidc_audience=AUDIENCE))
+    assert isinstance(oidc, OidcVerifier)
+
+
+class Issuer:
+    """An issuer of tokens, with its documents."""
+
+    def __init__(self) -> None:
+        self.key = rsa.generate_private_key(65537, 2048)
+        self.kid = "key-1"
+        self.fetched: list[str] = []
+        self.says_it_is = ISSUER
+        self.jwks_uri = "https://issuer.test/keys"
+        self.broken = False
+
+    async def get_json(self, url: str) -> dict[str, Any]:
+        self.fetched.append(url)
+        if self.broken:
+            raise OSError("unreachable")
+        if url == f"{ISSUER}/.well-known/openid-configuration":
+            return {"issuer": self.says_it_is, "jwks_uri": self.jwks_uri}
+        assert url == self.jwks_uri
+        public = json.loads(jwt.algorithms.RSAAlgorithm.to_jwk(self.key.public_key()))
+        return {"keys": [{**public, "kid": self.kid, "use": "sig", "alg": "RS256"}]}
+
+    def token(self, *, key: Any = None, alg: str = "RS256", kid: str | None = None, **claims: Any) -> str:
+        body = {"iss": ISSUER, "aud": AUDIENCE, "sub": "planner", "exp": time.time() + 300, **claims}
+        body = {name: value for name, value in body.items() if value is not None}
+        return jwt.encode(body, self.key if key is None else key, alg, headers={"kid": kid or self.kid})
+
+    def verifier(self) -> OidcVerifier:
+        return OidcVerifier(ISSUER, AUDIENCE, get_json=self.get_json)
+
+
+@pytest.fixture(scope="module")
+def _issuer() -> Issuer:
+    return Issuer()  # making a key takes a while
+
+
+@pytest.fixture
+def issuer(_issuer: Issuer) -> Issuer:
+    fresh = Issuer.__new__(Issuer)
+    fresh.__dict__.update(_issuer.__dict__, fetched=[])
+    return fresh
+
+
+async def test_the_issuers_tokens_are_accepted(issuer: Issuer) -> None:
+    accepted = await issuer.verifier().verify_token(issuer.token(scope="gsd area", azp="planner-app"))
+    assert accepted is not None
+    assert (accepted.client_id, accepted.subject, accepted.scopes) == ("planner-app", "planner", ["gsd", "area"])
+    assert await issuer.verifier().verify_token(issuer.token(aud=["https://other.test", AUDIENCE])) is not None
+
+
+@pytest.mark.parametrize(
+    "claims",
+    [
+        {"aud": "https://other.test"},
+        {"aud": None},
+        {"iss": "https://evil.test"},
+        {"iss": None},
+        {"exp": 1_000_000_000},
+        {"exp": None},
+        {"nbf": 4_000_000_000},
+    ],
+)
+async def test_claims_that_do_not_fit_are_refused(issuer: Issuer, claims: dict[str, Any]) -> None:
+    assert await issuer.verifier().verify_token(issuer.token(**claims)) is None
+
+
+def forged(token: str, alg: str, secret: bytes) -> str:
+    """The token's claims under another algorithm, as no honest library would sign them."""
+    head = base64.urlsafe_b64encode(json.dumps({"alg": alg, "kid": "key-1", "typ": "JWT"}).encode()).rstrip(b"=")
+    signed = head.decode() + "." + token.split(".")[1]
+    signature = hmac.new(secret, signed.encode(), "sha256").digest() if secret else b""
+    return signed + "." + base64.urlsafe_b64encode(signature).rstrip(b"=").decode()
+
+
+async def test_other_keys_and_algorithms_are_refused(issuer: Issuer) -> None:
+    verifier = issuer.verifier()
+    public = issuer.key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+    assert await verifier.verify_token(issuer.token(key=rsa.generate_private_key(65537, 2048))) is None
+    assert await verifier.verify_token(forged(issuer.token(), "HS256", public)) is None
+    assert await verifier.verify_token(forged(issuer.token(), "none", b"")) is None
+    assert await verifier.verify_token(issuer.token(key=ec.generate_private_key(ec.SECP256R1()), alg="ES256")) is None
+    head, body, signature = issuer.token().split(".")
+    assert await verifier.verify_token(f"{head}.{body}x.{signature}") is None
+    for garbage in ("", "a.b.c", "x", f"{head}.{body}."):
+        assert await verifier.verify_token(garbage) is None
+
+
+async def test_keys_are_fetched_once_and_unknown_keys_do_not_flood_the_issuer(issuer: Issuer) -> None:
+    verifier = issuer.verifier()
+    for _ in range(3):
+        assert await verifier.verify_token(issuer.token()) is not None
+    for i in range(5):
+        assert await verifier.verify_token(issuer.token(kid=f"unknown-{i}")) is None
+    assert len(issuer.fetched) == 2
+
+
+async def test_a_new_key_of_the_issuer_is_found(issuer: Issuer, monkeypatch: pytest.MonkeyPatch) -> None:
+    verifier = issuer.verifier()
+    assert await verifier.verify_token(issuer.token()) is not None
+    issuer.kid = "key-2"
+    monkeypatch.setattr("vehanchor_server.transport.auth.KEYS_RETRY_S", 0)
+    assert await verifier.verify_token(issuer.token()) is not None
+
+
+async def test_an_issuer_that_is_not_itself_or_not_there_is_told_in_the_log(
+    issuer: Issuer, caplog: pytest.LogCaptureFixture
+) -> None:
+    issuer.says_it_is = "https://evil.test"
+    assert await issuer.verifier().verify_token(issuer.token()) is None
+    issuer.says_it_is, issuer.jwks_uri = ISSUER, "http://issuer.test/keys"
+    assert await issuer.verifier().verify_token(issuer.token()) is None
+    issuer.broken = True
+    assert await issuer.verifier().verify_token(issuer.token()) is None
+    assert [word in caplog.text for word in ("evil.test", "not https", "unreachable")] == [True] * 3

@@ -1,0 +1,276 @@
+"""The server over real HTTP on the loopback address."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import anyio
+import httpx2 as httpx
+import pytest
+import uvicorn
+from mcp import Client
+from mcp.client.streamable_http import streamable_http_client
+
+from tests.server.conftest import paint_scene, write_image
+from tests.server.tools.test_tools import by_path, error_of, text_of
+from vehanchor_server.settings import Settings, SettingsError
+from vehanchor_server.transport.http import create_app
+
+pytestmark = pytest.mark.anyio
+
+TOKEN = "a-long-enough-token-1234"
+ERAS = ("auto", "legacy")
+
+
+@contextlib.contextmanager
+def served(settings: Settings) -> Iterator[str]:
+    """The server's address, for as long as it listens."""
+    listener = socket.socket()
+    listener.bind(("127.0.0.1", 0))
+    config = uvicorn.Config(create_app(settings), log_config=None, access_log=False, timeout_graceful_shutdown=2)
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+    thread.start()
+    deadline = time.monotonic() + 20
+    while not server.started and time.monotonic() < deadline:
+        time.sleep(0.01)
+    try:
+        yield f"http://127.0.0.1:{listener.getsockname()[1]}"
+    finally:
+        server.should_exit = True
+        thread.join(10)
+        listener.close()
+
+
+@pytest.fixture
+def base(settings: Settings) -> Iterator[str]:
+    with served(settings) as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def guarded(detector_path: Path) -> Iterator[str]:
+    settings = Settings(
+        detector=str(detector_path), allowed_hosts=("vehanchor.test",), allowed_origins=("https://console.test",)
+    )
+    with served(settings) as address:
+        yield address
+
+
+@pytest.fixture
+def token_file(tmp_path: Path) -> Path:
+    path = tmp_path / "tokens"
+    path.write_text(TOKEN + "\n")
+    return path
+
+
+def discover(**headers: str) -> dict[str, Any]:
+    """A request of the stateless protocol, as a plain HTTP client sends it."""
+    meta = {
+        "io.modelcontextprotocol/protocolVersion": "2026-07-28",
+        "io.modelcontextprotocol/clientCapabilities": {},
+        "io.modelcontextprotocol/clientInfo": {"name": "test", "version": "1"},
+    }
+    return {
+        "json": {"jsonrpc": "2.0", "id": 1, "method": "tools/list", "params": {"_meta": meta}},
+        "headers": {
+            "Accept": "application/json, text/event-stream",
+            "MCP-Protocol-Version": "2026-07-28",
+            "Mcp-Method": "tools/list",
+            **headers,
+        },
+    }
+
+
+@pytest.mark.parametrize("era", ERAS)
+async def test_tools_are_listed_and_called(base: str, images: Path, era: str) -> None:
+    reports: list[float] = []
+
+    async def on_progress(progress: float, total: float | None, message: str | None) -> None:
+        reports.append(progress)
+
+    async with Client(f"{base}/mcp", mode=era) as client:
+        assert [tool.name for tool in (await client.list_tools()).tools] == ["estimate_gsd", "measure_area"]
+        result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"), progress_callback=on_progress)
+        refused = await client.call_tool("estimate_gsd", by_path("/etc/passwd"))
+    assert result.structured_content is not None
+    assert result.structured_content["status"] == "ok"
+    assert 3 <= len(reports) <= 5
+    assert error_of(refused) == "path_not_allowed"
+
+
+async def test_requests_need_no_session(base: str) -> None:
+    async with httpx.AsyncClient() as client:
+        answer = await client.post(f"{base}/mcp", **discover())
+        assert answer.status_code == 200
+        assert answer.json()["result"]["tools"][0]["name"] == "estimate_gsd"
+        assert "mcp-session-id" not in answer.headers
+        legacy = {
+            "jsonrpc": "2.0",
+            "id": 1,
+            "method": "initialize",
+            "params": {
+                "protocolVersion": "2025-06-18",
+                "capabilities": {},
+                "clientInfo": {"name": "test", "version": "1"},
+            },
+        }
+        answer = await client.post(
+            f"{base}/mcp", json=legacy, headers={"Accept": "application/json, text/event-stream"}
+        )
+        assert answer.status_code == 200
+        assert "mcp-session-id" not in answer.headers
+
+
+async def test_health_tells_alive_from_ready(settings: Settings) -> None:
+    with served(settings) as base, httpx.Client() as client:
+        assert client.get(f"{base}/healthz").json() == {"status": "alive"}
+        deadline = time.monotonic() + 30
+        while client.get(f"{base}/readyz").status_code != 200 and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert client.get(f"{base}/readyz").json() == {"status": "ready"}
+    with served(Settings(detector="/nowhere.onnx")) as base, httpx.Client() as client:
+        assert client.get(f"{base}/healthz").status_code == 200
+        deadline = time.monotonic() + 30
+        while client.get(f"{base}/readyz").json()["error"] is None and time.monotonic() < deadline:
+            time.sleep(0.05)
+        answer = client.get(f"{base}/readyz")
+        assert answer.status_code == 503
+        assert answer.json() == {"status": "loading", "error": "model_not_found"}
+
+
+async def test_without_the_token_nothing_but_health_answers(
+    settings: Settings, token_file: Path, images: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    protected = Settings(roots=settings.roots, detector=settings.detector, token_file=token_file)
+    with served(protected) as base, httpx.Client() as client:
+        for headers in (
+            {},
+            {"Authorization": "Bearer wrong-token-1234567890"},
+            {"Authorization": f"Bearer {TOKEN}x"},
+            {"Authorization": f"Basic {base64.b64encode(TOKEN.encode()).decode()}"},
+            {"Authorization": TOKEN},
+            {"X-Api-Key": TOKEN},
+        ):
+            answer = client.post(f"{base}/mcp", **discover(**headers))
+            assert answer.status_code == 401
+            assert answer.headers["www-authenticate"].startswith("Bearer ")
+        assert client.post(f"{base}/mcp?access_token={TOKEN}", **discover()).status_code == 401
+        assert client.get(f"{base}/healthz").status_code == 200
+        assert client.post(f"{base}/mcp", **discover(Authorization=f"Bearer {TOKEN}")).status_code == 200
+        async with (
+            httpx.AsyncClient(headers={"Authorization": f"Bearer {TOKEN}"}) as authorized,
+            Client(streamable_http_client(f"{base}/mcp", http_client=authorized)) as mcp_client,
+        ):
+            result = await mcp_client.call_tool("estimate_gsd", by_path(images / "cars.png"))
+        assert not result.is_error
+    assert TOKEN not in caplog.text
+
+
+async def test_an_oidc_server_says_where_to_get_a_token(settings: Settings) -> None:
+    protected = Settings(
+        detector=settings.detector,
+        oidc_issuer="https://issuer.test",
+        oidc_audience="vehanchor",
+        public_url="https://vehanchor.test/mcp",
+    )
+    with served(protected) as base, httpx.Client() as client:
+        answer = client.post(f"{base}/mcp", **discover())
+        assert answer.status_code == 401
+        challenge = answer.headers["www-authenticate"]
+        assert 'resource_metadata="https://vehanchor.test/.well-known/oauth-protected-resource/mcp"' in challenge
+        metadata = client.get(f"{base}/.well-known/oauth-protected-resource/mcp").json()
+        assert metadata["resource"] == "https://vehanchor.test/mcp"
+        assert metadata["authorization_servers"] == ["https://issuer.test"]
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"Host": "evil.test"}, 421),
+        ({"Host": "127.0.0.1.evil.test"}, 421),
+        ({"Origin": "https://evil.test"}, 403),
+        ({"Origin": "null"}, 403),
+        ({"Origin": "http://localhost.evil.test"}, 403),
+        ({"Origin": "http://localhost:1234"}, 200),
+        ({"Host": "localhost:99"}, 200),
+        ({"Host": "vehanchor.test"}, 200),
+        ({"Host": "vehanchor.test:8443"}, 200),
+        ({"Origin": "https://console.test"}, 200),
+    ],
+)
+def test_foreign_hosts_and_origins_are_refused(guarded: str, headers: dict[str, str], status: int) -> None:
+    with httpx.Client() as client:
+        assert client.post(f"{guarded}/mcp", **discover(**headers)).status_code == status
+
+
+@pytest.mark.parametrize("modern", [True, False])
+async def test_bodies_over_the_limit_are_refused(base: str, modern: bool) -> None:
+    request = discover()
+    if not modern:
+        del request["headers"]["MCP-Protocol-Version"]
+    head, _, tail = json.dumps(request.pop("json")).partition('"test"')
+    body = head + '"' + "x" * (33 << 20) + '"' + tail
+    with httpx.Client() as client:
+        request["headers"]["Content-Type"] = "application/json"
+        assert client.post(f"{base}/mcp", content=body, **request).status_code == 413
+
+        def chunks() -> Iterator[bytes]:  # no length declared
+            for start in range(0, len(body), 1 << 20):
+                yield body[start : start + (1 << 20)].encode()
+
+        with contextlib.suppress(httpx.WriteError, httpx.ReadError):  # the server may hang up before all is sent
+            assert client.post(f"{base}/mcp", content=chunks(), **request).status_code == 413
+        assert client.get(f"{base}/healthz").status_code == 200
+
+
+async def test_an_image_of_some_megabytes_fits_a_request(base: str, tmp_path: Path) -> None:
+    data = write_image(tmp_path / "a.bmp", paint_scene(1400, 1400)).read_bytes()
+    assert len(data) > 5_000_000
+    async with Client(f"{base}/mcp") as client:
+        result = await client.call_tool(
+            "estimate_gsd", {"image": {"kind": "base64", "data": base64.b64encode(data).decode()}}
+        )
+    assert not result.is_error, text_of(result)
+
+
+async def test_without_roots_paths_are_off(settings: Settings, images: Path) -> None:
+    with served(Settings(detector=settings.detector)) as base:
+        async with Client(f"{base}/mcp") as client:
+            result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
+    assert error_of(result) == "source_disabled"
+
+
+async def test_a_client_that_hangs_up_frees_its_place(
+    settings: Settings, images: Path, slow_tiles: Callable[[float], None]
+) -> None:
+    slow_tiles(0.1)
+    one = Settings(roots=settings.roots, detector=settings.detector, threads=1, max_concurrency=1)
+    with served(one) as base:
+        async with Client(f"{base}/mcp") as client:
+            with anyio.move_on_after(0.6):
+                await client.call_tool("estimate_gsd", by_path(images / "large.png"))
+            await anyio.sleep(0.4)
+            result = await client.call_tool("estimate_gsd", by_path(images / "small.png"))
+    assert not result.is_error, text_of(result)
+
+
+def test_an_app_that_everyone_could_use_is_not_made() -> None:
+    with pytest.raises(SettingsError, match="refusing to listen"):
+        create_app(Settings(host="0.0.0.0"))
+
+
+def test_a_factory_reads_the_environment(monkeypatch: pytest.MonkeyPatch, settings: Settings) -> None:
+    monkeypatch.setattr("vehanchor_server.transport.http.configure_logging", lambda: None)
+    monkeypatch.setenv("VEHANCHOR_HOST", "0.0.0.0")
+    monkeypatch.setenv("VEHANCHOR_DETECTOR", str(settings.detector))
+    with pytest.raises(SettingsError, match="refusing to listen"):
+        create_app()

@@ -1,0 +1,215 @@
+"""The server as a child process, over its real stdin and stdout."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcp import Client, StdioServerParameters
+
+from tests.server.tools.test_tools import by_path, error_of
+from vehanchor_server.settings import Settings
+
+pytestmark = [pytest.mark.anyio, pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals and pipes")]
+
+Starter = Callable[..., "subprocess.Popen[bytes]"]
+
+_SERVE = "import typer; from vehanchor_server.command import serve; typer.run(serve)"
+_SLOW = (
+    "import time; from vehanchor.detection.detector import Detector; original = Detector.detect_tile\n"
+    "Detector.detect_tile = lambda *a, **k: (time.sleep(0.2), original(*a, **k))[1]\n"
+)
+
+
+def command(settings: Settings, *, slow: bool = False) -> list[str]:
+    roots = [part for root in settings.roots for part in ("--root", str(root))]
+    return [sys.executable, "-c", (_SLOW if slow else "") + _SERVE, *roots, "--detector", str(settings.detector)]
+
+
+@pytest.fixture
+def start(settings: Settings) -> Iterator[Starter]:
+    """Starts servers, and leaves none behind."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start_one(*, slow: bool = False) -> subprocess.Popen[bytes]:
+        process = subprocess.Popen(
+            command(settings, slow=slow), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+        started.append(process)
+        return process
+
+    yield start_one
+    for process in started:
+        process.kill()
+        process.wait()
+        for stream in (process.stdin, process.stdout, process.stderr):
+            assert stream is not None
+            with contextlib.suppress(BrokenPipeError):
+                stream.close()
+
+
+def message(method: str, **params: Any) -> bytes:
+    meta = {
+        "io.modelcontextprotocol/protocolVersion": "2026-07-28",
+        "io.modelcontextprotocol/clientCapabilities": {},
+        "io.modelcontextprotocol/clientInfo": {"name": "test", "version": "1"},
+    }
+    request = {"jsonrpc": "2.0", "id": 1, "method": method, "params": {"_meta": meta, **params}}
+    return json.dumps(request).encode() + b"\n"
+
+
+def ended(process: subprocess.Popen[bytes], seconds: float = 60) -> tuple[int, str]:
+    """Exit status and stderr."""
+    status = process.wait(seconds)
+    assert process.stderr is not None
+    return status, process.stderr.read().decode()
+
+
+@pytest.mark.parametrize("era", ["auto", "legacy"])
+async def test_tools_are_listed_and_called_over_pipes(settings: Settings, images: Path, era: str) -> None:
+    executable, *arguments = command(settings)
+    async with Client(StdioServerParameters(command=executable, args=arguments), mode=era) as client:
+        assert [tool.name for tool in (await client.list_tools()).tools] == ["estimate_gsd", "measure_area"]
+        result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
+        refused = await client.call_tool("estimate_gsd", by_path("/etc/passwd"))
+    assert result.structured_content is not None
+    assert result.structured_content["status"] == "ok"
+    assert error_of(refused) == "path_not_allowed"
+
+
+def test_stdout_carries_the_protocol_and_stderr_a_line_of_json_for_the_call(start: Starter, images: Path) -> None:
+    process = start()
+    call = message("tools/call", name="estimate_gsd", arguments=by_path(images / "cars.png"))
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.write(call)
+    process.stdin.flush()
+    answer = json.loads(process.stdout.readline())
+    process.stdin.close()
+    status, stderr = ended(process)
+    assert answer["result"]["structuredContent"]["status"] == "ok"
+    assert process.stdout.read() == b""
+    assert status == 0
+    lines = [json.loads(line) for line in stderr.splitlines()]
+    (logged,) = [line for line in lines if line["logger"] == "vehanchor_server.calls"]
+    assert logged["tool"] == "estimate_gsd"
+    assert logged["status"] == "ok"
+    assert logged["megapixels"] == pytest.approx(0.328)
+    assert logged["ms"] > 0
+
+
+def test_the_first_list_is_answered_before_any_model_is_loaded(start: Starter) -> None:
+    process = start()
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.write(message("tools/list"))
+    process.stdin.flush()
+    answer = json.loads(process.stdout.readline())
+    maps = Path(f"/proc/{process.pid}/maps").read_text() if sys.platform == "linux" else ""
+    process.stdin.close()
+    ended(process)
+    assert answer["result"]["tools"][0]["name"] == "estimate_gsd"
+    assert "onnxruntime" not in maps
+    assert "cv2" not in maps
+
+
+def _wait_for(condition: Callable[[], bool], seconds: float = 60) -> bool:
+    deadline = time.monotonic() + seconds
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return condition()
+
+
+def _until_computing(process: subprocess.Popen[bytes], images: Path) -> None:
+    """Start a call that takes seconds, and wait until its progress shows that tiles are searched."""
+    assert process.stdin is not None
+    assert process.stdout is not None
+    call = json.loads(message("tools/call", name="estimate_gsd", arguments=by_path(images / "large.png")))
+    call["params"]["_meta"]["progressToken"] = 1
+    process.stdin.write(json.dumps(call).encode() + b"\n")
+    process.stdin.flush()
+    while "tiles" not in json.loads(process.stdout.readline())["params"]["message"]:
+        pass
+
+
+@pytest.mark.parametrize("busy", [False, True])
+def test_sigterm_ends_it_cleanly(start: Starter, images: Path, busy: bool) -> None:
+    process = start(slow=True)
+    assert process.stdin is not None
+    assert process.stdout is not None
+    if busy:
+        _until_computing(process, images)
+    else:
+        process.stdin.write(message("tools/list"))
+        process.stdin.flush()
+        process.stdout.readline()
+    process.send_signal(signal.SIGTERM)
+    status, stderr = ended(process)
+    assert status == 0
+    assert "Traceback" not in stderr
+
+
+@pytest.mark.parametrize("busy", [False, True])
+def test_the_end_of_stdin_ends_it(start: Starter, images: Path, busy: bool) -> None:
+    process = start(slow=True)
+    assert process.stdin is not None
+    if busy:
+        _until_computing(process, images)
+    process.stdin.close()
+    status, stderr = ended(process)
+    assert status == 0
+    assert "Traceback" not in stderr
+
+
+def test_a_killed_parent_ends_it(settings: Settings, tmp_path: Path) -> None:
+    parent = (
+        "import subprocess, sys, time\n"
+        f"child = subprocess.Popen({command(settings)!r}, stdin=subprocess.PIPE, stdout=subprocess.PIPE)\n"
+        f"child.stdin.write({message('tools/list')!r}); child.stdin.flush(); child.stdout.readline()\n"
+        "print(child.pid, flush=True); time.sleep(60)\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.PIPE, cwd=tmp_path)
+    assert process.stdout is not None
+    with process.stdout:
+        child = int(process.stdout.readline())
+        process.kill()
+        process.wait()
+
+    def gone() -> bool:
+        try:
+            return Path(f"/proc/{child}/stat").read_text().split()[2] == "Z"
+        except FileNotFoundError:
+            return True
+
+    try:
+        assert _wait_for(gone), "the server outlived its parent"
+    finally:
+        if not gone():
+            os.kill(child, signal.SIGKILL)
+
+
+def test_wrong_options_end_with_status_2_and_a_line(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _SERVE, "--root", str(tmp_path / "missing")], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("error[invalid_settings]: root ")
+    assert "Traceback" not in done.stderr
+
+
+def test_a_public_address_without_authentication_is_refused() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _SERVE, "--http", "--host", "0.0.0.0"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert "refusing to listen on 0.0.0.0 without authentication" in done.stderr

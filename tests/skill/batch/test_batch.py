@@ -1,0 +1,467 @@
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tests.models import blank_image, paint_vehicles, write_detector
+from vehanchor.batch import BatchJob, BatchRow, find_images, run_batch
+from vehanchor.batch.engines.local import local_workers
+from vehanchor.batch.journal import Journal, journal_path
+from vehanchor.batch.row import COLUMNS
+from vehanchor.batch.worker import Task, Worker
+from vehanchor.cli import app as cli
+from vehanchor.detection.detector import Detector
+from vehanchor.errors import (
+    ImageNotFoundError,
+    InvalidParameterError,
+    MissingExtraError,
+    ModelContractError,
+    OutputError,
+    WorkerDiedError,
+)
+from vehanchor.estimate import ScaleOptions, estimate_gsd
+from vehanchor.records import GsdEstimate
+
+if TYPE_CHECKING:
+    from typer.testing import Result
+
+FILES = ["broken.jpg", "cars.png", "deep/below/cars.PNG", "empty.png"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two images with cars, one without, one that is none; beside them what is no image by its name."""
+    path = tmp_path_factory.mktemp("batch")
+    (path / "deep" / "below").mkdir(parents=True)
+    for name, n_vehicles in (("cars.png", 20), ("empty.png", 0), ("deep/below/cars.PNG", 12)):
+        image = blank_image(800, 300)
+        boxes = [[50 + 70 * (i % 10), 60 + 90 * (i // 10), 29 + 0.1 * i, 12, 0.3] for i in range(n_vehicles)]
+        paint_vehicles(image, np.reshape(boxes, (-1, 5)))
+        cv2.imwrite(str(path / name), image[:, :, ::-1])
+    (path / "broken.jpg").write_text("this is no image")
+    (path / "notes.txt").write_text("nor is this, and its name says so")
+    return path
+
+
+@pytest.fixture(scope="module")
+def detector(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_detector(tmp_path_factory.mktemp("model") / "painted.onnx")
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    return tmp_path / "table.jsonl"
+
+
+@pytest.fixture(autouse=True)
+def _in_the_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+
+
+def _rows(table: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in table.read_text().splitlines()]
+
+
+def _batch(*arguments: object) -> Result:
+    return CliRunner().invoke(cli.app, ["batch", *map(str, arguments)])
+
+
+# --- Which images ----------------------------------------------------------------------------------------------------
+
+
+def test_a_directory_is_searched_with_all_below_it_and_sorted(folder: Path) -> None:
+    assert find_images([str(folder)]) == [str(folder / name) for name in FILES]
+
+
+def test_patterns_files_and_directories_are_taken_in_their_order_each_image_once() -> None:
+    assert find_images(["empty.png", "*.png", "deep", "**/*.PNG"]) == ["empty.png", "cars.png", "deep/below/cars.PNG"]
+
+
+def test_a_file_named_with_a_patterns_characters_is_that_file(folder: Path, tmp_path: Path) -> None:
+    odd = tmp_path / "photo[1].png"
+    odd.write_bytes((folder / "cars.png").read_bytes())
+    assert find_images([str(odd)]) == [str(odd)]
+
+
+@pytest.mark.parametrize("nothing", [[], ["*.tiff"], ["empty folder"]])
+def test_nothing_found_is_an_error_before_the_work(nothing: list[str], monkeypatch: Any, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty folder").mkdir()
+    with pytest.raises(ImageNotFoundError, match="no image"):
+        find_images(nothing)
+
+
+# --- Rows and columns ------------------------------------------------------------------------------------------------
+
+
+def test_every_value_of_an_estimate_has_its_column() -> None:
+    nested = {"confidence_terms", "frame", "warnings"}
+    assert set(GsdEstimate.model_fields) - nested < set(COLUMNS)
+    assert {"file", "confidence_sample", "warning_codes", "error_code", "error"} < set(COLUMNS)
+    assert COLUMNS["gsd_m_per_px"] is float
+    assert COLUMNS["n_vehicles"] is int
+    assert COLUMNS["resolution_guard"] is bool
+    assert COLUMNS["status"] is str
+
+
+def test_a_row_holds_what_estimate_gsd_says(detector: Path, table: Path) -> None:
+    run_batch(["."], table, detector=detector, workers=1)
+    broken, cars, _, empty = _rows(table)
+    estimate = estimate_gsd("cars.png", detector=detector)
+    assert {name: cars[name] for name in ("file", "error_code", "error")} == {
+        "file": "cars.png",
+        "error_code": None,
+        "error": None,
+    }
+    same = set(GsdEstimate.model_fields) & set(COLUMNS)
+    assert {name: cars[name] for name in same} == {name: getattr(estimate, name) for name in same}
+    assert cars["confidence_sample"] == estimate.confidence_terms.sample
+    assert cars["warning_codes"] == " ".join(notice.code for notice in estimate.warnings)
+    assert (empty["status"], empty["gsd_m_per_px"], empty["confidence"]) == ("no_anchor", None, 0)
+    assert (broken["status"], broken["gsd_m_per_px"], broken["error_code"]) == (None, None, "image_undecodable")
+    assert "not a JPEG" in broken["error"]
+
+
+def test_a_defect_found_by_one_image_is_its_row(detector: Path, table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Detector, "detect_tile", lambda *_, **__: 1 / 0)
+    summary = run_batch(["cars.png", "broken.jpg"], table, detector=detector, workers=1)
+    assert [row["error_code"] for row in _rows(table)] == ["internal_error", "image_undecodable"]
+    assert _rows(table)[0]["error"] == "ZeroDivisionError: division by zero"
+    assert summary.statuses == {"error": 2}
+
+
+def test_a_worker_refuses_another_model_than_the_runs(detector: Path) -> None:
+    with pytest.raises(ModelContractError, match="is another model on this machine"):
+        Worker(BatchJob(str(detector), "0" * 64))
+
+
+# --- Tables ----------------------------------------------------------------------------------------------------------
+
+
+def test_all_formats_hold_the_same_rows(detector: Path, tmp_path: Path) -> None:
+    import pyarrow.parquet
+
+    for suffix in ("jsonl", "csv", "parquet"):
+        run_batch(["."], tmp_path / f"table.{suffix}", detector=detector, workers=1)
+    rows = _rows(tmp_path / "table.jsonl")
+    assert [row["file"] for row in rows] == FILES
+    assert [list(row) for row in rows] == [list(COLUMNS)] * len(rows)
+    parquet = pyarrow.parquet.read_table(tmp_path / "table.parquet")
+    assert parquet.to_pylist() == rows
+    assert [str(kind) for kind in parquet.schema.types[:5]] == ["string", "string", "double", "double", "int64"]
+    with (tmp_path / "table.csv").open(newline="") as file:
+        assert list(csv.DictReader(file)) == [
+            {name: "" if value is None else str(value) for name, value in row.items()} for row in rows
+        ]
+
+
+def test_names_that_are_no_text_are_written_readably(folder: Path, detector: Path, tmp_path: Path) -> None:
+    import pyarrow.parquet
+
+    odd = os.fsdecode(b"caf\xe9.png")
+    (tmp_path / odd).write_bytes((folder / "cars.png").read_bytes())
+    run_batch([str(tmp_path / "*.png")], tmp_path / "table.parquet", detector=detector, workers=1)
+    (row,) = pyarrow.parquet.read_table(tmp_path / "table.parquet").to_pylist()
+    assert row["file"].endswith(r"caf\udce9.png")
+    assert row["status"] == "ok"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("table.xlsx", "use one of .parquet, .csv, .jsonl"), ("nowhere/table.csv", "no folder"), ("a.csv", "a folder")],
+)
+def test_a_table_that_cannot_be_written_is_told_before_the_work(tmp_path: Path, name: str, words: str) -> None:
+    (tmp_path / "a.csv").mkdir()
+    with pytest.raises(OutputError, match=words):
+        run_batch(["."], tmp_path / name, detector="no model is looked for")
+
+
+def test_a_complete_table_is_replaced_only_on_request(detector: Path, table: Path) -> None:
+    run_batch(["cars.png"], table, detector=detector, workers=1)
+    with pytest.raises(OutputError, match="--overwrite"):
+        run_batch(["empty.png"], table, detector=detector, workers=1)
+    assert _rows(table)[0]["file"] == "cars.png"
+    run_batch(["empty.png"], table, detector=detector, workers=1, overwrite=True)
+    assert [row["file"] for row in _rows(table)] == ["empty.png"]
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments", "words"),
+    [
+        ("pyarrow", {"output": "table.parquet"}, r"pip install 'vehanchor\[parquet\]'"),
+        ("ray", {"output": "table.csv", "engine": "ray"}, r"pip install 'vehanchor\[ray\]'"),
+    ],
+)
+def test_a_missing_extra_is_named(
+    module: str, arguments: dict[str, Any], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    arguments["output"] = tmp_path / arguments["output"]
+    with pytest.raises(MissingExtraError, match=words):
+        run_batch(["."], **arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"engine": "spark"}, "use local or ray"),
+        ({"address": "auto"}, "--engine ray"),
+        ({"workers": 0}, "whole number"),
+        ({"options": ScaleOptions(frame_width_px=10, frame_height_px=10)}, "frame"),
+    ],
+)
+def test_options_without_meaning_are_refused(table: Path, arguments: dict[str, Any], words: str) -> None:
+    with pytest.raises(InvalidParameterError, match=words):
+        run_batch(["."], table, **arguments)
+
+
+# --- Going on after an interruption ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def analysed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The files that rows are made of, as they are made; the third one of a run interrupts it."""
+    made: list[str] = []
+    original = Worker.row
+
+    def row(self: Worker, task: Task) -> BatchRow:
+        if len(made) == 2:
+            made.append("interrupted")
+            raise KeyboardInterrupt
+        made.append(task.file)
+        return original(self, task)
+
+    monkeypatch.setattr(Worker, "row", row)
+    return made
+
+
+def test_an_interrupted_run_goes_on_and_ends_as_one_that_was_not(
+    analysed: list[str], detector: Path, table: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(["."], table, detector=detector, workers=1)
+    assert not table.exists()
+    progress: list[tuple[int, int]] = []
+    summary = run_batch(
+        ["."], table, detector=detector, workers=1, progress=lambda done, total: progress.append((done, total))
+    )
+    assert analysed == [*FILES[:2], "interrupted", *FILES[2:]]
+    assert (summary.n_rows, summary.n_resumed) == (4, 2)
+    assert summary.statuses == {"ok": 2, "no_anchor": 1, "error": 1}
+    assert progress == [(2, 4), (3, 4), (4, 4)]
+    run_batch(["."], tmp_path / "at once.jsonl", detector=detector, workers=1)
+    assert table.read_bytes() == (tmp_path / "at once.jsonl").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["at once.jsonl", "table.jsonl"]
+
+
+def test_a_line_cut_off_by_a_crash_is_made_anew(analysed: list[str], detector: Path, table: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(["."], table, detector=detector, workers=1)
+    journal = journal_path(table)
+    journal.write_bytes(journal.read_bytes()[:-20])
+    assert run_batch(["."], table, detector=detector, workers=1).n_resumed == 1
+    assert [row["file"] for row in _rows(table)] == FILES
+
+
+def test_other_images_than_before_change_only_what_is_missing(analysed: list[str], detector: Path, table: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(["."], table, detector=detector, workers=1)
+    assert run_batch(["empty.png", "cars.png"], table, detector=detector, workers=1).n_resumed == 1
+    assert [row["file"] for row in _rows(table)] == ["empty.png", "cars.png"]
+
+
+def test_rows_of_other_options_are_not_mixed_in(analysed: list[str], detector: Path, table: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(["."], table, detector=detector, workers=1)
+    other = ScaleOptions(reference_length_m=4.3)
+    with pytest.raises(InvalidParameterError, match=r"reference_length_m None \(now 4.3\)"):
+        run_batch(["."], table, detector=detector, workers=1, options=other)
+    assert run_batch(["."], table, detector=detector, workers=1, options=other, overwrite=True).n_resumed == 0
+    assert {row["reference_length_m"] for row in _rows(table)} == {4.3, None}
+
+
+@pytest.mark.parametrize("content", [b"not json\n", b"[]\n", b'{"a": 1}\n{"no file": 1}\n'])
+def test_a_file_that_is_no_journal_is_left_alone(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.journal"
+    path.write_bytes(content)
+    with pytest.raises(InvalidParameterError, match="--overwrite"):
+        Journal(path, {"a": 1})
+    assert path.read_bytes() == content
+
+
+def test_a_disk_that_refuses_is_told(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="cannot keep rows"):
+        Journal(tmp_path / "nowhere" / "x.journal", {})
+
+
+# --- Engines ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def expected(folder: Path, detector: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The table of one worker."""
+    table = tmp_path_factory.mktemp("expected") / "table.jsonl"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        run_batch(["."], table, detector=detector, workers=1)
+    return table.read_bytes()
+
+
+@pytest.mark.slow
+def test_several_processes_make_the_same_table(expected: bytes, detector: Path, table: Path) -> None:
+    run_batch(["."], table, detector=detector, workers=2)
+    assert table.read_bytes() == expected
+
+
+@pytest.mark.slow
+def test_a_killed_process_ends_the_run_and_keeps_the_rows(detector: Path, table: Path) -> None:
+    def kill(done: int, total: int) -> None:
+        if done:
+            for child in Path(f"/proc/self/task/{os.getpid()}/children").read_text().split():
+                if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+                    os.kill(int(child), signal.SIGKILL)
+
+    with pytest.raises(WorkerDiedError, match="fewer --workers"):
+        run_batch(["."] + [f"missing {n}.png" for n in range(20)], table, detector=detector, workers=2, progress=kill)
+    assert run_batch(["."], table, detector=detector, workers=1).n_rows == 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
+def test_ctrl_c_says_how_to_go_on_and_the_same_command_does(
+    detector: Path, folder: Path, tmp_path: Path, workers: int
+) -> None:
+    for n in range(60):
+        (tmp_path / f"{n:02}.png").symlink_to(folder / "cars.png")
+    slow = (
+        "import time; from vehanchor.batch import worker; row = worker.Worker.row\n"
+        "worker.Worker.row = lambda *a: (time.sleep(0.2), row(*a))[1]\n"
+    )
+    arguments = [".", "--output", "t.csv", "--detector", str(detector), "--workers", str(workers)]
+    script = tmp_path / "run.py"  # a file, as spawned processes read it again
+    script.write_text(slow + "from vehanchor.cli.app import main\nif __name__ == '__main__':\n    main()\n")
+    command = [sys.executable, str(script), "batch", *arguments]
+    process = subprocess.Popen(
+        command,
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's "&" has it ignored
+    )
+    journal = tmp_path / "t.csv.journal"
+    deadline = time.monotonic() + 120
+    while not (journal.exists() and journal.read_bytes().count(b"\n") > 3):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all of them
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert stderr.splitlines()[-1] == "interrupted: the rows so far are kept; the same command goes on from there"
+    assert "Traceback" not in stderr
+    done = subprocess.run(
+        [sys.executable, "-m", "vehanchor", "batch", *arguments],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "60 rows (60 ok), " in done.stderr
+    assert " of them from an earlier run; " in done.stderr
+    with (tmp_path / "t.csv").open(newline="") as file:
+        assert [row["file"] for row in csv.DictReader(file)] == [f"{n:02}.png" for n in range(60)]
+
+
+@pytest.mark.ray
+def test_ray_makes_the_same_table_and_goes_on_where_the_local_engine_stopped(
+    expected: bytes, detector: Path, folder: Path, tmp_path: Path
+) -> None:
+    """As a user runs it: a Ray of the command's own."""
+    table = tmp_path / "table.jsonl"
+
+    def interrupt(done: int, _: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(["."], table, detector=detector, workers=1, progress=interrupt)
+    assert journal_path(table).exists()
+    command = [sys.executable, "-m", "vehanchor", "batch", ".", "--detector", str(detector), "--workers", "2"]
+    done = subprocess.run(
+        [*command, "--output", str(table), "--engine", "ray"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert table.read_bytes() == expected
+    assert done.stdout == ""
+    last = done.stderr.splitlines()[-1]
+    assert "4 rows (2 ok, 1 no_anchor, 1 error), 2 of them from an earlier run; 2 images in" in last
+    assert not journal_path(table).exists()
+
+
+@pytest.mark.ray
+def test_no_cluster_at_the_address_is_told_in_a_line(detector: Path, table: Path) -> None:
+    result = _batch("cars.png", "-o", table, "--detector", detector, "--engine", "ray", "--address", "127.0.0.1:1")
+    assert result.exit_code == 2
+    assert "no Ray cluster at '127.0.0.1:1'" in result.stderr
+    assert "Connection refused" in result.stderr
+
+
+# --- The command -----------------------------------------------------------------------------------------------------
+
+
+def test_the_command_tells_what_it_did(detector: Path, table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vehanchor.cli.batch._LINE_EVERY_S", 0.0)
+    result = _batch(".", "no such.png", "--output", table, "--detector", detector, "--workers", 1)
+    assert result.exit_code == 0, result.output
+    assert result.stdout == ""
+    *lines, last = result.stderr.splitlines()
+    assert lines == [f"{n} of 5 images" for n in range(6)]
+    assert last.startswith(f"{table}: 5 rows (2 ok, 1 no_anchor, 2 error); 5 images in ")
+    assert _rows(table)[-1]["error_code"] == "image_not_found"
+
+
+def test_the_commands_options_reach_the_estimate(detector: Path, table: Path) -> None:
+    options = ("--reference-length", 4.3, "--min-score", 0.95, "--provider", "CPUExecutionProvider")
+    result = _batch("cars.png", "-o", table, "--detector", detector, "--workers", 1, *options)
+    assert result.exit_code == 0, result.output
+    (row,) = _rows(table)
+    assert (row["reference_length_m"], row["n_detections"]) == (4.3, 0)
+
+
+def test_the_command_tells_errors_in_a_line(table: Path) -> None:
+    result = _batch("*.tiff", "--output", table)
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error[image_not_found]: no image in '*.tiff'")
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_on_a_terminal_a_bar_shows_how_far_it_is(
+    detector: Path, table: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    with pytest.raises(SystemExit) as end:
+        cli.app(["batch", ".", "-o", str(table), "--detector", str(detector), "--workers", "1"])
+    assert end.value.code == 0
+    assert "4 rows" in capfd.readouterr().err
+
+
+def test_the_default_is_a_worker_a_cpu_but_no_more_than_images(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2}, raising=False)
+    assert [local_workers(n) for n in (1, 2, 3, 100)] == [1, 2, 3, 3]

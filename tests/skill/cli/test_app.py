@@ -1,0 +1,531 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, get_args
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from typer.testing import CliRunner, Result
+
+from tests.models import blank_image, paint_vehicles, write_detector, write_other_model
+from vehanchor import estimate as perception
+from vehanchor import records
+from vehanchor.cli import app as cli
+from vehanchor.errors import VehAnchorError
+from vehanchor.models import zoo as model_zoo
+from vehanchor_scenes import Layout
+
+LENGTH_PX = 30.0
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Images of 20 cars, of 3, of none; a file that is no image; a detector, and a model that is none."""
+    path = tmp_path_factory.mktemp("cli")
+    rng = np.random.default_rng(0)
+    for name, n_vehicles in (("cars", 20), ("few", 3), ("none", 0)):
+        image = blank_image(900, 500)
+        boxes = [
+            [50 + 80 * (i % 10), 60 + 90 * (i // 10), rng.normal(LENGTH_PX, 1.5), 12, rng.uniform(0, 3)]
+            for i in range(n_vehicles)
+        ]
+        if n_vehicles > 10:
+            boxes[4][2] = 70.0
+        paint_vehicles(image, np.reshape(boxes, (-1, 5)))
+        cv2.imwrite(str(path / f"{name}.png"), image[:, :, ::-1])
+    (path / "text.png").write_text("this is no image")
+    write_detector(path / "detector.onnx", metadata={"license": "CC0-1.0"})
+    write_other_model(path / "classifier.onnx")
+    return path
+
+
+@pytest.fixture
+def run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Runs ``vehanchor`` in the folder of images."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.delenv("VEHANCHOR_TRACEBACK", raising=False)
+    return lambda *arguments: CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+
+
+def _estimate(run: Any, *arguments: object) -> Result:
+    result: Result = run("estimate", "--detector", "detector.onnx", *arguments)
+    return result
+
+
+def _process(folder: Path, *arguments: str, **options: Any) -> subprocess.CompletedProcess[bytes]:
+    return subprocess.run(
+        [sys.executable, "-m", "vehanchor", *arguments], cwd=folder, capture_output=True, check=False, **options
+    )
+
+
+def _lines(result: Result) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in result.stdout.splitlines()]
+
+
+def _read(path: Path) -> NDArray[Any]:
+    picture = cv2.imread(str(path))
+    assert picture is not None
+    return picture
+
+
+# --- estimate
+
+
+def test_estimate_prints_a_readable_table(run: Any) -> None:
+    result = _estimate(run, "cars.png")
+    assert result.exit_code == 0
+    assert result.stderr == ""
+    assert "cars.png" in result.stdout
+    assert "m/px   (95 %:" in result.stdout
+    assert "19 kept of 20 found" in result.stdout
+
+
+def test_json_is_the_record_and_its_source(run: Any, folder: Path) -> None:
+    result = _estimate(run, "cars.png", "--json")
+    assert result.exit_code == 0
+    assert result.stderr == ""
+    (line,) = _lines(result)
+    assert line.pop("source") == "cars.png"
+    expected = perception.analyse_scale(folder / "cars.png", detector=folder / "detector.onnx").estimate
+    assert line == expected.model_dump(mode="json")  # which also holds the defaults of the options to the library's
+    assert records.GsdEstimate.model_validate_json(json.dumps(line)) == expected
+    assert line["gsd_m_per_px"] == pytest.approx(5.045 / LENGTH_PX, rel=0.05)
+
+
+def test_json_has_the_same_bytes_with_any_number_of_threads(folder: Path) -> None:
+    arguments = ["estimate", "./cars.png", "none.png", "--json", "--detector", "detector.onnx"]
+    one, two, again = (_process(folder, *arguments, "--threads", n) for n in ("1", "2", "2"))
+    assert one.returncode == 0
+    assert one.stderr == b""
+    assert one.stdout == two.stdout == again.stdout
+    assert [json.loads(line)["source"] for line in one.stdout.splitlines()] == ["./cars.png", "none.png"]
+
+
+def test_no_anchor_is_a_result(run: Any) -> None:
+    result = _estimate(run, "none.png", "--json")
+    assert result.exit_code == 0
+    (line,) = _lines(result)
+    assert line["status"] == "no_anchor"
+    assert line["gsd_m_per_px"] is None
+    assert "no vehicle found" in _estimate(run, "none.png").stdout
+
+
+def test_one_bad_image_does_not_stop_the_rest(run: Any) -> None:
+    result = _estimate(run, "cars.png", "text.png", "missing.png", "few.png", "--json")
+    assert result.exit_code == 2
+    first, second, third, fourth = _lines(result)
+    assert (first["source"], first["status"]) == ("cars.png", "ok")
+    assert second["source"] == "text.png"
+    assert second["error"]["code"] == "image_undecodable"
+    assert third["error"]["code"] == "image_not_found"
+    assert (fourth["source"], fourth["status"]) == ("few.png", "low_confidence")
+    assert [line.split(":")[0] for line in result.stderr.splitlines()] == [
+        "error[image_undecodable]",
+        "error[image_not_found]",
+    ]
+
+
+def test_several_images_give_one_table_with_a_row_each(run: Any) -> None:
+    result = _estimate(run, "cars.png", "text.png", "few.png")
+    assert result.exit_code == 2
+    rows = [line.split() for line in result.stdout.splitlines() if ".png" in line]
+    assert [row[0] for row in rows] == ["cars.png", "few.png"]
+    assert rows[1][-1] == "low_confidence"
+    assert "error[image_undecodable]: text.png: " in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["missing.png"], "image_not_found"),
+        (["."], "image_not_found"),
+        (["text.png"], "image_undecodable"),
+        (["cars.png", "--reference-length", "-1"], "invalid_parameter"),
+        (["cars.png", "--reference-length", "nan"], "invalid_parameter"),
+        (["cars.png", "--reference-length", "4", "--region", "europe"], "invalid_parameter"),
+        (["cars.png", "--region", "atlantis"], "invalid_parameter"),
+        (["cars.png", "--alpha", "0"], "invalid_parameter"),
+        (["cars.png", "--alpha", "wide"], "invalid_parameter"),
+        (["cars.png", "--min-score", "1.5"], "invalid_parameter"),
+        (["cars.png", "--nms-iou", "-0.1"], "invalid_parameter"),
+        (["cars.png", "--tile", "-5"], "invalid_parameter"),
+        (["cars.png", "--stride", "2000"], "invalid_parameter"),
+        (["cars.png", "--threads", "0"], "invalid_parameter"),
+        (["cars.png", "--class", "submarine"], "invalid_parameter"),
+        (["cars.png", "--bands", "1", "2", "9"], "invalid_parameter"),
+        (["cars.png", "--frame", "450", "300"], "frame_mismatch"),
+        (["cars.png", "--provider", "AbacusExecutionProvider"], "provider_unavailable"),
+        (["cars.png", "--detector", "missing.onnx"], "model_not_found"),
+        (["cars.png", "--detector", "classifier.onnx"], "model_contract"),
+        (["cars.png", "--detector", "text.png"], "model_contract"),
+        (["cars.png", "--overlay", "out.gif"], "output_unwritable"),
+        (["cars.png", "--overlay", "nowhere/out.png"], "output_unwritable"),
+        (["cars.png", "--plot", "out"], "output_unwritable"),
+        (["cars.png", "--overlay", "./cars.png"], "invalid_parameter"),
+        (["cars.png", "--overlay", "same.png", "--plot", "same.png"], "invalid_parameter"),
+        (["cars.png", "few.png", "--overlay", "one.png"], "invalid_parameter"),
+    ],
+)
+def test_bad_input_ends_with_status_2_and_one_line(run: Any, arguments: list[str], code: str) -> None:
+    result = _estimate(run, *arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith(f"error[{code}]: ")
+    assert result.stderr.count("\n") == 1
+    for line in _lines(_estimate(run, *arguments, "--json")):
+        assert line["error"]["code"] == code
+
+
+def test_what_stops_every_image_still_gives_each_its_line_of_json(run: Any) -> None:
+    result = _estimate(run, "cars.png", "few.png", "--json", "--alpha", "-1")
+    assert result.exit_code == 2
+    assert [(line["source"], line["error"]["code"]) for line in _lines(result)] == [
+        ("cars.png", "invalid_parameter"),
+        ("few.png", "invalid_parameter"),
+    ]
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--tile", "wide"], ["--aggregation", "mode"], ["--no-such-option"], ["--frame", "1"]]
+)
+def test_options_that_cannot_be_parsed_end_with_status_2(run: Any, arguments: list[str]) -> None:
+    result = _estimate(run, "cars.png", *arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert arguments[0] in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_the_options_reach_the_method(run: Any) -> None:
+    def record(*arguments: str) -> dict[str, Any]:
+        result = _estimate(run, "cars.png", "--json", *arguments)
+        assert result.exit_code == 0, result.stderr
+        return _lines(result)[0]
+
+    plain = record()
+    assert record("--reference-length", "4")["gsd_m_per_px"] == pytest.approx(plain["gsd_m_per_px"] * 4 / 5.045)
+    assert record("--region", "europe")["reference_length_m"] == pytest.approx(4.5)
+    assert record("--aggregation", "mean")["aggregation"] == "mean"
+    assert record("--alpha", "none")["n_vehicles"] == 20
+    assert record("--alpha", "3.0")["n_vehicles"] == 20
+    assert record("--min-score", "0.95")["n_detections"] == 0
+    assert record("--tile", "320", "--stride", "200")["n_detections"] == 20
+    assert record("--class", "small-vehicle", "--class", "0")["n_detections"] == 20
+    assert record("--bands", "1", "2", "3") == plain
+    assert record("--bands", "2", "1", "3")["n_detections"] == 0
+    assert record("--provider", "CPUExecutionProvider", "--nms-iou", "0.3") == plain
+    frame = record("--frame", "450", "250")["frame"]
+    assert frame["gsd_m_per_px"] == pytest.approx(2 * plain["gsd_m_per_px"])
+    assert "450 x 250 px:" in _estimate(run, "cars.png", "--frame", "450", "250").stdout
+
+
+def test_the_choices_are_the_librarys() -> None:
+    assert {choice.value for choice in cli._Aggregation} == set(get_args(records.Aggregation))
+    assert {choice.value for choice in cli._Layout} == set(get_args(Layout))
+
+
+def test_warnings_follow_the_table_and_stay_inside_the_json(run: Any, tmp_path: Path) -> None:
+    write_detector(tmp_path / "capped.onnx", layout="end2end", cap=10)
+    plain = _estimate(run, "cars.png", "--detector", tmp_path / "capped.onnx")
+    assert plain.exit_code == 0
+    assert plain.stderr.startswith("warning[detections_capped]: ")
+    quiet = _estimate(run, "cars.png", "--json", "--detector", tmp_path / "capped.onnx")
+    assert quiet.stderr == ""
+    assert _lines(quiet)[0]["warnings"][0]["code"] == "detections_capped"
+
+
+def test_overlay_and_plot_are_written(run: Any, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    result = _estimate(run, "cars.png", "--json", "--overlay", tmp_path / "over.png", "--plot", tmp_path / "plot.jpg")
+    assert result.exit_code == 0
+    assert len(_lines(result)) == 1
+    assert _read(tmp_path / "over.png").shape[1] == 900
+    assert _read(tmp_path / "plot.jpg").std() > 10
+
+
+def test_with_stem_in_the_name_every_image_gets_its_overlay(run: Any, tmp_path: Path) -> None:
+    result = _estimate(run, "cars.png", "none.png", "--overlay", tmp_path / "{stem}_over.png")
+    assert result.exit_code == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["cars_over.png", "none_over.png"]
+
+
+def test_two_images_of_one_name_do_not_overwrite_each_others_overlay(run: Any, folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "cars.png").write_bytes((folder / "cars.png").read_bytes())
+    result = _estimate(run, "cars.png", tmp_path / "cars.png", "--overlay", tmp_path / "{stem}_over.png")
+    assert result.exit_code == 2
+    assert "would both be written" in result.stderr
+
+
+def test_a_record_survives_an_overlay_that_cannot_be_written(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full_disk(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full_disk)
+    result = _estimate(run, "cars.png", "--json", "--overlay", "over.png")
+    assert result.exit_code == 2
+    assert _lines(result)[0]["status"] == "ok"
+    assert result.stderr == "error[output_unwritable]: cannot write 'over.png': No space left on device\n"
+
+
+def test_a_missing_extra_is_told_before_the_work(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    result = _estimate(run, "cars.png", "--plot", "plot.png")
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith("error[missing_extra]: ")
+    assert "vehanchor[plots]" in result.stderr
+
+
+def test_names_that_look_like_markup_or_are_no_text_are_printed_as_they_are(
+    run: Any, folder: Path, tmp_path: Path
+) -> None:
+    odd = tmp_path / os.fsdecode(b"[red]\xff.png")
+    try:
+        odd.write_bytes((folder / "cars.png").read_bytes())
+    except OSError:
+        pytest.skip("the file system takes no such names")
+    assert "[red]\\" in _estimate(run, odd).stdout.replace("\n", "").replace(" ", "")
+    (line,) = _lines(_estimate(run, odd, "--json"))
+    assert line["source"] == str(odd)
+
+
+@pytest.mark.parametrize("as_json", [[], ["--json"]])
+def test_ctrl_c_ends_quietly_with_status_130(run: Any, monkeypatch: pytest.MonkeyPatch, as_json: list[str]) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(perception, "analyse_scale", interrupted)
+    result = _estimate(run, "cars.png", *as_json)
+    assert result.exit_code == 130
+    assert result.output == ""
+
+
+def test_a_defect_is_told_in_one_line_unless_its_traceback_is_asked_for(
+    run: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("oh")
+
+    monkeypatch.setattr(perception, "analyse_scale", broken)
+    result = _estimate(run, "cars.png")
+    assert result.exit_code == 1
+    assert result.stderr.startswith("error[internal_error]: ZeroDivisionError: oh.")
+    monkeypatch.setenv("VEHANCHOR_TRACEBACK", "1")
+    assert isinstance(_estimate(run, "cars.png").exception, ZeroDivisionError)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes")
+@pytest.mark.parametrize(
+    "arguments", [["estimate", "cars.png", "few.png", "--json", "--detector", "detector.onnx"], ["-h"]]
+)
+def test_a_closed_pipe_causes_no_traceback(folder: Path, arguments: list[str]) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "vehanchor", *arguments],
+            cwd=folder,
+            stdout=writing,
+            stderr=subprocess.PIPE,
+            check=False,
+        )
+    finally:
+        os.close(writing)
+    assert done.stderr == b""
+    assert done.returncode == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals")
+def test_the_progress_bar_goes_to_a_terminal_and_leaves_stdout_alone(folder: Path) -> None:
+    import pty
+
+    terminal, child = pty.openpty()
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "vehanchor",
+            "estimate",
+            "cars.png",
+            "text.png",
+            "--json",
+            "--detector",
+            "detector.onnx",
+        ],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=child,
+        check=False,
+        env={**os.environ, "TERM": "xterm", "COLUMNS": "100"},
+    )
+    os.close(child)
+    shown = os.read(terminal, 1 << 20).decode()
+    os.close(terminal)
+    assert done.returncode == 2
+    assert [json.loads(line)["source"] for line in done.stdout.splitlines()] == ["cars.png", "text.png"]
+    assert "1/2 cars.png" in shown
+    assert "error[image_undecodable]" in shown
+
+
+# --- scene
+
+
+def test_scene_writes_an_image_and_its_truth(run: Any, tmp_path: Path) -> None:
+    out = tmp_path / "scene.png"
+    result = run(
+        "scene", out, "--gsd", "0.2", "--size", "300", "200", "--seed", "3", "--layout", "parking", "--fleet", "5"
+    )
+    assert result.exit_code == 0, result.stderr
+    assert _read(out).shape == (200, 300, 3)
+    printed = "".join(result.stdout.split())
+    for path in tmp_path.iterdir():
+        assert path.name in printed
+    truth = json.loads((tmp_path / "scene.json").read_text())
+    assert truth["gsd_m_per_px"] == 0.2
+    assert truth["parameters"]["layout"] == "parking"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["scene.png", "--gsd", "-1"], "invalid_parameter"),
+        (["scene.png", "--gsd", "nan"], "invalid_parameter"),
+        (["scene.png", "--gsd", "0.2", "--size", "0", "100"], "invalid_parameter"),
+        (["scene.gif", "--gsd", "0.2"], "output_unwritable"),
+        (["nowhere/scene.png", "--gsd", "0.2"], "output_unwritable"),
+    ],
+)
+def test_scene_refuses_what_has_no_meaning(run: Any, arguments: list[str], code: str) -> None:
+    result = run("scene", *arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith(f"error[{code}]: ")
+
+
+def test_scene_needs_a_gsd(run: Any) -> None:
+    result = run("scene", "scene.png")
+    assert result.exit_code == 2
+    assert "--gsd" in result.stderr
+
+
+# --- models
+
+
+@pytest.fixture
+def bundled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of bundled models: a default detector and a file that is none."""
+    write_detector(
+        tmp_path / f"{model_zoo.DEFAULT_DETECTOR}.onnx",
+        metadata={"vehanchor.reference_length_m": "4.65", "vehanchor.min_score": "0.3", "license": "Apache-2.0"},
+    )
+    write_other_model(tmp_path / "other.onnx")
+    monkeypatch.setattr(model_zoo, "_BUNDLED", tmp_path)
+    return tmp_path
+
+
+@pytest.mark.usefixtures("bundled")
+def test_models_list_shows_what_ships(run: Any) -> None:
+    result = run("models", "list")
+    assert result.exit_code == 0
+    assert f"{model_zoo.DEFAULT_DETECTOR} (default)" in result.stdout
+    for fact in ("4.65 m", "Apache-2.0", "9 to 120 px", "0.3"):
+        assert fact in result.stdout
+    assert "not a detector" in result.stdout
+
+
+@pytest.mark.usefixtures("bundled")
+def test_models_list_as_json(run: Any) -> None:
+    result = run("models", "list", "--json")
+    assert result.exit_code == 0
+    other, default = _lines(result)
+    assert other["error"]["code"] == "model_contract"
+    assert default["default"] is True
+    assert default["reference_length_m"] == 4.65
+    assert len(default["sha256"]) == 64
+
+
+@pytest.mark.usefixtures("bundled")
+def test_the_bundled_model_is_the_default(run: Any) -> None:
+    result = run("estimate", "cars.png", "--json")
+    assert result.exit_code == 0
+    assert _lines(result)[0]["reference_length_m"] == 4.65
+
+
+def test_models_list_shows_the_segmenter_that_ships(run: Any) -> None:
+    *_, segmenter = _lines(run("models", "list", "--json"))
+    assert segmenter["kind"] == "segmenter"
+    assert segmenter["contract"] == "sam"
+    assert len(segmenter["sha256"]) == 64
+    assert "segmenter of measure" in run("models", "list").stdout
+
+
+def test_models_list_without_any(run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(model_zoo, "_BUNDLED", tmp_path)
+    result = run("models", "list")
+    assert (result.exit_code, result.stdout) == (0, "")
+    assert "no bundled models" in result.stderr
+
+
+def test_models_info_shows_the_whole_card(run: Any) -> None:
+    result = run("models", "info", "detector.onnx")
+    assert result.exit_code == 0
+    for fact in ("small vehicle", "CC0-1.0", "europe 4.5 m, north_america 5.5 m", "5.045 m", "any"):
+        assert fact in result.stdout
+    (card,) = _lines(run("models", "info", "detector.onnx", "--json"))
+    assert card["class_names"] == {"0": "small vehicle"}
+    assert card["fixed_size_px"] is None
+    assert card["min_score"] == 0.1
+
+
+def test_models_info_refuses_other_files(run: Any) -> None:
+    result = run("models", "info", "classifier.onnx", "--json")
+    assert result.exit_code == 2
+    assert _lines(result)[0]["error"]["code"] == "model_contract"
+    assert result.stderr.startswith("error[model_contract]: ")
+
+
+# --- the command itself
+
+
+def test_the_command_runs_as_a_module_and_knows_its_version(folder: Path) -> None:
+    done = _process(folder, "--version")
+    assert (done.returncode, done.stdout.decode().strip()) == (0, f"vehanchor {version('vehanchor')}")
+
+
+def test_without_arguments_it_shows_help(run: Any) -> None:
+    result = run()
+    assert "estimate" in result.output
+    assert "Traceback" not in result.output
+
+
+def test_help_loads_nothing_heavy(folder: Path) -> None:
+    code = """
+import sys
+from vehanchor.cli.app import main
+sys.argv = ["vehanchor", "estimate", "--help"]
+try:
+    main()
+finally:
+    heavy = {"cv2", "numpy", "onnxruntime", "scipy", "matplotlib", "rasterio"}
+    print(sorted(heavy & set(sys.modules)), file=sys.stderr)
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, check=False)
+    assert done.returncode == 0
+    assert b"metres" in done.stdout
+    assert done.stderr.decode().strip() == "[]"
+
+
+def test_every_error_of_the_library_has_a_code_of_its_own() -> None:
+    kinds = [VehAnchorError]
+    for kind in kinds:
+        kinds.extend(kind.__subclasses__())
+    assert len({kind.code for kind in kinds}) == len(set(kinds))

@@ -1,0 +1,220 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tests.models import blank_image, paint_vehicles, write_detector, write_other_model
+from tests.sam_models import write_sam
+from vehanchor import measure as measurement
+from vehanchor import records
+from vehanchor.cli import app as cli
+from vehanchor.models import zoo as model_zoo
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+    from typer.testing import Result
+
+BOX = ("410.7", "273.9", "477.3", "382.1")
+POOL = [420, 280, 468, 376]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Images of a pool among 20 cars, and of one without cars; models."""
+    path = tmp_path_factory.mktemp("cli_measure")
+    for name, n_vehicles in (("cars", 20), ("none", 0)):
+        image = blank_image(800, 600)
+        image[280:376, 420:468] = (40, 140, 210)
+        boxes = [[50 + 70 * (i % 10), 60 + 90 * (i // 10), 29 + 0.1 * i, 12, 0.3] for i in range(n_vehicles)]
+        paint_vehicles(image, np.reshape(boxes, (-1, 5)))
+        cv2.imwrite(str(path / f"{name}.png"), image[:, :, ::-1])
+    (path / "text.png").write_text("this is no image")
+    write_detector(path / "detector.onnx")
+    write_other_model(path / "classifier.onnx")
+    write_sam(path)
+    return path
+
+
+@pytest.fixture
+def run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Runs ``vehanchor measure`` in the folder of images, with its models."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.delenv("VEHANCHOR_TRACEBACK", raising=False)
+    models = ["--detector", "detector.onnx", "--segmenter", "encoder.onnx", "decoder.onnx"]
+
+    def invoke(*arguments: object) -> Result:
+        return CliRunner().invoke(cli.app, ["measure", *models, *(str(argument) for argument in arguments)])
+
+    return invoke
+
+
+def _line(result: Result) -> dict[str, Any]:
+    (line,) = result.stdout.splitlines()
+    record: dict[str, Any] = json.loads(line)
+    return record
+
+
+def _read(path: Path) -> NDArray[Any]:
+    picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert picture is not None
+    return picture
+
+
+def test_json_is_the_record_and_its_source(run: Any, folder: Path) -> None:
+    result = run("cars.png", "--box", *BOX, "--json")
+    assert result.exit_code == 0, result.output
+    assert result.stderr == ""
+    line = _line(result)
+    assert line.pop("source") == "cars.png"
+    expected = measurement.measure_area(
+        folder / "cars.png",
+        box=(410.7, 273.9, 477.3, 382.1),
+        detector=folder / "detector.onnx",
+        segmenter=(folder / "encoder.onnx", folder / "decoder.onnx"),
+    )
+    assert line == expected.model_dump(mode="json")
+    assert records.AreaMeasurement.model_validate_json(json.dumps(line)) == expected
+    assert list(line["bounding_box"].values()) == POOL
+
+
+def test_a_readable_table_tells_area_circle_and_scale(run: Any) -> None:
+    result = run("cars.png", "--box", *BOX)
+    assert result.exit_code == 0, result.output
+    assert result.stderr == ""
+    for fact in ("m2   (95 %:", "largest circle", "perimeter", "m/px   (95 %:", "20 kept of 20 found", "score 0.90"):
+        assert fact in result.stdout
+    given = run("none.png", "--box", *BOX, "--gsd", "0.2")
+    assert "0.2 m/px, given" in given.stdout
+    none = run("none.png", "--box", *BOX)
+    assert none.exit_code == 0
+    assert "none: there is no scale" in none.stdout
+    assert "no_anchor" in none.stdout
+
+
+def test_points_can_be_repeated_and_denied(run: Any) -> None:
+    by_point = _line(run("cars.png", "--point", 444, 330, "--gsd", 0.2, "--json"))
+    more = run("cars.png", "--json", "--point", 444, 330, "--point", 440.5, 300, "--negative", 20, 560, "--gsd", 0.2)
+    assert more.exit_code == 0, more.output
+    assert by_point["mask_area_px"] > 2500  # its sides are not on cells
+    assert _line(more)["mask_area_px"] == pytest.approx(by_point["mask_area_px"], rel=0.1)
+    denied = run("cars.png", "--json", "--point", 444, 330, "--negative", 444, 330, "--gsd", 0.2)
+    assert [notice["code"] for notice in _line(denied)["warnings"]] == ["mask_empty"]
+    assert by_point["scale_source"] == "given"
+
+
+def test_prompts_are_read_in_the_frame(run: Any) -> None:
+    half = [float(side) / 2 for side in BOX]
+    record = _line(run("cars.png", "--box", *half, "--frame", 400, 300, "--json"))
+    full = _line(run("cars.png", "--box", *BOX, "--json"))
+    assert record["area_m2"] == full["area_m2"]
+    assert record["frame"]["bounding_box"]["x1_px"] == 210
+
+
+def test_the_options_reach_the_method(run: Any) -> None:
+    plain = _line(run("cars.png", "--box", *BOX, "--json"))
+    longer = _line(run("cars.png", "--box", *BOX, "--json", "--reference-length", 10.09))
+    assert longer["area_m2"] == pytest.approx(4 * plain["area_m2"])
+    europe = _line(run("cars.png", "--box", *BOX, "--json", "--region", "europe"))
+    assert europe["scale"]["reference_length_m"] == pytest.approx(4.5)
+    assert _line(run("cars.png", "--box", *BOX, "--json", "--bands", 2, 1, 3))["n_vehicles"] == 0
+    assert _line(run("cars.png", "--box", *BOX, "--json", "--threads", 1)) == plain
+
+
+def test_overlay_and_mask_are_written(run: Any, tmp_path: Path) -> None:
+    over, mask = tmp_path / "over.jpg", tmp_path / "mask.png"
+    result = run("cars.png", "--box", *BOX, "--json", "--overlay", over, "--mask", mask)
+    assert result.exit_code == 0, result.output
+    assert _read(over).shape[1] == 800
+    written = _read(mask)
+    assert written.shape[:2] == (600, 800)
+    assert set(np.unique(written)) == {0, 255}
+    assert int((written.reshape(600, 800, -1)[:, :, 0] > 0).sum()) == _line(result)["mask_area_px"]
+    rows, columns = np.nonzero(written.reshape(600, 800, -1)[:, :, 0])
+    assert [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1] == POOL
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        ([], "invalid_prompt"),
+        (["--box", *BOX, "--point", "1", "1"], "invalid_prompt"),
+        (["--negative", "1", "1"], "invalid_prompt"),
+        (["--box", "-9", "-9", "-1", "-1"], "invalid_prompt"),
+        (["--box", "477", "382", "410", "273"], "invalid_prompt"),
+        (["--box", "nan", "273", "477", "382"], "invalid_prompt"),
+        (["--box", "410", "273", "411", "274"], "invalid_prompt"),
+        (["--point", "800", "10"], "invalid_prompt"),
+        (["--point", "x", "10"], "invalid_prompt"),
+        (["--point", "10", "--gsd"], "invalid_prompt"),
+        (["--box", *BOX, "--gsd", "-0.2"], "invalid_parameter"),
+        (["--box", *BOX, "--frame", "400", "400"], "frame_mismatch"),
+        (["--box", *BOX, "--segmenter", "encoder.onnx", "missing.onnx"], "model_not_found"),
+        (["--box", *BOX, "--segmenter", "decoder.onnx", "encoder.onnx"], "model_contract"),
+        (["--box", *BOX, "--detector", "classifier.onnx"], "model_contract"),
+        (["--box", *BOX, "--overlay", "out.gif"], "output_unwritable"),
+        (["--box", *BOX, "--mask", "out.jpg"], "output_unwritable"),
+        (["--box", *BOX, "--mask", "nowhere/out.png"], "output_unwritable"),
+        (["--box", *BOX, "--mask", "cars.png"], "invalid_parameter"),
+        (["--box", *BOX, "--mask", "same.png", "--overlay", "same.png"], "invalid_parameter"),
+    ],
+)
+def test_bad_input_ends_with_status_2_and_one_line(run: Any, arguments: list[str], code: str) -> None:
+    result = run("cars.png", *arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith(f"error[{code}]: ")
+    assert result.stderr.count("\n") == 1
+    assert _line(run("cars.png", "--json", *arguments))["error"]["code"] == code
+
+
+@pytest.mark.parametrize(("image", "code"), [("text.png", "image_undecodable"), ("missing.png", "image_not_found")])
+def test_images_that_cannot_be_read_are_told(run: Any, image: str, code: str) -> None:
+    result = run(image, "--box", *BOX)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith(f"error[{code}]: ")
+
+
+def test_warnings_follow_the_table(run: Any) -> None:
+    result = run("cars.png", "--box", "440", "300", "450", "310", "--gsd", "0.2")
+    assert result.exit_code == 0
+    assert "warning[target_small]: " in result.stderr
+    assert run("cars.png", "--box", "440", "300", "450", "310", "--gsd", "0.2", "--json").stderr == ""
+
+
+def test_without_a_bundled_segmenter_it_says_how_to_bring_one(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(model_zoo, "_BUNDLED", tmp_path)
+    result = CliRunner().invoke(cli.app, ["measure", str(folder / "cars.png"), "--box", *BOX, "--gsd", "0.2"])
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error[model_not_found]: ")
+    assert "MobileSAM" in result.stderr
+
+
+def test_help_names_the_options_and_loads_nothing_heavy(folder: Path) -> None:
+    code = """
+import sys
+from vehanchor.cli.app import main
+sys.argv = ["vehanchor", "measure", "--help"]
+try:
+    main()
+finally:
+    heavy = {"cv2", "numpy", "onnxruntime", "scipy", "matplotlib", "rasterio"}
+    print(sorted(heavy & set(sys.modules)), file=sys.stderr)
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, check=False)
+    assert done.returncode == 0
+    for option in (b"--box", b"--point", b"--negative", b"--gsd", b"--frame", b"--mask", b"--segmenter"):
+        assert option in done.stdout
+    assert done.stderr.decode().strip() == "[]"

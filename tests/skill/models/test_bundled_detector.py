@@ -1,0 +1,109 @@
+"""The shipped model, end to end: on rendered scenes of exactly known scale and on real photographs."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.conftest import ROOT
+from vehanchor.detection.detector import Detector
+from vehanchor.estimate import estimate_gsd
+from vehanchor.models.zoo import DEFAULT_DETECTOR, resolve_model
+from vehanchor.records import GsdEstimate
+from vehanchor_evaluation.gsd import read_table, run_trials, summarise
+from vehanchor_scenes import Scene, render_scene
+
+_FLEET_M = 4.6
+_GSD = 0.12
+
+
+@pytest.fixture(scope="module")
+def detector() -> Detector:
+    return Detector(resolve_model(), threads=2)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return render_scene(_GSD, width_px=900, height_px=900, seed=11, layout="parking", mean_vehicle_length_m=_FLEET_M)
+
+
+def _estimate(image: np.ndarray, detector: Detector) -> GsdEstimate:
+    return estimate_gsd(image, detector=detector, reference_length_m=_FLEET_M)
+
+
+def test_a_rendered_scene_gives_its_scale(scene: Scene, detector: Detector) -> None:
+    estimate = _estimate(scene.image, detector)
+    assert estimate.status == "ok"
+    assert estimate.gsd_m_per_px == pytest.approx(_GSD, rel=0.10)
+    assert estimate.n_vehicles > 0.5 * sum(v.kind == "small-vehicle" for v in scene.vehicles)
+
+
+def test_a_quarter_turn_changes_the_scale_by_less_than_3_percent(scene: Scene, detector: Detector) -> None:
+    upright = _estimate(scene.image, detector).gsd_m_per_px
+    for turns in (1, 2, 3):
+        turned = _estimate(np.ascontiguousarray(np.rot90(scene.image, turns)), detector).gsd_m_per_px
+        assert turned == pytest.approx(upright, rel=0.03)
+
+
+@pytest.mark.parametrize("factor", [0.75, 1.25])
+def test_resampling_scales_the_answer_within_3_percent(scene: Scene, detector: Detector, factor: float) -> None:
+    way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
+    resampled = np.asarray(cv2.resize(scene.image, None, fx=factor, fy=factor, interpolation=way), dtype=np.uint8)
+    before, after = (_estimate(image, detector).gsd_m_per_px for image in (scene.image, resampled))
+    assert before is not None
+    assert after == pytest.approx(before / factor, rel=0.03)
+
+
+def test_a_scene_without_vehicles_never_gets_a_confident_answer(detector: Detector) -> None:
+    for layout in ("urban", "countryside"):
+        empty = render_scene(_GSD, width_px=768, height_px=768, seed=3, layout=layout, n_vehicles=0)
+        assert estimate_gsd(empty.image, detector=detector).confidence < 0.5
+
+
+def test_one_and_two_threads_give_the_same_bytes(scene: Scene) -> None:
+    records = {
+        estimate_gsd(scene.image, detector=str(resolve_model()), threads=threads).model_dump_json()
+        for threads in (1, 2, 2)
+    }
+    assert len(records) == 1
+
+
+def test_the_shipped_file_is_the_one_that_was_measured() -> None:
+    path = resolve_model(DEFAULT_DETECTOR)
+    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+    assert sha256 in (ROOT / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")
+    assert sha256 in path.with_suffix(".md").read_text(encoding="utf-8")
+    assert path.stat().st_size <= 8_000_000
+
+
+def test_the_shipped_file_carries_its_calibration(detector: Detector) -> None:
+    card = detector.card
+    assert card.name == DEFAULT_DETECTOR
+    assert 4.0 < card.reference_length_m < 5.2
+    assert card.region_lengths_m["europe"] < card.reference_length_m < card.region_lengths_m["north_america"]
+    assert card.length_range_px == (9.0, 64.0)
+    assert card.licence == "Apache-2.0"
+
+
+@pytest.mark.data
+def test_real_photographs_of_known_scale(real_data: Path, detector: Detector) -> None:
+    images = [
+        image
+        for image in read_table(real_data / "gsd" / "table.csv")
+        if image.split == "val" and (image.labelled_vehicles or 0) >= 5
+    ]
+    summary = summarise(run_trials(images, detector))
+    assert summary.images == 105
+    assert summary.median <= 0.12
+    assert summary.coverage >= 0.9
+
+
+@pytest.mark.data
+def test_photographs_without_vehicles_rarely_get_a_confident_answer(real_data: Path, detector: Detector) -> None:
+    images = [i for i in read_table(real_data / "gsd" / "table.csv") if i.set == "empty" and i.split == "val"]
+    confident = [t for t in run_trials(images, detector) if t.analysis.estimate.confidence >= 0.5]
+    assert len(confident) <= 1

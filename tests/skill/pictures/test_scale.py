@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.analyses import make_analysis
+from vehanchor.errors import OutputError
+from vehanchor.imagery.raster import open_raster
+from vehanchor.pictures.scale import (
+    DROPPED_RGB,
+    KEPT_RGB,
+    MAX_SIDE_PX,
+    MIN_WIDTH_PX,
+    draw_overlay,
+    read_reduced,
+    write_picture,
+)
+
+
+def _near(picture: NDArray[np.uint8], colour: tuple[int, int, int]) -> NDArray[np.bool_]:
+    """Pixels of about a colour: the edges of lines are smoothed."""
+    return np.asarray((np.abs(picture.astype(int) - np.array(colour)) < 30).all(axis=2))
+
+
+def _count(picture: NDArray[np.uint8], colour: tuple[int, int, int]) -> int:
+    return int(_near(picture, colour).sum())
+
+
+def _grey(width: int, height: int) -> NDArray[np.uint8]:
+    return np.full((height, width, 3), 100, np.uint8)
+
+
+def _fleet(n: int, length_px: float = 30.0) -> NDArray[np.float64]:
+    return np.array(
+        [[60.0 + 50 * (i % 10), 60.0 + 50 * (i // 10), length_px, 12.0, 0.4 * i] for i in range(n)]
+    ).reshape(-1, 5)
+
+
+@pytest.mark.parametrize(
+    ("width", "height"),
+    [(256, 256), (768, 600), (1500, 900), (2048, 2048), (5000, 3000), (40, 3000), (3000, 40), (16, 16)],
+)
+@pytest.mark.parametrize("n_boxes", [0, 4])
+def test_any_size_of_image_becomes_a_picture_fit_for_eyes(width: int, height: int, n_boxes: int) -> None:
+    picture = draw_overlay(_grey(width, height), make_analysis(_fleet(n_boxes), width, height))
+    assert picture.dtype == np.uint8
+    assert picture.shape[2] == 3
+    assert picture.shape[1] >= min(MIN_WIDTH_PX, 480)
+    assert max(picture.shape[:2]) <= MAX_SIDE_PX + 220  # the caption comes on top
+
+
+def test_small_images_are_enlarged_and_large_ones_reduced() -> None:
+    assert draw_overlay(_grey(256, 200), make_analysis(_fleet(1), 256, 200)).shape[1] == MIN_WIDTH_PX
+    assert draw_overlay(_grey(1000, 800), make_analysis(_fleet(1), 1000, 800)).shape[1] == 1000
+    assert draw_overlay(_grey(4096, 3000), make_analysis(_fleet(1), 4096, 3000)).shape[1] == MAX_SIDE_PX
+
+
+def test_kept_and_dropped_vehicles_have_their_colours() -> None:
+    boxes = _fleet(12)
+    plain = draw_overlay(_grey(800, 600), make_analysis(boxes, 800, 600))[:600]
+    assert _count(plain, KEPT_RGB) > 500
+    assert _count(plain, DROPPED_RGB) == 0
+    boxes[5, 2] = 90.0  # beyond 1.5 medians
+    with_outlier = draw_overlay(_grey(800, 600), make_analysis(boxes, 800, 600))[:600]
+    assert _count(with_outlier, DROPPED_RGB) > 100
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
+def test_boxes_lie_where_the_vehicles_are_at_any_enlargement(factor: float) -> None:
+    size = round(1000 * factor)
+    box = np.array([[300.5, 420.25, 160.0, 60.0, 0.0]]) * [factor, factor, factor, factor, 1.0]
+    picture = draw_overlay(_grey(size, size), make_analysis(box, size, size))
+    side = min(MAX_SIDE_PX, max(size, MIN_WIDTH_PX))
+    ys, xs = np.nonzero(_near(picture[:side], KEPT_RGB))
+    drawn = np.array([xs.min() + xs.max(), ys.min() + ys.max()]) / 2 + 0.5
+    assert drawn == pytest.approx(np.array([300.5, 420.25]) * side / 1000, abs=1.0)
+    assert xs.max() - xs.min() == pytest.approx(160 * side / 1000, abs=4)
+
+
+@pytest.mark.parametrize("gsd", [0.02, 0.1, 0.1682, 0.29, 0.7])
+def test_the_scale_bar_is_about_a_fifth_of_the_width_and_true(gsd: float) -> None:
+    # a vehicle off the picture's lower left, where the bar is
+    boxes = np.array([[900.0, 100.0, 5.045 / gsd, 2.0 / gsd, 0.0]])
+    picture = draw_overlay(_grey(1000, 700), make_analysis(boxes, 1000, 700, reference_length_m=5.045))
+    white = (picture[690 - 14 : 690, :600] >= 250).all(axis=2)
+    bar_px = int(white.sum(axis=1).max())
+    metres = (bar_px - 1) * gsd
+    nearest = min((m * 10.0**k for m in (1, 2, 5) for k in range(-2, 4)), key=lambda length: abs(length - metres))
+    assert metres == pytest.approx(nearest, abs=2 * gsd)
+    assert 120 <= bar_px <= 330
+
+
+def test_without_an_anchor_there_is_no_scale_bar() -> None:
+    picture = draw_overlay(_grey(900, 700), make_analysis(np.zeros((0, 5)), 900, 700))
+    assert (picture[:700] == 100).all()
+    assert picture.shape[0] > 700  # and a caption says so
+
+
+def test_the_image_itself_is_not_drawn_into_and_may_be_read_only() -> None:
+    image = _grey(900, 700)
+    image.flags.writeable = False
+    picture = draw_overlay(image, make_analysis(_fleet(6), 900, 700))
+    assert (image == 100).all()
+    assert _count(picture, KEPT_RGB)
+
+
+def test_a_reduced_copy_gives_the_boxes_the_same_places() -> None:
+    analysis = make_analysis(_fleet(6, 60.0) * [8, 8, 4, 4, 1], 8000, 5000)
+    whole = draw_overlay(_grey(8000, 5000), analysis)
+    reduced = draw_overlay(_grey(4000, 2500), analysis)
+    assert whole.shape == reduced.shape
+    assert (whole == reduced).all()
+
+
+@pytest.mark.parametrize("shape", [(300, 400), (5000, 4100), (20, 9001), (9001, 20), (4097, 16)])
+def test_read_reduced_shows_the_whole_image(shape: tuple[int, int]) -> None:
+    ramp = np.linspace(0, 255, shape[0] * shape[1]).reshape(shape).astype(np.uint8)
+    with open_raster(ramp) as raster:
+        reduced = read_reduced(raster)
+    assert max(reduced.shape) <= 2 * MAX_SIDE_PX
+    expected = cv2.resize(ramp, reduced.shape[1::-1], interpolation=cv2.INTER_AREA)
+    assert float(np.abs(reduced[:, :, 0].astype(int) - expected).mean()) < 3.0
+    assert reduced[-1, -1, 0] > reduced[0, 0, 0]
+
+
+@pytest.mark.parametrize("name", ["a.png", "b.jpg", "c.JPEG", "übersicht 1.png"])
+def test_pictures_are_written_as_rgb(tmp_path: Path, name: str) -> None:
+    picture = np.zeros((40, 60, 3), np.uint8)
+    picture[:, :, 0] = 200
+    path = write_picture(tmp_path / name, picture)
+    stored = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
+    assert stored is not None
+    assert stored.shape == (40, 60, 3)
+    assert abs(int(stored[20, 30, 2]) - 200) < 5
+    assert stored[20, 30, 0] < 5
+
+
+@pytest.mark.parametrize("name", ["a.gif", "a", "missing/a.png", "folder.png"])
+def test_pictures_that_cannot_be_written_say_why(tmp_path: Path, name: str) -> None:
+    (tmp_path / "folder.png").mkdir()
+    with pytest.raises(OutputError, match=r"cannot write"):
+        write_picture(tmp_path / name, np.zeros((10, 10, 3), np.uint8))

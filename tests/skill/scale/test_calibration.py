@@ -1,0 +1,388 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import gaussian_kde
+from typer.testing import CliRunner
+
+import vehanchor
+from tests.models import blank_image, paint_vehicles, write_detector
+from vehanchor.cli import app as cli
+from vehanchor.errors import (
+    CalibrationFileError,
+    CalibrationMismatchError,
+    CalibrationRefusedError,
+    InvalidParameterError,
+    OutputError,
+)
+from vehanchor.estimate import ScaleOptions
+from vehanchor.scale.calibration import (
+    MIN_VEHICLES,
+    Calibration,
+    SurveyedImage,
+    calibrate,
+    length_density,
+    load_calibration,
+    reference_length,
+    save_calibration,
+)
+from vehanchor_evaluation.dota import labelled_boxes
+from vehanchor_scenes import render_scene
+
+FLEET_M = 4.2
+GSD = 0.12
+
+
+def _boxes(
+    n: int, mean_m: float = FLEET_M, spread_m: float = 0.3, gsd: float = GSD, seed: int = 0, step_m: float = 12
+) -> NDArray[np.float64]:
+    """Cars on a grid with lengths of one fleet."""
+    rng = np.random.default_rng(seed)
+    lengths = rng.normal(mean_m, spread_m, n) / gsd
+    at = step_m / gsd * (1 + np.stack([np.arange(n) % 12, np.arange(n) // 12], axis=1))
+    return np.column_stack([at, lengths, 0.4 * lengths, rng.uniform(0, 3, n)])
+
+
+def _calibrated(**changes: Any) -> Calibration:
+    arguments: dict[str, Any] = {"source": "labels", "region_sd_m": 0.2} | changes
+    return calibrate([SurveyedImage(_boxes(300), GSD)], **arguments)
+
+
+# --- The measurement
+
+
+def test_the_reference_length_is_the_papers_kde_mode() -> None:
+    images = [SurveyedImage(_boxes(150, seed=s, gsd=gsd), gsd) for s, gsd in enumerate((0.08, 0.12, 0.25))]
+    metres = np.concatenate([image.boxes[:, 2] * image.gsd_m_per_px for image in images])
+    at = np.linspace(3.5, 5.0, 15001)
+    expected = at[np.argmax(gaussian_kde(metres)(at))]  # Scott's rule is scipy's default
+    assert reference_length(images).mode_m == pytest.approx(expected, abs=2e-4)
+
+
+def test_the_interval_holds_the_true_mode_about_as_often_as_it_says() -> None:
+    held = 0
+    for seed in range(60):
+        low, high = reference_length([SurveyedImage(_boxes(200, seed=seed), GSD)])[1:3]
+        held += low <= FLEET_M <= high
+    assert 48 <= held <= 60  # 95 % of 60 is 57
+
+
+def test_the_interval_narrows_with_more_vehicles_and_never_leaves_the_mode_out() -> None:
+    few, many = (reference_length([SurveyedImage(_boxes(n), GSD)]) for n in (100, 3000))
+    assert few.low_m <= few.mode_m <= few.high_m
+    assert many.low_m <= many.mode_m <= many.high_m
+    assert many.high_m - many.low_m < 0.75 * (few.high_m - few.low_m)
+
+
+def test_cars_of_one_place_count_as_less_than_cars_of_many_places() -> None:
+    rng = np.random.default_rng(1)
+    spread: list[SurveyedImage] = []
+    crowded: list[SurveyedImage] = []
+    for _ in range(40):  # places, each with a fleet of its own
+        boxes = _boxes(25, mean_m=FLEET_M + rng.normal(0, 0.3), spread_m=0.05, seed=int(rng.integers(1 << 30)))
+        spread += [SurveyedImage(boxes[[k]], GSD) for k in range(25)]
+        crowded.append(SurveyedImage(np.column_stack([np.full((25, 2), 10.0), boxes[:, 2:]]), GSD))
+    assert reference_length(crowded).sd_m > 1.2 * reference_length(spread).sd_m
+
+
+def test_vehicles_all_of_one_length_are_that_length() -> None:
+    length = reference_length([SurveyedImage(_boxes(120, spread_m=0.0), GSD)])
+    assert length == pytest.approx((FLEET_M, FLEET_M, FLEET_M, 0.0), abs=1e-9)
+
+
+def test_a_calibration_says_what_it_rests_on_and_is_the_same_each_time() -> None:
+    images = [SurveyedImage(_boxes(200), GSD), SurveyedImage(np.zeros((0, 5)), 0.3)]
+    record = calibrate(images, source="detections", region_sd_m=0.4, detector="vehicles", detector_sha256="ab" * 32)
+    assert record == calibrate(
+        images, source="detections", region_sd_m=0.4, detector="vehicles", detector_sha256="ab" * 32
+    )
+    assert (record.n_vehicles, record.n_images, record.source) == (200, 1, "detections")
+    assert record.median_gsd_m_per_px == GSD
+    assert record.mode_length_px == pytest.approx(record.reference_length_m / GSD, rel=1e-3)
+    assert 0.2 < record.reference_length_sd_m < 0.25  # half of the regions' 0.4, and the bootstrap's
+
+
+def test_too_few_vehicles_are_refused_with_the_number_needed() -> None:
+    with pytest.raises(CalibrationRefusedError, match=f"99 vehicles labelled in 2 images.*{MIN_VEHICLES}") as refusal:
+        calibrate([SurveyedImage(_boxes(50), GSD), SurveyedImage(_boxes(49), GSD)], source="labels", region_sd_m=0.2)
+    assert refusal.value.code == "calibration_refused"
+    with pytest.raises(CalibrationRefusedError, match="0 vehicles found in 0 images"):
+        calibrate([], source="detections", region_sd_m=0.2)
+
+
+@pytest.mark.parametrize(("gsd", "min_length_px", "refused"), [(0.28, 0, False), (0.35, 0, True), (0.2, 25, True)])
+def test_imagery_too_coarse_for_the_guard_is_refused(gsd: float, min_length_px: float, refused: bool) -> None:
+    def measure() -> Calibration:
+        images = [SurveyedImage(_boxes(300, spread_m=0.1, gsd=gsd), gsd)]
+        return calibrate(images, source="detections", region_sd_m=0.2, min_length_px=min_length_px)
+
+    if refused:
+        with pytest.raises(CalibrationRefusedError, match=r"too coarse.*m/px or finer"):
+            measure()
+    else:
+        assert measure().reference_length_m == pytest.approx(FLEET_M, rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fleet_m", [3.9, 4.3, 5.4])
+def test_the_reference_length_of_a_fleet_is_recovered_from_labels_within_a_percent(
+    tmp_path: Path, fleet_m: float
+) -> None:
+    (tmp_path / "images").mkdir()
+    (tmp_path / "labelTxt-v1.5").mkdir()
+    drawn = []
+    for seed, gsd in enumerate((0.12, 0.15, 0.20)):
+        scene = render_scene(
+            gsd, width_px=1200, height_px=1200, seed=seed, layout="parking", mean_vehicle_length_m=fleet_m
+        )
+        cv2.imwrite(str(tmp_path / "images" / f"P{seed:04}.png"), scene.image[:, :, ::-1])
+        (tmp_path / "labelTxt-v1.5" / f"P{seed:04}.txt").write_text(f"imagesource:scene\n{scene.dota_text()}")
+        drawn += [v.length_px * gsd for v in scene.vehicles if v.kind == "small-vehicle"]
+    result = CliRunner().invoke(cli.app, ["calibrate", "--dota", str(tmp_path), "--out", str(tmp_path / "c.json")])
+    assert result.exit_code == 0, result.stderr
+    record = load_calibration(tmp_path / "c.json")
+    assert record.n_vehicles == len(drawn) > 1000
+    assert record.reference_length_m == pytest.approx(1.010 * fleet_m, rel=0.01)  # the mode, by render_scene's contract
+
+
+# --- The file
+
+
+def test_a_calibration_is_what_was_saved(tmp_path: Path) -> None:
+    record = _calibrated()
+    save_calibration(tmp_path / "c.json", record)
+    assert load_calibration(tmp_path / "c.json") == record == vehanchor.load_calibration(tmp_path / "c.json")
+    assert json.loads((tmp_path / "c.json").read_text())["kind"] == "vehanchor.calibration.v1"
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"reference_length_m": -1}, "reference_length_m"),
+        ({"reference_length_m": None}, "reference_length_m"),
+        ({"kind": "vehanchor.calibration.v2"}, "kind"),
+        ({"surprise": 1}, "surprise"),
+    ],
+)
+def test_a_file_that_is_no_calibration_is_refused_by_its_field(
+    tmp_path: Path, change: dict[str, Any], named: str
+) -> None:
+    (tmp_path / "c.json").write_text(json.dumps(_calibrated().model_dump() | change))
+    with pytest.raises(CalibrationFileError, match=named) as refusal:
+        load_calibration(tmp_path / "c.json")
+    assert refusal.value.code == "calibration_unreadable"
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"[]", b"{"])
+def test_bytes_that_are_no_calibration_are_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "c.json").write_bytes(content)
+    with pytest.raises(CalibrationFileError, match="not a calibration"):
+        load_calibration(tmp_path / "c.json")
+
+
+def test_a_missing_file_and_an_unwritable_one_are_told(tmp_path: Path) -> None:
+    with pytest.raises(CalibrationFileError, match="No such file"):
+        load_calibration(tmp_path / "none.json")
+    with pytest.raises(OutputError, match="no_folder"):
+        save_calibration(tmp_path / "no_folder" / "c.json", _calibrated())
+
+
+# --- Its use
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An image of 132 cars of one fleet, its table and its detector, and another detector."""
+    path = tmp_path_factory.mktemp("calibration")
+    image = blank_image(760, 700)
+    paint_vehicles(image, _boxes(132, step_m=7))
+    cv2.imwrite(str(path / "cars.png"), image[:, :, ::-1])
+    (path / "table.csv").write_text(f"file,gsd_m_per_px\ncars.png,{GSD}\n")
+    write_detector(path / "detector.onnx")
+    write_detector(path / "other.onnx", metadata={"license": "CC0-1.0"})
+    return path
+
+
+def _run(*arguments: object) -> Any:
+    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def calibration(folder: Path) -> Path:
+    """Made with the detector, as a user would."""
+    out = folder / "calibration.json"
+    result = _run(
+        "calibrate", "--table", folder / "table.csv", "--detector", folder / "detector.onnx", "--out", out,
+        "--plot", folder / "plot.png",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    assert "132 found" in result.stdout
+    return out
+
+
+def test_calibrating_with_the_detector_makes_its_estimates_true(folder: Path, calibration: Path) -> None:
+    record = load_calibration(calibration)
+    detector = vehanchor.Detector(folder / "detector.onnx")
+    assert (record.source, record.detector_sha256) == ("detections", detector.card.sha256)
+    before = vehanchor.estimate_gsd(folder / "cars.png", detector=detector)
+    after = vehanchor.estimate_gsd(folder / "cars.png", detector=detector, calibration=calibration)
+    assert before.gsd_m_per_px == pytest.approx(GSD * 5.045 / FLEET_M, rel=0.03)
+    assert after.gsd_m_per_px == pytest.approx(GSD, rel=1e-4)
+    assert after.reference_length_m == record.reference_length_m
+    given = vehanchor.analyse_scale(
+        folder / "cars.png", ScaleOptions(calibration=record), detector=folder / "detector.onnx"
+    )
+    assert given.estimate == after
+
+
+def test_the_interval_of_an_estimate_follows_the_calibrations_spread(folder: Path, calibration: Path) -> None:
+    record = load_calibration(calibration)
+    wide = record.model_copy(update={"reference_length_sd_m": 1.0})
+
+    def reach(chosen: Calibration) -> float:
+        found = vehanchor.estimate_gsd(folder / "cars.png", detector=folder / "detector.onnx", calibration=chosen)
+        assert found.gsd_ci95_low_m_per_px is not None
+        assert found.gsd_ci95_high_m_per_px is not None
+        return found.gsd_ci95_high_m_per_px / found.gsd_ci95_low_m_per_px
+
+    assert reach(record) < 1.5
+    assert reach(wide) > 2
+
+
+def test_the_command_line_uses_a_calibration(folder: Path, calibration: Path) -> None:
+    result = _run(
+        "estimate", folder / "cars.png", "--detector", folder / "detector.onnx", "--calibration", calibration, "--json"
+    )
+    assert result.exit_code == 0, result.stderr
+    assert json.loads(result.stdout)["gsd_m_per_px"] == pytest.approx(GSD, rel=1e-4)
+
+
+@pytest.mark.parametrize("command", ["estimate", "measure"])
+def test_another_detector_is_refused_before_the_work(folder: Path, calibration: Path, command: str) -> None:
+    prompt = ["--point", "9", "9"] if command == "measure" else []
+    result = _run(
+        command, folder / "cars.png", *prompt, "--detector", folder / "other.onnx", "--calibration", calibration
+    )
+    assert result.exit_code == 2
+    assert "error[calibration_mismatch]" in result.stderr
+    assert "calibrate again" in result.stderr
+
+
+def test_a_calibration_from_labels_alone_fits_any_detector(folder: Path) -> None:
+    record = _calibrated()
+    for name in ("detector.onnx", "other.onnx"):
+        found = vehanchor.estimate_gsd(folder / "cars.png", detector=folder / name, calibration=record)
+        assert found.reference_length_m == record.reference_length_m
+    with pytest.raises(CalibrationMismatchError, match="made for detector 'mine'"):
+        _calibrated(detector="mine", detector_sha256="0" * 64).check_detector("yours", "1" * 64)
+
+
+@pytest.mark.parametrize("other", [{"region": "europe"}, {"reference_length_m": 4.5}])
+def test_two_reference_lengths_are_refused(other: dict[str, Any]) -> None:
+    with pytest.raises(InvalidParameterError, match=f"give {next(iter(other))} or calibration, not both"):
+        ScaleOptions(calibration=_calibrated(), **other)
+
+
+# --- The command
+
+
+def test_the_plot_is_drawn(folder: Path, calibration: Path) -> None:
+    picture = cv2.imread(str(folder / "plot.png"))
+    assert picture is not None
+    assert picture.std() > 20
+
+
+def test_labels_can_be_asked_for_and_bound_to_a_detector(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "images").mkdir()
+    (tmp_path / "labels").mkdir()
+    boxes = _boxes(120, seed=5)
+    from vehanchor.detection.boxes import box_corners
+
+    lines = [" ".join(f"{v:.3f}" for v in corners.ravel()) + " car 0" for corners in box_corners(boxes)]
+    for name in ("a", "b"):
+        cv2.imwrite(str(tmp_path / "images" / f"{name}.png"), blank_image(64, 64))
+    (tmp_path / "labels" / "a.txt").write_text("\n".join(lines))
+    (tmp_path / "table.csv").write_text(f"file,gsd_m_per_px\nimages/a.png,{GSD}\nimages/b.png,{GSD}\n")
+    result = _run(
+        "calibrate", "--table", tmp_path / "table.csv", "--from", "labels", "--label-class", "car",
+        "--detector", folder / "detector.onnx", "--out", tmp_path / "c.json",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    assert "warning[no_label]" in result.stderr
+    record = load_calibration(tmp_path / "c.json")
+    assert (record.source, record.n_vehicles, record.detector) == ("labels", 120, "detector")
+    measured = labelled_boxes(tmp_path / "labels" / "a.txt", ("car",))
+    assert record.reference_length_m == pytest.approx(reference_length([SurveyedImage(measured, GSD)]).mode_m)
+
+
+def test_the_command_refuses_with_a_reason(folder: Path, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "none.png"), blank_image(64, 64))
+    (tmp_path / "table.csv").write_text("file,gsd_m_per_px\nnone.png,0.1\n")
+    result = _run(
+        "calibrate",
+        "--table",
+        tmp_path / "table.csv",
+        "--detector",
+        folder / "detector.onnx",
+        "--out",
+        tmp_path / "c.json",
+    )
+    assert result.exit_code == 2
+    assert "error[calibration_refused]: 0 vehicles found in 1 images are too few" in result.stderr
+    assert not (tmp_path / "c.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--out", "c.json"], "name the images by one of --dota DIR, --table FILE and --geotiff FILES"),
+        (["--table", "t.csv", "--out", "missing/c.json"], "name a file in a folder that exists"),
+        (["--table", "t.csv", "--out", "c.json"], "cannot read table"),
+        (["--table", "t.csv", "--out", "c.png", "--plot", "c.png"], "both the plot and the calibration"),
+        (["--dota", ".", "--out", "c.json"], "no images/ folder"),
+    ],
+)
+def test_bad_arguments_are_told_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = _run("calibrate", *arguments)
+    assert result.exit_code == 2
+    assert message in result.stderr
+
+
+def test_a_bad_file_is_told_and_left_out(folder: Path, tmp_path: Path) -> None:
+    cars = (folder / "cars.png").read_bytes()
+    for name, content in (("a", cars), ("b", cars), ("c", b"no image")):
+        (tmp_path / f"{name}.png").write_bytes(content)
+    (tmp_path / "b.txt").write_bytes(b"\xff\xfe")
+    (tmp_path / "table.csv").write_text("file,gsd_m_per_px\n" + "".join(f"{name}.png,{GSD}\n" for name in "abc"))
+    common = ["calibrate", "--table", tmp_path / "table.csv", "--out", tmp_path / "c.json"]
+    result = _run(*common, "--detector", folder / "detector.onnx", "--cache", tmp_path / "log.jsonl")
+    assert result.exit_code == 0, result.stderr
+    assert "warning[image_undecodable]" in result.stderr
+    assert load_calibration(tmp_path / "c.json").n_vehicles == 264
+    assert len((tmp_path / "log.jsonl").read_text().splitlines()) == 2
+    result = _run(*common, "--from", "labels")
+    assert result.exit_code == 2
+    assert "warning[unreadable_labels]" in result.stderr
+    assert "0 vehicles labelled in 0 images" in result.stderr
+
+
+def test_the_density_that_is_drawn_peaks_at_the_reference_length() -> None:
+    rng = np.random.default_rng(3)
+    boxes = np.zeros((400, 5))
+    boxes[:, 2] = np.concatenate([rng.normal(30, 2, 250), rng.normal(22, 2, 150)])
+    scores = np.repeat([0.9, 0.3], [250, 150])
+    at = np.linspace(1.0, 6.0, 2001)
+    for given in (None, scores):
+        images = [SurveyedImage(boxes, 0.15, given)]
+        assert at[np.argmax(length_density(images, at))] == pytest.approx(reference_length(images).mode_m, abs=0.01)
+    weighted, plain = (length_density([SurveyedImage(boxes, 0.15, s)], [22 * 0.15])[0] for s in (scores, None))
+    assert weighted < 0.5 * plain  # what scores low counts little

@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
+from scipy.stats import gaussian_kde
+
+from vehanchor.errors import InvalidParameterError
+from vehanchor.scale.lengths import gsd_interval, inlier_mask, kde_density, kde_mode, modal_density, modal_length
+
+_LENGTHS = st.lists(st.floats(5, 80), min_size=2, max_size=60)
+
+
+def _fleet(seed: int, n: int = 60) -> np.ndarray:
+    return np.random.default_rng(seed).normal(30, 3, n)
+
+
+def test_the_outlier_filter_is_one_sided() -> None:
+    assert inlier_mask([10, 10, 10, 15, 15.01]).tolist() == [True, True, True, True, False]
+    assert inlier_mask([1, 2, 300], None).all()
+    assert inlier_mask([]).tolist() == []
+
+
+@given(_LENGTHS, st.booleans())
+def test_density_equals_scipys(lengths: list[float], weighted: bool) -> None:
+    if np.std(lengths) < 1e-3:
+        return
+    weights = np.linspace(0.2, 1.0, len(lengths)) if weighted else None
+    at = np.linspace(min(lengths), max(lengths), 7)
+    np.testing.assert_allclose(kde_density(at, lengths, weights), gaussian_kde(lengths, weights=weights)(at), rtol=1e-9)
+
+
+@given(st.integers(0, 300), st.integers(5, 200))
+def test_the_mode_is_scipys_maximum_to_a_thousandth_of_a_pixel(seed: int, n: int) -> None:
+    lengths = _fleet(seed, n)
+    oracle = gaussian_kde(lengths)
+    grid = np.linspace(lengths.min(), lengths.max(), 4000)
+    density = oracle(grid)
+    top = grid[np.argmax(density)]
+    step = grid[1] - grid[0]
+    best = minimize_scalar(
+        lambda x: -oracle(x)[0], bounds=(top - step, top + step), method="bounded", options={"xatol": 1e-7}
+    )
+    mode = kde_mode(lengths)
+    assert abs(mode - best.x) < 1e-3 or oracle(mode)[0] >= density.max() * (1 - 1e-9)
+
+
+@given(_LENGTHS, st.floats(0.2, 5))
+def test_scaling_the_lengths_scales_the_mode(lengths: list[float], factor: float) -> None:
+    if np.std(lengths) < 1e-2:
+        return
+    values = np.array(lengths)
+    density = kde_density(np.array([kde_mode(values * factor) / factor, kde_mode(values)]), values)
+    assert density[0] == pytest.approx(density[1], rel=1e-6)  # equal heights: the same maximum, or two that tie
+
+
+def test_equal_lengths_and_a_single_one_have_a_mode() -> None:
+    assert kde_mode([17.0] * 9) == pytest.approx(17.0)
+    assert kde_mode([23.5]) == 23.5
+    assert kde_mode([10.0, 10.0 + 1e-12]) == pytest.approx(10.0)
+    assert (kde_density([1.0, 2.0], [5.0, 5.0]) == 0).all()
+
+
+def test_the_mode_of_nothing_is_refused() -> None:
+    with pytest.raises(InvalidParameterError):
+        kde_mode([])
+    with pytest.raises(InvalidParameterError):
+        kde_mode([1.0, 2.0], weights=[0.0, 0.0])
+    with pytest.raises(InvalidParameterError):
+        kde_mode([1.0, 2.0], weights=[1.0])
+
+
+def test_the_mode_ignores_a_minority_that_pulls_mean_and_median() -> None:
+    rng = np.random.default_rng(0)
+    lengths = np.concatenate([rng.normal(30, 1, 60), rng.uniform(15, 28, 40)])
+    assert kde_mode(lengths) == pytest.approx(30, abs=0.6)
+    assert np.median(lengths) < 29.5
+
+
+def test_weights_move_the_mode_to_the_trusted_boxes() -> None:
+    lengths = np.concatenate([np.full(30, 12.0), np.full(20, 30.0)]) + np.linspace(0, 0.5, 50)
+    scores = np.concatenate([np.full(30, 0.1), np.full(20, 0.9)])
+    assert kde_mode(lengths) < 15
+    assert modal_length(lengths, scores, "weighted_kde")[0] > 28
+
+
+def test_the_weighted_mode_is_that_of_scipys_density() -> None:
+    rng = np.random.default_rng(3)
+    lengths, scores = rng.normal(30, 3, 60), rng.uniform(0.5, 0.9, 60)
+    factor = gaussian_kde(lengths, weights=scores**2 * lengths).factor
+    reference = gaussian_kde(lengths, weights=scores**2 * lengths, bw_method=2 * factor)
+    at = np.linspace(20, 40, 20001)
+    np.testing.assert_allclose(modal_density(at, lengths, scores, "weighted_kde"), reference(at), rtol=1e-9)
+    assert modal_length(lengths, scores, "weighted_kde")[0] == pytest.approx(at[np.argmax(reference(at))], abs=1e-3)
+
+
+def test_models_without_scores_have_a_weighted_mode() -> None:
+    lengths = np.linspace(28, 32, 9)
+    assert modal_length(lengths, np.zeros(9), "weighted_kde")[0] == pytest.approx(30, abs=0.5)
+
+
+def test_the_weighted_mode_has_the_interval_of_its_own_density() -> None:
+    """Twenty cars half hidden, of low score, widen the plain density's interval and hardly the weighted one's."""
+    rng = np.random.default_rng(5)
+    lengths = np.concatenate([rng.normal(30, 1.0, 40), rng.normal(20, 2.0, 38)])
+    scores = np.concatenate([np.full(40, 0.9), np.full(38, 0.2)])
+    mode, _ = modal_length(lengths, scores, "weighted_kde")
+    plain, weighted = gsd_interval(lengths, mode, 4.6, 0.0), gsd_interval(lengths, mode, 4.6, 0.0, scores=scores)
+    assert np.log(weighted.high / weighted.low) < np.log(plain.high / plain.low)
+
+
+def test_fewer_than_five_lengths_fall_back_to_the_median() -> None:
+    assert modal_length([10, 11, 12, 30], np.ones(4)) == (11.5, "median")
+    assert modal_length([10, 11, 12, 30], np.ones(4), "mean") == (15.75, "mean")
+    assert modal_length([10, 11, 12, 13, 30], np.ones(5))[1] == "kde"
+    assert modal_length([10, 11, 12, 13, 30], np.ones(5), "median") == (12.0, "median")
+    with pytest.raises(InvalidParameterError, match="mode"):
+        modal_length([10.0], [1.0], "mode")  # type: ignore[arg-type]
+
+
+@given(st.integers(1, 200), st.floats(0.5, 3))
+def test_the_interval_holds_the_estimate_and_scales_with_it(n: int, factor: float) -> None:
+    lengths = _fleet(n, n)
+    mode, _ = modal_length(lengths, np.ones(n))
+    low, high = gsd_interval(lengths, mode, 4.6, 0.3)
+    assert 0 < low < 4.6 / mode < high
+    scaled = gsd_interval(lengths * factor, mode * factor, 4.6, 0.3)
+    assert scaled.low == pytest.approx(low / factor, rel=5e-3)  # a length on a histogram cell's edge may round
+    assert gsd_interval(lengths, mode, 4.6, 0.3) == (low, high)
+
+
+def test_few_vehicles_never_give_a_narrow_interval() -> None:
+    def width(n: int) -> float:
+        low, high = gsd_interval(np.full(n, 30.0), 30.0, 4.6, 0.0)
+        return high / low
+
+    assert width(1) > 1.4
+    assert width(1) > width(2) > width(5) > width(50) > 1.0
