@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from vehanchor.detection.detector import Detections, DetectorCard
 from vehanchor.estimate import ScaleAnalysis, ScaleOptions, scale_from_detections
-from vehanchor.records import Aggregation
+from vehanchor.options import Aggregation
 
 __all__ = ["make_analysis"]
 

@@ -20,8 +20,8 @@ from vehanchor.errors import VehAnchorError
 if TYPE_CHECKING:
     from vehanchor.detection.detector import Detections, Detector
     from vehanchor.estimate import ScaleAnalysis, ScaleOptions, analyse_scale, estimate_gsd
-    from vehanchor.imagery.raster import ImageLimits
     from vehanchor.measure import AreaAnalysis, analyse_area, measure_area
+    from vehanchor.options import ImageLimits
     from vehanchor.records import AreaMeasurement, GsdEstimate
     from vehanchor.scale.calibration import Calibration, load_calibration
     from vehanchor.segmentation.segmenter import Segmenter
@@ -55,7 +55,7 @@ _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing un
     "Detections": "detection.detector",
     "Detector": "detection.detector",
     "GsdEstimate": "records",
-    "ImageLimits": "imagery.raster",
+    "ImageLimits": "options",
     "ScaleAnalysis": "estimate",
     "ScaleOptions": "estimate",
     "Segmenter": "segmentation.segmenter",

@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, NamedTuple, get_args
 
 import numpy as np
 
-from vehanchor.detection.boxes import NMS_IOU
 from vehanchor.detection.detector import Detections, Detector, detect_vehicles, load_detector
 from vehanchor.errors import FrameError, InvalidParameterError
 from vehanchor.imagery.detail import resolved_share
-from vehanchor.imagery.raster import ImageLimits, ImageSource, open_raster
+from vehanchor.imagery.raster import ImageSource, open_raster
 from vehanchor.models.zoo import resolve_model
-from vehanchor.records import Aggregation, FrameScale, GsdEstimate, Notice, ReferenceSource
+from vehanchor.options import NMS_IOU, OUTLIER_ALPHA, Aggregation, ImageLimits
+from vehanchor.records import FrameScale, GsdEstimate, Notice, ReferenceSource
 from vehanchor.scale.calibration import Calibration, opened_calibration
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE, composite, confidence_terms, fleet_doubts, guard_length
-from vehanchor.scale.lengths import OUTLIER_ALPHA, LengthGroup, dominant_group, gsd_interval, inlier_mask, modal_length
+from vehanchor.scale.lengths import LengthGroup, dominant_group, gsd_interval, inlier_mask, modal_length
 
 if TYPE_CHECKING:
     import os

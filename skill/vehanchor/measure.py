@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vehanchor.detection.boxes import NMS_IOU
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, PromptError
 from vehanchor.estimate import (
@@ -25,6 +24,7 @@ from vehanchor.estimate import (
 )
 from vehanchor.imagery.raster import open_raster
 from vehanchor.models.zoo import resolve_segmenter
+from vehanchor.options import NMS_IOU, OUTLIER_ALPHA
 from vehanchor.records import (
     AreaMeasurement,
     BoundingBox,
@@ -36,7 +36,7 @@ from vehanchor.records import (
 )
 from vehanchor.scale.calibration import opened_calibration
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
-from vehanchor.scale.lengths import OUTLIER_ALPHA, Interval
+from vehanchor.scale.lengths import Interval
 from vehanchor.segmentation.segmenter import Prompt, Segmenter, load_segmenter
 from vehanchor.segmentation.shape import (
     inscribed_circle,
@@ -57,8 +57,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.estimate import ScaleAnalysis
-    from vehanchor.imagery.raster import ImageLimits, ImageSource, Raster
-    from vehanchor.records import Aggregation, GsdEstimate, ScaleSource, Status
+    from vehanchor.imagery.raster import ImageSource, Raster
+    from vehanchor.options import Aggregation, ImageLimits
+    from vehanchor.records import GsdEstimate, ScaleSource, Status
     from vehanchor.scale.calibration import Calibration
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
 

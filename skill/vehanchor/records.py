@@ -9,8 +9,9 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from vehanchor.options import Aggregation
+
 __all__ = [
-    "Aggregation",
     "AreaMeasurement",
     "BoundingBox",
     "ConfidenceTerms",
@@ -27,7 +28,6 @@ __all__ = [
 ]
 
 Status = Literal["ok", "low_confidence", "no_anchor"]
-Aggregation = Literal["kde", "weighted_kde", "median", "mean"]
 ScaleSource = Literal["estimated", "given"]
 ReferenceSource = Literal["model", "appearance", "region", "given", "calibration"]
 

@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.detection.detector import REFERENCE_LENGTH_M
 from vehanchor.estimate import scale_from_detections
-from vehanchor.records import Aggregation
-from vehanchor.scale.lengths import MIN_KDE_VEHICLES, OUTLIER_ALPHA
+from vehanchor.options import OUTLIER_ALPHA, Aggregation
+from vehanchor.scale.lengths import MIN_KDE_VEHICLES
 from vehanchor_evaluation.gsd import ErrorRow, ScaleTrial
 
 if TYPE_CHECKING:

@@ -19,7 +19,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from vehanchor.errors import OutputError, VehAnchorError
-from vehanchor.imagery.raster import ImageLimits, open_raster
+from vehanchor.imagery.raster import open_raster
+from vehanchor.options import ImageLimits
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
 from vehanchor.segmentation.segmenter import Prompt
 from vehanchor_evaluation.area_errors import AreaErrors, area_errors

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-from vehanchor.imagery.raster import ImageLimits
+from vehanchor.options import ImageLimits
 
 __all__ = [
     "DATASET_LIMITS",

@@ -15,9 +15,9 @@ from tests.sam_models import EMPTY, write_sam
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import FrameError, ImageDecodeError, InvalidParameterError, ModelNotFoundError, PromptError
 from vehanchor.estimate import ScaleOptions, estimate_gsd
-from vehanchor.imagery.raster import ImageLimits
 from vehanchor.measure import AreaAnalysis, analyse_area, measure_area
 from vehanchor.models import zoo as model_zoo
+from vehanchor.options import ImageLimits
 from vehanchor.pictures.area import OUTLINE_RGB, draw_area, full_mask
 from vehanchor.records import AreaMeasurement
 from vehanchor.segmentation.segmenter import Segmenter

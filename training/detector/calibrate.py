@@ -35,7 +35,7 @@ from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detections, Detector, detect_vehicles
 from vehanchor.estimate import ScaleAnalysis, analyse_scale
 from vehanchor.imagery.raster import open_raster
-from vehanchor.records import Aggregation
+from vehanchor.options import Aggregation
 from vehanchor.scale.lengths import inlier_mask, modal_length
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.gsd import KnownScaleImage, read_table

@@ -13,7 +13,7 @@ from vehanchor_server.tools.answer import Answer
 
 if TYPE_CHECKING:
     from vehanchor.estimate import ScaleOptions
-    from vehanchor.imagery.raster import ImageLimits
+    from vehanchor.options import ImageLimits
     from vehanchor.records import GsdEstimate
     from vehanchor_server.images.argument import Frame
     from vehanchor_server.images.source import OpenedImage
@@ -104,7 +104,7 @@ def scale_options(settings: Settings, question: ScaleQuestion, models: Models | 
 
 def _image_limits(settings: Settings) -> ImageLimits:
     """What an image may cost here."""
-    from vehanchor.imagery.raster import ImageLimits
+    from vehanchor.options import ImageLimits
 
     return ImageLimits(
         max_bytes=round(settings.max_image_mb * (1 << 20)),

@@ -13,13 +13,14 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
+from vehanchor.options import NMS_IOU
+
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["box_corners", "boxes_from_corners", "canonical_boxes", "oriented_iou", "oriented_nms"]
 
 _PARALLEL_RAD = 2e-4  # closer to parallel than this, the closed form errs by less than 0.001 in IoU
-NMS_IOU = 0.45  # paper, section III-B: merging of tile results
 
 
 def canonical_boxes(boxes: ArrayLike) -> NDArray[np.float64]:

@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_args
 import cv2
 import numpy as np
 
-from vehanchor.detection.boxes import NMS_IOU, box_corners, canonical_boxes, oriented_nms
+from vehanchor.detection.boxes import box_corners, canonical_boxes, oriented_nms
 from vehanchor.detection.look import CHIP_SHAPE, MAX_CHIPS, FleetLengths, vehicle_chips
 from vehanchor.errors import InvalidParameterError, ModelContractError
 from vehanchor.imagery.tiles import TILE_OVERLAP, TILE_SIZE_PX, read_reduced_window, tile_grid
 from vehanchor.models.session import DEFAULT_PROVIDERS, check_model_file, metadata_number, open_session
-from vehanchor.records import Aggregation
+from vehanchor.options import NMS_IOU, Aggregation
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -33,8 +33,9 @@ from vehanchor.errors import (
 )
 from vehanchor.imagery.georeference import dataset_gsd_m_per_px
 from vehanchor.imagery.header import ImageHeader, ReadAt, TiffLayout, is_tiff, read_header
+from vehanchor.options import ImageLimits
 
-__all__ = ["MIN_SIDE_PX", "ImageLimits", "ImageSource", "Raster", "RasterNote", "Window", "open_raster"]
+__all__ = ["MIN_SIDE_PX", "ImageSource", "Raster", "RasterNote", "Window", "open_raster"]
 
 ImageSource: TypeAlias = str | os.PathLike[str] | bytes | bytearray | memoryview | BinaryIO | NDArray[Any]
 """A path, an encoded image in memory, a binary file object, or an array [h, w] or [h, w, bands] with RGB order."""
@@ -52,27 +53,6 @@ SAMPLE_PX = 1 << 20
 _SAMPLE_GRID = 8  # windows a side in a windowed raster: 64 spots of 128 px make SAMPLE_PX
 _DTYPES = (np.uint8, np.uint16, np.float32, np.float64)  # what stored pixels are read as
 _MIB = 1 << 20
-
-
-@dataclass(frozen=True)
-class ImageLimits:
-    """What is refused before anything is decoded.
-
-    Attributes:
-        max_bytes: encoded size of what is read into memory whole.
-        max_pixels: declared width x height of what is decoded whole; larger TIFFs are read by windows.
-        max_windowed_pixels: declared width x height of what is read by windows.
-    """
-
-    max_bytes: int = 512 * _MIB
-    max_pixels: int = 100_000_000
-    max_windowed_pixels: int = 10_000_000_000
-
-    def __post_init__(self) -> None:
-        for name in ("max_bytes", "max_pixels", "max_windowed_pixels"):
-            value = getattr(self, name)
-            if value < 1:
-                raise InvalidParameterError(f"{name} must be at least 1, got {value}")
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from vehanchor.pictures.scale import caption_panel, draw_scale_bar, draw_vehicle
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.imagery.raster import ImageLimits
     from vehanchor.measure import AreaAnalysis
+    from vehanchor.options import ImageLimits
     from vehanchor.pictures.scale import CaptionLine
     from vehanchor.records import AreaMeasurement
 

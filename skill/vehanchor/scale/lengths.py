@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vehanchor.errors import InvalidParameterError
+from vehanchor.options import OUTLIER_ALPHA
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from vehanchor.records import Aggregation
+    from vehanchor.options import Aggregation
 
 __all__ = [
     "MIN_KDE_VEHICLES",
-    "OUTLIER_ALPHA",
     "WEIGHTED_SMOOTHING",
     "Interval",
     "LengthGroup",
@@ -30,7 +30,6 @@ __all__ = [
     "vehicle_weights",
 ]
 
-OUTLIER_ALPHA = 1.5  # paper, equation 2
 MIN_KDE_VEHICLES = 5  # paper, section III-C: below it the median takes over
 GROUP_LOG_REACH = 0.4  # a fleet lies within a factor of 1.5 of its modal length, as in the paper's outlier filter
 _GROUP_LOG_BANDWIDTH = 0.15  # more than the spread of a fleet (0.09) and of the measurement (0.05 to 0.1) together

@@ -18,8 +18,9 @@ import cv2
 import numpy as np
 
 from vehanchor.errors import ImageTooLargeError, ModelContractError
-from vehanchor.imagery.raster import ImageLimits, Window
+from vehanchor.imagery.raster import Window
 from vehanchor.models.session import DEFAULT_PROVIDERS, check_model_file, metadata_number, open_session
+from vehanchor.options import ImageLimits
 from vehanchor.segmentation.contracts import MaskLogits, Prompt, recognise_contract
 
 if TYPE_CHECKING:

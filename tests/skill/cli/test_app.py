@@ -16,7 +16,7 @@ from typer.testing import CliRunner, Result
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_other_model
 from vehanchor import estimate as perception
-from vehanchor import records
+from vehanchor import options, records
 from vehanchor.cli import app as cli
 from vehanchor.errors import VehAnchorError
 from vehanchor.models import zoo as model_zoo
@@ -229,7 +229,7 @@ def test_the_options_reach_the_method(run: Any) -> None:
 
 
 def test_the_choices_are_the_librarys() -> None:
-    assert {choice.value for choice in cli._Aggregation} == set(get_args(records.Aggregation))
+    assert {choice.value for choice in cli._Aggregation} == set(get_args(options.Aggregation))
     assert {choice.value for choice in cli._Layout} == set(get_args(Layout))
 
 

@@ -33,7 +33,8 @@ from vehanchor.errors import (
     InvalidParameterError,
     MissingExtraError,
 )
-from vehanchor.imagery.raster import MIN_SIDE_PX, ImageLimits, Window, open_raster
+from vehanchor.imagery.raster import MIN_SIDE_PX, Window, open_raster
+from vehanchor.options import ImageLimits
 
 WIDTH_PX, HEIGHT_PX = 60, 40
 

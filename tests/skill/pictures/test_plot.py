@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from tests.analyses import make_analysis
 from vehanchor.errors import MissingExtraError, OutputError
+from vehanchor.options import Aggregation
 from vehanchor.pictures.plot import plot_scale, write_plot
-from vehanchor.records import Aggregation
 from vehanchor.scale.lengths import kde_density
 
 pytest.importorskip("matplotlib")

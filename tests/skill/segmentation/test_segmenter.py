@@ -27,7 +27,8 @@ from vehanchor.errors import (
     PromptError,
     ProviderUnavailableError,
 )
-from vehanchor.imagery.raster import ImageLimits, Window, open_raster
+from vehanchor.imagery.raster import Window, open_raster
+from vehanchor.options import ImageLimits
 from vehanchor.segmentation.contracts import MaskLogits, SamContract
 from vehanchor.segmentation.segmenter import Prompt, Segmentation, Segmenter, crop_window, load_segmenter, place_mask
 from vehanchor.segmentation.shape import mask_bounds

@@ -1,0 +1,376 @@
+"""Every choice of the method, in small frozen groups that all verbs, commands and the server take alike.
+
+A field is declared once: its type and default here, its words for the command line in the metadata that ``choice``
+makes, from which ``vehanchor.cli.declared`` builds the option. Where None is a default, the model's own choice holds.
+
+Numbers are checked at the door: any real number that is no bool will do, numpy's too, and comes out as Python's.
+"""
+
+from __future__ import annotations
+
+import math
+import numbers
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, get_args
+
+from vehanchor.errors import FrameError, InvalidParameterError
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Mapping
+
+    from vehanchor.scale.calibration import Calibration
+
+__all__ = [
+    "NMS_IOU",
+    "OUTLIER_ALPHA",
+    "Aggregation",
+    "Choice",
+    "Frame",
+    "ImageLimits",
+    "Lengths",
+    "OptionKeywords",
+    "Reading",
+    "Reference",
+    "ScaleOptions",
+    "Search",
+    "choice",
+]
+
+Aggregation = Literal["kde", "weighted_kde", "median", "mean"]
+
+NMS_IOU = 0.45  # paper, section III-B
+OUTLIER_ALPHA = 1.5  # paper, equation 2
+_MIB = 1 << 20
+
+
+class Choice(NamedTuple):
+    """How the command line names and explains a field.
+
+    Attributes:
+        help: one sentence, for ``--help``.
+        metavar: what stands for the value.
+        flag: the option's name; empty for the field's own name without its unit.
+    """
+
+    help: str
+    metavar: str = ""
+    flag: str = ""
+
+
+def choice(help_text: str, *, metavar: str = "", flag: str = "") -> dict[str, Choice]:
+    """Metadata of a dataclass field that the command line offers, too."""
+    return {"choice": Choice(help_text, metavar, flag)}
+
+
+def _settle(group: Any, name: str, value: Any) -> None:
+    """Set a field of a frozen group while it is being made."""
+    object.__setattr__(group, name, value)
+
+
+def _number(name: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
+        raise InvalidParameterError(f"{name} is {value!r}: use a finite number")
+    return float(value)
+
+
+def _positive(name: str, value: Any) -> float:
+    number = _number(name, value)
+    if number <= 0:
+        raise InvalidParameterError(f"{name} is {number:g}: use a finite number > 0")
+    return number
+
+
+def _share(name: str, value: Any) -> float:
+    number = _number(name, value)
+    if not 0 <= number <= 1:
+        raise InvalidParameterError(f"{name} is {number:g}: it lies in 0..1")
+    return number
+
+
+def _whole(name: str, value: Any) -> int:
+    number = _number(name, value)
+    if number < 1 or number != int(number):
+        raise InvalidParameterError(f"{name} is {number:g}: use a whole number >= 1")
+    return int(number)
+
+
+@dataclass(frozen=True)
+class ImageLimits:
+    """What is refused before anything is decoded.
+
+    Attributes:
+        max_bytes: encoded size of what is read into memory whole.
+        max_pixels: declared width x height of what is decoded whole; larger TIFFs are read by windows.
+        max_windowed_pixels: declared width x height of what is read by windows.
+
+    Raises:
+        InvalidParameterError: one of them is no whole number >= 1.
+    """
+
+    max_bytes: int = 512 * _MIB
+    max_pixels: int = 100_000_000
+    max_windowed_pixels: int = 10_000_000_000
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            _settle(self, each.name, _whole(each.name, getattr(self, each.name)))
+
+
+@dataclass(frozen=True)
+class Search:
+    """How an image is searched for vehicles.
+
+    Attributes:
+        min_score: lowest detection score, 0..1; None takes the model's (0.1, the paper's, for foreign models).
+        nms_iou: IoU, 0..1, above which the weaker of two boxes is dropped.
+        search_scales: search reduced copies of the image, too, for vehicles longer than the model was trained on; None
+            takes the model's own choice (no, for foreign models).
+        tile_px: tile side; None is 1024, or the model's input where that is fixed.
+        stride_px: step between tiles; None is three quarters of the tile.
+
+    Raises:
+        InvalidParameterError: a number has no meaning.
+    """
+
+    min_score: float | None = field(
+        default=None, metadata=choice("Lowest detection score, 0 to 1. Default: the model's.", metavar="P")
+    )
+    nms_iou: float = field(
+        default=NMS_IOU,
+        metadata=choice("Of two boxes that overlap by more (IoU) one is dropped.", metavar="P", flag="nms-iou"),
+    )
+    search_scales: bool | None = field(
+        default=None,
+        metadata=choice(
+            "Search copies at 1/2, 1/4 and 1/8, too, for vehicles longer than the model was trained on. Default: the "
+            "model's choice.",
+        ),
+    )
+    tile_px: int | None = field(
+        default=None, metadata=choice("Side of a tile, pixels. Default: 1024, or the model's input.", metavar="PX")
+    )
+    stride_px: int | None = field(
+        default=None, metadata=choice("Step between tiles, pixels. Default: 3/4 of the tile.", metavar="PX")
+    )
+
+    def __post_init__(self) -> None:
+        if self.min_score is not None:
+            _settle(self, "min_score", _share("min_score", self.min_score))
+        _settle(self, "nms_iou", _share("nms_iou", self.nms_iou))
+        if self.search_scales is not None and not isinstance(self.search_scales, bool):
+            raise InvalidParameterError(f"search_scales is {self.search_scales!r}: use True, False or None")
+        for name in ("tile_px", "stride_px"):
+            if getattr(self, name) is not None:
+                _settle(self, name, _whole(name, getattr(self, name)))
+
+
+@dataclass(frozen=True)
+class Lengths:
+    """How the lengths of the vehicles become one.
+
+    Attributes:
+        alpha: outlier filter, ``P_i <= alpha * median`` (paper, equation 2), alpha >= 1; None switches it off.
+        aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean`` (see ``vehanchor.scale.lengths.modal_length``);
+            None takes the model's own choice (``kde``, the paper's, for foreign models).
+
+    Raises:
+        InvalidParameterError: alpha is no number >= 1, or the aggregation is not known.
+    """
+
+    aggregation: Aggregation | None = field(
+        default=None,
+        metadata=choice(
+            "How lengths become one; below 5 vehicles a KDE gives way to the median. Default: the model's choice, "
+            "or kde."
+        ),
+    )
+    alpha: float | None = field(
+        default=OUTLIER_ALPHA,
+        metadata=choice("Drop vehicles longer than X times the median; 'none' keeps all.", metavar="X|none"),
+    )
+
+    def __post_init__(self) -> None:
+        if self.aggregation is not None and self.aggregation not in get_args(Aggregation):
+            raise InvalidParameterError(
+                f"aggregation is {self.aggregation!r}: use one of {', '.join(get_args(Aggregation))}"
+            )
+        if self.alpha is not None:
+            alpha = _positive("alpha", self.alpha)
+            if alpha < 1:
+                raise InvalidParameterError(f"alpha is {alpha:g}: below 1 it drops typical vehicles; use 1 or more")
+            _settle(self, "alpha", alpha)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Where the reference length ``L_ref`` comes from: one of these, or, with none, the look of the vehicles.
+
+    Attributes:
+        reference_length_m: the fleet's modal vehicle length, metres.
+        region: take the model's reference length for a region (``europe``, ``north_america``, ...).
+        calibration: take the reference length measured for this fleet and detector (see ``load_calibration``); the
+            path of its file is read at once.
+
+    Raises:
+        InvalidParameterError: two of them, or a length that is no number > 0.
+        CalibrationFileError: the calibration cannot be read.
+    """
+
+    reference_length_m: float | None = field(
+        default=None, metadata=choice("Modal vehicle length, metres. Default: the model's.", metavar="M")
+    )
+    region: str | None = field(
+        default=None,
+        metadata=choice("Take the model's reference length of a region: europe, north_america, ...", metavar="NAME"),
+    )
+    calibration: Calibration | None = field(
+        default=None, metadata=choice("Take the reference length that 'vehanchor calibrate' measured.", metavar="FILE")
+    )
+
+    def __post_init__(self) -> None:
+        given = [each.name for each in fields(self) if getattr(self, each.name) is not None]
+        if len(given) > 1:
+            raise InvalidParameterError(f"give {' or '.join(given)}, not both: each sets the reference length")
+        if self.reference_length_m is not None:
+            _settle(self, "reference_length_m", _positive("reference_length_m", self.reference_length_m))
+        if self.calibration is not None:
+            from vehanchor.scale.calibration import opened_calibration
+
+            _settle(self, "calibration", opened_calibration(self.calibration))
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The resized copy of the image that the caller works in.
+
+    Attributes:
+        width_px: its width; with the height, or neither.
+        height_px: its height.
+
+    Raises:
+        InvalidParameterError: one without the other, or no whole number >= 1.
+    """
+
+    width_px: int | None = None
+    height_px: int | None = None
+
+    def __post_init__(self) -> None:
+        if (self.width_px is None) != (self.height_px is None):
+            raise InvalidParameterError("a frame needs both frame_width_px and frame_height_px")
+        for name in ("width_px", "height_px"):
+            if getattr(self, name) is not None:
+                _settle(self, name, _whole(f"frame_{name}", getattr(self, name)))
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height, pixels; None without a frame."""
+        return None if self.width_px is None or self.height_px is None else (self.width_px, self.height_px)
+
+    def check(self, width_px: int, height_px: int) -> None:
+        """Refuse a frame whose aspect ratio is not the image's: it would be a crop, or another image.
+
+        Raises:
+            FrameError: more than a pixel of rounding lies between them.
+        """
+        if self.size is None:
+            return
+        width, height = self.size
+        fitting = width * height_px / width_px
+        slack = 1.0 + height_px / width_px  # one pixel of rounding in either side
+        if abs(height - fitting) > slack:
+            raise FrameError(
+                f"the frame is {width} x {height} px, the image {width_px} x {height_px} "
+                f"px: a copy of that width would be {round(fitting)} px high. Give the size of an uncropped copy"
+            )
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How an image is read.
+
+    Attributes:
+        bands: three 1-based bands to take as red, green, blue; None takes the first three.
+        limits: what an image may cost, checked before decoding.
+
+    Raises:
+        InvalidParameterError: the bands are not three whole numbers >= 1.
+    """
+
+    bands: tuple[int, int, int] | None = field(
+        default=None,
+        metadata=choice("Bands to take as red, green and blue, from 1. Default: the first three.", metavar="R G B"),
+    )
+    limits: ImageLimits = field(default_factory=ImageLimits)
+
+    def __post_init__(self) -> None:
+        if self.bands is not None:
+            try:
+                first, second, third = self.bands
+            except (TypeError, ValueError):
+                raise InvalidParameterError(f"bands is {self.bands!r}: give three, from 1") from None
+            _settle(self, "bands", tuple(_whole("bands", band) for band in (first, second, third)))
+
+
+class OptionKeywords(TypedDict, total=False):
+    """The fields of all groups under the names that the verbs take as keywords; a test holds them to the groups."""
+
+    min_score: float | None
+    nms_iou: float
+    search_scales: bool | None
+    tile_px: int | None
+    stride_px: int | None
+    aggregation: Aggregation | None
+    alpha: float | None
+    reference_length_m: float | None
+    region: str | None
+    calibration: Calibration | str | os.PathLike[str] | None
+    frame_width_px: int | None
+    frame_height_px: int | None
+    bands: tuple[int, int, int] | None
+    limits: ImageLimits
+
+
+@dataclass(frozen=True)
+class ScaleOptions:
+    """All groups; the defaults are the paper's, or the model's own where that is None.
+
+    Attributes:
+        search: how the image is searched.
+        lengths: how lengths become one.
+        reference: where the reference length comes from.
+        frame: the caller's resized copy.
+        reading: how the image is read.
+    """
+
+    search: Search = Search()
+    lengths: Lengths = Lengths()
+    reference: Reference = Reference()
+    frame: Frame = Frame()
+    reading: Reading = Reading()
+
+    @classmethod
+    def of(cls, keywords: Mapping[str, Any]) -> ScaleOptions:
+        """The groups that hold the verbs' keywords (``OptionKeywords``).
+
+        Raises:
+            InvalidParameterError: a value has no meaning, or there is no such option.
+        """
+        rest = dict(keywords)
+        groups: dict[str, Any] = {}
+        for name, (group, prefix) in _GROUPS.items():
+            known = {each.name: prefix + each.name for each in fields(group)}
+            groups[name] = group(**{key: rest.pop(word) for key, word in known.items() if word in rest})
+        if rest:
+            names = ", ".join(sorted(OptionKeywords.__annotations__))
+            raise InvalidParameterError(f"there is no option {next(iter(rest))!r}: the options are {names}")
+        return cls(**groups)
+
+
+_GROUPS: dict[str, tuple[type[Any], str]] = {
+    "search": (Search, ""),
+    "lengths": (Lengths, ""),
+    "reference": (Reference, ""),
+    "frame": (Frame, "frame_"),
+    "reading": (Reading, ""),
+}
