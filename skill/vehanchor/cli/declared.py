@@ -196,7 +196,8 @@ def _parameter(name: str, kind: Any, declared: Any, panel: str) -> inspect.Param
     flag = stated.flag or _without_unit(name).replace("_", "-")
     more: dict[str, Any] = {"metavar": stated.metavar} if stated.metavar else {}
     if typing.get_origin(bare) is Literal:
-        kind = StrEnum(name.title(), {word: word for word in typing.get_args(bare)}) | None
+        words = {word: word for word in typing.get_args(bare)}
+        kind = typing.cast("type", StrEnum(name.title(), words)) | None
     if name == "alpha":  # a number or a word
         kind, default = str, str(default)
     flags = f"--{flag}/--no-{flag}" if bare is bool else f"--{flag}"
