@@ -7,8 +7,6 @@ objects get all of the model's resolution: twice the box, at least 256 px. Point
 
 from __future__ import annotations
 
-import functools
-import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +17,9 @@ import numpy as np
 
 from vehanchor.errors import ImageTooLargeError, ModelContractError
 from vehanchor.imagery.raster import Window
-from vehanchor.models.session import DEFAULT_PROVIDERS, check_model_file, metadata_number, open_session
+from vehanchor.models.cache import file_cached
+from vehanchor.models.files import models_sha256, read_model
+from vehanchor.models.session import DEFAULT_PROVIDERS, metadata_number, open_session
 from vehanchor.options import ImageLimits
 from vehanchor.segmentation.contracts import MaskLogits, Prompt, recognise_contract
 
@@ -39,7 +39,6 @@ _BOX_CONTEXT = 2.0  # side of the crop over the box's longer side
 _MIN_CROP_PX = 256
 _POINT_CROP_PX = 512  # where points alone say nothing about the object's size
 _ROWS_A_STRIP = 1024
-_WEIGHTS_BESIDE = ("_data", ".data", "_data.bin")  # suffixes that exporters give to weights outside the ONNX file
 
 
 @dataclass(frozen=True)
@@ -106,10 +105,10 @@ class Segmenter:
         providers: Sequence[str] = DEFAULT_PROVIDERS,
     ) -> None:
         self.encoder_path, self.decoder_path = Path(encoder_path), Path(decoder_path)
-        paths = self.encoder_path, self.decoder_path
-        for path in paths:
-            check_model_file(path)
-        encoder, decoder = (open_session(path, threads=threads, providers=providers) for path in paths)
+        files = read_model(self.encoder_path), read_model(self.decoder_path)
+        encoder, decoder = (
+            open_session(file.path, content=file.content, threads=threads, providers=providers) for file in files
+        )
         metadata = {
             **encoder.get_modelmeta().custom_metadata_map,
             **decoder.get_modelmeta().custom_metadata_map,
@@ -121,7 +120,7 @@ class Segmenter:
             raise ModelContractError(f"{self.encoder_path} and {self.decoder_path}: {error}") from None
         self.card = SegmenterCard(
             name=metadata.get("vehanchor.name", self.encoder_path.stem),
-            sha256=_sha256(paths),
+            sha256=models_sha256(*files),
             contract=self._contract.name,
             input_px=self._contract.input_px,
             min_score=metadata_number(metadata, "min_score", MIN_MASK_SCORE),
@@ -171,7 +170,7 @@ class Segmenter:
         return Segmentation(place_mask(chosen, window.width_px, window.height_px), window, chosen.score)
 
 
-@functools.lru_cache(maxsize=2)
+@file_cached(max_models=2)
 def load_segmenter(
     encoder_path: Path,
     decoder_path: Path,
@@ -179,7 +178,7 @@ def load_segmenter(
     threads: int | None = None,
     providers: tuple[str, ...] = DEFAULT_PROVIDERS,
 ) -> Segmenter:
-    """Open a segmenter once per pair of paths, thread count and providers; see ``Segmenter``."""
+    """Open a segmenter once per pair of files, thread count and providers; see ``Segmenter``."""
     return Segmenter(encoder_path, decoder_path, threads=threads, providers=providers)
 
 
@@ -287,15 +286,3 @@ def _resized(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.ui
     shrinks = width < image.shape[1] or height < image.shape[0]
     method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
     return cv2.resize(image, (width, height), interpolation=method).astype(np.uint8, copy=False)
-
-
-def _sha256(paths: Sequence[Path]) -> str:
-    """Of the files one after the other, each followed by its weights where they are kept beside it."""
-    digest = hashlib.sha256()
-    for path in paths:
-        names = [path.name + suffix for suffix in _WEIGHTS_BESIDE] + [path.stem + _WEIGHTS_BESIDE[-1]]
-        for file in [path, *(beside for name in names if (beside := path.with_name(name)).is_file())]:
-            with file.open("rb") as stream:
-                while block := stream.read(1 << 20):
-                    digest.update(block)
-    return digest.hexdigest()

@@ -1,19 +1,20 @@
 from __future__ import annotations
 
 import hashlib
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 import onnx
 import pytest
-from onnx.external_data_helper import set_external_data
 
 from tests.models import blank_image, write_detector, write_other_model
 from tests.sam_models import (
     EMPTY,
     FULL,
     OBJECT,
+    keep_weights_beside,
     write_efficient_sam,
     write_sam,
     write_sam2,
@@ -35,7 +36,6 @@ from vehanchor.segmentation.shape import mask_bounds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -394,16 +394,11 @@ def test_the_files_say_how_much_to_trust_them(tmp_path: Path) -> None:
         Segmenter(*write_sam(tmp_path, metadata={"vehanchor.mask_area_log_sd": "wide"}))
 
 
-def test_weights_kept_beside_the_file_are_used_and_hashed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", ["_data", ".weights"])  # exporters' habit, and any other name
+def test_weights_kept_beside_the_file_are_used_and_hashed(tmp_path: Path, suffix: str) -> None:
     encoder, decoder = write_sam2(tmp_path)
     plain = Segmenter(encoder, decoder).card.sha256
-    model = onnx.load(str(decoder))
-    for tensor in model.graph.initializer:
-        if list(tensor.dims) == [1, 3, 1, 1]:  # the shapes of tensors have to stay in the file
-            set_external_data(tensor, location=f"{decoder.name}_data")
-    onnx.save(model, str(decoder))
-    beside = decoder.with_name(f"{decoder.name}_data")
-    assert beside.is_file()
+    beside = keep_weights_beside(decoder, suffix)
     outside = Segmenter(encoder, decoder)
     expected = hashlib.sha256(encoder.read_bytes() + decoder.read_bytes() + beside.read_bytes()).hexdigest()
     assert outside.card.sha256 == expected != plain
@@ -436,3 +431,23 @@ def test_a_pair_of_files_is_loaded_once(tmp_path: Path) -> None:
     files = write_sam(tmp_path)
     assert load_segmenter(*files) is load_segmenter(*files)
     assert load_segmenter(*files, threads=1) is not load_segmenter(*files)
+
+
+def test_replaced_files_are_loaded_anew(tmp_path: Path) -> None:
+    files = write_sam(tmp_path)
+    before = load_segmenter(*files)
+    write_sam(tmp_path, scores=[0.4])
+    after = load_segmenter(*files)
+    assert after.card.sha256 == Segmenter(*files).card.sha256 != before.card.sha256
+    prompt, image = Prompt(box=(95.0, 95.0, 155.0, 155.0)), _picture(300, 300, (100, 100, 150, 150))
+    assert _segment(after, image, prompt).score == pytest.approx(0.4)
+
+
+def test_relative_paths_are_other_files_in_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for name, score in (("one", 0.4), ("two", 0.5)):
+        (tmp_path / name).mkdir()
+        encoder, decoder = write_sam(tmp_path / name, scores=[score])
+        monkeypatch.chdir(tmp_path / name)
+        found.append(load_segmenter(Path(encoder.name), Path(decoder.name)))
+    assert found[0].card.sha256 != found[1].card.sha256
