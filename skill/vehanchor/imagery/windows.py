@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Raster", "RasterNote", "StoredPixels", "Window", "oriented", "stored_window"]
+__all__ = ["Raster", "RasterNote", "StoredPixels", "Window", "oriented", "outer_sides", "stored_window"]
 
 # EXIF orientation -> (rows and columns swap, then flip up-down, flip left-right) that shows the stored image upright.
 _ORIENTATIONS = {
@@ -155,3 +155,13 @@ def stored_window(window: Window, width_px: int, height_px: int, orientation: in
     if swap:
         return Window(y, x, window.height_px, window.width_px)
     return Window(x, y, window.width_px, window.height_px)
+
+
+def outer_sides(window: Window, width_px: int, height_px: int) -> tuple[bool, bool, bool, bool]:
+    """Which sides of a window, left, top, right and bottom, are those of its image, ``width_px`` x ``height_px``."""
+    return (
+        window.x_px == 0,
+        window.y_px == 0,
+        window.x_px + window.width_px == width_px,
+        window.y_px + window.height_px == height_px,
+    )

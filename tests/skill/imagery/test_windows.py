@@ -25,7 +25,8 @@ from tests.skill.imagery.files import (
 from vehanchor.errors import (
     InvalidParameterError,
 )
-from vehanchor.imagery.raster import Window, open_raster
+from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.windows import Window, outer_sides
 from vehanchor.options import ImageLimits
 
 UPRIGHT: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
@@ -87,3 +88,18 @@ def test_windows_are_slices_of_the_whole(windowed_file: Path, data: st.DataObjec
         part = raster.read(Window(x, y, w, h))
     assert part.flags.c_contiguous
     np.testing.assert_array_equal(part, whole[y : y + h, x : x + w])
+
+
+@pytest.mark.parametrize(
+    ("window", "sides"),
+    [
+        (Window(0, 0, 60, 40), (True, True, True, True)),
+        (Window(0, 5, 20, 20), (True, False, False, False)),
+        (Window(5, 0, 20, 20), (False, True, False, False)),
+        (Window(40, 5, 20, 20), (False, False, True, False)),
+        (Window(5, 20, 20, 20), (False, False, False, True)),
+        (Window(5, 5, 20, 20), (False, False, False, False)),
+    ],
+)
+def test_a_window_knows_which_of_its_sides_are_the_images(window: Window, sides: tuple[bool, bool, bool, bool]) -> None:
+    assert outer_sides(window, WIDTH_PX, HEIGHT_PX) == sides
