@@ -49,10 +49,11 @@ from vehanchor.cli.terminal import (
     tile_progress,
     told_errors,
 )
-from vehanchor.errors import InvalidParameterError, ModelError, OutputError, VehAnchorError
+from vehanchor.errors import InvalidParameterError, ModelError, VehAnchorError
 from vehanchor_evaluation.commands.calibrate import calibrate
 from vehanchor_evaluation.commands.evaluate import evaluate
 from vehanchor_evaluation.commands.sources import FilesCommand
+from vehanchor_scenes.command import scene
 from vehanchor_server.command import schemas, serve
 
 if TYPE_CHECKING:
@@ -85,12 +86,6 @@ class _Aggregation(StrEnum):
     weighted_kde = "weighted_kde"
     median = "median"
     mean = "mean"
-
-
-class _Layout(StrEnum):
-    urban = "urban"
-    parking = "parking"
-    countryside = "countryside"
 
 
 def main() -> None:
@@ -383,50 +378,6 @@ def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:
     return table
 
 
-# --- scene -----------------------------------------------------------------------------------------------------------
-
-
-@app.command()
-def scene(
-    out: Annotated[
-        Path, typer.Argument(metavar="OUT.png", help="The image, .png or .jpg; its truth is written beside it.")
-    ],
-    gsd: Annotated[float, typer.Option(metavar="M/PX", help="Ground sampling distance, metres per pixel: 0.005 to 2.")],
-    size: Annotated[tuple[int, int], typer.Option(metavar="W H", help="Size of the image, pixels.")] = (1024, 1024),
-    seed: Annotated[int, typer.Option(metavar="N", help="The same seed and options draw the same picture.")] = 0,
-    vehicles: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="At most so many cars; 0 for none at all. Default: as many as the place has."),
-    ] = None,
-    fleet: Annotated[float, typer.Option(metavar="M", help="Mean length of the cars, metres: 2 to 8.")] = 4.6,
-    layout: Annotated[_Layout | None, typer.Option(help="Kind of place. Default: the seed decides.")] = None,
-) -> None:
-    """Render an aerial scene of exactly known scale, with its truth: GSD, oriented boxes (DOTA text), masks."""
-    with told_errors():
-        from vehanchor.pictures.scale import check_picture_path
-        from vehanchor_scenes import render_scene
-
-        check_picture_path(out)
-        drawn = render_scene(
-            gsd,
-            width_px=size[0],
-            height_px=size[1],
-            seed=seed,
-            n_vehicles=vehicles,
-            mean_vehicle_length_m=fleet,
-            layout=None if layout is None else layout.value,
-        )
-        try:
-            written = drawn.write(out)
-        except OSError as error:
-            raise OutputError(f"cannot write {str(out)!r}: {error.strerror or error}") from error
-        n_small = sum(vehicle.kind == "small-vehicle" for vehicle in drawn.vehicles)
-        n_large = len(drawn.vehicles) - n_small
-        print(f"{size[0]} x {size[1]} px at {gsd:g} m/px, {n_small} small and {n_large} large vehicles:")
-        for path in written:
-            print(printable(f"  {path}"))
-
-
 # --- models ----------------------------------------------------------------------------------------------------------
 
 
@@ -536,6 +487,7 @@ def _card_facts(card: DetectorCard, *, sha_digits: int) -> list[tuple[str, str]]
 app.command(cls=PointsCommand)(measure)
 app.command()(batch)
 app.add_typer(evaluate, name="evaluate")
+app.command()(scene)
 app.command(cls=FilesCommand)(calibrate)
 app.command()(serve)
 app.command()(schemas)
