@@ -8,7 +8,7 @@ A crown's sprite spans [-1.25, 1.25] radii and has two: coverage and light.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -20,6 +20,7 @@ CROWN_SPAN = 1.25
 VEHICLE_PAD = 0.03  # a transparent margin, as a share of the length, on every side of a vehicle's sprite
 
 _F = NDArray[np.float32]
+_Reals = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,7 @@ def _car(
     return cast("_F", np.stack([cover, paint * cover, grey * cover, red * cover], axis=2).astype(np.float32))
 
 
-def _car_inset(body: str, u: _F, v: _F, t: _F, across: _F, length: float, width: float) -> _F:
+def _car_inset(body: str, u: _F, v: _F, t: _F, across: _Reals, length: float, width: float) -> _F:
     """Distance inside the outline, metres: rounded at front and rear, a little narrower towards both."""
     half_length, half_width = length / 2, width / 2
     rounding = 0.10 * width if body == "van" else 0.17 * width
@@ -165,10 +166,10 @@ def _car_inset(body: str, u: _F, v: _F, t: _F, across: _F, length: float, width:
     side = half_width * (
         1 - 0.07 * np.clip((0.16 - t) / 0.16, 0, 1) ** 2 - 0.04 * np.clip((t - 0.88) / 0.12, 0, 1) ** 2
     )
-    return np.minimum(np.minimum(front - u, u + rear), side - np.abs(v)).astype(np.float32)
+    return cast("_F", np.minimum(np.minimum(front - u, u + rear), side - np.abs(v)).astype(np.float32))
 
 
-def _car_glass(car: _Car, t: _F, across: _F, base_front: _F, length: float, half_width: float, px: float) -> _F:
+def _car_glass(car: _Car, t: _F, across: _Reals, base_front: _Reals, length: float, half_width: float, px: float) -> _F:
     """Share of glass: the two screens, and the side windows between their pillars."""
     base_half, roof_half = _BASE_HALF_WIDTH, car.roof_half_width
     in_cabin = _soft(
@@ -193,10 +194,12 @@ def _car_glass(car: _Car, t: _F, across: _F, base_front: _F, length: float, half
     )
     pillar = (car.roof_front * 0.45 + car.roof_rear * 0.55) * length
     pillars = _band(t * length, pillar - 0.06, pillar + 0.06, px)
-    return np.clip(screen + sides * (1 - pillars), 0, 1)
+    return cast("_F", np.clip(screen + sides * (1 - pillars), 0, 1))
 
 
-def _car_trim(car: _Car, paint: _F, grey: _F, t: _F, across: _F, length: float, half_width: float, px: float) -> _F:
+def _car_trim(
+    car: _Car, paint: _Reals, grey: _Reals, t: _F, across: _Reals, length: float, half_width: float, px: float
+) -> _Reals:
     """Draws seam, grille and lamps into ``paint`` and ``grey``; returns the red of the rear lamps."""
     seam = _band(t * length, car.glass_front * length - 0.10, car.glass_front * length - 0.05, px)
     paint *= 1 - 0.35 * seam * _soft(((0.86 - across) * half_width).astype(np.float32), px)
