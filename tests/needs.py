@@ -6,7 +6,7 @@ import importlib
 import os
 import shutil
 from collections.abc import Iterable
-from typing import Any, NoReturn
+from typing import Any
 
 import pytest
 
@@ -29,7 +29,7 @@ def needed_program(name: str, advice: str, *, candidates: Iterable[str | None] =
         found = candidate and shutil.which(candidate, path=path)
         if found:
             return found
-    _missing(name, advice)
+    raise _missing(name, advice)
 
 
 def needed_module(name: str, advice: str) -> Any:
@@ -37,10 +37,10 @@ def needed_module(name: str, advice: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
-        _missing(name.partition(".")[0], advice)
+        raise _missing(name.partition(".")[0], advice) from None
 
 
-def _missing(name: str, advice: str) -> NoReturn:
+def _missing(name: str, advice: str) -> BaseException:
     if not os.environ.get("CI") or name in os.environ.get("VEHANCHOR_CI_WITHOUT", "").split():
-        pytest.skip(f"no {name} here; {advice}")
-    pytest.fail(f"CI must run this, and there is no {name}: {advice}, or say VEHANCHOR_CI_WITHOUT={name!r}")
+        return pytest.skip.Exception(f"no {name} here; {advice}")
+    return pytest.fail.Exception(f"CI runs this, and there is no {name}: {advice}, or say VEHANCHOR_CI_WITHOUT={name}")
