@@ -169,7 +169,7 @@ def _thin(world: World, view: tuple[float, float, float, float], limit: int | No
 
 
 def _photograph(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """What lens, haze, sensor and compression do."""
+    """Applies lens, haze, sensor and compression."""
     sigma = float(rng.uniform(0.45, 0.85))
     image = cast("NDArray[np.uint8]", cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
     if rng.random() < 0.35:  # sharpened by whoever processed it
