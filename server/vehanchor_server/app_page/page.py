@@ -58,6 +58,6 @@ def _part(name: str) -> str:
 
 
 def _hash_source(text: str) -> str:
-    """What a content security policy calls an inline style or script that it allows."""
+    """Name of an inline style or script in a content security policy that allows it."""
     digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
     return f"'sha256-{digest}'"

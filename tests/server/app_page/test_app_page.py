@@ -18,7 +18,7 @@ from mcp.types import CallToolResult, ImageContent, TextResourceContents
 
 from tests.analyses import make_analysis
 from tests.server.conftest import POOL_BOX
-from tests.server.tools.test_tools import ERAS, by_path
+from tests.server.conversation import ERAS, by_path
 from vehanchor.records import ConfidenceTerms
 from vehanchor.scale.confidence import composite
 from vehanchor_server.app_page import APP_URI, PANEL_KEY, page_html

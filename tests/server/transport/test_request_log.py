@@ -11,7 +11,7 @@ import pytest
 from mcp import Client
 from mcp.server import MCPServer
 
-from tests.server.tools.test_tools import by_path
+from tests.server.conversation import by_path
 from vehanchor_server.transport.request_log import JsonFormatter, configure_logging
 
 
