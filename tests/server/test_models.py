@@ -96,7 +96,7 @@ def test_the_calibration_sets_the_reference_length_of_callers_who_know_nothing_b
     models = Models(settings)
 
     def reference(question: ScaleQuestion) -> float | None:
-        calibration = question.options(settings, models).calibration
+        calibration = question.options(settings, models).reference.calibration
         return None if calibration is None else calibration.reference_length_m
 
     assert reference(ScaleQuestion()) == 4.31

@@ -86,7 +86,7 @@ def _estimate(
     options = question.options(services.settings, services.models)
     open_detector(detector, options)  # an unknown region is told before the work
     job.enter("decode")
-    with open_raster(source, limits=options.limits) as raster:
+    with open_raster(source, limits=options.reading.limits) as raster:
         analysis = analyse_raster(raster, detector, options, progress=job.searched, run_options=job.run_options)
         overlay = None
         if drawn:

@@ -122,7 +122,7 @@ def _measure(
     segmenter = models.segmenter()
     scale = known or open_detector(models.detector(), options)
     job.enter("decode")
-    with open_raster(source, limits=options.limits) as raster:
+    with open_raster(source, limits=options.reading.limits) as raster:
         job.segmenting()
         analysis = analyse_object(
             raster, prompt, segmenter, scale, options, progress=job.searched, run_options=job.run_options

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import Field
 
+from vehanchor.options import Frame, Reading, Reference, ScaleOptions, Search
 from vehanchor_server.frozen import FrozenModel
 
 if TYPE_CHECKING:
-    from vehanchor.estimate import ScaleOptions
     from vehanchor_server.models import Models
     from vehanchor_server.settings import Settings
 
@@ -72,15 +72,14 @@ class ScaleQuestion:
             CallError: the calibration cannot be loaded.
             InvalidParameterError: the caller's options contradict each other.
         """
-        from vehanchor.estimate import ScaleOptions
-
         fleet_unknown = self.region is None and self.reference_length_m is None
         return ScaleOptions(
-            min_score=settings.min_score,
-            region=self.region,
-            reference_length_m=self.reference_length_m,
-            calibration=models.calibration() if models and fleet_unknown else None,
-            frame_width_px=self.frame.width_px if self.frame else None,
-            frame_height_px=self.frame.height_px if self.frame else None,
-            limits=settings.image_limits,
+            search=Search(min_score=settings.min_score),
+            reference=Reference(
+                reference_length_m=self.reference_length_m,
+                region=self.region,
+                calibration=models.calibration() if models and fleet_unknown else None,
+            ),
+            frame=Frame(self.frame.width_px, self.frame.height_px) if self.frame else Frame(),
+            reading=Reading(limits=settings.image_limits),
         )
