@@ -39,9 +39,12 @@ def _parameter(setting: Field[Any], kind: Any) -> inspect.Parameter:
         rich_help_panel=setting.metadata["panel"],
         show_default=False,
     )
-    if kind is not bool:
-        kind = (list[typing.get_args(kind)[0]] if Ellipsis in typing.get_args(kind) else kind) | None
     default = False if kind is bool else None
+    if Ellipsis in typing.get_args(kind):
+        repeated: Any = list
+        kind = repeated[typing.get_args(kind)[0]]
+    if default is None:
+        kind = kind | None
     return inspect.Parameter(
         setting.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option]
     )

@@ -16,6 +16,17 @@ APP_URI = "ui://vehanchor/panel.html"
 APP_META: dict[str, Any] = {"ui": {"resourceUri": APP_URI}}
 """For the ``_meta`` of each tool whose results the page shows."""
 
+_SCRIPT = (
+    "host",
+    "elements",
+    "sections",
+    "picture",
+    "histogram",
+    "plan",
+    "record",
+    "panel",
+)  # in one function, in this order
+
 
 def app_extension() -> Apps:
     """MCP Apps with the page as its one resource; tools point to it by ``APP_META``."""
@@ -35,7 +46,7 @@ def app_extension() -> Apps:
 @cache
 def page_html() -> str:
     """The page, an HTML5 document."""
-    style, script = _part("panel.css"), _part("panel.js")
+    style, script = _part("panel.css"), _script()
     policy = "; ".join(
         [
             "default-src 'none'",
@@ -51,6 +62,12 @@ def page_html() -> str:
         before, after = page.split(place)
         page = before + text + after
     return page
+
+
+def _script() -> str:
+    """The script's parts in one function, so that the page has no global names."""
+    parts = "\n".join(_part(f"{name}.js") for name in _SCRIPT)
+    return f'"use strict";\n(() => {{\n{parts}}})();\n'
 
 
 def _part(name: str) -> str:

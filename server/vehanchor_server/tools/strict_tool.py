@@ -14,8 +14,8 @@ from mcp.types import CallToolResult, ToolAnnotations
 from pydantic import ValidationError
 
 from vehanchor_server.errors import CallError
+from vehanchor_server.request_log import log_call
 from vehanchor_server.tools.portable_schema import portable_schema
-from vehanchor_server.transport.request_log import log_call
 
 __all__ = ["StrictTool"]
 

@@ -17,10 +17,10 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from vehanchor_server.app import create_server
+from vehanchor_server.request_log import configure_logging
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.auth import token_verifier
-from vehanchor_server.transport.request_log import configure_logging
 
 __all__ = ["MCP_PATH", "create_app", "serve_http"]
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import anyio
 
 from vehanchor_server.app import create_server
+from vehanchor_server.request_log import configure_logging
 from vehanchor_server.services import create_services
-from vehanchor_server.transport.request_log import configure_logging
 
 if TYPE_CHECKING:
     from vehanchor_server.services import Services

@@ -280,7 +280,7 @@ def test_workers_may_read_what_the_operator_allowed_and_no_more(
     seen: list[Settings] = []
 
     def make_app_in_a_worker(target: str, **_: Any) -> None:
-        module, _, name = target.partition(":")
+        module, name = target.split(":")
         getattr(importlib.import_module(module), name)()
 
     def note(settings: Settings) -> Services:
