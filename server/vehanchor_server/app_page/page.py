@@ -25,7 +25,7 @@ _SCRIPT = (
     "plan",
     "record",
     "panel",
-)  # in one function, in this order
+)  # in this order
 
 
 def app_extension() -> Apps:
