@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import asdict
 from enum import StrEnum
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from vehanchor.cli.terminal import tile_progress, told_errors
+from vehanchor.errors import MissingExtraError
 from vehanchor_evaluation.commands.sources import tell_issues
 
 if TYPE_CHECKING:
@@ -20,11 +22,12 @@ if TYPE_CHECKING:
 
     from vehanchor_evaluation.rs_gsd import Benchmark, BenchmarkEntry
     from vehanchor_evaluation.vlm import Query, VlmRun
-    from vehanchor_evaluation.vlm_api import ModelApi
+    from vehanchor_evaluation.vlm_api import ModelApi, ToolRunner
 
 __all__ = ["vlm"]
 
 _LIMITS, _TOOLS = "Ceilings and the service", "Tools of --agent"
+_TOOLS_GROUP = "vehanchor.agent_tools"  # each gives (roots, detector=, segmenter=) -> context manager of a ToolRunner
 _STOPPED = 3  # exit status of a run that ended early, results so far written
 
 
@@ -128,14 +131,25 @@ def vlm(
             raise typer.Exit(_STOPPED)
 
 
-def _tools(entries: Sequence[BenchmarkEntry], detector: str | None, segmenter: tuple[str, str] | None) -> Any:
-    """The server's tools, which read the images of the benchmark and nothing else."""
-    from vehanchor_server.in_process import InProcessTools
-    from vehanchor_server.settings import Settings
+def _tools(
+    entries: Sequence[BenchmarkEntry], detector: str | None, segmenter: tuple[str, str] | None
+) -> AbstractContextManager[ToolRunner]:
+    """The tools that are installed beside the evaluation; they read the images of the benchmark and nothing else.
 
+    Raises:
+        MissingExtraError: none are installed.
+    """
+    try:
+        open_tools = next(iter(entry_points(group=_TOOLS_GROUP))).load()
+    except (StopIteration, ModuleNotFoundError) as error:
+        raise MissingExtraError(
+            f"--agent needs tools for models, and none are installed under the entry points {_TOOLS_GROUP!r}: install "
+            "VehAnchor with its server (package vehanchor_server)"
+        ) from error
     files = None if segmenter is None else (Path(segmenter[0]), Path(segmenter[1]))
     roots = sorted({Path(entry.image).parent for entry in entries})
-    return InProcessTools(Settings(roots=tuple(roots), detector=detector, segmenter=files))
+    tools: AbstractContextManager[ToolRunner] = open_tools(roots, detector=detector, segmenter=files)
+    return tools
 
 
 def _tell(
