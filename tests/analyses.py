@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.detection.detector import Detections, DetectorCard
-from vehanchor.estimate import ScaleAnalysis, ScaleOptions, scale_from_detections
-from vehanchor.options import Aggregation
+from vehanchor.estimate import ScaleAnalysis, analyse_sighting
+from vehanchor.options import Aggregation, ScaleOptions
 
 __all__ = ["make_analysis"]
 
@@ -34,10 +35,24 @@ def make_analysis(
         min_score=0.1,
         licence=None,
     )
-    return scale_from_detections(
+    return analyse_found(
         Detections(boxes, np.full(len(boxes), 0.8)),
         card,
-        ScaleOptions(aggregation=aggregation),
+        ScaleOptions.of({"aggregation": aggregation}),
         image_width_px=width_px,
         image_height_px=height_px,
     )
+
+
+def analyse_found(
+    found: Detections,
+    card: DetectorCard,
+    options: ScaleOptions | None = None,
+    *,
+    image_width_px: int,
+    image_height_px: int,
+    resolved: float = 1.0,
+) -> ScaleAnalysis:
+    """The second half of the skill, on vehicles that a test has made up."""
+    image = ImageFacts(image_width_px, image_height_px)
+    return analyse_sighting(View(image, found, card, options or ScaleOptions(), lambda *_: resolved))

@@ -13,8 +13,9 @@ from tests.models import blank_image, fleet_metadata, paint_vehicles, write_dete
 from vehanchor.detection.detector import Detector, detect_vehicles
 from vehanchor.detection.look import CHIP_SHAPE, MAX_CHIPS, FleetLengths, chip, vehicle_chips
 from vehanchor.errors import ModelContractError
-from vehanchor.estimate import ScaleOptions, analyse_scale
+from vehanchor.estimate import analyse_scale
 from vehanchor.imagery.raster import open_raster
+from vehanchor.options import ScaleOptions
 from vehanchor_evaluation.search import DetectionLog, SearchedImage
 
 if TYPE_CHECKING:
@@ -146,7 +147,7 @@ def test_only_vehicles_that_were_kept_have_a_say(model: Detector) -> None:
     ],
 )
 def test_what_the_caller_says_comes_first(model: Detector, options: Any, source: str, length: float) -> None:
-    estimate = analyse_scale(_car_park([40] * 6), ScaleOptions(**options), detector=model).estimate
+    estimate = analyse_scale(_car_park([40] * 6), ScaleOptions.of(options), detector=model).estimate
     assert (estimate.reference_source, estimate.reference_length_m) == (source, length)
 
 
