@@ -19,9 +19,10 @@ from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, Task
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, OutputError
-from vehanchor.estimate import ScaleOptions, open_detector
+from vehanchor.estimate import open_detector
 from vehanchor.models.session import DEFAULT_PROVIDERS
 from vehanchor.models.zoo import bundled_models, resolve_model
+from vehanchor.options import ScaleOptions
 
 if TYPE_CHECKING:
     import os
@@ -133,7 +134,8 @@ def open_journal(table: Path, job: BatchJob) -> Journal[BatchRow]:
 
 def _settings(job: BatchJob) -> dict[str, Any]:
     """Collect what the rows depend on: neither engine nor workers nor threads."""
-    options = {name: value for name, value in asdict(job.options).items() if not name.startswith("frame")}
+    options = asdict(job.options)
+    del options["frame"]
     return {
         "vehanchor": version("vehanchor"),
         "model_sha256": job.detector_sha256,
@@ -166,7 +168,7 @@ def _check(engine: str, address: str | None, workers: int | None, options: Scale
         raise InvalidParameterError("an address is that of a Ray cluster: add --engine ray")
     if workers is not None and workers < 1:
         raise InvalidParameterError(f"workers is {workers}: use a whole number >= 1")
-    if options.frame_width_px is not None:
+    if options.frame.size is not None:
         raise InvalidParameterError("a frame belongs to one image: a batch has none")
 
 

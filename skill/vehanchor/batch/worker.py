@@ -10,9 +10,10 @@ from vehanchor.batch.journal import Key, Source
 from vehanchor.batch.row import BatchRow
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ModelContractError, VehAnchorError
-from vehanchor.estimate import ScaleOptions, analyse_scale, open_detector
+from vehanchor.estimate import analyse_scale, open_detector
 from vehanchor.models.session import DEFAULT_PROVIDERS
 from vehanchor.models.zoo import resolve_model
+from vehanchor.options import ScaleOptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -28,7 +29,7 @@ class BatchJob:
         detector: name of a bundled model, or the absolute path of a file.
         detector_sha256: what that file must be: on another machine it could be another one.
         classes: of the model, that count as vehicles; None for the model's own.
-        options: every choice of the method; ``frame`` has no place in a row.
+        options: every choice of the method, without a frame.
         providers: execution providers of ONNX Runtime.
         threads: CPU threads of each worker's model; rows are the same with any.
     """

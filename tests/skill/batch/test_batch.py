@@ -32,7 +32,8 @@ from vehanchor.errors import (
     VehAnchorError,
     WorkerDiedError,
 )
-from vehanchor.estimate import ScaleOptions, estimate_gsd
+from vehanchor.estimate import estimate_gsd
+from vehanchor.options import Frame, Reference, ScaleOptions
 from vehanchor.records import GsdEstimate
 
 if TYPE_CHECKING:
@@ -228,7 +229,7 @@ def test_a_missing_extra_is_named(
         ({"engine": "spark"}, "use local or ray"),
         ({"address": "auto"}, "--engine ray"),
         ({"workers": 0}, "whole number"),
-        ({"options": ScaleOptions(frame_width_px=10, frame_height_px=10)}, "frame"),
+        ({"options": ScaleOptions(frame=Frame(10, 10))}, "frame"),
     ],
 )
 def test_options_without_meaning_are_refused(table: Path, arguments: dict[str, Any], words: str) -> None:
@@ -294,7 +295,7 @@ def test_other_images_than_before_change_only_what_is_missing(analysed: list[str
 def test_rows_of_other_options_are_not_mixed_in(analysed: list[str], detector: Path, table: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         run_batch(["."], table, detector=detector, workers=1)
-    other = ScaleOptions(reference_length_m=4.3)
+    other = ScaleOptions(reference=Reference(4.3))
     with pytest.raises(InvalidParameterError, match=r"reference_length_m None \(now 4.3\)"):
         run_batch(["."], table, detector=detector, workers=1, options=other)
     assert run_batch(["."], table, detector=detector, workers=1, options=other, overwrite=True).n_resumed == 0
@@ -483,6 +484,35 @@ def test_the_commands_options_reach_the_estimate(detector: Path, table: Path) ->
     assert result.exit_code == 0, result.output
     (row,) = _rows(table)
     assert (row["reference_length_m"], row["n_detections"]) == (4.3, 0)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (("--alpha", "1", "--aggregation", "mean"), {"alpha": 1.0, "aggregation": "mean"}),
+        (
+            ("--region", "europe", "--tile", 512, "--stride", 300),
+            {"region": "europe", "tile_px": 512, "stride_px": 300},
+        ),
+        (("--nms-iou", 0.9, "--bands", 3, 2, 1, "--no-search-scales"), {"nms_iou": 0.9, "bands": (3, 2, 1)}),
+    ],
+)
+def test_batch_takes_the_options_of_estimate(
+    options: tuple[object, ...], expected: dict[str, Any], detector: Path, table: Path
+) -> None:
+    result = _batch("cars.png", "-o", table, "--detector", detector, "--workers", 1, "--class", 0, *options)
+    assert result.exit_code == 0, result.output
+    (row,) = _rows(table)
+    estimate = estimate_gsd("cars.png", detector=detector, **expected)
+    same = set(GsdEstimate.model_fields) & set(COLUMNS)
+    assert {name: row[name] for name in same} == {name: getattr(estimate, name) for name in same}
+
+
+def test_a_class_that_the_model_does_not_know_is_told_before_the_work(detector: Path, table: Path) -> None:
+    result = _batch("cars.png", "-o", table, "--detector", detector, "--class", "boat")
+    assert result.exit_code == 2
+    assert "boat" in result.stderr
+    assert list(table.parent.iterdir()) == []
 
 
 def test_the_command_tells_errors_in_a_line(table: Path) -> None:
