@@ -10,7 +10,23 @@ from vehanchor.detection.detector import Detections, DetectorCard
 from vehanchor.estimate import ScaleAnalysis, analyse_sighting
 from vehanchor.options import Aggregation, ScaleOptions
 
-__all__ = ["make_analysis"]
+__all__ = ["analyse_found", "made_card", "make_analysis"]
+
+
+def made_card(reference_length_m: float = 5.045, min_length_px: float = 0.0) -> DetectorCard:
+    """The card of a detector that there is not."""
+    return DetectorCard(
+        name="test",
+        sha256="0" * 64,
+        class_names={0: "small vehicle"},
+        reference_length_m=reference_length_m,
+        reference_length_sd_m=0.2,
+        region_lengths_m={},
+        length_range_px=(9.0, 120.0),
+        min_length_px=min_length_px,
+        min_score=0.1,
+        licence=None,
+    )
 
 
 def make_analysis(
@@ -23,21 +39,9 @@ def make_analysis(
     min_length_px: float = 0.0,
 ) -> ScaleAnalysis:
     """The analysis of an image in which a detector found ``boxes``, all with score 0.8."""
-    card = DetectorCard(
-        name="test",
-        sha256="0" * 64,
-        class_names={0: "small vehicle"},
-        reference_length_m=reference_length_m,
-        reference_length_sd_m=0.2,
-        region_lengths_m={},
-        length_range_px=(9.0, 120.0),
-        min_length_px=min_length_px,
-        min_score=0.1,
-        licence=None,
-    )
     return analyse_found(
         Detections(boxes, np.full(len(boxes), 0.8)),
-        card,
+        made_card(reference_length_m, min_length_px),
         ScaleOptions.of({"aggregation": aggregation}),
         image_width_px=width_px,
         image_height_px=height_px,

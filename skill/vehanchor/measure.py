@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, PromptError
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from vehanchor.estimate import ScaleAnalysis
     from vehanchor.imagery.raster import ImageSource, Raster
     from vehanchor.options import Frame, OptionKeywords
-    from vehanchor.records import GsdEstimate, ScaleSource, Status
+    from vehanchor.records import GsdEstimate, Status
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
 
     Box: TypeAlias = tuple[float, float, float, float]
@@ -330,31 +330,28 @@ def _conclude(
     outline_px, (length_px, width_px) = perimeter(mask), rotated_extents(mask)
     own_gsd = raster.georeference_gsd_m_per_px
     measured = gsd if n_px else None  # an empty mask has no size, rather than a size of zero
-    area = area_interval = diameter = diameter_interval = None
+    size = _Size()
     if measured is not None and circle is not None:
-        area, diameter = n_px * measured**2, circle.diameter * measured
-        area_interval = _interval(area, math.hypot(2 * scale_log_sd, card.mask_area_log_sd))
-        diameter_log_sd = _diameter_log_sd(card.mask_area_log_sd, n_px, outline_px, circle.diameter)
-        diameter_interval = _interval(diameter, math.hypot(scale_log_sd, diameter_log_sd))
+        size = _size(n_px, outline_px, circle.diameter, measured, scale_log_sd, card.mask_area_log_sd)
     box = None if bounds is None else _moved_box((bounds.x1, bounds.y1, bounds.x2, bounds.y2), left, top)
     return AreaMeasurement(
         status=_status(gsd, estimate, found.score, card, n_px),
-        area_m2=area,
-        area_ci95_low_m2=area_interval and area_interval.low,
-        area_ci95_high_m2=area_interval and area_interval.high,
+        area_m2=size.area_m2,
+        area_ci95_low_m2=size.area_interval and size.area_interval.low,
+        area_ci95_high_m2=size.area_interval and size.area_interval.high,
         confidence=None if estimate is None else estimate.confidence,
         gsd_m_per_px=gsd,
         n_vehicles=None if estimate is None else estimate.n_vehicles,
         mode_length_px=None if estimate is None else estimate.mode_length_px,
-        scale_source=_source(estimate),
+        scale_source="given" if estimate is None else "estimated",
         mask_area_px=n_px,
         mask_score=found.score,
         perimeter_m=measured and outline_px * measured,
         length_m=measured and length_px * measured,
         width_m=measured and width_px * measured,
-        inscribed_diameter_m=diameter,
-        inscribed_diameter_ci95_low_m=diameter_interval and diameter_interval.low,
-        inscribed_diameter_ci95_high_m=diameter_interval and diameter_interval.high,
+        inscribed_diameter_m=size.diameter_m,
+        inscribed_diameter_ci95_low_m=size.diameter_interval and size.diameter_interval.low,
+        inscribed_diameter_ci95_high_m=size.diameter_interval and size.diameter_interval.high,
         inscribed_center=None if circle is None else ImagePoint(x_px=circle.x + left, y_px=circle.y + top),
         bounding_box=box,
         outline=_outline(mask, left, top),
@@ -372,8 +369,27 @@ def _conclude(
     )
 
 
-def _source(estimate: GsdEstimate | None) -> ScaleSource:
-    return "given" if estimate is None else "estimated"
+class _Size(NamedTuple):
+    """Area and inscribed circle in metres with their 95 % intervals; None without a scale or a mask."""
+
+    area_m2: float | None = None
+    area_interval: Interval | None = None
+    diameter_m: float | None = None
+    diameter_interval: Interval | None = None
+
+
+def _size(
+    n_px: int, outline_px: float, diameter_px: float, gsd: float, scale_log_sd: float, mask_log_sd: float
+) -> _Size:
+    """``A = N_px * GSD^2`` (paper, section III-G), and the largest circle inside."""
+    area, diameter = n_px * gsd**2, diameter_px * gsd
+    diameter_log_sd = _diameter_log_sd(mask_log_sd, n_px, outline_px, diameter_px)
+    return _Size(
+        area,
+        _interval(area, math.hypot(2 * scale_log_sd, mask_log_sd)),
+        diameter,
+        _interval(diameter, math.hypot(scale_log_sd, diameter_log_sd)),
+    )
 
 
 def _status(gsd: float | None, estimate: GsdEstimate | None, score: float, card: SegmenterCard, n_px: int) -> Status:

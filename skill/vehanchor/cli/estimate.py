@@ -77,32 +77,40 @@ def estimate(
                 for source in images:
                     print_json(failure(source, error))
             raise
-        rows: list[tuple[str, GsdEstimate]] = []
-        n_failed = 0
-        with tile_progress(len(images), lines_on_terminal=as_json and sys.stdout.isatty()) as step:
-            for number, source in enumerate(images):
-                try:
-                    analysis = _analyse(source, options, model, step(number, source))
-                except VehAnchorError as error:
-                    n_failed += 1
-                    report(error, source if len(images) > 1 else "")
-                    if as_json:
-                        print_json(failure(source, error))
-                    continue
-                if as_json:
-                    print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
-                rows.append((source, analysis.estimate))
-                try:
-                    _write_pictures(source, analysis, options, outputs[number])
-                except VehAnchorError as error:
-                    n_failed += 1
-                    report(error, source if len(images) > 1 else "")
+        rows, n_failed = _estimate_all(images, options, model, outputs, as_json=as_json)
         if rows and not as_json:
             print_table(_summary_table(rows) if len(images) > 1 else _estimate_table(*rows[0]))
             for source, record in rows:
                 print_warnings(record, source if len(images) > 1 else "")
         if n_failed:
             raise typer.Exit(BAD_INPUT)
+
+
+def _estimate_all(
+    images: Sequence[str], options: ScaleOptions, model: Detector, outputs: Sequence[_Outputs], *, as_json: bool
+) -> tuple[list[tuple[str, GsdEstimate]], int]:
+    """Records of the images that could be read, and how many errors were reported."""
+    rows: list[tuple[str, GsdEstimate]] = []
+    n_failed = 0
+    with tile_progress(len(images), lines_on_terminal=as_json and sys.stdout.isatty()) as step:
+        for number, source in enumerate(images):
+            try:
+                analysis = _analyse(source, options, model, step(number, source))
+            except VehAnchorError as error:
+                n_failed += 1
+                report(error, source if len(images) > 1 else "")
+                if as_json:
+                    print_json(failure(source, error))
+                continue
+            if as_json:
+                print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
+            rows.append((source, analysis.estimate))
+            try:
+                _write_pictures(source, analysis, options, outputs[number])
+            except VehAnchorError as error:
+                n_failed += 1
+                report(error, source if len(images) > 1 else "")
+    return rows, n_failed
 
 
 @dataclass(frozen=True)

@@ -33,10 +33,10 @@ __all__ = [
     "Calibration",
     "ReferenceLength",
     "SurveyedImage",
+    "as_calibration",
     "calibrate",
     "length_density",
     "load_calibration",
-    "as_calibration",
     "reference_length",
     "save_calibration",
 ]
