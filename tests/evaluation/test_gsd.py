@@ -20,13 +20,14 @@ from vehanchor.cli import app as cli
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ImageTooLargeError, InvalidParameterError, OutputError
-from vehanchor.estimate import ScaleOptions, analyse_scale
+from vehanchor.estimate import analyse_scale
+from vehanchor.options import Lengths, Reference, ScaleOptions, Search
 from vehanchor_evaluation import search
 from vehanchor_evaluation.dota import labelled_boxes, survey_dota
 from vehanchor_evaluation.geotiff import survey_geotiffs
 from vehanchor_evaluation.gsd import summarise_errors
 from vehanchor_evaluation.known_scale import FileIssue
-from vehanchor_evaluation.search import DetectionLog, search_images, search_settings
+from vehanchor_evaluation.search import DetectionLog, open_detection_log, search_images
 from vehanchor_evaluation.table import survey_table
 from vehanchor_scenes import render_scene
 
@@ -222,7 +223,7 @@ def test_the_true_scale_of_a_geotiff_is_corrected_for_its_latitude(tmp_path: Pat
 
 
 def _log(path: Path, model: Detector) -> DetectionLog:
-    return DetectionLog(path, search_settings(model, ScaleOptions()))
+    return open_detection_log(path, model, ScaleOptions())
 
 
 @pytest.fixture
@@ -231,9 +232,9 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     names: list[str] = []
     whole = search._search
 
-    def counting(file: Path, *arguments: Any) -> Any:
+    def counting(file: Path, **arguments: Any) -> Any:
         names.append(file.name)
-        return whole(file, *arguments)
+        return whole(file, **arguments)
 
     monkeypatch.setattr(search, "_search", counting)
     return names
@@ -252,7 +253,7 @@ def test_an_interrupted_search_goes_on_where_it_stopped(tmp_path: Path, detector
     log = tmp_path / "deep" / "log.jsonl"
     with pytest.raises(KeyboardInterrupt):
         list(search_images(files, model, ScaleOptions(), log=_log(log, model), progress=interrupt))
-    kept = len(log.read_text().splitlines())
+    kept = len(log.read_text().splitlines()) - 1  # after the settings
     assert 2 <= kept <= 3
     log.write_bytes(log.read_bytes()[:-40])  # and the machine went down while it was writing
     counted.clear()
@@ -274,17 +275,16 @@ def test_a_search_is_repeated_for_other_settings_and_for_changed_files(
 ) -> None:
     file, log, model = tmp_path / "a.png", tmp_path / "log.jsonl", Detector(detector)
     _paint(file, _cars(20))
-    plain, strict = ScaleOptions(), ScaleOptions(min_score=0.95)
-    other_half = ScaleOptions(alpha=None, aggregation="mean", reference_length_m=4.0)
-    assert search_settings(model, plain) == search_settings(model, other_half)
-    assert search_settings(model, plain) != search_settings(model, plain, ["car"])
-    for options, n_searches in ((plain, 1), (plain, 1), (strict, 2), (plain, 2), (strict, 2)):
-        (result,) = dict(
-            search_images([file], model, options, log=DetectionLog(log, search_settings(model, options)))
-        ).values()
+    plain, strict = ScaleOptions(), ScaleOptions(search=Search(min_score=0.95))
+    other_half = ScaleOptions(lengths=Lengths("mean", None), reference=Reference(4.0))
+    for options, n_searches in ((plain, 1), (plain, 1), (other_half, 1), (strict, 2), (plain, 2), (strict, 2)):
+        found = search_images([file], model, options, log=open_detection_log(log, model, options))
+        ((_, result),) = found
         assert not isinstance(result, FileIssue)
-        assert len(result.detections.boxes) == (12 if options is plain else 0)
+        assert len(result.detections.boxes) == (0 if options is strict else 12)
         assert len(counted) == n_searches
+    assert len(open_detection_log(log, model, plain)) == 1
+    assert len(open_detection_log(log, model, plain, ["car"])) == 0
     _paint(file, _cars(20, 3))
     (result,) = dict(search_images([file], model, plain, log=_log(log, model))).values()
     assert not isinstance(result, FileIssue)
@@ -305,12 +305,14 @@ def test_an_unreadable_image_is_an_issue_and_is_tried_again(tmp_path: Path, dete
     assert not any(isinstance(item, FileIssue) for item in found.values())
 
 
-def test_a_log_that_cannot_be_used_is_told(tmp_path: Path) -> None:
+def test_a_log_that_cannot_be_used_is_told(tmp_path: Path, detector: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="cannot use"):
-        DetectionLog(tmp_path / "file" / "log.jsonl", "")
-    with pytest.raises(OutputError, match="cannot use"):
-        DetectionLog(tmp_path, "")
+    for path in (tmp_path / "file" / "log.jsonl", tmp_path):
+        with pytest.raises(OutputError, match="cannot keep results"):
+            _log(path, Detector(detector))
+    (tmp_path / "notes.txt").write_text("not a log")
+    with pytest.raises(InvalidParameterError, match="no line of a journal"):
+        _log(tmp_path / "notes.txt", Detector(detector))
 
 
 # --- The commands
@@ -406,7 +408,7 @@ def test_the_ablation_repeats_the_second_half_with_one_choice_changed(tmp_path: 
         return float(table[choice, setting, boxes]["median"])
 
     def expected(**options: Any) -> float:
-        chosen = ScaleOptions(**options)
+        chosen = ScaleOptions.of(options)
         found = analyse_scale(tmp_path / "images" / "a.png", chosen, detector=detector).estimate.gsd_m_per_px
         assert found is not None
         return abs(found / truth - 1)

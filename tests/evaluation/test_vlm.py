@@ -21,7 +21,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor_evaluation.rs_gsd import Recipe, build_benchmark, load_benchmark
 from vehanchor_evaluation.stated_area import read_area
 from vehanchor_evaluation.vlm import HINT, QUESTION, SYSTEM, draw_question
-from vehanchor_evaluation.vlm_api import Budget, BudgetSpentError, ReplyCache, open_api
+from vehanchor_evaluation.vlm_api import Budget, BudgetSpentError, open_api, reply_journal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -308,8 +308,8 @@ def test_replies_are_kept_and_never_asked_for_twice(run: Any, service: ModelServ
     assert run("--hint").exit_code == 0
     assert len(service.requests) == 6
     whole = Path("out/vlm.csv").read_text()
-    damaged = sorted(Path("out/replies").iterdir())[0]
-    damaged.write_text("{")
+    replies = Path("out/replies.jsonl")
+    replies.write_bytes(replies.read_bytes()[:-30])  # a crash in the middle of a line
     assert run().exit_code == 0
     assert run("--hint").exit_code == 0
     assert len(service.requests) == 7
@@ -384,17 +384,17 @@ def test_a_compatible_service_needs_no_key_but_its_address(
     service: ModelService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("OPENAI_API_KEY")
-    cache = ReplyCache(tmp_path)
-    api = open_api("openai-compatible", "qwen", cache, Budget(), base_url=service.url + "/v1")
+    replies = reply_journal(tmp_path)
+    api = open_api("openai-compatible", "qwen", replies, Budget(), base_url=service.url + "/v1")
     assert api.ask("s", api.first_messages("s", "t", jpeg())).text == "AREA=100"
     with pytest.raises(InvalidParameterError, match="--base-url"):
-        open_api("openai-compatible", "qwen", cache, Budget())
+        open_api("openai-compatible", "qwen", replies, Budget())
 
 
 @pytest.mark.parametrize("url", ["http://user:pass@host/v1", "https://host/v1?key=5", "host:8000"])
 def test_an_address_with_a_secret_in_it_is_refused(tmp_path: Path, url: str) -> None:
     with pytest.raises(InvalidParameterError, match="come from the environment"):
-        open_api("openai-compatible", "qwen", ReplyCache(tmp_path), Budget(), base_url=url)
+        open_api("openai-compatible", "qwen", reply_journal(tmp_path), Budget(), base_url=url)
 
 
 def jpeg() -> str:
@@ -409,7 +409,7 @@ def test_a_missing_client_names_the_extra(tmp_path: Path, monkeypatch: pytest.Mo
     for name in ("ANTHROPIC_API_KEY", "OPENAI_API_KEY"):
         monkeypatch.setenv(name, KEY)
     with pytest.raises(ImportError, match=r"pip install 'vehanchor\[examples\]'"):
-        open_api(provider, "m", ReplyCache(tmp_path), Budget(), base_url="http://127.0.0.1:9")
+        open_api(provider, "m", reply_journal(None), Budget(), base_url="http://127.0.0.1:9")
 
 
 # --- The agent -------------------------------------------------------------------------------------------------------
