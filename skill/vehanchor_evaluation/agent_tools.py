@@ -1,8 +1,7 @@
 """Tools that a language model may use while it is evaluated; whoever has them registers an entry point.
 
 The evaluation knows no server. A distribution with tools names, in the group ``vehanchor.agent_tools``, a function
-``(roots, *, detector, segmenter)`` that returns a context manager of a ``ToolCaller``; VehAnchor's own server is there
-as ``server``.
+``(roots, *, detector, segmenter)`` that returns a context manager of a ``ToolCaller``; VehAnchor's own server does so.
 """
 
 from __future__ import annotations
@@ -17,10 +16,9 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
     from pathlib import Path
 
-__all__ = ["GROUP", "SERVER", "ToolCaller", "ToolsFactory", "open_agent_tools"]
+__all__ = ["GROUP", "ToolCaller", "ToolsFactory", "open_agent_tools"]
 
 GROUP = "vehanchor.agent_tools"
-SERVER = "server"
 
 
 class ToolCaller(Protocol):
@@ -48,31 +46,28 @@ class ToolsFactory(Protocol):
 
 
 def open_agent_tools(
-    roots: Sequence[Path],
-    *,
-    detector: str | None = None,
-    segmenter: tuple[Path, Path] | None = None,
-    name: str = SERVER,
+    roots: Sequence[Path], *, detector: str | None = None, segmenter: tuple[Path, Path] | None = None
 ) -> AbstractContextManager[ToolCaller]:
-    """Open the tools that are installed under a name.
+    """Open the tools that are installed; of several the first by name.
 
     Args:
         roots: folders whose images the tools may read.
         detector: path or name of a model; None for the bundled one.
         segmenter: paths of encoder and decoder; None for the bundled one.
-        name: of the entry point.
 
     Raises:
-        MissingExtraError: nothing is installed under that name, or it cannot be loaded.
+        MissingExtraError: there are none, or they cannot be loaded.
     """
-    registered = next(iter(entry_points(group=GROUP, name=name)), None)
-    if registered is None:
+    registered = sorted(entry_points(group=GROUP), key=lambda point: point.name)
+    if not registered:
         raise MissingExtraError(
-            f"an agent needs tools, and none are installed as {name!r} (entry points of {GROUP!r}): install vehanchor "
-            "with its server, or run without --agent"
+            f"--agent needs tools for models, and no installed package has any (entry points of {GROUP!r}): install "
+            "vehanchor with its server"
         )
     try:
-        factory: ToolsFactory = registered.load()
+        factory: ToolsFactory = registered[0].load()
     except (ImportError, AttributeError) as error:
-        raise MissingExtraError(f"the tools {registered.value!r} cannot be loaded ({error}): reinstall them") from None
+        raise MissingExtraError(
+            f"--agent needs tools for models, and {registered[0].value!r} cannot be loaded ({error}): reinstall them"
+        ) from None
     return factory(roots, detector=detector, segmenter=segmenter)

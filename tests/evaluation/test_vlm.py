@@ -4,6 +4,7 @@ import csv
 import json
 import re
 import time
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -431,3 +432,16 @@ def test_what_a_tool_refuses_is_told_to_the_model(run: Any, data: Path, service:
     assert len(results) == 3
     assert "/etc/passwd" in results[0] or "not" in results[0]
     assert all(results)
+
+
+@pytest.mark.parametrize(
+    "declared", [[], [EntryPoint("tools", "no_such_package.tools:open_tools", "vehanchor.agent_tools")]]
+)
+def test_an_agent_without_tools_to_give_it_is_told_so(
+    run: Any, service: ModelService, monkeypatch: pytest.MonkeyPatch, declared: list[EntryPoint]
+) -> None:
+    monkeypatch.setattr("vehanchor_evaluation.agent_tools.entry_points", lambda group: declared)
+    result = run("--agent", "--limit", 1)
+    assert result.exit_code == 2
+    assert "error[missing_extra]: --agent needs tools for models" in result.stderr
+    assert not service.requests
