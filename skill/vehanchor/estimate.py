@@ -27,7 +27,7 @@ from vehanchor.scale.reference import reference_length
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
     from typing import Unpack
 
     import numpy as np
@@ -60,16 +60,13 @@ class ScaleAnalysis:
 
     Attributes:
         estimate: the record.
-        evidence: of every ruler, vehicles first.
+        vehicles: their evidence, that of those that were dropped included.
+        others: the evidence of the other rulers.
     """
 
     estimate: GsdEstimate
-    evidence: tuple[VehicleEvidence, *tuple[Evidence, ...]]
-
-    @property
-    def vehicles(self) -> VehicleEvidence:
-        """What the vehicles say, those that were dropped included."""
-        return self.evidence[0]
+    vehicles: VehicleEvidence
+    others: tuple[Evidence, ...] = ()
 
     @property
     def detections(self) -> Sighting:
@@ -211,15 +208,14 @@ def analyse_sighting(view: View) -> ScaleAnalysis:
         InvalidParameterError: the model does not know the region.
         CalibrationMismatchError: the calibration was made for another model.
     """
-    evidence = (Vehicles().look(view), *(ruler.look(view) for ruler in OTHER_ANCHORS))
-    return ScaleAnalysis(conclude(evidence, view), evidence)
+    vehicles, others = Vehicles().look(view), tuple(ruler.look(view) for ruler in OTHER_ANCHORS)
+    return ScaleAnalysis(conclude(vehicles, others, view), vehicles, others)
 
 
-def conclude(evidence: tuple[VehicleEvidence, *tuple[Evidence, ...]], view: View) -> GsdEstimate:
+def conclude(vehicles: VehicleEvidence, others: Iterable[Evidence], view: View) -> GsdEstimate:
     """Conclude from the evidence to the caller's record; nothing else is computed here."""
-    vehicles, image = evidence[0], view.image
-    gsd, interval = vehicles.gsd_m_per_px, vehicles.interval
-    warnings = [*image.notices, *(notice for each in evidence for notice in each.notices)]
+    image, gsd, interval = view.image, vehicles.gsd_m_per_px, vehicles.interval
+    warnings = [*image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
     if gsd is not None:
         warnings += georeference_notice(image.georeference_gsd_m_per_px, gsd, "the vehicles say")
     confident = vehicles.confidence >= FALLBACK_CONFIDENCE

@@ -54,8 +54,7 @@ class _Shadow:
 def test_a_ruler_in_the_registry_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vehanchor.estimate.OTHER_ANCHORS", (_Shadow(),))
     analysis = analyse_sighting(_view(_LENGTHS))
-    assert [each.kind for each in analysis.evidence] == ["vehicles", "shadow"]
-    assert analysis.evidence[1].gsd_m_per_px == 0.125
+    assert [(each.kind, each.gsd_m_per_px) for each in analysis.others] == [("shadow", 0.125)]
     assert [notice.code for notice in analysis.estimate.warnings] == ["shadow_short"]
 
 
