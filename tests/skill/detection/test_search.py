@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.analyses import analyse_found
@@ -75,7 +75,6 @@ def _fleet(mean: float, n: int = 30) -> list[float]:
     st.tuples(st.floats(5, 20), st.floats(40, 200)),
     st.floats(1, 1600),
 )
-@settings(deadline=None)
 def test_every_length_counts_at_some_level_and_at_two_around_their_border(
     width: int, height: int, length_range: tuple[float, float], length: float
 ) -> None:
@@ -216,7 +215,6 @@ def _analysis(detector: Detector, groups: list[tuple[float, int, float, float]],
     st.lists(st.tuples(st.floats(5, 900), st.floats(0.01, 1)), min_size=1, max_size=60),
     st.randoms(use_true_random=False),
 )
-@settings(deadline=None)
 def test_the_dominant_group_is_a_fleet_whatever_the_order(found: list[tuple[float, float]], order: Any) -> None:
     lengths, weights = (np.array(column) for column in zip(*found, strict=True))
     group = dominant_group(lengths, weights)

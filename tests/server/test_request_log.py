@@ -11,8 +11,8 @@ import pytest
 from mcp import Client
 from mcp.server import MCPServer
 
-from tests.server.tools.test_tools import by_path
-from vehanchor_server.transport.request_log import JsonFormatter, configure_logging
+from tests.server.conversation import by_path
+from vehanchor_server.request_log import JsonFormatter, configure_logging
 
 
 def lines_of(caplog: pytest.LogCaptureFixture) -> list[dict[str, Any]]:

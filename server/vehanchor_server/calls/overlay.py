@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster, Window
-    from vehanchor_server.tools.capacity import Stop
+    from vehanchor_server.calls.capacity import Stop
 
 __all__ = ["MAX_PICTURE_BYTES", "overlay_jpeg"]
 

@@ -1,4 +1,4 @@
-"""How much runs at once, for how long, and how it is stopped.
+"""Places for calls: how much runs at once, for how long, and how it is stopped.
 
 A call has a place from the moment it is accepted until its worker thread has ended, so that what a cancelled call still
 computes counts as well. There is no queue: over capacity a call is refused at once, and its caller knows.
@@ -67,7 +67,7 @@ class Stop:
 
 @dataclass(frozen=True)
 class _Outcome(Generic[T]):
-    """What a worker thread ended with; carried as a value, so that no exception meets a cancellation on the way."""
+    """The end of a worker thread's work; carried as a value, so that no exception meets a cancellation on the way."""
 
     value: T | None = None
     error: Exception | None = None

@@ -6,8 +6,8 @@ import time
 import anyio
 import pytest
 
+from vehanchor_server.calls.capacity import Capacity, Stop
 from vehanchor_server.errors import CallError
-from vehanchor_server.tools.capacity import Capacity, Stop
 
 pytestmark = pytest.mark.anyio
 

@@ -13,7 +13,7 @@ from opentelemetry.sdk.trace.export import SimpleSpanProcessor
 from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanExporter
 
 from tests.server.conftest import POOL_BOX
-from tests.server.tools.test_tools import by_path
+from tests.server.conversation import by_path
 
 pytestmark = pytest.mark.anyio
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import onnxruntime
     from mcp.server.mcpserver import Context
 
-    from vehanchor_server.tools.capacity import Stop
+    from vehanchor_server.calls.capacity import Stop
 
 __all__ = ["PERCENT_DONE", "PERCENT_READ", "PERCENT_SEARCHED", "Job"]
 
@@ -23,7 +23,7 @@ _tracer = trace.get_tracer("vehanchor_server")
 
 
 class Job:
-    """What a call's work reports to; a context manager that ends the last stage.
+    """One call's work as it reports on itself; a context manager that ends the last stage.
 
     Args:
         ctx: of the call.

@@ -10,12 +10,12 @@ from typing import Any
 from mcp.server.mcpserver import Context
 from mcp.server.mcpserver.exceptions import ToolError, UnexpectedToolError
 from mcp.server.mcpserver.tools import Tool
-from mcp.types import CallToolResult
+from mcp.types import CallToolResult, ToolAnnotations
 from pydantic import ValidationError
 
 from vehanchor_server.errors import CallError
+from vehanchor_server.request_log import log_call
 from vehanchor_server.tools.portable_schema import portable_schema
-from vehanchor_server.transport.request_log import log_call
 
 __all__ = ["StrictTool"]
 
@@ -33,9 +33,22 @@ class StrictTool(Tool):
     """The SDK's tool, made strict."""
 
     @classmethod
-    def strict(cls, fn: Callable[..., Any], **options: Any) -> StrictTool:
-        """A tool from a function, as ``Tool.from_function``, whose schemas every host can read."""
-        tool = cls.from_function(fn, **options)
+    def read_only(
+        cls, function: Callable[..., Any], *, title: str, description: str, meta: dict[str, Any] | None = None
+    ) -> StrictTool:
+        """A tool that only looks: it changes nothing, and the same call gives the same answer.
+
+        Args:
+            function: named as the tool; its parameters and result are the contract, as for ``Tool.from_function``, and
+                become schemas that every host can read.
+            title: for people.
+            description: for planners; clients keep 2 KB of it.
+            meta: its ``_meta``.
+        """
+        annotations = ToolAnnotations(
+            title=title, read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False
+        )
+        tool = cls.from_function(function, title=title, description=description, annotations=annotations, meta=meta)
         assert isinstance(tool, StrictTool)
         arguments = tool.fn_metadata.arg_model
         arguments.model_config["extra"] = "forbid"  # the SDK would drop unknown arguments without a word
@@ -75,7 +88,7 @@ class StrictTool(Tool):
 
 
 def _complaints(error: ValidationError) -> str:
-    """What is wrong with the arguments, without the values: an image in base64 is no help to anyone."""
+    """The arguments' faults, without the values: an image in base64 is no help to anyone."""
     found = error.errors(include_url=False, include_context=False, include_input=False)
     lines = []
     for complaint in found[:_MAX_COMPLAINTS]:

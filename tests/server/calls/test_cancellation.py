@@ -12,13 +12,13 @@ import pytest
 from mcp import Client
 
 from tests.sam_models import SamFiles
+from tests.server.calls.slow_models import weighed_down
 from tests.server.conftest import POOL_BOX
-from tests.server.slow_models import weighed_down
-from tests.server.tools.test_tools import ERAS, by_path, error_of, text_of
+from tests.server.conversation import ERAS, by_path, error_of, text_of
 from tests.server.transport.test_http import served
-from vehanchor_server.app import create_server, create_services
+from vehanchor_server.app import create_server
+from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings
-from vehanchor_server.tools.registry import Services
 
 pytestmark = [pytest.mark.anyio, pytest.mark.slow]
 
