@@ -5,11 +5,29 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vehanchor.detection.detector import Detections, DetectorCard
-from vehanchor.estimate import ScaleAnalysis, ScaleOptions, scale_from_detections
-from vehanchor.options import Aggregation
+from vehanchor.anchors.evidence import ImageFacts, View
+from vehanchor.detection.card import DetectorCard
+from vehanchor.detection.sighting import Sighting
+from vehanchor.estimate import ScaleAnalysis, analyse_sighting
+from vehanchor.options import Aggregation, ScaleOptions
 
-__all__ = ["make_analysis"]
+__all__ = ["analyse_found", "made_card", "make_analysis"]
+
+
+def made_card(reference_length_m: float = 5.045, min_length_px: float = 0.0) -> DetectorCard:
+    """The card of a detector that there is not."""
+    return DetectorCard(
+        name="test",
+        sha256="0" * 64,
+        class_names={0: "small vehicle"},
+        reference_length_m=reference_length_m,
+        reference_length_sd_m=0.2,
+        region_lengths_m={},
+        length_range_px=(9.0, 120.0),
+        min_length_px=min_length_px,
+        min_score=0.1,
+        licence=None,
+    )
 
 
 def make_analysis(
@@ -22,22 +40,24 @@ def make_analysis(
     min_length_px: float = 0.0,
 ) -> ScaleAnalysis:
     """The analysis of an image in which a detector found ``boxes``, all with score 0.8."""
-    card = DetectorCard(
-        name="test",
-        sha256="0" * 64,
-        class_names={0: "small vehicle"},
-        reference_length_m=reference_length_m,
-        reference_length_sd_m=0.2,
-        region_lengths_m={},
-        length_range_px=(9.0, 120.0),
-        min_length_px=min_length_px,
-        min_score=0.1,
-        licence=None,
-    )
-    return scale_from_detections(
-        Detections(boxes, np.full(len(boxes), 0.8)),
-        card,
-        ScaleOptions(aggregation=aggregation),
+    return analyse_found(
+        Sighting(boxes, np.full(len(boxes), 0.8)),
+        made_card(reference_length_m, min_length_px),
+        ScaleOptions.of({"aggregation": aggregation}),
         image_width_px=width_px,
         image_height_px=height_px,
     )
+
+
+def analyse_found(
+    found: Sighting,
+    card: DetectorCard,
+    options: ScaleOptions | None = None,
+    *,
+    image_width_px: int,
+    image_height_px: int,
+    resolved: float = 1.0,
+) -> ScaleAnalysis:
+    """The second half of the skill, on vehicles that a test has made up."""
+    image = ImageFacts(image_width_px, image_height_px)
+    return analyse_sighting(View(image, found, card, options or ScaleOptions(), lambda *_: resolved))

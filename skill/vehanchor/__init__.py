@@ -18,24 +18,41 @@ from typing import TYPE_CHECKING, Any
 from vehanchor.errors import VehAnchorError
 
 if TYPE_CHECKING:
-    from vehanchor.detection.detector import Detections, Detector
-    from vehanchor.estimate import ScaleAnalysis, ScaleOptions, analyse_scale, estimate_gsd
+    from vehanchor.detection.detector import Detector
+    from vehanchor.estimate import ScaleAnalysis, analyse_scale, estimate_gsd
     from vehanchor.measure import AreaAnalysis, analyse_area, measure_area
-    from vehanchor.options import ImageLimits
+    from vehanchor.options import Frame, ImageLimits, Lengths, Reading, Reference, ScaleOptions, Search
     from vehanchor.records import AreaMeasurement, GsdEstimate
     from vehanchor.scale.calibration import Calibration, load_calibration
     from vehanchor.segmentation.segmenter import Segmenter
+
+_LAZY = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
+    "detection.detector": ("Detector",),
+    "estimate": ("ScaleAnalysis", "analyse_scale", "estimate_gsd"),
+    "measure": ("AreaAnalysis", "analyse_area", "measure_area"),
+    "options": ("Frame", "ImageLimits", "Lengths", "Reading", "Reference", "ScaleOptions", "Search"),
+    "records": ("AreaMeasurement", "GsdEstimate"),
+    "scale.calibration": ("Calibration", "load_calibration"),
+    "segmentation.segmenter": ("Segmenter",),
+}
+_HOME = {name: module for module, names in _LAZY.items() for name in names}
+
+__version__ = version("vehanchor")
 
 __all__ = [
     "AreaAnalysis",
     "AreaMeasurement",
     "Calibration",
-    "Detections",
     "Detector",
+    "Frame",
     "GsdEstimate",
     "ImageLimits",
+    "Lengths",
+    "Reading",
+    "Reference",
     "ScaleAnalysis",
     "ScaleOptions",
+    "Search",
     "Segmenter",
     "VehAnchorError",
     "__version__",
@@ -46,30 +63,10 @@ __all__ = [
     "measure_area",
 ]
 
-__version__ = version("vehanchor")
-
-_LAZY = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
-    "AreaAnalysis": "measure",
-    "AreaMeasurement": "records",
-    "Calibration": "scale.calibration",
-    "Detections": "detection.detector",
-    "Detector": "detection.detector",
-    "GsdEstimate": "records",
-    "ImageLimits": "options",
-    "ScaleAnalysis": "estimate",
-    "ScaleOptions": "estimate",
-    "Segmenter": "segmentation.segmenter",
-    "analyse_area": "measure",
-    "analyse_scale": "estimate",
-    "estimate_gsd": "estimate",
-    "load_calibration": "scale.calibration",
-    "measure_area": "measure",
-}
-
 
 def __getattr__(name: str) -> Any:
-    if name in _LAZY:
-        return getattr(importlib.import_module(f"vehanchor.{_LAZY[name]}"), name)
+    if name in _HOME:
+        return getattr(importlib.import_module(f"vehanchor.{_HOME[name]}"), name)
     raise AttributeError(f"module 'vehanchor' has no attribute {name!r}")
 
 

@@ -9,39 +9,29 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, PromptError
-from vehanchor.estimate import (
-    DEFAULT_LIMITS,
-    GEOREFERENCE_TOLERANCE,
-    ScaleOptions,
-    analyse_raster,
-    check_frame,
-    open_detector,
-    raster_notices,
-)
+from vehanchor.estimate import analyse_raster, georeference_notice, image_facts, open_detector
 from vehanchor.imagery.raster import open_raster
 from vehanchor.models.zoo import resolve_segmenter
-from vehanchor.options import NMS_IOU, OUTLIER_ALPHA
+from vehanchor.options import ScaleOptions
 from vehanchor.records import (
     AreaMeasurement,
     BoundingBox,
     FrameArea,
     ImagePoint,
-    Notice,
     OutlinePolygon,
     OutlineRing,
 )
-from vehanchor.scale.calibration import opened_calibration
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
 from vehanchor.scale.lengths import Interval
+from vehanchor.segmentation.doubts import mask_notices
 from vehanchor.segmentation.segmenter import Prompt, Segmenter, load_segmenter
 from vehanchor.segmentation.shape import (
     inscribed_circle,
     mask_bounds,
-    mask_pieces,
     outline_parts,
     perimeter,
     rotated_extents,
@@ -50,7 +40,7 @@ from vehanchor.segmentation.shape import (
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Sequence
-    from typing import TypeAlias
+    from typing import TypeAlias, Unpack
 
     import numpy as np
     import onnxruntime
@@ -58,9 +48,8 @@ if TYPE_CHECKING:
 
     from vehanchor.estimate import ScaleAnalysis
     from vehanchor.imagery.raster import ImageSource, Raster
-    from vehanchor.options import Aggregation, ImageLimits
-    from vehanchor.records import GsdEstimate, ScaleSource, Status
-    from vehanchor.scale.calibration import Calibration
+    from vehanchor.options import Frame, OptionKeywords
+    from vehanchor.records import GsdEstimate, Status
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
 
     Box: TypeAlias = tuple[float, float, float, float]
@@ -70,8 +59,6 @@ if TYPE_CHECKING:
 __all__ = ["AreaAnalysis", "analyse_area", "measure_area"]
 
 MIN_BOX_PX = 2.0
-SMALL_TARGET_PX = 15.0  # the bundled segmenter is measured on objects from this side up
-_OUTSIDE_SHARE = 0.10  # of the mask: a box drawn 5 % off a side leaves about as much outside
 _Z95 = 1.959963984540054
 _CUT_EDGE_PX = 1.0  # the frame's rounding: a prompt may be this far (in its pixels) outside
 
@@ -103,20 +90,7 @@ def measure_area(
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
-    min_score: float | None = None,
-    tile_px: int | None = None,
-    stride_px: int | None = None,
-    nms_iou: float = NMS_IOU,
-    search_scales: bool | None = None,
-    alpha: float | None = OUTLIER_ALPHA,
-    aggregation: Aggregation | None = None,
-    reference_length_m: float | None = None,
-    region: str | None = None,
-    calibration: Calibration | str | os.PathLike[str] | None = None,
-    frame_width_px: int | None = None,
-    frame_height_px: int | None = None,
-    bands: tuple[int, int, int] | None = None,
-    limits: ImageLimits = DEFAULT_LIMITS,
+    **options: Unpack[OptionKeywords],
 ) -> AreaMeasurement:
     """Measure the area of the object in a box or at a point, ``A = N_px * GSD^2`` (paper, section III-G).
 
@@ -131,20 +105,7 @@ def measure_area(
         detector: as in ``estimate_gsd``.
         threads: CPU threads for the models; None leaves it to ONNX Runtime. Ignored for loaded ones.
         progress: called with (tiles done, tiles in all) while vehicles are searched.
-        min_score: see ``ScaleOptions``, as all that follow.
-        tile_px: tile side, pixels.
-        stride_px: step between tiles, pixels.
-        nms_iou: IoU of the non-maximum suppression.
-        search_scales: search reduced copies of the image, too.
-        alpha: factor of the outlier filter, None for off.
-        aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean``; None for the model's choice.
-        reference_length_m: the fleet's modal vehicle length, metres.
-        region: take the model's reference length for a region.
-        calibration: take the reference length of a calibration, or of its file.
-        frame_width_px: width of the caller's resized copy.
-        frame_height_px: its height.
-        bands: three 1-based bands.
-        limits: limits on bytes and pixels.
+        **options: as in ``estimate_gsd``; the frame is that of the prompt, too.
 
     Returns:
         The record; ``area_m2`` is None, never a guess, where there is no scale.
@@ -157,25 +118,9 @@ def measure_area(
         FrameError: the frame has another aspect ratio than the image.
         CalibrationError: the calibration cannot be read, or was made for another detector.
     """
-    options = ScaleOptions(
-        min_score=min_score,
-        tile_px=tile_px,
-        stride_px=stride_px,
-        nms_iou=nms_iou,
-        search_scales=search_scales,
-        alpha=alpha,
-        aggregation=aggregation,
-        reference_length_m=reference_length_m,
-        region=region,
-        calibration=opened_calibration(calibration),
-        frame_width_px=frame_width_px,
-        frame_height_px=frame_height_px,
-        bands=bands,
-        limits=limits,
-    )
     return analyse_area(
         image,
-        options,
+        ScaleOptions.of(options),
         box=box,
         points=points,
         gsd_m_per_px=gsd_m_per_px,
@@ -225,7 +170,7 @@ def analyse_area(
         raise InvalidParameterError(f"gsd_m_per_px is {gsd_m_per_px}: use a finite number > 0")
     segmenting = _open_segmenter(segmenter, threads)
     scale = gsd_m_per_px or open_detector(detector, chosen, threads=threads)
-    with open_raster(image, bands=chosen.bands, limits=chosen.limits) as raster:
+    with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits) as raster:
         return analyse_object(raster, prompt, segmenting, scale, chosen, progress=progress, run_options=run_options)
 
 
@@ -256,10 +201,10 @@ def analyse_object(
     Raises:
         VehAnchorError: as ``measure_area``.
     """
-    check_frame(options, raster.width_px, raster.height_px)
-    prompt = _in_image(prompt, options, raster.width_px, raster.height_px)
+    options.frame.check(raster.width_px, raster.height_px)
+    prompt = _in_image(prompt, options.frame, raster.width_px, raster.height_px)
     # The mask first: it is the quicker of the two to find out that the prompt cannot be read.
-    found = segmenter.segment(raster, prompt, limits=options.limits, run_options=run_options)
+    found = segmenter.segment(raster, prompt, limits=options.reading.limits, run_options=run_options)
     known_gsd = estimated = None
     if isinstance(scale, Detector):
         estimated = analyse_raster(raster, scale, options, progress=progress, run_options=run_options)
@@ -326,7 +271,7 @@ def _numbers(values: Sequence[float]) -> str:
     return ", ".join(f"{value:g}" for value in values)
 
 
-def _in_image(given: Prompt, options: ScaleOptions, width_px: int, height_px: int) -> Prompt:
+def _in_image(given: Prompt, frame: Frame, width_px: int, height_px: int) -> Prompt:
     """The prompt in pixels of the full image, checked against it.
 
     What is outside by less than a pixel of the frame, as rounding can bring about, is pulled in.
@@ -334,9 +279,9 @@ def _in_image(given: Prompt, options: ScaleOptions, width_px: int, height_px: in
     Raises:
         PromptError: it is outside, or the box is too small.
     """
-    frame_width, frame_height = options.frame_width_px or width_px, options.frame_height_px or height_px
+    frame_width, frame_height = frame.size or (width_px, height_px)
     across, down = width_px / frame_width, height_px / frame_height
-    size = f"{frame_width} x {frame_height} px {'frame' if options.frame_width_px else 'image'}"
+    size = f"{frame_width} x {frame_height} px {'frame' if frame.size else 'image'}"
 
     def inside(x: float, y: float) -> bool:
         return all(-_CUT_EDGE_PX < at < side + _CUT_EDGE_PX for at, side in ((x, frame_width), (y, frame_height)))
@@ -383,51 +328,68 @@ def _conclude(
         scale_log_sd = math.log(estimate.gsd_ci95_high_m_per_px / estimate.gsd_ci95_low_m_per_px) / (2 * _Z95)
 
     outline_px, (length_px, width_px) = perimeter(mask), rotated_extents(mask)
+    own_gsd = raster.georeference_gsd_m_per_px
     measured = gsd if n_px else None  # an empty mask has no size, rather than a size of zero
-    area = area_interval = diameter = diameter_interval = None
+    size = _Size()
     if measured is not None and circle is not None:
-        area, diameter = n_px * measured**2, circle.diameter * measured
-        area_interval = _interval(area, math.hypot(2 * scale_log_sd, card.mask_area_log_sd))
-        diameter_log_sd = _diameter_log_sd(card.mask_area_log_sd, n_px, outline_px, circle.diameter)
-        diameter_interval = _interval(diameter, math.hypot(scale_log_sd, diameter_log_sd))
+        size = _size(n_px, outline_px, circle.diameter, measured, scale_log_sd, card.mask_area_log_sd)
     box = None if bounds is None else _moved_box((bounds.x1, bounds.y1, bounds.x2, bounds.y2), left, top)
     return AreaMeasurement(
         status=_status(gsd, estimate, found.score, card, n_px),
-        area_m2=area,
-        area_ci95_low_m2=area_interval and area_interval.low,
-        area_ci95_high_m2=area_interval and area_interval.high,
+        area_m2=size.area_m2,
+        area_ci95_low_m2=size.area_interval and size.area_interval.low,
+        area_ci95_high_m2=size.area_interval and size.area_interval.high,
         confidence=None if estimate is None else estimate.confidence,
         gsd_m_per_px=gsd,
         n_vehicles=None if estimate is None else estimate.n_vehicles,
         mode_length_px=None if estimate is None else estimate.mode_length_px,
-        scale_source=_source(estimate),
+        scale_source="given" if estimate is None else "estimated",
         mask_area_px=n_px,
         mask_score=found.score,
         perimeter_m=measured and outline_px * measured,
         length_m=measured and length_px * measured,
         width_m=measured and width_px * measured,
-        inscribed_diameter_m=diameter,
-        inscribed_diameter_ci95_low_m=diameter_interval and diameter_interval.low,
-        inscribed_diameter_ci95_high_m=diameter_interval and diameter_interval.high,
+        inscribed_diameter_m=size.diameter_m,
+        inscribed_diameter_ci95_low_m=size.diameter_interval and size.diameter_interval.low,
+        inscribed_diameter_ci95_high_m=size.diameter_interval and size.diameter_interval.high,
         inscribed_center=None if circle is None else ImagePoint(x_px=circle.x + left, y_px=circle.y + top),
         bounding_box=box,
         outline=_outline(mask, left, top),
         image_width_px=raster.width_px,
         image_height_px=raster.height_px,
-        frame=_frame(options, raster, gsd, box),
+        frame=_frame(options.frame, raster, gsd, box),
         scale=estimate,
         segmenter=card.name,
         segmenter_sha256=card.sha256,
         warnings=(
-            *(raster_notices(raster) if estimate is None else estimate.warnings),
-            *_scale_notices(raster, given_gsd),
-            *_mask_notices(raster, found, prompt, card, width_px),
+            *(image_facts(raster).notices if estimate is None else estimate.warnings),
+            *([] if given_gsd is None else georeference_notice(own_gsd, given_gsd, "the one given is")),
+            *mask_notices(raster, found, prompt, card, width_px),
         ),
     )
 
 
-def _source(estimate: GsdEstimate | None) -> ScaleSource:
-    return "given" if estimate is None else "estimated"
+class _Size(NamedTuple):
+    """Area and inscribed circle in metres with their 95 % intervals; None without a scale or a mask."""
+
+    area_m2: float | None = None
+    area_interval: Interval | None = None
+    diameter_m: float | None = None
+    diameter_interval: Interval | None = None
+
+
+def _size(
+    n_px: int, outline_px: float, diameter_px: float, gsd: float, scale_log_sd: float, mask_log_sd: float
+) -> _Size:
+    """``A = N_px * GSD^2`` (paper, section III-G), and the largest circle inside."""
+    area, diameter = n_px * gsd**2, diameter_px * gsd
+    diameter_log_sd = _diameter_log_sd(mask_log_sd, n_px, outline_px, diameter_px)
+    return _Size(
+        area,
+        _interval(area, math.hypot(2 * scale_log_sd, mask_log_sd)),
+        diameter,
+        _interval(diameter, math.hypot(scale_log_sd, diameter_log_sd)),
+    )
 
 
 def _status(gsd: float | None, estimate: GsdEstimate | None, score: float, card: SegmenterCard, n_px: int) -> Status:
@@ -467,109 +429,17 @@ def _outline(mask: NDArray[np.bool_], left: int, top: int) -> tuple[OutlinePolyg
     )
 
 
-def _frame(options: ScaleOptions, raster: Raster, gsd: float | None, box: BoundingBox | None) -> FrameArea | None:
-    if options.frame_width_px is None or options.frame_height_px is None:
+def _frame(frame: Frame, raster: Raster, gsd: float | None, box: BoundingBox | None) -> FrameArea | None:
+    if frame.size is None:
         return None
-    across, down = options.frame_width_px / raster.width_px, options.frame_height_px / raster.height_px
+    width, height = frame.size
+    across, down = width / raster.width_px, height / raster.height_px
     return FrameArea(
-        width_px=options.frame_width_px,
-        height_px=options.frame_height_px,
+        width_px=width,
+        height_px=height,
         gsd_m_per_px=None if gsd is None else gsd / across,
         bounding_box=box
         and BoundingBox(
             x1_px=box.x1_px * across, y1_px=box.y1_px * down, x2_px=box.x2_px * across, y2_px=box.y2_px * down
         ),
     )
-
-
-def _scale_notices(raster: Raster, given_gsd: float | None) -> list[Notice]:
-    """Whether the scale that the caller gave fits the one that the file carries."""
-    own = raster.georeference_gsd_m_per_px
-    if given_gsd is None or own is None or abs(given_gsd - own) <= GEOREFERENCE_TOLERANCE * own:
-        return []
-    return [
-        Notice(
-            code="georeference_differs",
-            message=f"The file's own scale is {own:.4g} m/px, the one given is {given_gsd:.4g} m/px: "
-            f"{100 * (given_gsd / own - 1):+.0f} %. Check which of the two is wrong before using either.",
-        )
-    ]
-
-
-def _mask_notices(
-    raster: Raster, found: Segmentation, prompt: Prompt, card: SegmenterCard, width_px: float
-) -> list[Notice]:
-    """What to know about a mask before its area is used."""
-    pieces = mask_pieces(found.mask)
-    if not len(pieces):
-        return [
-            Notice(
-                code="mask_empty",
-                message="The segmenter found no object here: there is nothing to measure. Give a tighter box, or a "
-                "point on the object.",
-            )
-        ]
-    notices = []
-    if found.score < card.min_score:
-        notices.append(
-            Notice(
-                code="mask_score_low",
-                message=f"The segmenter expects an overlap of {found.score:.2f} with the true object, below its limit "
-                f"of {card.min_score:g}: look at the outline before using the area.",
-            )
-        )
-    if _touches_image_edge(raster, found):
-        notices.append(
-            Notice(
-                code="mask_touches_edge",
-                message="The mask reaches the image's edge: the object may go on outside, its area is a lower bound.",
-            )
-        )
-    outside = _share_outside(found, prompt)
-    if outside > _OUTSIDE_SHARE:
-        notices.append(
-            Notice(
-                code="mask_leaves_box",
-                message=f"{100 * outside:.0f} % of the mask lies outside the box: the box cuts the object, or the mask "
-                "took in its surroundings.",
-            )
-        )
-    if len(pieces) > 1:
-        notices.append(
-            Notice(
-                code="mask_in_pieces",
-                message=f"The mask has {len(pieces)} separate pieces; the largest is "
-                f"{100 * pieces[0] / pieces.sum():.0f} % of it. All of them count towards the area.",
-            )
-        )
-    if width_px < SMALL_TARGET_PX:
-        notices.append(
-            Notice(
-                code="target_small",
-                message=f"The object is {width_px:.1f} px wide: below {SMALL_TARGET_PX:g} px masks are less exact than "
-                "the interval says. Use a larger copy of the image where there is one.",
-            )
-        )
-    return notices
-
-
-def _touches_image_edge(raster: Raster, found: Segmentation) -> bool:
-    mask, window = found.mask, found.window
-    return bool(
-        (window.x_px == 0 and mask[:, 0].any())
-        or (window.y_px == 0 and mask[0].any())
-        or (window.x_px + window.width_px == raster.width_px and mask[:, -1].any())
-        or (window.y_px + window.height_px == raster.height_px and mask[-1].any())
-    )
-
-
-def _share_outside(found: Segmentation, prompt: Prompt) -> float:
-    """Share of the mask's pixels whose centres lie outside the box; 0 without one."""
-    if prompt.box is None:
-        return 0.0
-    x1, y1, x2, y2 = (
-        max(0, round(at - origin))
-        for at, origin in zip(prompt.box, (found.window.x_px, found.window.y_px) * 2, strict=True)
-    )
-    total = int(found.mask.sum())
-    return 1.0 - int(found.mask[y1:y2, x1:x2].sum()) / total if total else 0.0

@@ -235,9 +235,9 @@ class Reference:
         if self.reference_length_m is not None:
             _settle(self, "reference_length_m", _positive("reference_length_m", self.reference_length_m))
         if self.calibration is not None:
-            from vehanchor.scale.calibration import opened_calibration
+            from vehanchor.scale.calibration import as_calibration
 
-            _settle(self, "calibration", opened_calibration(self.calibration))
+            _settle(self, "calibration", as_calibration(self.calibration))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ import vehanchor
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import FrameError, InvalidParameterError, ModelNotFoundError
-from vehanchor.estimate import ScaleOptions, analyse_scale, estimate_gsd
+from vehanchor.estimate import analyse_scale, estimate_gsd
+from vehanchor.options import ScaleOptions
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -198,7 +199,9 @@ def test_a_georeference_that_disagrees_is_reported_and_not_used(tmp_path: Path, 
 def test_the_same_image_gives_the_same_bytes_whatever_the_threads(detector: Detector) -> None:
     image = _car_park(_fleet(40))
     records = {
-        analyse_scale(image, ScaleOptions(tile_px=256), detector=detector.path, threads=n).estimate.model_dump_json()
+        analyse_scale(
+            image, ScaleOptions.of({"tile_px": 256}), detector=detector.path, threads=n
+        ).estimate.model_dump_json()
         for n in (1, 2, 1)
     }
     assert len(records) == 1

@@ -11,12 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.analyses import analyse_found
 from tests.models import write_detector
 from tests.yards import YARDS, Yard, paint_yard
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.sighting import Sighting
-from vehanchor.estimate import ScaleOptions, estimate_gsd, scale_from_detections
+from vehanchor.estimate import estimate_gsd
 from vehanchor.models.zoo import resolve_model
+from vehanchor.options import ScaleOptions
 from vehanchor.scale.lengths import dominant_group
 from vehanchor_evaluation.gsd import read_table
 from vehanchor_scenes import Scene, render_scene
@@ -54,10 +56,10 @@ def _analysis(detector: Detector, groups: list[tuple[float, int, float, float]],
     boxes = np.column_stack([np.arange(len(lengths)) * 999, lengths * 0, lengths, lengths / 2.2, lengths * 0])
     scores = np.concatenate([np.full(n, score) for _, n, score, _ in groups])
     scales = np.concatenate([np.full(n, scale) for _, n, _, scale in groups])
-    return scale_from_detections(
+    return analyse_found(
         Sighting(boxes, scores, scales=scales),
         detector.card,
-        ScaleOptions(**options),
+        ScaleOptions.of(options),
         image_width_px=4000,
         image_height_px=4000,
     ).estimate
@@ -118,9 +120,7 @@ def test_a_yard_of_equal_things_is_no_fleet(searching: Detector, n: int, spread:
 
     def estimate(scales: NDArray[np.float64] | None) -> Any:
         found = Sighting(boxes, np.full(n, 0.9), scales=scales)
-        return scale_from_detections(
-            found, searching.card, ScaleOptions(), image_width_px=4000, image_height_px=40
-        ).estimate
+        return analyse_found(found, searching.card, ScaleOptions(), image_width_px=4000, image_height_px=40).estimate
 
     searched = estimate(np.ones(n))
     assert (searched.confidence >= 0.5) is sure
@@ -148,9 +148,7 @@ def test_things_that_do_not_look_like_a_fleet_of_cars_are_never_sure(
 
     def estimate(scales: NDArray[np.float64] | None) -> Any:
         found = Sighting(boxes, np.full(n, 0.9), scales=scales, fleet_log_odds=odds)
-        return scale_from_detections(
-            found, searching.card, ScaleOptions(), image_width_px=4000, image_height_px=40
-        ).estimate
+        return analyse_found(found, searching.card, ScaleOptions(), image_width_px=4000, image_height_px=40).estimate
 
     searched = estimate(np.ones(n))
     assert [w.code for w in searched.warnings] == ([doubt] if doubt else [])
@@ -181,7 +179,7 @@ def test_a_fleet_at_the_border_of_two_levels_is_one_fleet(searching: Detector) -
 def test_without_the_search_the_papers_filter_stays_as_it_is(tmp_path: Path) -> None:
     plain = Detector(write_detector(tmp_path / "m.onnx"))
     boxes = np.array([[99.0 * k, 0, 30 if k < 20 else 12, 8, 0] for k in range(36)])
-    e = scale_from_detections(
+    e = analyse_found(
         Sighting(boxes, np.full(36, 0.9)), plain.card, ScaleOptions(), image_width_px=4000, image_height_px=40
     ).estimate
     assert (e.n_vehicles, e.warnings) == (36, ())
@@ -196,7 +194,7 @@ def test_vehicles_without_the_detail_of_their_pixels_are_guarded(
 ) -> None:
     lengths = np.array(_fleet(30.0, 40))
     boxes = np.column_stack([np.arange(40) * 99, lengths * 0, lengths, lengths / 2, lengths * 0])
-    e = scale_from_detections(
+    e = analyse_found(
         Sighting(boxes, np.full(40, 0.9)),
         searching.card,
         ScaleOptions(),

@@ -14,10 +14,10 @@ from tests.models import blank_image, paint_vehicles, write_detector
 from tests.sam_models import EMPTY, write_sam
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import FrameError, ImageDecodeError, InvalidParameterError, ModelNotFoundError, PromptError
-from vehanchor.estimate import ScaleOptions, estimate_gsd
+from vehanchor.estimate import estimate_gsd
 from vehanchor.measure import AreaAnalysis, analyse_area, measure_area
 from vehanchor.models import zoo as model_zoo
-from vehanchor.options import ImageLimits
+from vehanchor.options import ImageLimits, ScaleOptions
 from vehanchor.pictures.area import OUTLINE_RGB, draw_area, full_mask
 from vehanchor.records import AreaMeasurement
 from vehanchor.segmentation.segmenter import Segmenter

@@ -1,4 +1,4 @@
-"""``vehanchor measure``, for the command line to mount."""
+"""``vehanchor measure``: the area of one object."""
 
 from __future__ import annotations
 
@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from vehanchor.cli.options import (
-    BandsOption,
-    CalibrationOption,
-    DetectorOption,
-    ReferenceLengthOption,
-    RegionOption,
-    ThreadsOption,
-)
+from vehanchor.cli.declared import Chosen, DetectorChoice, scale_command
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
     facts_table,
@@ -30,19 +23,19 @@ from vehanchor.cli.terminal import (
 from vehanchor.errors import InvalidParameterError, OutputError, PromptError, VehAnchorError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-    from vehanchor.estimate import ScaleOptions
     from vehanchor.measure import AreaAnalysis
+    from vehanchor.options import ScaleOptions
     from vehanchor.records import AreaMeasurement
 
-__all__ = ["PointsCommand", "measure"]
+__all__ = ["measure"]
 
 _POINT_OPTIONS = ("--point", "--negative")
 _SHORT_SHA = 12
 
 
-class PointsCommand(TyperCommand):
+class _PointsCommand(TyperCommand):
     """A command whose point options take two numbers each time: Typer has no repeatable option of several values."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -56,7 +49,8 @@ class PointsCommand(TyperCommand):
         return super().parse_args(ctx, joined)
 
 
-def measure(
+@scale_command()
+def _measure(
     image: Annotated[
         str,
         typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, BMP, TIFF, GeoTIFF.", show_default=False),
@@ -75,10 +69,6 @@ def measure(
         float | None,
         typer.Option(metavar="M/PX", help="The scale, metres per pixel of the full image: then no car is needed."),
     ] = None,
-    frame: Annotated[
-        tuple[int, int] | None,
-        typer.Option(metavar="W H", help="Size, pixels, of a resized copy that box and points are given in."),
-    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
     overlay: Annotated[
         str | None,
@@ -88,7 +78,6 @@ def measure(
         str | None,
         typer.Option(metavar="OUT.png", help="Write the object's mask, white on black, as large as the image."),
     ] = None,
-    detector: DetectorOption = None,
     segmenter: Annotated[
         tuple[str, str] | None,
         typer.Option(
@@ -97,34 +86,18 @@ def measure(
             "the bundled.",
         ),
     ] = None,
-    reference_length: ReferenceLengthOption = None,
-    region: RegionOption = None,
-    calibration: CalibrationOption = None,
-    bands: BandsOption = None,
-    threads: ThreadsOption = None,
+    *,
+    chosen: Chosen,
 ) -> None:
     """Measure the area (square metres) of the object in a box or at a point, by the scale of the cars in the image."""
     with told_errors():
         try:
             outputs = _outputs(image, overlay, mask)
-            analysis, options = _analyse(
-                image,
-                box,
-                _points(point, negative),
-                gsd,
-                segmenter,
-                detector,
-                threads,
-                {
-                    "reference_length_m": reference_length,
-                    "region": region,
-                    "calibration": calibration,
-                    "frame_width_px": frame[0] if frame else None,
-                    "frame_height_px": frame[1] if frame else None,
-                    "bands": bands,
-                },
-                quiet=as_json,
-            )
+            options = chosen.options()
+            with tile_progress(1, lines_on_terminal=as_json) as step:
+                analysis = _analyse(
+                    image, options, box, _points(point, negative), gsd, segmenter, chosen.detector, step(0, image)
+                )
         except VehAnchorError as error:
             if as_json:
                 print_json(failure(image, error))
@@ -135,6 +108,10 @@ def measure(
             print_table(facts_table(image, _facts(analysis.measurement)))
             print_warnings(analysis.measurement, "")
         _write_pictures(image, analysis, options, *outputs)
+
+
+measure = typer.Typer(add_completion=False)
+measure.command("measure", cls=_PointsCommand)(_measure)
 
 
 def _points(on: Sequence[str] | None, beside: Sequence[str] | None) -> list[tuple[float, float, bool]] | None:
@@ -171,34 +148,27 @@ def _outputs(image: str, overlay: str | None, mask: str | None) -> tuple[Path | 
 
 def _analyse(
     image: str,
+    options: ScaleOptions,
     box: tuple[float, float, float, float] | None,
     points: list[tuple[float, float, bool]] | None,
     gsd: float | None,
     segmenter: tuple[str, str] | None,
-    detector: str | None,
-    threads: int | None,
-    choices: dict[str, Any],
-    *,
-    quiet: bool,
-) -> tuple[AreaAnalysis, ScaleOptions]:
-    from vehanchor.estimate import ScaleOptions
+    detector: DetectorChoice,
+    progress: Callable[[int, int], None] | None,
+) -> AreaAnalysis:
     from vehanchor.measure import analyse_area
-    from vehanchor.scale.calibration import opened_calibration
 
-    options = ScaleOptions(**choices | {"calibration": opened_calibration(choices["calibration"])})
-    with tile_progress(1, lines_on_terminal=quiet) as step:
-        analysis = analyse_area(
-            image,
-            options,
-            box=box,
-            points=points,
-            gsd_m_per_px=gsd,
-            segmenter=segmenter,
-            detector=detector,
-            threads=threads,
-            progress=step(0, image),
-        )
-    return analysis, options
+    return analyse_area(
+        image,
+        options,
+        box=box,
+        points=points,
+        gsd_m_per_px=gsd,
+        segmenter=segmenter,
+        detector=detector.open() if gsd is None else None,
+        threads=detector.threads,
+        progress=progress,
+    )
 
 
 def _write_pictures(
@@ -211,11 +181,11 @@ def _write_pictures(
     from vehanchor.pictures.scale import read_reduced, write_picture
 
     if overlay is not None:
-        with open_raster(image, bands=options.bands, limits=options.limits) as raster:
+        with open_raster(image, bands=options.reading.bands, limits=options.reading.limits) as raster:
             seen = read_reduced(raster)
         write_picture(overlay, draw_area(seen, analysis))
     if mask is not None:
-        write_picture(mask, full_mask(analysis, options.limits))
+        write_picture(mask, full_mask(analysis, options.reading.limits))
 
 
 def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:

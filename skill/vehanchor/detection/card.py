@@ -146,8 +146,9 @@ def _region_lengths(text: str) -> dict[str, Any]:
 
 
 def _fleet_lengths(text: str) -> FleetLengths:
-    stated = json.loads(text).items()
-    return FleetLengths(**{name: tuple(value) if isinstance(value, list) else value for name, value in stated})
+    stated: dict[str, Any] = dict(json.loads(text).items())
+    (few, many), (short, long) = stated.pop("log_odds"), stated.pop("length_m")
+    return FleetLengths((few, many), (short, long), **stated)
 
 
 # Field -> the key of the metadata, how its text is read, and what a text that cannot be read should have been.

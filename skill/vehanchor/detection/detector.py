@@ -115,7 +115,7 @@ class Detector:
             self.path,
             models_sha256(file),
             self._session.get_modelmeta().custom_metadata_map,
-            self.fleet and self.fleet.card,
+            None if self.fleet is None else self.fleet.card,
         )
         self._input = self._checked_input()
         self._dtype = np.float16 if self._input.type == "tensor(float16)" else np.float32

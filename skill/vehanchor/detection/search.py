@@ -47,6 +47,10 @@ class SearchLevel(NamedTuple):
     shortest_px: float
     longest_px: float
 
+    def counts(self, lengths_px: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which vehicles count here, by their lengths in pixels of the reduced image."""
+        return (lengths_px >= self.shortest_px) & (lengths_px <= self.longest_px)
+
 
 def search_levels(
     width_px: int, height_px: int, length_range_px: tuple[float, float], *, search_scales: bool
@@ -126,17 +130,16 @@ def search(
             progress(done, len(visits))
         seen = detector.detect_tile(read_reduced_window(raster, tile, level.factor), min_score, run_options)
         n_capped += seen.ran_out
-        lengths = seen.vehicles.boxes[:, 2]
-        counted = seen.vehicles.take((lengths >= level.shortest_px) & (lengths <= level.longest_px))
+        counted = seen.vehicles.take(level.counts(seen.vehicles.boxes[:, 2]))
         vehicle_parts.append(_in_image(counted, tile, level, tile_px - stride_px))
         scale_parts.append(np.full(len(vehicle_parts[-1]), 1 / level.factor))
         # The range of lengths is that of vehicles: it says nothing of other objects.
         other_parts.append(_in_image(seen.others, tile, level, tile_px - stride_px))
     if progress:
         progress(len(visits), len(visits))
-    found = Objects.joined(vehicle_parts)
-    kept = oriented_nms(found.boxes, found.scores, iou_threshold=chosen.nms_iou)
-    vehicles = found.take(kept)
+    vehicles = Objects.joined(vehicle_parts)
+    kept = oriented_nms(vehicles.boxes, vehicles.scores, iou_threshold=chosen.nms_iou)
+    vehicles = vehicles.take(kept)
     return Sighting(
         vehicles.boxes,
         vehicles.scores,

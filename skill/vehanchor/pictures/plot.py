@@ -109,13 +109,12 @@ def write_plot(path: str | Path, figure: Figure) -> Path:
     return write_picture(path, np.asarray(canvas.buffer_rgba())[:, :, :3])
 
 
-def _bin_edges(kept: NDArray[np.float64], longest: float) -> NDArray[np.float64]:
+def _bin_edges(kept: NDArray[np.float64], shortest: float, longest: float) -> NDArray[np.float64]:
     """Bins of one width: Freedman and Diaconis' for the kept, whole quarter pixels, centred on multiples."""
     quartiles = np.percentile(kept, [25, 75])
     ideal = 2 * float(quartiles[1] - quartiles[0]) / np.cbrt(len(kept))
-    low = float(kept.min())
-    width = max(0.25, round(4 * max(ideal, (longest - low) / _MAX_BINS, float(np.median(kept)) / 50)) / 4)
-    first = (round(low / width) - 0.5) * width
+    width = max(0.25, round(4 * max(ideal, (longest - shortest) / _MAX_BINS, float(np.median(kept)) / 50)) / 4)
+    first = (round(shortest / width) - 0.5) * width
     return np.asarray(first + width * np.arange(max(1, int(np.ceil((longest - first) / width))) + 1))
 
 
@@ -123,7 +122,7 @@ def _draw_lengths(axes: Axes, analysis: ScaleAnalysis, right_px: float) -> None:
     """Histogram of kept and dropped, and the density of the kept in the histogram's units."""
     lengths = analysis.detections.boxes[:, 2]
     kept, dropped = lengths[analysis.kept], lengths[~analysis.kept]
-    edges = _bin_edges(kept, min(float(lengths.max()), right_px))
+    edges = _bin_edges(kept, float(lengths.min()), min(float(lengths.max()), right_px))
     groups, colours, labels = [kept], [_KEPT], [f"{len(kept)} vehicle{'s' * (len(kept) != 1)} kept"]
     if len(dropped):
         n_beyond = int((dropped > right_px).sum())

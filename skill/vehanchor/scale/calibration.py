@@ -33,10 +33,10 @@ __all__ = [
     "Calibration",
     "ReferenceLength",
     "SurveyedImage",
+    "as_calibration",
     "calibrate",
     "length_density",
     "load_calibration",
-    "opened_calibration",
     "reference_length",
     "save_calibration",
 ]
@@ -290,7 +290,7 @@ def load_calibration(path: str | os.PathLike[str]) -> Calibration:
         ) from None
 
 
-def opened_calibration(calibration: Calibration | str | os.PathLike[str] | None) -> Calibration | None:
+def as_calibration(calibration: Calibration | str | os.PathLike[str] | None) -> Calibration | None:
     """A calibration given as such or as the path of its file; see ``load_calibration``."""
     return load_calibration(calibration) if isinstance(calibration, (str, os.PathLike)) else calibration
 

@@ -109,7 +109,7 @@ def test_a_card_converts_nothing_and_cannot_be_changed() -> None:
         with pytest.raises(ValidationError):
             DetectorCard(**{**values, **wrong})
     with pytest.raises(ValidationError):
-        card.min_score = 0.2  # type: ignore[misc]
+        card.min_score = 0.2
 
 
 def test_the_card_of_a_fleet_network_names_its_detector_and_its_lengths() -> None:

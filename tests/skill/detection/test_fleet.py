@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -14,10 +13,10 @@ from vehanchor.detection.fleet import FleetNetwork
 from vehanchor.detection.look import MAX_CHIPS, FleetLengths
 from vehanchor.detection.search import search
 from vehanchor.errors import ModelContractError, ModelNotFoundError
-from vehanchor.estimate import ScaleOptions, analyse_scale
+from vehanchor.estimate import analyse_scale
 from vehanchor.imagery.raster import open_raster
 from vehanchor.models.zoo import resolve_model
-from vehanchor_evaluation.search import DetectionLog, SearchedImage
+from vehanchor.options import ScaleOptions
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -74,7 +73,7 @@ def test_only_vehicles_that_were_kept_have_a_say(model: Detector) -> None:
     ],
 )
 def test_what_the_caller_says_comes_first(model: Detector, options: Any, source: str, length: float) -> None:
-    estimate = analyse_scale(_car_park([40] * 6), ScaleOptions(**options), detector=model).estimate
+    estimate = analyse_scale(_car_park([40] * 6), ScaleOptions.of(options), detector=model).estimate
     assert (estimate.reference_source, estimate.reference_length_m) == (source, length)
 
 
@@ -100,19 +99,6 @@ def test_a_detector_without_such_a_network_cannot_tell(tmp_path: Path) -> None:
     with open_raster(_car_park([40] * 6)) as raster:
         assert search(raster, detector).fleet_log_odds is None
     assert analyse_scale(_car_park([40] * 6), detector=detector).estimate.reference_source == "model"
-
-
-def test_searched_images_on_disk_keep_what_was_told(tmp_path: Path, model: Detector) -> None:
-    picture = tmp_path / "a.png"
-    cv2.imwrite(str(picture), _car_park([40] * 6))
-    with open_raster(picture) as raster:
-        found = search(raster, model)
-        searched = SearchedImage(found, raster.width_px, raster.height_px)
-    DetectionLog(tmp_path / "log.jsonl", "s").add(picture, searched)
-    again = DetectionLog(tmp_path / "log.jsonl", "s").get(picture)
-    assert again is not None
-    assert again.detections.fleet_log_odds is not None
-    np.testing.assert_array_equal(again.detections.fleet_log_odds, found.fleet_log_odds)
 
 
 def test_a_network_may_lie_elsewhere_when_it_is_named(tmp_path: Path) -> None:

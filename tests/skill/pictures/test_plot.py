@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.analyses import make_analysis
+from tests.analyses import analyse_found, made_card, make_analysis
+from vehanchor.detection.sighting import Sighting
 from vehanchor.errors import MissingExtraError, OutputError
 from vehanchor.options import Aggregation
 from vehanchor.pictures.plot import plot_scale, write_plot
@@ -41,6 +42,21 @@ def test_the_plot_shows_mode_guard_interval_and_both_kinds_of_vehicles() -> None
     assert "2 outliers dropped (1 beyond the axis)" in text or "2 outliers dropped (2 beyond the axis)" in text
     left, right = figure.axes[0].get_xlim()
     assert left < 5.045 / 0.3 < right < 120  # the guard is in sight, one lorry does not squeeze the cars
+
+
+def test_outliers_that_are_shorter_than_the_kept_are_drawn_too() -> None:
+    lengths = np.concatenate([np.random.default_rng(0).normal(60, 3, 40), np.linspace(8, 20, 19)])
+    boxes, scales = _boxes(list(lengths)), np.ones(len(lengths))
+    analysis = analyse_found(
+        Sighting(boxes, np.where(lengths > 30, 0.9, 0.4), scales=scales),
+        made_card(),
+        image_width_px=800,
+        image_height_px=600,
+    )
+    figure = plot_scale(analysis)
+    bars = [patch for patch in figure.axes[0].patches if patch.get_height() > 0 and patch.get_width() < 5]  # type: ignore[attr-defined]
+    assert "19 outliers dropped" in _labels(figure)
+    assert sum(bar.get_height() for bar in bars) == 59  # type: ignore[attr-defined]
 
 
 def test_the_curve_is_the_density_of_the_kept_lengths() -> None:
@@ -102,7 +118,8 @@ def test_matplotlib_is_loaded_on_demand_and_without_global_state(tmp_path: Path)
     code = """
 import sys
 import numpy as np
-from tests.analyses import make_analysis
+from tests.analyses import analyse_found, made_card, make_analysis
+from vehanchor.detection.sighting import Sighting
 from vehanchor.pictures.plot import plot_scale, write_plot
 assert "matplotlib" not in sys.modules
 figure = plot_scale(make_analysis(np.array([[5.0, 5, 30, 10, 0]]), 100, 100))

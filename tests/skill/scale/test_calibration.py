@@ -21,7 +21,7 @@ from vehanchor.errors import (
     InvalidParameterError,
     OutputError,
 )
-from vehanchor.estimate import ScaleOptions
+from vehanchor.options import ScaleOptions
 from vehanchor.scale.calibration import (
     MIN_VEHICLES,
     Calibration,
@@ -236,7 +236,7 @@ def test_calibrating_with_the_detector_makes_its_estimates_true(folder: Path, ca
     assert after.gsd_m_per_px == pytest.approx(GSD, rel=1e-4)
     assert after.reference_length_m == record.reference_length_m
     given = vehanchor.analyse_scale(
-        folder / "cars.png", ScaleOptions(calibration=record), detector=folder / "detector.onnx"
+        folder / "cars.png", ScaleOptions.of({"calibration": record}), detector=folder / "detector.onnx"
     )
     assert given.estimate == after
 
@@ -286,7 +286,7 @@ def test_a_calibration_from_labels_alone_fits_any_detector(folder: Path) -> None
 @pytest.mark.parametrize("other", [{"region": "europe"}, {"reference_length_m": 4.5}])
 def test_two_reference_lengths_are_refused(other: dict[str, Any]) -> None:
     with pytest.raises(InvalidParameterError, match=f"give {next(iter(other))} or calibration, not both"):
-        ScaleOptions(calibration=_calibrated(), **other)
+        ScaleOptions.of({"calibration": _calibrated(), **other})
 
 
 # --- The command

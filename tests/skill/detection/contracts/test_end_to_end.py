@@ -18,7 +18,7 @@ def _output(*rows: list[float]) -> list[np.ndarray]:
 
 def test_each_row_is_an_object() -> None:
     found = EndToEnd().objects(_output(*_ROWS, _PADDING), 0.1)
-    np.testing.assert_allclose(found.boxes, [[10, 11, 30, 12, 0.5], [20, 21, 31, 13, -9]])
+    np.testing.assert_allclose(found.boxes, [[10.0, 11.0, 30.0, 12.0, 0.5], [20.0, 21.0, 31.0, 13.0, -9.0]])
     np.testing.assert_allclose(found.scores, [0.9, 0.6], atol=1e-3)
     assert found.classes.tolist() == [0, 4]
     assert EndToEnd().objects(_output(*_ROWS), 0.1, np.array([4, 5])).classes.tolist() == [4]

@@ -15,7 +15,7 @@ _OUTPUT = np.array(_COLUMNS, np.float32).T[None]
 
 def test_a_place_is_an_object_of_its_best_class() -> None:
     found = Raw(3).objects([_OUTPUT], 0.1)
-    np.testing.assert_allclose(found.boxes, [[10, 11, 30, 12, 0.5], [20, 21, 31, 13, -9]])
+    np.testing.assert_allclose(found.boxes, [[10.0, 11.0, 30.0, 12.0, 0.5], [20.0, 21.0, 31.0, 13.0, -9.0]])
     np.testing.assert_allclose(found.scores, [0.9, 0.6])
     assert found.classes.tolist() == [0, 2]
     assert {array.dtype for array in (found.boxes, found.scores)} == {np.dtype(np.float64)}

@@ -1,0 +1,93 @@
+"""The seam for rulers: what a ruler is shown, and what it answers.
+
+A ruler sees the image and what was found in it, never another ruler, and answers with evidence: a scale with its
+interval, what that stands on, and its doubts. One that finds nothing says so (``gsd_m_per_px`` None), it never guesses.
+To add one, write a class that is an ``Anchor`` into a file of its own and name it in ``vehanchor.anchors.registry``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.sighting import Sighting
+    from vehanchor.options import ScaleOptions
+    from vehanchor.records import Notice
+    from vehanchor.scale.lengths import Interval
+
+__all__ = ["Anchor", "Evidence", "ImageFacts", "View"]
+
+
+class ImageFacts(NamedTuple):
+    """Facts of an image that need no look at its pixels.
+
+    Attributes:
+        width_px: columns.
+        height_px: rows.
+        georeference_gsd_m_per_px: the scale that the file itself carries; None where it has none.
+        notices: what there was to tell when it was read.
+    """
+
+    width_px: int
+    height_px: int
+    georeference_gsd_m_per_px: float | None = None
+    notices: tuple[Notice, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """All that a ruler is shown.
+
+    Attributes:
+        image: facts of the image.
+        sighting: what the search found in it.
+        card: of the model that found it.
+        options: every choice of the method.
+        resolved_share: of centres ``[n, 2]`` in pixels and the scale at which they were found: the share of the
+            resolution down to which there is detail (``vehanchor.imagery.detail``).
+    """
+
+    image: ImageFacts
+    sighting: Sighting
+    card: DetectorCard
+    options: ScaleOptions
+    resolved_share: Callable[[NDArray[np.float64], float], float]
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """One ruler's answer.
+
+    Attributes:
+        kind: of the ruler.
+        gsd_m_per_px: metres per pixel of the full image; None where it found nothing.
+        interval: the 95 % interval around it, metres per pixel; None where it found nothing.
+        n: how many things it was measured on.
+        confidence: in 0..1, 0 where it found nothing.
+        notices: its doubts, and what else there is to tell.
+    """
+
+    kind: str
+    gsd_m_per_px: float | None
+    interval: Interval | None
+    n: int
+    confidence: float
+    notices: tuple[Notice, ...]
+
+
+class Anchor(Protocol):
+    """A ruler."""
+
+    @property
+    def kind(self) -> str:
+        """Name in records and options."""
+
+    def look(self, view: View) -> Evidence:
+        """Say what this ruler tells of the image's scale."""

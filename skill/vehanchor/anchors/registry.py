@@ -1,0 +1,12 @@
+"""The rulers beside vehicles, one line each: every image is measured with all of them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from vehanchor.anchors.evidence import Anchor
+
+__all__ = ["OTHER_ANCHORS"]
+
+OTHER_ANCHORS: tuple[Anchor, ...] = ()

@@ -1,0 +1,226 @@
+"""``vehanchor estimate``: the scale of photographs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vehanchor.cli.declared import Chosen, scale_command
+from vehanchor.cli.terminal import (
+    BAD_INPUT,
+    STATUS_TEXTS,
+    facts_table,
+    failure,
+    print_json,
+    print_table,
+    print_warnings,
+    printable,
+    report,
+    scale_text,
+    tile_progress,
+    told_errors,
+)
+from vehanchor.errors import InvalidParameterError, VehAnchorError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from vehanchor.detection.detector import Detector
+    from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.options import ScaleOptions
+    from vehanchor.records import GsdEstimate
+
+__all__ = ["estimate"]
+
+_STEM = "{stem}"
+_SHORT_SHA = 12
+
+
+@scale_command()
+def estimate(
+    images: Annotated[
+        list[str],
+        typer.Argument(metavar="IMAGE", help="Photographs: JPEG, PNG, WebP, BMP, TIFF, GeoTIFF.", show_default=False),
+    ],
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON object per image and line on stdout, and nothing else.")
+    ] = False,
+    overlay: Annotated[
+        str | None,
+        typer.Option(
+            metavar="OUT.png",
+            help="Write the image with its vehicles and a scale bar. '{stem}' in the name stands for the image's name "
+            "without suffix; with several images it must be there.",
+        ),
+    ] = None,
+    plot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="OUT.png", help="Write the plot of lengths, mode and interval (extra 'plots'). '{stem}' too."
+        ),
+    ] = None,
+    *,
+    chosen: Chosen,
+) -> None:
+    """Estimate the ground sampling distance (metres per pixel) of aerial images from the cars in them."""
+    with told_errors():
+        try:
+            outputs = _outputs(images, overlay, plot)
+            options, model = chosen.options(), chosen.open_detector()
+        except VehAnchorError as error:
+            if as_json:  # every image gets its line
+                for source in images:
+                    print_json(failure(source, error))
+            raise
+        rows, n_failed = _estimate_all(images, options, model, outputs, as_json=as_json)
+        if rows and not as_json:
+            print_table(_summary_table(rows) if len(images) > 1 else _estimate_table(*rows[0]))
+            for source, record in rows:
+                print_warnings(record, source if len(images) > 1 else "")
+        if n_failed:
+            raise typer.Exit(BAD_INPUT)
+
+
+def _estimate_all(
+    images: Sequence[str], options: ScaleOptions, model: Detector, outputs: Sequence[_Outputs], *, as_json: bool
+) -> tuple[list[tuple[str, GsdEstimate]], int]:
+    """Records of the images that could be read, and how many errors were reported."""
+    rows: list[tuple[str, GsdEstimate]] = []
+    n_failed = 0
+    with tile_progress(len(images), lines_on_terminal=as_json and sys.stdout.isatty()) as step:
+        for number, source in enumerate(images):
+            try:
+                analysis = _analyse(source, options, model, step(number, source))
+            except VehAnchorError as error:
+                n_failed += 1
+                report(error, source if len(images) > 1 else "")
+                if as_json:
+                    print_json(failure(source, error))
+                continue
+            if as_json:
+                print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
+            rows.append((source, analysis.estimate))
+            try:
+                _write_pictures(source, analysis, options, outputs[number])
+            except VehAnchorError as error:
+                n_failed += 1
+                report(error, source if len(images) > 1 else "")
+    return rows, n_failed
+
+
+@dataclass(frozen=True)
+class _Outputs:
+    """The pictures to write of one image."""
+
+    overlay: Path | None
+    plot: Path | None
+
+
+def _outputs(images: Sequence[str], overlay: str | None, plot: str | None) -> list[_Outputs]:
+    """Where each image's pictures go, checked before the work: folder, suffix, no file for two purposes."""
+    if plot is not None:
+        from vehanchor.pictures.plot import require_plots
+
+        require_plots()
+    overlays, plots = _names(images, "--overlay", overlay), _names(images, "--plot", plot)
+    chosen = [path for path in (*overlays, *plots) if path is not None]
+    if chosen:
+        from vehanchor.pictures.scale import check_picture_path
+
+        inputs = {Path(source).resolve() for source in images}
+        seen: set[Path] = set()
+        for path in chosen:
+            resolved = check_picture_path(path).resolve()
+            if resolved in inputs:
+                raise InvalidParameterError(f"{str(path)!r} is one of the images: writing there would destroy it")
+            if resolved in seen:
+                raise InvalidParameterError(f"two pictures would both be written to {str(path)!r}: choose other names")
+            seen.add(resolved)
+    return [_Outputs(first, second) for first, second in zip(overlays, plots, strict=True)]
+
+
+def _names(images: Sequence[str], option: str, pattern: str | None) -> list[Path | None]:
+    if pattern is None:
+        return [None] * len(images)
+    if len(images) > 1 and _STEM not in pattern:
+        raise InvalidParameterError(
+            f"{option} {pattern!r} names one file for {len(images)} images: put {_STEM} into the name, as in "
+            f"{option} '{_STEM}_{option.lstrip('-')}.png'"
+        )
+    return [Path(pattern.replace(_STEM, Path(source).stem)) for source in images]
+
+
+def _analyse(
+    source: str, options: ScaleOptions, model: Detector, progress: Callable[[int, int], None] | None
+) -> ScaleAnalysis:
+    from vehanchor.estimate import analyse_scale
+
+    return analyse_scale(source, options, detector=model, progress=progress)
+
+
+def _write_pictures(source: str, analysis: ScaleAnalysis, options: ScaleOptions, outputs: _Outputs) -> None:
+    if outputs.overlay is not None:
+        from vehanchor.imagery.raster import open_raster
+        from vehanchor.pictures.scale import draw_overlay, read_reduced, write_picture
+
+        with open_raster(source, bands=options.reading.bands, limits=options.reading.limits) as raster:
+            image = read_reduced(raster)
+        write_picture(outputs.overlay, draw_overlay(image, analysis))
+    if outputs.plot is not None:
+        from vehanchor.pictures.plot import plot_scale, write_plot
+
+        write_plot(outputs.plot, plot_scale(analysis))
+
+
+def _estimate_table(source: str, record: GsdEstimate) -> Table:
+    guard = "; capped by the resolution guard" if record.resolution_guard else ""
+    facts = [
+        ("scale", scale_text(record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px)),
+        ("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}{guard}"),
+        ("vehicles", f"{record.n_vehicles} kept of {record.n_detections} found"),
+    ]
+    size = f"{record.image_width_px} x {record.image_height_px} px"
+    if record.gsd_m_per_px is not None and record.mode_length_px is not None:
+        found_at = f", found at {record.working_scale:g} of the size" if record.working_scale not in (None, 1) else ""
+        told = " by the vehicles' look" if record.reference_source == "appearance" else ""
+        found = f"{record.mode_length_px:.1f} px ({record.aggregation})"
+        facts.append(("modal length", f"{found} = {record.reference_length_m:.4g} m{told}{found_at}"))
+        width_m, height_m = (side * record.gsd_m_per_px for side in (record.image_width_px, record.image_height_px))
+        size += f" = {width_m:.4g} x {height_m:.4g} m"
+    facts.append(("image", size))
+    if record.frame is not None:
+        seen = record.frame
+        scale = scale_text(seen.gsd_m_per_px, seen.gsd_ci95_low_m_per_px, seen.gsd_ci95_high_m_per_px)
+        facts.append(("your frame", f"{seen.width_px} x {seen.height_px} px: {scale}"))
+    if record.georeference_gsd_m_per_px is not None:
+        facts.append(("file's own scale", f"{record.georeference_gsd_m_per_px:.4g} m/px"))
+    facts.append(("model", f"{record.model} ({record.model_sha256[:_SHORT_SHA]})"))
+    return facts_table(source, facts)
+
+
+def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("image", overflow="fold")
+    for heading in ("m/px", "95 %", "confidence", "vehicles"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("status", no_wrap=True)
+    for source, record in rows:
+        low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
+        table.add_row(
+            Text(printable(source)),
+            "-" if record.gsd_m_per_px is None else f"{record.gsd_m_per_px:.4g}",
+            "-" if low is None or high is None else f"{low:.4g} to {high:.4g}",
+            f"{record.confidence:.2f}",
+            str(record.n_vehicles),
+            record.status,
+        )
+    return table

@@ -1,0 +1,127 @@
+"""``vehanchor models list | info``: the models that ship with the library, and files of the user's own."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vehanchor.cli.declared import DetectorChoice
+from vehanchor.cli.terminal import facts_table, failure, print_json, print_table, printable, told_errors
+from vehanchor.errors import ModelError, VehAnchorError
+
+if TYPE_CHECKING:
+    from vehanchor.detection.card import DetectorCard
+
+__all__ = ["models"]
+
+_SHORT_SHA = 12
+
+models = typer.Typer(help="The models: those that ship with VehAnchor, and files of your own.", no_args_is_help=True)
+
+
+@models.command("list")
+def list_models(
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per model and line.")] = False,
+) -> None:
+    """List the bundled detectors and the segmenter."""
+    with told_errors():
+        from vehanchor.detection.detector import load_detector
+        from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, bundled_segmenter
+
+        files = bundled_models()
+        if not files and not as_json:
+            print("no bundled models: pass the path of an ONNX file with --detector", file=sys.stderr)
+        for name, path in files.items():
+            default = name == DEFAULT_DETECTOR
+            try:
+                card = load_detector(path).card
+            except ModelError as error:
+                if as_json:
+                    print_json(failure(str(path), error))
+                else:
+                    print(printable(f"{name}: {path}\n  not a detector: {error}"))
+                continue
+            if as_json:
+                print_json({"kind": "detector", "file": str(path), "default": default, **card.model_dump(mode="json")})
+            else:
+                facts = [("file", str(path)), *_card_facts(card, sha_digits=_SHORT_SHA)]
+                print_table(facts_table(f"{name} (default)" if default else name, facts))
+        halves = bundled_segmenter()
+        if halves is not None:
+            _list_segmenter(*halves, as_json=as_json)
+
+
+def _list_segmenter(encoder: Path, decoder: Path, *, as_json: bool) -> None:
+    from vehanchor.segmentation.segmenter import load_segmenter
+
+    card = load_segmenter(encoder, decoder).card
+    if as_json:
+        print_json({"kind": "segmenter", "encoder": str(encoder), "decoder": str(decoder), **asdict(card)})
+        return
+    facts = [
+        ("encoder", str(encoder)),
+        ("decoder", str(decoder)),
+        ("sha256", card.sha256[:_SHORT_SHA]),
+        ("input", f"{card.input_px} px a side, {card.contract} contract"),
+        ("minimum score", f"{card.min_score:g}"),
+        ("licence", card.licence or "not stated"),
+    ]
+    print_table(facts_table(f"{card.name} (segmenter of measure)", facts))
+
+
+@models.command("info")
+def show_model(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="An ONNX file, or the name of a bundled model.")],
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
+    classes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--class", metavar="NAME", help="Class that counts as a vehicle, where the model's own is unclear."
+        ),
+    ] = None,
+) -> None:
+    """Show all that a detector's file says of itself; the paper's values stand in where it is silent."""
+    with told_errors():
+        try:
+            model = DetectorChoice(detector=file, classes=classes).open()
+        except VehAnchorError as error:
+            if as_json:
+                print_json(failure(file, error))
+            raise
+        if as_json:
+            print_json(
+                {"file": str(model.path), "fixed_size_px": model.fixed_size, **model.card.model_dump(mode="json")}
+            )
+            return
+        card = model.card
+        size = "any" if model.fixed_size is None else f"{model.fixed_size[1]} x {model.fixed_size[0]} px"
+        regions = ", ".join(f"{name} {length:.4g} m" for name, length in sorted(card.region_lengths_m.items()))
+        facts = [
+            ("file", str(model.path)),
+            ("input", size),
+            ("classes", ", ".join(card.class_names.values()) or "not named"),
+            *_card_facts(card, sha_digits=len(card.sha256)),
+            ("regions", regions),
+        ]
+        print_table(facts_table(card.name, facts))
+
+
+def _card_facts(card: DetectorCard, *, sha_digits: int) -> list[tuple[str, str]]:
+    shortest, longest = card.length_range_px
+    fleets = card.fleet_lengths
+    told = "" if fleets is None else f"; by the vehicles' look {fleets.length_m[0]:.4g} to {fleets.length_m[1]:.4g} m"
+    unbiased = f"; measured without bias from {card.min_length_px:g} px" if card.min_length_px else ""
+    return [
+        ("sha256", card.sha256[:sha_digits]),
+        (
+            "reference length",
+            f"{card.reference_length_m:.4g} m, sd {card.reference_length_sd_m:.2g} m between regions{told}",
+        ),
+        ("vehicle lengths", f"{shortest:g} to {longest:g} px{unbiased}"),
+        ("minimum score", f"{card.min_score:g}"),
+        ("licence", card.licence or "not stated"),
+    ]

@@ -1,0 +1,32 @@
+"""Codes of everything that a record may warn of: stable, each in one place."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+__all__ = ["NoticeCode"]
+
+
+class NoticeCode(StrEnum):
+    """What a ``Notice`` is about."""
+
+    # of the image
+    PIXELS_STRETCHED = "pixels_stretched"
+    BANDS_SELECTED = "bands_selected"
+    DETAIL_MISSING = "detail_missing"
+    GEOREFERENCE_DIFFERS = "georeference_differs"
+    # of the search
+    DETECTIONS_CAPPED = "detections_capped"
+    # doubts that the vehicles are cars
+    LENGTHS_DISAGREE = "lengths_disagree"
+    LENGTHS_ALIKE = "lengths_alike"
+    SCORES_UNCLEAR = "scores_unclear"
+    LOOKS_ALIKE = "looks_alike"
+    LOOKS_UNLIKE_CARS = "looks_unlike_cars"
+    # of the mask
+    MASK_EMPTY = "mask_empty"
+    MASK_SCORE_LOW = "mask_score_low"
+    MASK_TOUCHES_EDGE = "mask_touches_edge"
+    MASK_LEAVES_BOX = "mask_leaves_box"
+    MASK_IN_PIECES = "mask_in_pieces"
+    TARGET_SMALL = "target_small"

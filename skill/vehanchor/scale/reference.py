@@ -1,0 +1,69 @@
+"""The reference length ``L_ref``: metres that the modal vehicle length stands for, and where they are from."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from vehanchor.errors import InvalidParameterError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.options import Reference
+    from vehanchor.records import ReferenceSource
+
+__all__ = ["ReferenceLength", "reference_length"]
+
+
+class ReferenceLength(NamedTuple):
+    """``L_ref`` of one image.
+
+    Attributes:
+        length_m: metres.
+        sd_m: its standard deviation between the places that it serves, metres.
+        source: where it is from.
+    """
+
+    length_m: float
+    sd_m: float
+    source: ReferenceSource
+
+
+def reference_length(
+    card: DetectorCard, given: Reference, fleet_log_odds: NDArray[np.float64] | None
+) -> ReferenceLength:
+    """Choose the caller's reference length, else what the look of the vehicles says of their fleet, else the model's.
+
+    A caller who names the length or the region has settled most of what differs between regions: half of it remains.
+
+    Args:
+        card: of the model that found the vehicles.
+        given: what the caller knows.
+        fleet_log_odds: ``[n]`` of the vehicles (see ``vehanchor.detection.look``); None without any.
+
+    Returns:
+        The length, its spread and its source.
+
+    Raises:
+        InvalidParameterError: the model does not know the region.
+        CalibrationMismatchError: the calibration was made for another model.
+    """
+    if given.calibration is not None:
+        given.calibration.check_detector(card.name, card.sha256)
+        measured = given.calibration
+        return ReferenceLength(measured.reference_length_m, measured.reference_length_sd_m, "calibration")
+    if given.reference_length_m is not None:
+        return ReferenceLength(given.reference_length_m, card.reference_length_sd_m / 2, "given")
+    if given.region is not None:
+        if given.region not in card.region_lengths_m:
+            raise InvalidParameterError(
+                f"region is {given.region!r}: this model knows {', '.join(sorted(card.region_lengths_m))}; "
+                "or give reference_length_m"
+            )
+        return ReferenceLength(card.region_lengths_m[given.region], card.reference_length_sd_m / 2, "region")
+    if card.fleet_lengths is not None and fleet_log_odds is not None:
+        fleets = card.fleet_lengths
+        return ReferenceLength(fleets.reference_length(fleet_log_odds), fleets.sd_m, "appearance")
+    return ReferenceLength(card.reference_length_m, card.reference_length_sd_m, "model")

@@ -1,0 +1,97 @@
+"""Doubts about a mask, to be known before its area is used."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from vehanchor.notices import NoticeCode
+from vehanchor.records import Notice
+from vehanchor.segmentation.shape import mask_pieces
+
+if TYPE_CHECKING:
+    from vehanchor.imagery.raster import Raster
+    from vehanchor.segmentation.segmenter import Prompt, Segmentation, SegmenterCard
+
+__all__ = ["SMALL_TARGET_PX", "mask_notices"]
+
+SMALL_TARGET_PX = 15.0  # the bundled segmenter is measured on objects from this side up
+_OUTSIDE_SHARE = 0.10  # of the mask: a box drawn 5 % off a side leaves about as much outside
+
+
+def mask_notices(
+    raster: Raster, found: Segmentation, prompt: Prompt, card: SegmenterCard, width_px: float
+) -> list[Notice]:
+    """What to know about a mask before its area is used."""
+    pieces = mask_pieces(found.mask)
+    if not len(pieces):
+        return [
+            Notice(
+                code=NoticeCode.MASK_EMPTY,
+                message="The segmenter found no object here: there is nothing to measure. Give a tighter box, or a "
+                "point on the object.",
+            )
+        ]
+    notices = []
+    if found.score < card.min_score:
+        notices.append(
+            Notice(
+                code=NoticeCode.MASK_SCORE_LOW,
+                message=f"The segmenter expects an overlap of {found.score:.2f} with the true object, below its limit "
+                f"of {card.min_score:g}: look at the outline before using the area.",
+            )
+        )
+    if _touches_image_edge(raster, found):
+        notices.append(
+            Notice(
+                code=NoticeCode.MASK_TOUCHES_EDGE,
+                message="The mask reaches the image's edge: the object may go on outside, its area is a lower bound.",
+            )
+        )
+    outside = _share_outside(found, prompt)
+    if outside > _OUTSIDE_SHARE:
+        notices.append(
+            Notice(
+                code=NoticeCode.MASK_LEAVES_BOX,
+                message=f"{100 * outside:.0f} % of the mask lies outside the box: the box cuts the object, or the mask "
+                "took in its surroundings.",
+            )
+        )
+    if len(pieces) > 1:
+        notices.append(
+            Notice(
+                code=NoticeCode.MASK_IN_PIECES,
+                message=f"The mask has {len(pieces)} separate pieces; the largest is "
+                f"{100 * pieces[0] / pieces.sum():.0f} % of it. All of them count towards the area.",
+            )
+        )
+    if width_px < SMALL_TARGET_PX:
+        notices.append(
+            Notice(
+                code=NoticeCode.TARGET_SMALL,
+                message=f"The object is {width_px:.1f} px wide: below {SMALL_TARGET_PX:g} px masks are less exact than "
+                "the interval says. Use a larger copy of the image where there is one.",
+            )
+        )
+    return notices
+
+
+def _touches_image_edge(raster: Raster, found: Segmentation) -> bool:
+    mask, window = found.mask, found.window
+    return bool(
+        (window.x_px == 0 and mask[:, 0].any())
+        or (window.y_px == 0 and mask[0].any())
+        or (window.x_px + window.width_px == raster.width_px and mask[:, -1].any())
+        or (window.y_px + window.height_px == raster.height_px and mask[-1].any())
+    )
+
+
+def _share_outside(found: Segmentation, prompt: Prompt) -> float:
+    """Share of the mask's pixels whose centres lie outside the box; 0 without one."""
+    if prompt.box is None:
+        return 0.0
+    x1, y1, x2, y2 = (
+        max(0, round(at - origin))
+        for at, origin in zip(prompt.box, (found.window.x_px, found.window.y_px) * 2, strict=True)
+    )
+    total = int(found.mask.sum())
+    return 1.0 - int(found.mask[y1:y2, x1:x2].sum()) / total if total else 0.0
