@@ -13,11 +13,15 @@ FROM python:3.11.15-slim-bookworm@sha256:d29f48a31a8b408ed19272ca1e7b10ebae13b24
 FROM python AS build
 WORKDIR /src
 RUN python -m venv --without-pip /opt/vehanchor
+COPY requirements/image.txt ./
+RUN python -m pip --python /opt/vehanchor/bin/python install --no-cache-dir --require-hashes --requirement image.txt
 COPY pyproject.toml README.md LICENSE ./
 COPY schemas schemas
 COPY skill skill
 COPY server server
-RUN python -m pip --python /opt/vehanchor/bin/python install --no-cache-dir ".[geo]"
+# Nothing is fetched from here on; setuptools, which builds the package, is not wanted where it runs.
+RUN python -m pip --python /opt/vehanchor/bin/python install --no-cache-dir --no-deps --no-build-isolation . \
+    && python -m pip --python /opt/vehanchor/bin/python uninstall --yes setuptools
 
 FROM python
 LABEL org.opencontainers.image.title="VehAnchor" \

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehanchor_scenes.fleet import Fleet, VehicleModel
+from vehanchor_scenes.painter import Painter
 from vehanchor_scenes.sprites import Sun
-from vehanchor_scenes.tile import Painter
 from vehanchor_scenes.world import Box, Frame, Material, PlacedVehicle, Rgb, Surface, World
 
 __all__ = ["YARDS", "Yard", "paint_yard"]

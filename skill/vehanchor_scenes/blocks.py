@@ -1,4 +1,4 @@
-"""What fills the blocks between streets, by name."""
+"""Fillers of the blocks between streets, by name."""
 
 from __future__ import annotations
 

@@ -33,23 +33,7 @@ def _lots(site: Site, width: float, depth: float) -> None:
 def garden(site: Site, width: float, depth: float) -> None:
     """A house, its drive with cars, and its garden; the street is at y = 0."""
     rng, palette = site.rng, site.palette
-    ground = rng.random()
-    if ground < 0.45:
-        site.rect(
-            (0, 0, width, depth),
-            jitter(rng, palette.meadow if rng.random() < 0.5 else palette.lawn, 10, 0.08),
-            Material.MEADOW,
-        )
-    elif ground < 0.6:
-        site.rect((0, 0, width, depth), jitter(rng, palette.soil, 8), Material.SOIL)
-    else:
-        site.rect((0, 0, width, depth), jitter(rng, palette.lawn, 8, 0.06), Material.LAWN)
-    for _ in range(int(rng.poisson(1.5))):
-        blot = jitter(rng, palette.soil if rng.random() < 0.5 else palette.meadow, 8)
-        x, y = rng.uniform(2, width - 2), rng.uniform(2, depth - 2)
-        site.blob(
-            x, y, min(rng.uniform(1, 4), x, width - x), min(rng.uniform(1, 4), y, depth - y), blot, Material.MEADOW
-        )
+    _garden_ground(site, width, depth)
     drive = rng.uniform(3.0, 5.6) if width > 13 else 2.8
     setback = rng.uniform(4.5, 8)
     left = bool(rng.random() < 0.5)
@@ -82,11 +66,37 @@ def garden(site: Site, width: float, depth: float) -> None:
     front = rng.random() < 0.5
     site.wall(0.3, 0.4, gap[0], 0.4, hedge=front)
     site.wall(gap[1], 0.4, width - 0.3, 0.4, hedge=front)
-    for _ in range(
-        int(rng.poisson(width * depth / 75 * palette.greenery))
-    ):  # along the borders, and away from the drive
+    _garden_plants(site, width, depth, setback + house_d, left=left)
+
+
+def _garden_ground(site: Site, width: float, depth: float) -> None:
+    """Lawn, meadow or bare soil, with blots of another."""
+    rng, palette = site.rng, site.palette
+    ground = rng.random()
+    if ground < 0.45:
+        site.rect(
+            (0, 0, width, depth),
+            jitter(rng, palette.meadow if rng.random() < 0.5 else palette.lawn, 10, 0.08),
+            Material.MEADOW,
+        )
+    elif ground < 0.6:
+        site.rect((0, 0, width, depth), jitter(rng, palette.soil, 8), Material.SOIL)
+    else:
+        site.rect((0, 0, width, depth), jitter(rng, palette.lawn, 8, 0.06), Material.LAWN)
+    for _ in range(int(rng.poisson(1.5))):
+        blot = jitter(rng, palette.soil if rng.random() < 0.5 else palette.meadow, 8)
+        x, y = rng.uniform(2, width - 2), rng.uniform(2, depth - 2)
+        site.blob(
+            x, y, min(rng.uniform(1, 4), x, width - x), min(rng.uniform(1, 4), y, depth - y), blot, Material.MEADOW
+        )
+
+
+def _garden_plants(site: Site, width: float, depth: float, back: float, *, left: bool) -> None:
+    """Trees and bushes along the borders, and away from the drive; ``back`` is where the house ends."""
+    rng, palette = site.rng, site.palette
+    for _ in range(int(rng.poisson(width * depth / 75 * palette.greenery))):
         if rng.random() < 0.75:
-            site.tree(rng.uniform(1, width - 1), rng.uniform(setback + house_d + 1.5, depth - 0.5))
+            site.tree(rng.uniform(1, width - 1), rng.uniform(back + 1.5, depth - 0.5))
         else:
             near_wall = rng.uniform(0.8, 2.0)
             site.tree(
@@ -98,7 +108,7 @@ def garden(site: Site, width: float, depth: float) -> None:
     for _ in range(int(rng.poisson(10 * palette.greenery))):
         side = rng.random()
         x = rng.uniform(0.6, width - 0.6) if side < 0.5 else float(rng.choice([0.9, width - 0.9]))
-        y = rng.uniform(setback + house_d + 1, depth - 0.5)
+        y = rng.uniform(back + 1, depth - 0.5)
         site.bush(x, y)
 
 

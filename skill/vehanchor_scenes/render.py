@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from vehanchor.errors import InvalidParameterError
 from vehanchor_scenes.fleet import Fleet
 from vehanchor_scenes.layout import lay_out
+from vehanchor_scenes.painter import Painter
 from vehanchor_scenes.raster import polygon_mask
 from vehanchor_scenes.sprites import Sun
-from vehanchor_scenes.tile import Painter
 from vehanchor_scenes.truth import CATEGORIES, Category, Layout, Scene, SceneObject, SceneVehicle
 from vehanchor_scenes.world import PlacedVehicle, Target, World
 
@@ -60,16 +60,7 @@ def render_scene(
     Raises:
         InvalidParameterError: a parameter out of range, NaN, or an unknown layout.
     """
-    _check("gsd_m_per_px", gsd_m_per_px, _MIN_GSD, _MAX_GSD)
-    _check("width_px", width_px, _MIN_SIZE_PX, _MAX_SIZE_PX)
-    _check("height_px", height_px, _MIN_SIZE_PX, _MAX_SIZE_PX)
-    _check("mean_vehicle_length_m", mean_vehicle_length_m, 2.0, 8.0)
-    _check("seed", seed, 0, math.inf)
-    if n_vehicles is not None:
-        _check("n_vehicles", n_vehicles, 0, math.inf)
-    if layout is not None and layout not in get_args(Layout):
-        raise InvalidParameterError(f"layout must be one of {', '.join(get_args(Layout))}, or None, not {layout!r}")
-
+    _check_all(gsd_m_per_px, width_px, height_px, seed, n_vehicles, mean_vehicle_length_m, layout)
     place_rng, thin_rng, paint_rng, camera_rng = np.random.default_rng(seed).spawn(4)
     chosen = cast("Layout", get_args(Layout)[int(place_rng.choice(3, p=(0.45, 0.3, 0.25)))])
     sun = Sun(float(place_rng.uniform(0, 2 * math.pi)), math.radians(place_rng.uniform(33, 64)))
@@ -79,19 +70,8 @@ def render_scene(
     x0, y0 = _look_at(world, width_m, height_m, thin_rng)
     _thin(world, (x0, y0, x0 + width_m, y0 + height_m), n_vehicles, thin_rng)
 
-    over = 3 if gsd_m_per_px >= 0.5 else 2 if gsd_m_per_px >= 0.02 else 1
-    painter = Painter(world, sun, paint_rng, over / gsd_m_per_px)
-    image = np.zeros((height_px, width_px, 3), dtype=np.uint8)
-    crowns = np.zeros((height_px, width_px), dtype=np.uint8)
-    tile_px = _TILE_PX * 2 // over if over > 1 else _TILE_PX
-    for top in range(0, height_px, tile_px):
-        for left in range(0, width_px, tile_px):
-            rows, columns = min(tile_px, height_px - top), min(tile_px, width_px - left)
-            tile = painter.paint(x0 + left * gsd_m_per_px, y0 + top * gsd_m_per_px, columns * over, rows * over)
-            area = (columns, rows)
-            cell = (slice(top, top + rows), slice(left, left + columns))
-            image[cell] = cv2.resize(tile.rgb, area, interpolation=cv2.INTER_AREA)
-            crowns[cell] = cv2.resize(tile.crowns, area, interpolation=cv2.INTER_AREA)
+    painter = Painter(world, sun, paint_rng, _oversampling(gsd_m_per_px) / gsd_m_per_px)
+    image, crowns = _paint(painter, x0, y0, gsd_m_per_px, width_px, height_px)
     image = _photograph(image, camera_rng)
 
     hidden = crowns > 127
@@ -109,10 +89,54 @@ def render_scene(
     return Scene(image, float(gsd_m_per_px), vehicles, masks, objects, int(seed), parameters)
 
 
+def _check_all(
+    gsd_m_per_px: float,
+    width_px: int,
+    height_px: int,
+    seed: int,
+    n_vehicles: int | None,
+    mean_vehicle_length_m: float,
+    layout: Layout | None,
+) -> None:
+    _check("gsd_m_per_px", gsd_m_per_px, _MIN_GSD, _MAX_GSD)
+    _check("width_px", width_px, _MIN_SIZE_PX, _MAX_SIZE_PX)
+    _check("height_px", height_px, _MIN_SIZE_PX, _MAX_SIZE_PX)
+    _check("mean_vehicle_length_m", mean_vehicle_length_m, 2.0, 8.0)
+    _check("seed", seed, 0, math.inf)
+    if n_vehicles is not None:
+        _check("n_vehicles", n_vehicles, 0, math.inf)
+    if layout is not None and layout not in get_args(Layout):
+        raise InvalidParameterError(f"layout must be one of {', '.join(get_args(Layout))}, or None, not {layout!r}")
+
+
 def _check(name: str, value: float, low: float, high: float) -> None:
     if not (math.isfinite(value) and low <= value <= high):
         limit = f"from {low:g} to {high:g}" if math.isfinite(high) else f"at least {low:g}"
         raise InvalidParameterError(f"{name} must be {limit}, not {value!r}")
+
+
+def _oversampling(gsd_m_per_px: float) -> int:
+    """How many times finer than asked for a scene is drawn, before it is averaged down."""
+    return 3 if gsd_m_per_px >= 0.5 else 2 if gsd_m_per_px >= 0.02 else 1
+
+
+def _paint(
+    painter: Painter, x0: float, y0: float, gsd_m_per_px: float, width_px: int, height_px: int
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """The view from (x0, y0) metres on, uint8 [H,W,3], and how much of each pixel crowns cover, uint8 [H,W]."""
+    over = _oversampling(gsd_m_per_px)
+    image = np.zeros((height_px, width_px, 3), dtype=np.uint8)
+    crowns = np.zeros((height_px, width_px), dtype=np.uint8)
+    tile_px = _TILE_PX * 2 // over if over > 1 else _TILE_PX
+    for top in range(0, height_px, tile_px):
+        for left in range(0, width_px, tile_px):
+            rows, columns = min(tile_px, height_px - top), min(tile_px, width_px - left)
+            tile = painter.paint(x0 + left * gsd_m_per_px, y0 + top * gsd_m_per_px, columns * over, rows * over)
+            area = (columns, rows)
+            cell = (slice(top, top + rows), slice(left, left + columns))
+            image[cell] = cv2.resize(tile.rgb, area, interpolation=cv2.INTER_AREA)
+            crowns[cell] = cv2.resize(tile.crowns, area, interpolation=cv2.INTER_AREA)
+    return image, crowns
 
 
 def _look_at(world: World, width: float, height: float, rng: np.random.Generator) -> tuple[float, float]:
@@ -145,7 +169,7 @@ def _thin(world: World, view: tuple[float, float, float, float], limit: int | No
 
 
 def _photograph(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """What lens, haze, sensor and compression do."""
+    """Applies lens, haze, sensor and compression."""
     sigma = float(rng.uniform(0.45, 0.85))
     image = cast("NDArray[np.uint8]", cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
     if rng.random() < 0.35:  # sharpened by whoever processed it

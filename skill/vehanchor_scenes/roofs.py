@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vehanchor_scenes.sprites import Sun
+from vehanchor_scenes.tile import Tile
 from vehanchor_scenes.world import Rect, Rgb, Roof
-
-if TYPE_CHECKING:
-    from vehanchor_scenes.tile import Tile
 
 __all__ = ["paint_roof"]
 

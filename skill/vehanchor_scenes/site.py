@@ -117,10 +117,6 @@ class Site:
         """The same, seen from a frame placed inside this one."""
         return replace(self, frame=self.frame.at(x, y, angle))
 
-    def chance(self, probability: float) -> bool:
-        """True that often."""
-        return bool(self.rng.random() < probability)
-
     # Ground
 
     def polygon(self, points: ArrayLike, rgb: Rgb, material: Material) -> None:

@@ -8,7 +8,7 @@ A crown's sprite spans [-1.25, 1.25] radii and has two: coverage and light.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -20,6 +20,7 @@ CROWN_SPAN = 1.25
 VEHICLE_PAD = 0.03  # a transparent margin, as a share of the length, on every side of a vehicle's sprite
 
 _F = NDArray[np.float32]
+_Reals = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,8 @@ class _Car:
     boot: float = 1.0
     bed: bool = False
 
+
+_BASE_HALF_WIDTH = 0.90  # of the greenhouse, where it stands on the body; a share as in _Car
 
 _CARS = {
     "city": _Car(0.17, 0.34, 0.86, 0.955, boot=0.9),
@@ -115,16 +118,10 @@ def _lit(height: _F, px: float, light: tuple[float, float, float]) -> _F:
 def _car(
     car: _Car, body: str, u: _F, v: _F, length: float, width: float, px: float, light: tuple[float, float, float]
 ) -> _F:
-    half_length, half_width = length / 2, width / 2
-    t = (half_length - u) / length
+    half_width = width / 2
+    t = (length / 2 - u) / length
     across = np.abs(v) / half_width
-    rounding = 0.10 * width if body == "van" else 0.17 * width
-    front = half_length - rounding * np.clip(across, 0, 1.2) ** 3.5
-    rear = half_length - 0.5 * rounding * np.clip(across, 0, 1.2) ** 4
-    side = half_width * (
-        1 - 0.07 * np.clip((0.16 - t) / 0.16, 0, 1) ** 2 - 0.04 * np.clip((t - 0.88) / 0.12, 0, 1) ** 2
-    )
-    inset = np.minimum(np.minimum(front - u, u + rear), side - np.abs(v)).astype(np.float32)
+    inset = _car_inset(body, u, v, t, across, length, width)
     cover = _soft(inset, px)
 
     # Greenhouse: at its base almost as wide as the body, at the roof narrower.
@@ -132,8 +129,7 @@ def _car(
     rise = np.minimum((t - base_front) / (car.roof_front - car.glass_front), 1.0)
     fall = np.minimum((car.glass_rear - t) / max(car.glass_rear - car.roof_rear, 0.01), 1.0)
     cabin = np.clip(np.minimum(rise, fall), 0, 1)
-    base_half, roof_half = 0.90, car.roof_half_width
-    lean = np.clip((base_half - across) / (base_half - roof_half), 0, 1)
+    lean = np.clip((_BASE_HALF_WIDTH - across) / (_BASE_HALF_WIDTH - car.roof_half_width), 0, 1)
     belt = car.bonnet + (car.boot - car.bonnet) * np.clip(t, 0, 1)
     roof_height = 2.1 if body == "van" else 1.65 if body == "suv" else 1.45
     crown = 0.05 * (1 - np.clip(across, 0, 1) ** 2)
@@ -141,6 +137,41 @@ def _car(
     height = belt * (0.55 + 0.45 * np.sqrt(edge)) + crown + (roof_height - belt) * np.minimum(cabin, lean)
     shade = _lit(height.astype(np.float32), px, light)
 
+    glass = _car_glass(car, t, across, base_front, length, half_width, px)
+    if body == "van":
+        glass *= 1 - _soft(((t - 0.30) * length).astype(np.float32), px)
+    paint = shade * (1 - glass)
+    # The screens mirror some sky: brighter towards the roof.
+    grey = glass * (38 + 26 * np.clip(rise, 0, 1) * (t < 0.5) + 14 * (shade - 0.8))
+    if car.bed:
+        bed = _band(t * length, 0.655 * length, 0.965 * length, px) * _soft(
+            ((0.80 - across) * half_width).astype(np.float32), px
+        )
+        paint *= 1 - 0.85 * bed
+        grey += 26 * bed * (1 - glass)
+    gloss = (
+        np.exp(-(((v / half_width) - 0.35 * np.sign(-light[1] or 1.0)) ** 2) / 0.05) * np.clip(edge, 0, 1) * (1 - glass)
+    )
+    grey += 11 * gloss  # along bonnet and roof
+    red = _car_trim(car, paint, grey, t, across, length, half_width, px)
+    return cast("_F", np.stack([cover, paint * cover, grey * cover, red * cover], axis=2).astype(np.float32))
+
+
+def _car_inset(body: str, u: _F, v: _F, t: _F, across: _Reals, length: float, width: float) -> _F:
+    """Distance inside the outline, metres: rounded at front and rear, a little narrower towards both."""
+    half_length, half_width = length / 2, width / 2
+    rounding = 0.10 * width if body == "van" else 0.17 * width
+    front = half_length - rounding * np.clip(across, 0, 1.2) ** 3.5
+    rear = half_length - 0.5 * rounding * np.clip(across, 0, 1.2) ** 4
+    side = half_width * (
+        1 - 0.07 * np.clip((0.16 - t) / 0.16, 0, 1) ** 2 - 0.04 * np.clip((t - 0.88) / 0.12, 0, 1) ** 2
+    )
+    return cast("_F", np.minimum(np.minimum(front - u, u + rear), side - np.abs(v)).astype(np.float32))
+
+
+def _car_glass(car: _Car, t: _F, across: _Reals, base_front: _Reals, length: float, half_width: float, px: float) -> _F:
+    """Share of glass: the two screens, and the side windows between their pillars."""
+    base_half, roof_half = _BASE_HALF_WIDTH, car.roof_half_width
     in_cabin = _soft(
         (np.minimum(np.minimum(t - base_front, car.glass_rear - t) * length, (base_half - across) * half_width)).astype(
             np.float32
@@ -161,29 +192,15 @@ def _car(
     sides *= _soft(((0.885 - across) * half_width).astype(np.float32), px) * _band(
         t * length, (car.roof_front - 0.07) * length, (min(car.roof_rear + 0.05, 0.97)) * length, px
     )
-    pillars = _band(
-        t * length,
-        (car.roof_front * 0.45 + car.roof_rear * 0.55) * length - 0.06,
-        (car.roof_front * 0.45 + car.roof_rear * 0.55) * length + 0.06,
-        px,
-    )
-    glass = np.clip(screen + sides * (1 - pillars), 0, 1)
-    if body == "van":
-        glass *= 1 - _soft(((t - 0.30) * length).astype(np.float32), px)
-    paint = shade * (1 - glass)
-    # The screens mirror some sky: brighter towards the roof.
-    grey = glass * (38 + 26 * np.clip(rise, 0, 1) * (t < 0.5) + 14 * (shade - 0.8))
-    if car.bed:
-        bed = _band(t * length, 0.655 * length, 0.965 * length, px) * _soft(
-            ((0.80 - across) * half_width).astype(np.float32), px
-        )
-        paint *= 1 - 0.85 * bed
-        grey += 26 * bed * (1 - glass)
-    # Gloss along bonnet and roof, seams, bumpers and lamps.
-    gloss = (
-        np.exp(-(((v / half_width) - 0.35 * np.sign(-light[1] or 1.0)) ** 2) / 0.05) * np.clip(edge, 0, 1) * (1 - glass)
-    )
-    grey += 11 * gloss
+    pillar = (car.roof_front * 0.45 + car.roof_rear * 0.55) * length
+    pillars = _band(t * length, pillar - 0.06, pillar + 0.06, px)
+    return cast("_F", np.clip(screen + sides * (1 - pillars), 0, 1))
+
+
+def _car_trim(
+    car: _Car, paint: _Reals, grey: _Reals, t: _F, across: _Reals, length: float, half_width: float, px: float
+) -> _Reals:
+    """Draws seam, grille and lamps into ``paint`` and ``grey``; returns the red of the rear lamps."""
     seam = _band(t * length, car.glass_front * length - 0.10, car.glass_front * length - 0.05, px)
     paint *= 1 - 0.35 * seam * _soft(((0.86 - across) * half_width).astype(np.float32), px)
     grille = _band(t * length, 0.0, 0.07, px) * _soft(((0.55 - across) * half_width).astype(np.float32), px)
@@ -194,8 +211,7 @@ def _car(
     grey += 120 * lamps
     rear_lamps = _band(t * length, length - 0.20, length - 0.03, px) * lamp_side
     paint *= 1 - 0.75 * rear_lamps
-    red = 110 * rear_lamps
-    return cast("_F", np.stack([cover, paint * cover, grey * cover, red * cover], axis=2).astype(np.float32))
+    return 110 * rear_lamps
 
 
 def _heavy(body: str, u: _F, v: _F, length: float, width: float, px: float, light: tuple[float, float, float]) -> _F:

@@ -15,7 +15,7 @@ __all__ = ["Block", "Street", "StreetPlan", "build_street", "divide"]
 
 @dataclass(frozen=True)
 class StreetPlan:
-    """What streets of a layout are like."""
+    """Sizes of a layout's streets and blocks, and how busy they are."""
 
     block_size: tuple[float, float]
     """Blocks at most this large are not split: drawn per block."""
@@ -52,7 +52,7 @@ class Street:
 
 @dataclass(frozen=True)
 class Block:
-    """What streets leave: a rectangle, and which of its sides (left, top, right, bottom) lie on a street."""
+    """A rectangle between streets, and which of its sides (left, top, right, bottom) lie on one."""
 
     rect: Rect
     streets: tuple[Street | None, Street | None, Street | None, Street | None]
@@ -245,7 +245,7 @@ def _furniture(own: Site, street: Street) -> None:
 
 
 def _lane(own: Site) -> float:
-    """What cars at the kerb need of the carriageway."""
+    """Width of the carriageway that cars at the kerb take."""
     return own.fleet.max_width_m + 0.35
 
 

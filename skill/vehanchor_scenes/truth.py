@@ -1,4 +1,4 @@
-"""What a rendered scene is known to contain, and how that is written to files."""
+"""The truth of a rendered scene: all it contains, and the files that say so."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class SceneObject:
     instance: int
     """Its value in the category's mask; 1, 2, ..."""
     area_m2: float
-    """What the image shows of it: the mask's pixels times the squared GSD."""
+    """Of the part that the image shows: the mask's pixels times the squared GSD."""
     full_area_m2: float
     """The whole outline, also what lies outside the image or below a tree."""
 

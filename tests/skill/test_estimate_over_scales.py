@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.analyses import analyse_found
@@ -69,7 +69,6 @@ def _analysis(detector: Detector, groups: list[tuple[float, int, float, float]],
     st.lists(st.tuples(st.floats(5, 900), st.floats(0.01, 1)), min_size=1, max_size=60),
     st.randoms(use_true_random=False),
 )
-@settings(deadline=None)
 def test_the_dominant_group_is_a_fleet_whatever_the_order(found: list[tuple[float, float]], order: Any) -> None:
     lengths, weights = (np.array(column) for column in zip(*found, strict=True))
     group = dominant_group(lengths, weights)

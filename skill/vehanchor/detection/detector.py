@@ -12,18 +12,11 @@ import cv2
 import numpy as np
 
 from vehanchor.detection.boxes import canonical_boxes
-from vehanchor.detection.card import (
-    LENGTH_RANGE_PX,
-    MIN_SCORE,
-    REFERENCE_LENGTH_M,
-    REFERENCE_LENGTH_SD_M,
-    DetectorCard,
-    read_detector_card,
-)
+from vehanchor.detection.card import read_detector_card
 from vehanchor.detection.classes import vehicle_classes
 from vehanchor.detection.contracts import CONTRACTS, DetectorContract, recognise_contract
 from vehanchor.detection.fleet import FleetNetwork
-from vehanchor.detection.search import SearchLevel, search, search_levels
+from vehanchor.detection.search import search
 from vehanchor.detection.sighting import Objects, Sighting
 from vehanchor.errors import ModelContractError
 from vehanchor.models.cache import file_cached
@@ -41,17 +34,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
 
 __all__ = ["Detector", "TileSighting", "load_detector"]
-__all__ += [  # TEMPORARY, until every branch imports these from where they live
-    "LENGTH_RANGE_PX",
-    "MIN_SCORE",
-    "REFERENCE_LENGTH_M",
-    "REFERENCE_LENGTH_SD_M",
-    "Detections",
-    "DetectorCard",
-    "SearchLevel",
-    "detect_vehicles",
-    "search_levels",
-]
+__all__ += ["Detections", "detect_vehicles"]  # TEMPORARY, until training imports Sighting and search
 
 _PADDING_LEVEL = 114  # the grey that Ultralytics pads with
 _ANGLE_LIMIT = 1e4  # a finite, sane angle in radians before it is taken modulo pi
@@ -241,7 +224,7 @@ def _loaded(path: Path, *, fleet: Path | None, threads: int | None, providers: t
     return Detector(path, fleet=fleet, threads=threads, providers=providers)
 
 
-# TEMPORARY, until every branch has moved to ``Sighting`` and ``search``: the two names below go then.
+# TEMPORARY, for training/ alone: until it has moved to ``Sighting`` and ``search``.
 Detections = Sighting
 
 

@@ -1,4 +1,4 @@
-"""Which fleet vehicles belong to: North American cars are some 15 % longer than others, and built otherwise.
+"""Which fleet vehicles belong to: North American cars are longer than others, and built otherwise.
 
 A vehicle's *chip* is what is left of it without its scale: its pixels turned along its axis, brought to a length of 16
 px, blurred alike, in one channel, standardised. A small network reads from a chip the log odds that the vehicle is of

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -19,12 +18,14 @@ from mcp import Client
 from mcp.types import CallToolResult
 
 from tests.models import paint_vehicles
+from tests.needs import needed_module, needed_program
 from tests.sam_models import SamFiles
 from tests.server.app_page.test_app_page import SHOWS_PAGES
 from tests.server.conftest import POOL_BOX, paint_scene, write_image
-from tests.server.tools.test_tools import by_path
-from vehanchor_server.app import create_server, create_services
+from tests.server.conversation import by_path
+from vehanchor_server.app import create_server
 from vehanchor_server.app_page import PANEL_KEY, page_html
+from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 
 pytestmark = pytest.mark.browser
@@ -122,10 +123,9 @@ class Host:
 
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
-    api = pytest.importorskip("playwright.sync_api", reason="needs the extra 'browser': pip install -e '.[browser]'")
-    path = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
-    if path is None:
-        pytest.skip("no Chromium: apt-get install chromium, or name one by CHROMIUM")
+    names = (os.environ.get("CHROMIUM"), "chromium", "google-chrome")
+    path = needed_program("chromium", "apt-get install chromium, or name one by CHROMIUM", candidates=names)
+    api = needed_module("playwright.sync_api", "pip install -e '.[browser]'")
     with api.sync_playwright() as playwright:
         # A sandboxed frame in a process of its own is missing from screenshots.
         arguments = ["--no-sandbox", "--disable-features=IsolateSandboxedIframes"]

@@ -20,7 +20,6 @@ from vehanchor import options, records
 from vehanchor.cli import app as cli
 from vehanchor.errors import VehAnchorError
 from vehanchor.models import zoo as model_zoo
-from vehanchor_scenes import Layout
 
 LENGTH_PX = 30.0
 
@@ -230,7 +229,6 @@ def test_the_options_reach_the_method(run: Any) -> None:
 
 def test_the_choices_are_the_librarys() -> None:
     assert {choice.value for choice in cli._Aggregation} == set(get_args(options.Aggregation))
-    assert {choice.value for choice in cli._Layout} == set(get_args(Layout))
 
 
 def test_warnings_follow_the_table_and_stay_inside_the_json(run: Any, tmp_path: Path) -> None:
@@ -374,47 +372,6 @@ def test_the_progress_bar_goes_to_a_terminal_and_leaves_stdout_alone(folder: Pat
     assert [json.loads(line)["source"] for line in done.stdout.splitlines()] == ["cars.png", "text.png"]
     assert "1/2 cars.png" in shown
     assert "error[image_undecodable]" in shown
-
-
-# --- scene
-
-
-def test_scene_writes_an_image_and_its_truth(run: Any, tmp_path: Path) -> None:
-    out = tmp_path / "scene.png"
-    result = run(
-        "scene", out, "--gsd", "0.2", "--size", "300", "200", "--seed", "3", "--layout", "parking", "--fleet", "5"
-    )
-    assert result.exit_code == 0, result.stderr
-    assert _read(out).shape == (200, 300, 3)
-    printed = "".join(result.stdout.split())
-    for path in tmp_path.iterdir():
-        assert path.name in printed
-    truth = json.loads((tmp_path / "scene.json").read_text())
-    assert truth["gsd_m_per_px"] == 0.2
-    assert truth["parameters"]["layout"] == "parking"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code"),
-    [
-        (["scene.png", "--gsd", "-1"], "invalid_parameter"),
-        (["scene.png", "--gsd", "nan"], "invalid_parameter"),
-        (["scene.png", "--gsd", "0.2", "--size", "0", "100"], "invalid_parameter"),
-        (["scene.gif", "--gsd", "0.2"], "output_unwritable"),
-        (["nowhere/scene.png", "--gsd", "0.2"], "output_unwritable"),
-    ],
-)
-def test_scene_refuses_what_has_no_meaning(run: Any, arguments: list[str], code: str) -> None:
-    result = run("scene", *arguments)
-    assert result.exit_code == 2
-    assert result.stdout == ""
-    assert result.stderr.startswith(f"error[{code}]: ")
-
-
-def test_scene_needs_a_gsd(run: Any) -> None:
-    result = run("scene", "scene.png")
-    assert result.exit_code == 2
-    assert "--gsd" in result.stderr
 
 
 # --- models

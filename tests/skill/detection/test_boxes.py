@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.skill.detection.polygons import NEARBY_BOX, polygon_iou
@@ -10,7 +10,6 @@ from vehanchor.detection.boxes import box_corners, boxes_from_corners, canonical
 
 
 @given(st.lists(NEARBY_BOX, min_size=1, max_size=4))
-@settings(deadline=None)
 def test_canonical_boxes_are_the_same_rectangles_with_the_long_side_first(rows: list[tuple[float, ...]]) -> None:
     boxes = canonical_boxes(rows)
     assert (boxes[:, 2] >= boxes[:, 3]).all()
@@ -21,7 +20,6 @@ def test_canonical_boxes_are_the_same_rectangles_with_the_long_side_first(rows: 
 
 
 @given(st.lists(NEARBY_BOX, min_size=1, max_size=4))
-@settings(deadline=None)
 def test_corners_and_boxes_are_inverse(rows: list[tuple[float, ...]]) -> None:
     boxes = canonical_boxes(rows)
     again = boxes_from_corners(box_corners(boxes))
@@ -32,7 +30,6 @@ def test_corners_and_boxes_are_inverse(rows: list[tuple[float, ...]]) -> None:
 
 
 @given(NEARBY_BOX, NEARBY_BOX)
-@settings(deadline=None)
 def test_iou_equals_the_polygon_oracle(a: tuple[float, ...], b: tuple[float, ...]) -> None:
     first, second = canonical_boxes([a])[0], canonical_boxes([b])[0]
     assert oriented_iou([a], [b])[0, 0] == pytest.approx(polygon_iou(first, second), abs=2e-3)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.models import blank_image, paint_vehicles, write_detector
@@ -64,7 +64,6 @@ def _fleet(mean: float, n: int = 30) -> list[float]:
     st.tuples(st.floats(5, 20), st.floats(40, 200)),
     st.floats(1, 1600),
 )
-@settings(deadline=None)
 def test_every_length_counts_at_some_level_and_at_two_around_their_border(
     width: int, height: int, length_range: tuple[float, float], length: float
 ) -> None:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt, label
 
@@ -66,8 +66,20 @@ def test_a_mask_touches_the_edge_with_its_outer_row_or_column(
     assert touches_edge(_upright(*corners)) is touches
 
 
+def test_sides_that_do_not_count_may_be_touched() -> None:
+    mask = np.zeros((20, 30), dtype=bool)
+    for number, side in enumerate((np.s_[:, 0], np.s_[0], np.s_[:, -1], np.s_[-1])):  # left, top, right, bottom
+        mask[:] = False
+        mask[side] = True
+        mask[0, 0] = mask[-1, -1] = mask[0, -1] = mask[-1, 0] = False
+        only = tuple(each == number for each in range(4))
+        others = tuple(not each for each in only)
+        assert touches_edge(mask, only)
+        assert not touches_edge(mask, others)
+
+
 @given(_masks)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_pieces_hang_together_by_corners_and_add_up(mask: NDArray[np.bool_]) -> None:
     labels, n = label(mask, structure=np.ones((3, 3)))
     expected = sorted(np.bincount(labels.ravel())[1:], reverse=True) if n else []
@@ -146,17 +158,19 @@ def _square_distance(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
 
 
 @given(_masks)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_inscribed_circle_is_that_of_the_exact_distance(mask: NDArray[np.bool_]) -> None:
+    assume(mask.any())
     circle = inscribed_circle(mask)
-    if not mask.any():
-        assert circle is None
-        return
     assert circle is not None
     distance = _square_distance(mask)
     assert circle.diameter == pytest.approx(distance.max(), rel=1e-5)
     # and it really fits there
     assert distance[round(2 * circle.y) + 2, round(2 * circle.x) + 2] == pytest.approx(circle.diameter, rel=1e-5)
+
+
+def test_no_circle_fits_into_nothing() -> None:
+    assert inscribed_circle(np.zeros((7, 5), dtype=np.bool_)) is None
 
 
 def test_a_hole_keeps_the_circle_out() -> None:

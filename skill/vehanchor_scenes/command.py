@@ -1,0 +1,65 @@
+"""``vehanchor scene``, for the command line to mount.
+
+Whatever is slow to load (OpenCV) is imported when a scene is drawn: help comes at once.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vehanchor.cli.terminal import printable, told_errors
+from vehanchor.errors import OutputError
+
+__all__ = ["LayoutChoice", "scene"]
+
+
+class LayoutChoice(StrEnum):
+    """The layouts, as Typer takes choices; the renderer's ``Layout`` lives where OpenCV is loaded."""
+
+    urban = "urban"
+    parking = "parking"
+    countryside = "countryside"
+
+
+def scene(
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT.png", help="The image, .png or .jpg; its truth is written beside it.")
+    ],
+    gsd: Annotated[float, typer.Option(metavar="M/PX", help="Ground sampling distance, metres per pixel: 0.005 to 2.")],
+    size: Annotated[tuple[int, int], typer.Option(metavar="W H", help="Size of the image, pixels.")] = (1024, 1024),
+    seed: Annotated[int, typer.Option(metavar="N", help="The same seed and options draw the same picture.")] = 0,
+    vehicles: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="At most so many cars; 0 for none at all. Default: as many as the place has."),
+    ] = None,
+    fleet: Annotated[float, typer.Option(metavar="M", help="Mean length of the cars, metres: 2 to 8.")] = 4.6,
+    layout: Annotated[LayoutChoice | None, typer.Option(help="Kind of place. Default: the seed decides.")] = None,
+) -> None:
+    """Render an aerial scene of exactly known scale, with its truth: GSD, oriented boxes (DOTA text), masks."""
+    with told_errors():
+        from vehanchor.pictures.scale import check_picture_path
+        from vehanchor_scenes.render import render_scene
+
+        check_picture_path(out)
+        drawn = render_scene(
+            gsd,
+            width_px=size[0],
+            height_px=size[1],
+            seed=seed,
+            n_vehicles=vehicles,
+            mean_vehicle_length_m=fleet,
+            layout=None if layout is None else layout.value,
+        )
+        try:
+            written = drawn.write(out)
+        except OSError as error:
+            raise OutputError(f"cannot write {str(out)!r}: {error.strerror or error}") from error
+        n_small = sum(vehicle.kind == "small-vehicle" for vehicle in drawn.vehicles)
+        n_large = len(drawn.vehicles) - n_small
+        print(f"{size[0]} x {size[1]} px at {gsd:g} m/px, {n_small} small and {n_large} large vehicles:")
+        for path in written:
+            print(printable(f"  {path}"))

@@ -1,0 +1,46 @@
+"""What a test needs beside us: programs and packages that a developer may lack, and CI may not."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import shutil
+from collections.abc import Iterable
+from typing import Any
+
+import pytest
+
+__all__ = ["needed_module", "needed_program"]
+
+
+def needed_program(name: str, advice: str, *, candidates: Iterable[str | None] = ()) -> str:
+    """The path of a program.
+
+    Where there is none, the test is skipped; but it fails where ``CI`` is set, as ``.ci/run`` does, unless
+    ``VEHANCHOR_CI_WITHOUT`` names the program (several are divided by blanks).
+
+    Args:
+        name: what the program is called, on the PATH and in ``VEHANCHOR_CI_WITHOUT``.
+        advice: how to get it.
+        candidates: other names and paths that will do; None is passed over. They are tried first.
+    """
+    path = f"{os.environ.get('PATH', '')}{os.pathsep}/usr/sbin"
+    for candidate in (*candidates, name):
+        found = candidate and shutil.which(candidate, path=path)
+        if found:
+            return found
+    raise _missing(name, advice)
+
+
+def needed_module(name: str, advice: str) -> Any:
+    """A module, with the same consequences where it is missing."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise _missing(name.partition(".")[0], advice) from None
+
+
+def _missing(name: str, advice: str) -> BaseException:
+    if not os.environ.get("CI") or name in os.environ.get("VEHANCHOR_CI_WITHOUT", "").split():
+        return pytest.skip.Exception(f"no {name} here; {advice}")
+    return pytest.fail.Exception(f"CI runs this, and there is no {name}: {advice}, or say VEHANCHOR_CI_WITHOUT={name}")

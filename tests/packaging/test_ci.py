@@ -1,0 +1,86 @@
+"""CI keeps its promises: one list of commands, versions with hashes, nothing left out unseen."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import tomllib
+from itertools import chain
+from pathlib import Path
+
+import yaml
+
+from tests.conftest import ROOT
+
+RUN = ROOT / ".ci/run"
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+WORKFLOW = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))
+
+
+def _steps() -> list[str]:
+    steps = re.search(r"^STEPS=\((.*)\)$", RUN.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert steps is not None
+    return steps.group(1).split()
+
+
+def _locked(name: str) -> dict[tuple[str, str], int]:
+    """The number of hashes of each package and version."""
+    text = (ROOT / "requirements" / name).read_text(encoding="utf-8").replace("\\\n", " ")
+    lines = [line for line in text.splitlines() if line and not line.startswith("#")]
+    pins = [re.match(r"([a-z0-9-]+)==(\S+)", line) for line in lines]
+    return {
+        (pin.group(1), pin.group(2)): line.count("--hash=sha256:") for pin, line in zip(pins, lines, strict=True) if pin
+    }
+
+
+def _wanted(extras: list[str]) -> set[str]:
+    lists = [PROJECT["dependencies"], *(PROJECT["optional-dependencies"][extra] for extra in extras)]
+    names = {re.split(r"[^\w-]", each)[0].lower().replace("_", "-") for each in chain.from_iterable(lists)}
+    return names - {"vehanchor"}
+
+
+def test_the_workflow_runs_every_step_and_nothing_of_its_own() -> None:
+    named: set[str] = set()
+    for job in WORKFLOW["jobs"].values():
+        for command in (step["run"] for step in job["steps"] if "run" in step):
+            matrix = job["strategy"]["matrix"].get("steps", [])
+            for text in [command.replace("${{ matrix.steps }}", steps) for steps in matrix] or [command]:
+                assert text.startswith("bash .ci/run "), "a command that nobody can run at home"
+                named |= set(text.split()[2:])
+    assert named == {*_steps(), "smoke"}
+
+
+def test_every_python_that_the_package_names_is_tested() -> None:
+    classified = {each.rpartition(" ")[2] for each in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", each)}
+    assert set(WORKFLOW["jobs"]["linux"]["strategy"]["matrix"]["python"]) == classified
+
+
+def test_every_marker_that_the_quick_tests_leave_out_has_a_step() -> None:
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
+    left_out = set(re.findall(r"not (\w+)", options["addopts"]))
+    assert left_out == set(re.findall(r"pytest -m (\w+)", RUN.read_text(encoding="utf-8")))
+
+
+def test_a_step_that_does_not_exist_is_refused_before_anything_is_installed() -> None:
+    done = subprocess.run(["bash", str(RUN), "lint", "nonsense"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "no step nonsense" in done.stderr
+
+
+def test_all_that_may_be_installed_has_a_version_and_hashes() -> None:
+    extras = [extra for extra in PROJECT["optional-dependencies"] if extra != "train"]
+    locked = _locked("all.txt")
+    assert _wanted(extras) <= {name for name, _ in locked}
+    assert all(locked.values())
+
+
+def test_the_container_gets_what_ci_tests() -> None:
+    locked = _locked("image.txt")
+    assert _wanted(["geo"]) <= {name for name, _ in locked}
+    assert all(locked.values())
+    assert set(locked) <= set(_locked("all.txt"))
+
+
+def test_the_locks_name_no_index() -> None:
+    for path in sorted(Path(ROOT / "requirements").glob("*.txt")):
+        assert not re.search(r"https?:|file:|--(?:extra-)?index|--find-links", path.read_text(encoding="utf-8"))

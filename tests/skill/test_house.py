@@ -1,0 +1,170 @@
+"""The house rules: who may import whom, what can be taken away, and how long things may be."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+from tests.conftest import ROOT
+
+MODULE_LINES, FUNCTION_LINES = 450, 60
+FOLDERS = (ROOT / "skill", ROOT / "server")
+COMMANDS = ("vehanchor.cli", "vehanchor_evaluation.commands", "vehanchor_scenes.command", "vehanchor_server.command")
+FORBIDDEN = {  # what the modules of a package never import, not even inside a function
+    "vehanchor": ("vehanchor_scenes", "vehanchor_evaluation", "vehanchor_server", "mcp", "starlette"),
+    "vehanchor_scenes": ("vehanchor_evaluation", "vehanchor_server", "mcp"),
+    "vehanchor_evaluation": ("vehanchor_scenes",),
+    "vehanchor_server": ("vehanchor_scenes", "vehanchor_evaluation", "vehanchor.cli"),
+}
+
+
+def _modules() -> dict[str, Path]:
+    found = {}
+    for folder in FOLDERS:
+        for path in sorted(folder.rglob("*.py")):
+            *parts, last = path.relative_to(folder).with_suffix("").parts
+            found[".".join(parts if last == "__init__" else [*parts, last])] = path
+    return found
+
+
+MODULES = _modules()
+TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
+
+
+def _below(name: str, package: str) -> bool:
+    return name == package or name.startswith(f"{package}.")
+
+
+def _imported(name: str) -> set[str]:
+    """What a module imports anywhere: at its top, for types only, or inside a function."""
+    found = set()
+    for node in ast.walk(TREES[name]):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{name}: a relative import"
+            source = node.module or ""
+            inside = {f"{source}.{alias.name}" for alias in node.names}
+            found |= {each if each in MODULES else source for each in inside}
+    return found
+
+
+IMPORTS = {name: _imported(name) for name in MODULES}
+
+
+def _functions(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    return (node for node in ast.walk(tree) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)))
+
+
+def test_no_import_comes_back_to_where_it_began() -> None:
+    graph = {name: {each for each in imported if each in MODULES} for name, imported in IMPORTS.items()}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" <- ".join(error.args[1]))
+
+
+@pytest.mark.parametrize("package", FORBIDDEN)
+def test_a_package_imports_only_what_it_may(package: str) -> None:
+    found = [
+        f"{name} imports {imported}"
+        for name in MODULES
+        if _below(name, package) and not any(_below(name, command) for command in COMMANDS[1:])
+        for imported in IMPORTS[name]
+        if any(_below(imported, forbidden) for forbidden in FORBIDDEN[package])
+    ]
+    assert not found
+
+
+def test_only_commands_import_the_command_line() -> None:
+    found = [
+        name
+        for name in MODULES
+        if any(_below(imported, "vehanchor.cli") or _below(imported, "typer") for imported in IMPORTS[name])
+        and not any(_below(name, command) for command in (*COMMANDS, "vehanchor.__main__"))
+    ]
+    assert not found
+
+
+def test_no_module_is_too_long_to_be_read_at_once() -> None:
+    lengths = {name: len(path.read_text(encoding="utf-8").splitlines()) for name, path in MODULES.items()}
+    assert not {name: lines for name, lines in lengths.items() if lines > MODULE_LINES}
+
+
+def test_every_function_fits_a_screen() -> None:
+    lengths = {
+        f"{name}.{function.name}": (function.end_lineno or 0) - function.lineno + 1
+        for name, tree in TREES.items()
+        for function in _functions(tree)
+    }
+    assert not {name: lines for name, lines in lengths.items() if lines > FUNCTION_LINES}
+
+
+def test_no_module_is_a_drawer_for_odds_and_ends() -> None:
+    assert not [name for name in MODULES if name.rpartition(".")[2] in {"utils", "util", "common", "helpers", "misc"}]
+
+
+def test_importing_the_library_loads_nothing_else() -> None:
+    code = "import sys, vehanchor; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True).stdout.split()
+    others = ("vehanchor.cli", "vehanchor_scenes", "vehanchor_evaluation", "vehanchor_server", "typer", "mcp", "numpy")
+    assert not [name for name in loaded if any(_below(name, other) for other in others)]
+
+
+TAKE_AWAY = """
+import importlib, sys
+
+away, modules = sys.argv[1], sys.argv[2:]
+
+class Away:
+    def find_spec(self, name, path=None, target=None):
+        if name == away or name.startswith(away + "."):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Away())
+for module in modules:
+    importlib.import_module(module)
+
+import numpy as np
+import vehanchor
+
+assert vehanchor.estimate_gsd(np.zeros((64, 64, 3), dtype=np.uint8)).status == "no_anchor"
+if away != "vehanchor_scenes":
+    from vehanchor_scenes import render_scene
+
+    assert render_scene(0.3, width_px=32, height_px=32).image.shape == (32, 32, 3)
+if away != "vehanchor.cli":
+    from vehanchor.cli.app import main
+
+    sys.argv = ["vehanchor", "--help"]
+    main()
+"""
+
+
+@pytest.mark.parametrize("away", ["vehanchor_scenes", "vehanchor_evaluation", "vehanchor_server", "vehanchor.cli"])
+def test_the_rest_works_without(away: str) -> None:
+    gone = COMMANDS if away == "vehanchor.cli" else (away,)
+    rest = [name for name in MODULES if not any(_below(name, each) for each in (*gone, "vehanchor.__main__"))]
+    assert len(rest) > 50
+    done = subprocess.run(
+        [sys.executable, "-c", TAKE_AWAY, away, *rest], capture_output=True, check=False, text=True, cwd=ROOT
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    if away != "vehanchor.cli":
+        brings = {"vehanchor_scenes": "scene", "vehanchor_evaluation": "calibrate", "vehanchor_server": "serve"}
+        shown = {line.split()[1] for line in done.stdout.splitlines() if len(line.split()) > 1}
+        assert "estimate" in shown
+        assert brings.pop(away) not in shown
+        assert set(brings.values()) <= shown
+
+
+def test_no_property_is_held_to_a_deadline() -> None:
+    assert hypothesis.settings.default is not None
+    assert hypothesis.settings.default.deadline is None
