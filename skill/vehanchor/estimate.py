@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.registry import OTHER_ANCHORS
 from vehanchor.anchors.vehicles import VehicleEvidence, Vehicles
-from vehanchor.detection.detector import Detector, detect_vehicles, load_detector
+from vehanchor.detection.detector import Detector, load_detector
+from vehanchor.detection.search import search
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.raster import open_raster
 from vehanchor.models.zoo import resolve_model
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.anchors.evidence import Evidence
-    from vehanchor.detection.detector import Detections as Sighting
+    from vehanchor.detection.sighting import Sighting
     from vehanchor.imagery.raster import ImageSource, Raster
     from vehanchor.options import Frame, OptionKeywords
 
@@ -176,17 +177,7 @@ def analyse_raster(
 ) -> ScaleAnalysis:
     """As ``analyse_scale``, of an image that is open already."""
     options.frame.check(raster.width_px, raster.height_px)
-    sighting = detect_vehicles(
-        raster,
-        detector,
-        min_score=options.search.min_score,
-        tile_px=options.search.tile_px,
-        stride_px=options.search.stride_px,
-        nms_iou=options.search.nms_iou,
-        search_scales=options.search.search_scales,
-        progress=progress,
-        run_options=run_options,
-    )
+    sighting = search(raster, detector, options.search, progress=progress, run_options=run_options)
     view = View(image_facts(raster), sighting, detector.card, options, partial(resolved_share, raster))
     return analyse_sighting(view)
 

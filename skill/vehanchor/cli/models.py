@@ -14,7 +14,7 @@ from vehanchor.cli.terminal import facts_table, failure, print_json, print_table
 from vehanchor.errors import ModelError, VehAnchorError
 
 if TYPE_CHECKING:
-    from vehanchor.detection.detector import DetectorCard
+    from vehanchor.detection.card import DetectorCard
 
 __all__ = ["models"]
 
@@ -46,7 +46,7 @@ def list_models(
                     print(printable(f"{name}: {path}\n  not a detector: {error}"))
                 continue
             if as_json:
-                print_json({"kind": "detector", "file": str(path), "default": default, **asdict(card)})
+                print_json({"kind": "detector", "file": str(path), "default": default, **card.model_dump(mode="json")})
             else:
                 facts = [("file", str(path)), *_card_facts(card, sha_digits=_SHORT_SHA)]
                 print_table(facts_table(f"{name} (default)" if default else name, facts))
@@ -93,7 +93,9 @@ def show_model(
                 print_json(failure(file, error))
             raise
         if as_json:
-            print_json({"file": str(model.path), "fixed_size_px": model.fixed_size, **asdict(model.card)})
+            print_json(
+                {"file": str(model.path), "fixed_size_px": model.fixed_size, **model.card.model_dump(mode="json")}
+            )
             return
         card = model.card
         size = "any" if model.fixed_size is None else f"{model.fixed_size[1]} x {model.fixed_size[0]} px"
