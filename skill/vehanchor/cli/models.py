@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vehanchor.cli.declared import DetectorChoice
-from vehanchor.cli.terminal import facts_table, failure, print_json, print_table, printable, told_errors
+from vehanchor.cli.terminal import exit_on_error, facts_table, failure, print_json, print_table, printable
 from vehanchor.errors import ModelError, VehAnchorError
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def list_models(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object per model and line.")] = False,
 ) -> None:
     """List the bundled detectors and the segmenter."""
-    with told_errors():
+    with exit_on_error():
         from vehanchor.detection.detector import load_detector
         from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, bundled_segmenter
 
@@ -85,7 +85,7 @@ def show_model(
     ] = None,
 ) -> None:
     """Show all that a detector's file says of itself; the paper's values stand in where it is silent."""
-    with told_errors():
+    with exit_on_error():
         try:
             model = DetectorChoice(detector=file, classes=classes).open()
         except VehAnchorError as error:

@@ -16,25 +16,21 @@ from vehanchor.detection.card import read_detector_card
 from vehanchor.detection.classes import vehicle_classes
 from vehanchor.detection.contracts import CONTRACTS, DetectorContract, recognise_contract
 from vehanchor.detection.fleet import FleetNetwork
-from vehanchor.detection.search import search
-from vehanchor.detection.sighting import Objects, Sighting
+from vehanchor.detection.sighting import Objects
 from vehanchor.errors import ModelContractError
 from vehanchor.models.cache import file_cached
 from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.session import DEFAULT_PROVIDERS, open_session
 from vehanchor.models.zoo import fleet_beside
-from vehanchor.options import Search
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     import onnxruntime
     from numpy.typing import NDArray
 
-    from vehanchor.imagery.raster import Raster
 
 __all__ = ["Detector", "TileSighting", "load_detector"]
-__all__ += ["Detections", "detect_vehicles"]  # TEMPORARY, until training imports Sighting and search
 
 _PADDING_LEVEL = 114  # the grey that Ultralytics pads with
 _ANGLE_LIMIT = 1e4  # a finite, sane angle in radians before it is taken modulo pi
@@ -222,19 +218,3 @@ def load_detector(
 @file_cached(max_models=4)
 def _loaded(path: Path, *, fleet: Path | None, threads: int | None, providers: tuple[str, ...]) -> Detector:
     return Detector(path, fleet=fleet, threads=threads, providers=providers)
-
-
-# TEMPORARY, for training/ alone: until it has moved to ``Sighting`` and ``search``.
-Detections = Sighting
-
-
-def detect_vehicles(
-    raster: Raster,
-    detector: Detector,
-    *,
-    progress: Callable[[int, int], None] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
-    **options: Any,
-) -> Sighting:
-    """As ``search``, its options as keywords."""
-    return search(raster, detector, Search(**options), progress=progress, run_options=run_options)
