@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 import torch
-from torch.utils.data import IterableDataset, get_worker_info
 
 from training.detector.network import STRIDE_PX
 from vehanchor.evaluation.dota import read_labels
 from vehanchor.obb import box_corners, boxes_from_corners
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -315,33 +314,42 @@ def dense_target(boxes: NDArray[np.float64], ignore: NDArray[np.float64]) -> Tar
 
 
 @dataclass
-class CropStream(IterableDataset):  # type: ignore[type-arg]
-    """An endless, seeded stream of ``(image [3, h, w] uint8, Target)``."""
+class CropStream:
+    """An endless, seeded stream of crops; the k-th is the same whenever it is asked for."""
 
     images: list[TrainImage]
     seed: int
 
-    def __iter__(self) -> Iterator[tuple[torch.Tensor, Target]]:
-        """Draw a set by weight, an image in it (those with more cars a little more often), then a crop."""
-        cv2.setNumThreads(1)
-        worker = get_worker_info()
-        rng = np.random.default_rng([self.seed, worker.id if worker else 0])
-        by_set: dict[str, list[TrainImage]] = {}
+    def __post_init__(self) -> None:
+        """Sort the images by their sets."""
+        self._by_set: dict[str, list[TrainImage]] = {}
         for sample in self.images:
-            by_set.setdefault(sample.set, []).append(sample)
-        names = sorted(by_set)
-        share = np.array([_SET_WEIGHT[name] for name in names])
-        pick = {name: np.array([1.0 + np.sqrt(len(s.boxes) + len(s.clutter)) for s in by_set[name]]) for name in names}
-        while True:
-            name = names[rng.choice(len(names), p=share / share.sum())]
+            self._by_set.setdefault(sample.set, []).append(sample)
+        self._names = sorted(self._by_set)
+        share = np.array([_SET_WEIGHT[name] for name in self._names])
+        self._share = share / share.sum()
+        self._pick = {}
+        for name, samples in self._by_set.items():
+            weight = np.array([1.0 + np.sqrt(len(s.boxes) + len(s.clutter)) for s in samples])
+            self._pick[name] = weight / weight.sum()
 
-            def draw(name: str = name) -> Crop:
-                return draw_crop(rng, by_set[name][rng.choice(len(by_set[name]), p=pick[name] / pick[name].sum())])
+    def __getitem__(self, index: int) -> tuple[torch.Tensor, Target]:
+        """Draw a set by weight, an image in it (those with more cars a little more often), then a crop.
 
-            crop = draw()
-            for _ in range(2):
-                if crop.covered.mean() < 0.75 and rng.random() < 0.9:
-                    crop = lay_over(crop, draw())
-            image = photometric(rng, crop.image)
-            pixels = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))
-            yield pixels, dense_target(crop.boxes, crop.ignore)
+        Returns:
+            The image ``[3, h, w]`` uint8 and its target.
+        """
+        cv2.setNumThreads(1)
+        rng = np.random.default_rng([self.seed, index])
+        name = self._names[rng.choice(len(self._names), p=self._share)]
+
+        def draw() -> Crop:
+            return draw_crop(rng, self._by_set[name][rng.choice(len(self._by_set[name]), p=self._pick[name])])
+
+        crop = draw()
+        for _ in range(2):
+            if crop.covered.mean() < 0.75 and rng.random() < 0.9:
+                crop = lay_over(crop, draw())
+        image = photometric(rng, crop.image)
+        pixels = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))
+        return pixels, dense_target(crop.boxes, crop.ignore)
