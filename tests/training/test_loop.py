@@ -9,9 +9,9 @@ import pytest
 
 pytest.importorskip("torch")
 
-import torch  # noqa: E402 - PyTorch may be missing
+import torch
 
-from training.loop import Recipe, Schedule, load_average, save_atomically, train  # noqa: E402
+from training.loop import Recipe, Schedule, load_average, save_atomically, train
 
 pytestmark = pytest.mark.slow
 
