@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from training.detector.data import CropStream, Target, load_scenes, load_train_images
 from training.detector.loss import detection_loss
 from training.detector.network import VehicleNet
+from training.detector.scenery import load_scenery
 from training.detector.warm_start import load_exported
 from training.loop import Recipe, Schedule, train
 
@@ -45,7 +46,7 @@ def main() -> None:
     options = parser.parse_args()
 
     torch.manual_seed(options.seed)
-    images = load_train_images(options.data / "vehicles")
+    images = load_train_images(options.data / "vehicles") + load_scenery(options.data)
     if options.scenes:
         images += load_scenes(options.scenes)
     print(f"{len(images)} images, {sum(len(i.boxes) for i in images)} cars", flush=True)
