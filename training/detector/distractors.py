@@ -17,19 +17,22 @@ _SHIFT = 4  # fractional bits of OpenCV's coordinates
 _Layer = tuple[NDArray[np.float32], NDArray[np.float32]]  # colour [h, w, 3] in 0..255 and opacity [h, w] in 0..1
 
 
-def draw_distractors(rng: np.random.Generator, image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+def draw_distractors(
+    rng: np.random.Generator, image: NDArray[np.uint8], kind: str | None = None
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Lay a patch of one kind over an image.
 
     Args:
         rng: random numbers.
         image: ``[h, w, 3]``.
+        kind: a key of ``KINDS``; any of them for None.
 
     Returns:
         The new image, and ``[h, w]`` where the patch hides what was there.
     """
     height, width = image.shape[:2]
-    kind = _KINDS[rng.integers(len(_KINDS))]
-    colour, opacity = kind(rng, image)
+    kind = kind or list(KINDS)[rng.integers(len(KINDS))]
+    colour, opacity = KINDS[kind](rng, image)
     turn = float(rng.uniform(0, 180))
     matrix = cv2.getRotationMatrix2D((width / 2, height / 2), turn, 1.0)
     colour = np.asarray(cv2.warpAffine(colour, matrix, (width, height), borderMode=cv2.BORDER_REFLECT), np.float32)
@@ -150,10 +153,10 @@ def _crowns(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
     return colour, opacity
 
 
-_KINDS: tuple[Callable[[np.random.Generator, NDArray[np.uint8]], _Layer], ...] = (
-    _zebra,
-    _posts,
-    _slabs,
-    _panels,
-    _crowns,
-)
+KINDS: dict[str, Callable[[np.random.Generator, NDArray[np.uint8]], _Layer]] = {
+    "zebra": _zebra,
+    "posts": _posts,
+    "slabs": _slabs,
+    "panels": _panels,
+    "crowns": _crowns,
+}

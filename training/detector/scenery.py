@@ -4,7 +4,7 @@
 (``relabel.search``) and writes ``scenery.csv``: cars to learn, places to ignore, clutter to look at more often. All
 other ground is background. Three judges, in this order:
 
-* people: in ``estonia`` every box drawn by people is a car, turned as the detector sees it; in ``LOOKED_AT`` stands
+* people: in ``estonia`` every box drawn by people is a car, turned as the detector sees it; in ``looked_at.csv`` stands
   what we made of candidates on contact sheets;
 * size: what has no car's size in metres at the known scale is none, however much it looks like one;
 * the detector, by the mean score over the symmetries, where the kind of place allows cars at all: boats in a harbour
@@ -15,30 +15,25 @@ from __future__ import annotations
 
 import argparse
 import csv
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from training.detector.data import HELD_OUT, TrainImage, corrected, read_corrections
+from training.detector.data import TrainImage, corrected, read_corrections
+from training.detector.places import Place, is_held_out, looked_at, places
 from training.detector.relabel import Consensus, search
 from vehanchor.detection import Detector
 from vehanchor.evaluation.dota import read_labels
 
 SCENERY = Path(__file__).with_name("scenery.csv")
-LOOKED_AT = Path(__file__).with_name("looked_at.csv")
 CAR_M = 4.5
 _LENGTHS_M, _WIDTHS_M = (3.0, 6.4), (1.25, 2.95)
 _SEEN = 0.2  # mean score over the symmetries below which nothing is written down
 _SAME_PLACE_M = 1.5
-_FLIGHT_GSD = {"garfield": 0.047, "seneca": 0.058}  # from the GPS track, each pair of photographs within a fifth
-_DEV_SHARE = 10
-_PER_SET_GROUP = {"flights": 4}  # every so many photographs of a flight: neighbours show the same ground
 
 
 @dataclass(frozen=True)
@@ -65,49 +60,6 @@ _POLICY = {
     "seneca": Policy(0.6, 0.5),
     "estonia": _NEVER,  # people drew all cars
 }
-
-
-class Place(NamedTuple):
-    """An image without oriented labels."""
-
-    path: Path
-    set: str  # estonia, estonia_port, ucm_more, building, flights
-    kind: str  # of place, a key of ``_POLICY``
-    gsd_m_per_px: float
-    labels: Path | None
-
-
-def places(data: Path) -> list[Place]:
-    """The images of ``shared/data`` that may train and have no oriented labels."""
-    out = []
-    with (data / "upright" / "index.csv").open(newline="") as handle:
-        for row in csv.DictReader(handle):
-            if row["split"] == "train":
-                path = data / "upright" / row["file"]
-                labels = data / "upright" / "labels" / f"{path.stem}.txt"
-                out.append(Place(path, row["set"], row["set"], float(row["gsd_m_per_px"]), labels))
-    with (data / "unlabelled" / "index.csv").open(newline="") as handle:
-        for row in csv.DictReader(handle):
-            path = data / "unlabelled" / row["file"]
-            kind = path.stem.removeprefix("ucm_").rstrip("0123456789") if row["set"] == "ucm_more" else row["set"]
-            out.append(Place(path, row["set"], kind, float(row["gsd_m_per_px"]), None))
-    with (data / "segments" / "index.csv").open(newline="") as handle:
-        for row in csv.DictReader(handle):
-            if row["split"] == "train" and row["category"] == "building":
-                path = data / "segments" / row["image"]
-                out.append(Place(path, "building", "building", float(row["gsd_m_per_px"]), None))
-    with (data / "flights" / "table.csv").open(newline="") as handle:
-        for number, row in enumerate(csv.DictReader(handle)):
-            if number % _PER_SET_GROUP["flights"] == 0:
-                path = data / "flights" / row["file"]
-                out.append(Place(path, "flights", row["flight"], _FLIGHT_GSD[row["flight"]], None))
-    return out
-
-
-def is_held_out(place: Place) -> bool:
-    """One place in ten never trains, by a checksum; halves of one tile (``b``) and flights stay together."""
-    stem = place.path.stem.rstrip("b") if place.set == "estonia" else place.path.stem
-    return place.set != "flights" and zlib.crc32(stem.encode()) % _DEV_SHARE == HELD_OUT
 
 
 def judged(
@@ -220,10 +172,7 @@ def main() -> None:
     )
     options = parser.parse_args()
     detector = Detector(options.model)
-    looked_at: dict[str, list[tuple[float, float, str]]] = {}
-    with LOOKED_AT.open(newline="") as handle:
-        for row in csv.DictReader(handle):
-            looked_at.setdefault(row["file"], []).append((float(row["x"]), float(row["y"]), row["kind"]))
+    seen = looked_at()
     counts: dict[str, int] = {}
     with options.out.open("w", newline="") as handle:
         table = csv.writer(handle)
@@ -232,7 +181,7 @@ def main() -> None:
             if is_held_out(place):
                 continue
             found = _searched(place, detector, options.found)
-            known = looked_at.get(place.path.name, [])
+            known = seen.get(place.path.name, [])
             if place.set == "estonia":
                 assert place.labels is not None
                 rows = turned(found, read_labels(place.labels).of_class("small-vehicle"), place.gsd_m_per_px, known)
