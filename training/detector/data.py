@@ -84,14 +84,14 @@ def read_corrections(path: Path) -> dict[str, list[Correction]]:
     return out
 
 
-def load_train_images(vehicles: Path, corrections: Path = CORRECTIONS) -> list[TrainImage]:
-    """Load the training part of ``shared/data/vehicles`` without its held-out tenth, its labels corrected."""
+def load_train_images(vehicles: Path, corrections: Path = CORRECTIONS, *, held_out: bool = False) -> list[TrainImage]:
+    """Load the training part of ``shared/data/vehicles``, its labels corrected; or its held-out tenth alone."""
     known = read_corrections(corrections)
     out = []
     with (vehicles / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["split"] == "train"]
     for row in rows:
-        if not is_dev(row["file"], row["set"]):
+        if is_dev(row["file"], row["set"]) == held_out:
             sample = _load(vehicles / row["file"], row["set"], vehicles / "labels")
             out.append(corrected(sample, known.get(Path(row["file"]).name, [])))
     return out

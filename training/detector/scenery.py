@@ -137,11 +137,11 @@ def _told(box: NDArray[np.float64], gsd_m_per_px: float, looked_at: Sequence[tup
     return next(near, None)
 
 
-def load_scenery(data: Path, table: Path = SCENERY) -> list[TrainImage]:
+def load_scenery(data: Path, table: Path = SCENERY, *, held_out: bool = False) -> list[TrainImage]:
     """Load the places that train, with what ``scenery.csv`` says; lorries drawn by people are ignored."""
     known, out = read_corrections(table), []
     for place in places(data):
-        if is_held_out(place):
+        if is_held_out(place) != held_out:
             continue
         image = cv2.imread(str(place.path), cv2.IMREAD_COLOR)
         if image is None:
@@ -178,8 +178,6 @@ def main() -> None:
         table = csv.writer(handle)
         table.writerow(("file", "kind", "x", "y", "length", "width", "angle", "score"))
         for place in places(options.data):
-            if is_held_out(place):
-                continue
             found = _searched(place, detector, options.found)
             known = seen.get(place.path.name, [])
             if place.set == "estonia":
