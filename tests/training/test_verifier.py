@@ -14,10 +14,10 @@ pytest.importorskip("onnxruntime")
 import onnxruntime
 import torch
 
-from training.verifier.chips import chip
+from training.verifier.chips import CHIP_PX, chip
 from training.verifier.combine import Combination, fitted, look
 from training.verifier.data import STORED_PX, Candidates, ChipStream, load, middle, save, truth_of
-from training.verifier.network import CHIP_PX, VerifierNet
+from training.verifier.network import VerifierNet
 from training.verifier.train import export, logits, report
 
 pytestmark = pytest.mark.slow

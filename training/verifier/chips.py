@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from training.verifier.network import CHIP_LENGTH_PX, CHIP_PX
+CHIP_PX = 48  # rows and columns
+CHIP_LENGTH_PX = 20.0  # the candidate's own length on its chip, along the columns: 0.7 lengths of surroundings each way
 
 
 def chip(

@@ -13,15 +13,15 @@ import torch
 from numpy.typing import NDArray
 
 from training.detector.data import TrainImage, photometric
-from training.verifier.chips import chip
-from training.verifier.network import CHIP_LENGTH_PX, CHIP_PX
+from training.verifier.chips import CHIP_LENGTH_PX, CHIP_PX, chip
 from vehanchor.detection import Detector
 from vehanchor.obb import oriented_nms
 
 STORED_PX = 72  # room for jitter and turns around a chip of 48
-_CAR_PX = (13.0, 20.0, 32.0, 50.0)  # sizes at which an image is searched
+_CAR_PX = (15.0, 28.0)  # sizes at which an image is searched
 _MAX_ENLARGEMENT = 2.2
-_LEAST_SCORE = 0.1
+_LEAST_SCORE = 0.15
+_MOST_FALSE = 40  # of an image at one size, at random: a harbour has hundreds
 _NEAR, _AT = 0.6, 0.25  # of a label's length: beyond one, within the other
 _LENGTH_RATIO = 1.35
 _JITTER = 0.06  # of a length, of place and size
@@ -70,6 +70,7 @@ def truth_of(boxes: NDArray[np.float64], labels: NDArray[np.float64], ignore: ND
 
 def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
     """Search images at several sizes and cut what is found."""
+    rng = np.random.default_rng(0)
     chips, car, scores, sets = [], [], [], []
     for sample in images:
         native = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or 15.0
@@ -83,6 +84,8 @@ def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
             kept = oriented_nms(boxes, score)
             boxes, score = boxes[kept], score[kept]
             truth = truth_of(boxes, sample.boxes * (factor, factor, factor, factor, 1), sample.ignore * factor)
+            false = rng.permutation(np.flatnonzero(truth == 0))
+            truth[false[_MOST_FALSE:]] = -1
             for box, value, kind in zip(boxes, score, truth, strict=True):
                 if kind >= 0:
                     chips.append(chip(scaled, box, STORED_PX, CHIP_LENGTH_PX))

@@ -7,8 +7,6 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-CHIP_PX = 48  # rows and columns
-CHIP_LENGTH_PX = 20.0  # the candidate's own length on its chip, along the columns: 1.2 lengths of surroundings each way
 _LAYERS = ((3, 24, 2), (24, 32, 1), (32, 48, 2), (48, 64, 1), (64, 80, 2), (80, 80, 1))  # inputs, outputs, stride
 
 
