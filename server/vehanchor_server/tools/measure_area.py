@@ -136,7 +136,7 @@ def _measure(
 
 
 def _prompt(target: AnyTarget) -> "Prompt":
-    from vehanchor.measure import read_prompt
+    from vehanchor.segmentation.prompt import read_prompt
 
     if isinstance(target, BoxTarget):
         box = target.box

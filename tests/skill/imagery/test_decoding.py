@@ -130,7 +130,7 @@ def test_bytes_after_the_end_do_no_harm() -> None:
         np.testing.assert_array_equal(read_all(data + b"trailer \xff\xd8\xff" * 9), read_all(data))
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(
     name=st.sampled_from(sorted(TRUNCATABLE)),
     at=st.floats(0, 1, exclude_max=True),

@@ -77,7 +77,7 @@ def windowed_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return geotiff(path, pixels, mask, tiled=True, blockxsize=32, blockysize=16, compress="deflate")
 
 
-@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_windows_are_slices_of_the_whole(windowed_file: Path, data: st.DataObject) -> None:
     height, width = NOISE.shape[:2]
