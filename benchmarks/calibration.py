@@ -9,17 +9,21 @@ from __future__ import annotations
 import argparse
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 
 from vehanchor.detection.detector import Detector
-from vehanchor.estimate import ScaleOptions
 from vehanchor.models.zoo import resolve_model
-from vehanchor.scale.calibration import Calibration, SurveyedImage, calibrate
-from vehanchor_evaluation.dota import labelled_boxes, survey_dota
-from vehanchor_evaluation.known_scale import FileIssue, KnownScaleSet
-from vehanchor_evaluation.search import search_images
+from vehanchor.options import ScaleOptions
+from vehanchor_evaluation.dota import survey_dota
+from vehanchor_evaluation.fleet_survey import calibrate_found, calibrate_labelled, found_vehicles, labelled_vehicles
+from vehanchor_evaluation.search import search_known_scale
 from vehanchor_scenes import render_scene
+
+if TYPE_CHECKING:
+    from vehanchor.scale.calibration import Calibration
+    from vehanchor_evaluation.known_scale import KnownScaleSet
 
 FLEETS_M = (3.9, 4.3, 5.4)
 MODE_OVER_MEAN = 1.010  # of the renderer's fleets, see render_scene
@@ -45,22 +49,11 @@ def render_split(folder: Path, mean_length_m: float) -> KnownScaleSet:
     return survey_dota(folder)
 
 
-def from_labels(data: KnownScaleSet) -> Calibration:
-    """The paper's calibration."""
-    images = [SurveyedImage(labelled_boxes(i.labels), i.gsd_m_per_px) for i in data.images if i.labels is not None]
-    return calibrate(images, source="labels", region_sd_m=0.0)
-
-
 def from_detections(data: KnownScaleSet, detector: Detector) -> Calibration:
-    """The same from a detector's boxes."""
-    images = []
+    """The calibration from a detector's boxes."""
     options = ScaleOptions()
-    scales = {image.path: image.gsd_m_per_px for image in data.images}
-    for path, found in search_images(scales, detector, options):
-        assert not isinstance(found, FileIssue)
-        analysis = found.analysis(detector.card, options)
-        images.append(SurveyedImage(analysis.detections.boxes[analysis.kept], scales[path]))
-    return calibrate(images, source="detections", region_sd_m=0.0)
+    searched = search_known_scale(data, detector, options)
+    return calibrate_found(found_vehicles(data, searched, detector.card, options), detector.card)
 
 
 def main() -> None:
@@ -75,7 +68,7 @@ def main() -> None:
         mode = MODE_OVER_MEAN * mean
         with tempfile.TemporaryDirectory() as folder:
             data = render_split(Path(folder), mean)
-            labelled, found = from_labels(data), from_detections(data, detector)
+            labelled, found = calibrate_labelled(labelled_vehicles(data)), from_detections(data, detector)
         cells = [f"{mean:g} m, {mode:.3f} m"]
         for record in (labelled, found):
             low, high = record.reference_length_ci95_low_m, record.reference_length_ci95_high_m

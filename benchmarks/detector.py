@@ -20,11 +20,13 @@ import cv2
 import numpy as np
 from scipy.stats import spearmanr
 
+from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector, detect_vehicles
-from vehanchor.estimate import ScaleOptions, analyse_scale, scale_from_detections
+from vehanchor.estimate import analyse_scale, analyse_sighting
 from vehanchor.imagery.raster import open_raster
 from vehanchor.models.zoo import resolve_model
+from vehanchor.options import Lengths, Reference, ScaleOptions, Search
 from vehanchor_evaluation.detections import MatchedDetections, average_precision, length_errors, match_detections
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.gsd import ScaleTrial, read_table, run_trials, summarise
@@ -70,16 +72,17 @@ def _correlation(trials: list[ScaleTrial]) -> tuple[float, float]:
 
 def _with_region(trial: ScaleTrial, card: DetectorCard, options: ScaleOptions) -> ScaleTrial:
     """The same detections, with the reference length of the image's region where the model has one."""
-    region, estimate = _REGION_OF_SET[trial.image.set], trial.analysis.estimate
-    analysis = scale_from_detections(
-        trial.analysis.detections,
-        card,
-        replace(options, region=region if region in card.region_lengths_m else None),
-        image_width_px=estimate.image_width_px,
-        image_height_px=estimate.image_height_px,
-        resolved=trial.analysis.resolved,
+    before, estimate = trial.analysis, trial.analysis.estimate
+    facts = ImageFacts(estimate.image_width_px, estimate.image_height_px)
+    regional = _in_region(options, trial.image, card)
+    return ScaleTrial(
+        trial.image, analyse_sighting(View(facts, before.detections, card, regional, lambda *_: before.resolved))
     )
-    return ScaleTrial(trial.image, analysis)
+
+
+def _in_region(options: ScaleOptions, image: KnownScaleImage, card: DetectorCard) -> ScaleOptions:
+    region = _REGION_OF_SET[image.set]
+    return replace(options, reference=Reference(region=region if region in card.region_lengths_m else None))
 
 
 def report(trials: list[ScaleTrial], regional: list[ScaleTrial]) -> list[str]:
@@ -140,10 +143,9 @@ def gsd_bins(images: list[KnownScaleImage], detector: Detector, options: ScaleOp
     signed: dict[int, list[float]] = defaultdict(list)
     missing: dict[int, int] = defaultdict(int)
     for image in images:
-        region = _REGION_OF_SET[image.set]
         if (image.labelled_vehicles or 0) < _LABELLED:
             continue
-        chosen = replace(options, region=region if region in detector.card.region_lengths_m else None)
+        chosen = _in_region(options, image, detector.card)
         pixels = _rgb(image.path)
         for k, (low, high) in enumerate(pairwise(_GSD_EDGES)):
             factor = image.gsd_m_per_px / float(np.sqrt(low * high))
@@ -300,7 +302,8 @@ def main() -> None:
     detector = Detector(resolve_model(options.detector))
     images = [image for image in read_table(DATA / "gsd" / "table.csv") if image.split == options.split]
     scale = ScaleOptions(
-        min_score=options.min_score, aggregation=options.aggregation, search_scales=options.search_scales
+        search=Search(min_score=options.min_score, search_scales=options.search_scales),
+        lengths=Lengths(aggregation=options.aggregation),
     )
     print(f"Detector `{detector.card.name}`, sha256 `{detector.card.sha256}`, split {options.split}:\n")
     if "scale" in parts:

@@ -19,20 +19,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import onnx
 from onnx import TensorProto, helper
+from onnx.external_data_helper import set_external_data
 
 from tests.models import Graph, save_model
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    import onnx
-
 __all__ = [
     "EMPTY",
     "FULL",
     "OBJECT",
     "SamFiles",
+    "keep_weights_beside",
     "write_efficient_sam",
     "write_sam",
     "write_sam2",
@@ -281,6 +282,18 @@ def write_efficient_sam(
         },
     )
     return encoder, decoder
+
+
+def keep_weights_beside(path: Path, suffix: str = "_data") -> Path:
+    """Move a model's float constants of four dimensions into a file beside it, as exports of large models do."""
+    model = onnx.load(str(path))
+    beside = path.with_name(path.name + suffix)
+    for tensor in model.graph.initializer:
+        if len(tensor.dims) == 4 and tensor.data_type == _FLOAT:  # the shapes of tensors have to stay in the file
+            set_external_data(tensor, location=beside.name)
+    onnx.save(model, str(path))
+    assert beside.is_file()
+    return beside
 
 
 # --- Parts -----------------------------------------------------------------------------------------------------------

@@ -3,127 +3,75 @@
 from __future__ import annotations
 
 import gc
+import inspect
+import typing
+from dataclasses import Field, fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from vehanchor_server.settings import Settings, SettingsError
 
+if TYPE_CHECKING:
+    from vehanchor.options import Choice
+
 __all__ = ["schemas", "serve"]
 
-_SOURCES, _WORK, _HTTP = "Where images may come from", "Models and limits", "HTTP"
+
+def _parameters() -> list[inspect.Parameter]:
+    """The options of ``serve``: the transport, and one for each setting."""
+    http = Annotated[bool, typer.Option("--http", help="Listen for HTTP instead of serving stdin and stdout.")]
+    kinds = typing.get_type_hints(Settings)
+    return [
+        inspect.Parameter("http", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=http),
+        *(_parameter(each, kinds[each.name]) for each in fields(Settings)),
+    ]
 
 
-def serve(
-    http: Annotated[bool, typer.Option("--http", help="Listen for HTTP instead of serving stdin and stdout.")] = False,
-    root: Annotated[
-        list[Path] | None,
-        typer.Option(help="Directory below which images may be read by path; repeatable.", rich_help_panel=_SOURCES),
-    ] = None,
-    image_host: Annotated[
-        list[str] | None,
-        typer.Option(help="Host that images may be fetched from (https); repeatable.", rich_help_panel=_SOURCES),
-    ] = None,
-    detector: Annotated[
-        str | None, typer.Option(help="Bundled name or path of the detector.", rich_help_panel=_WORK)
-    ] = None,
-    segmenter: Annotated[
-        tuple[Path, Path] | None,
-        typer.Option(
-            metavar="ENCODER DECODER", help="ONNX files of the segmenter [the bundled one].", rich_help_panel=_WORK
-        ),
-    ] = None,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Reference length that 'vehanchor calibrate' measured.", rich_help_panel=_WORK
-        ),
-    ] = None,
-    threads: Annotated[int | None, typer.Option(help="CPU threads of a model.", rich_help_panel=_WORK)] = None,
-    min_score: Annotated[float | None, typer.Option(help="Lowest detection score.", rich_help_panel=_WORK)] = None,
-    max_image_mb: Annotated[
-        float | None, typer.Option(help="Largest image file, MiB [512].", rich_help_panel=_WORK)
-    ] = None,
-    max_megapixels: Annotated[
-        float | None, typer.Option(help="Largest image decoded whole, megapixels [100].", rich_help_panel=_WORK)
-    ] = None,
-    max_windowed_megapixels: Annotated[
-        float | None, typer.Option(help="Largest TIFF read by windows, megapixels [10000].", rich_help_panel=_WORK)
-    ] = None,
-    max_concurrency: Annotated[
-        int | None, typer.Option(help="Calls at once in a process [one a CPU, at least 2].", rich_help_panel=_WORK)
-    ] = None,
-    deadline_s: Annotated[
-        float | None, typer.Option(help="Seconds after which a call ends [55].", rich_help_panel=_WORK)
-    ] = None,
-    fetch_timeout_s: Annotated[
-        float | None, typer.Option(help="Seconds that fetching an image may take [20].", rich_help_panel=_SOURCES)
-    ] = None,
-    host: Annotated[str | None, typer.Option(help="Address to listen on [127.0.0.1].", rich_help_panel=_HTTP)] = None,
-    port: Annotated[int | None, typer.Option(help="Port to listen on [8000].", rich_help_panel=_HTTP)] = None,
-    workers: Annotated[int, typer.Option(min=1, help="Processes that share the port.", rich_help_panel=_HTTP)] = 1,
-    allowed_host: Annotated[
-        list[str] | None,
-        typer.Option(help="Host header to accept beside the loopback ones; repeatable.", rich_help_panel=_HTTP),
-    ] = None,
-    allowed_origin: Annotated[
-        list[str] | None,
-        typer.Option(help="Origin header to accept beside the loopback ones; repeatable.", rich_help_panel=_HTTP),
-    ] = None,
-    public_url: Annotated[
-        str | None, typer.Option(help="URL under which callers reach /mcp.", rich_help_panel=_HTTP)
-    ] = None,
-    token_file: Annotated[
-        Path | None, typer.Option(help="File with one accepted bearer token a line.", rich_help_panel=_HTTP)
-    ] = None,
-    oidc_issuer: Annotated[
-        str | None, typer.Option(help="Issuer whose JWTs are accepted.", rich_help_panel=_HTTP)
-    ] = None,
-    oidc_audience: Annotated[
-        str | None, typer.Option(help="Audience that those JWTs must carry.", rich_help_panel=_HTTP)
-    ] = None,
-    max_body_mb: Annotated[float | None, typer.Option(help="Largest request, MiB [32].", rich_help_panel=_HTTP)] = None,
-    insecure: Annotated[
-        bool, typer.Option("--insecure", help="Listen publicly without authentication.", rich_help_panel=_HTTP)
-    ] = False,
-) -> None:
+def _parameter(setting: Field[Any], kind: Any) -> inspect.Parameter:
+    """A setting as Typer wants it; not given, it is None, or False for a flag, so that its variable may speak."""
+    stated: Choice = setting.metadata["choice"]
+    option = typer.Option(
+        f"--{stated.flag or setting.name.replace('_', '-')}",
+        help=_help(setting),
+        metavar=stated.metavar or None,
+        rich_help_panel=setting.metadata["panel"],
+        show_default=False,
+    )
+    default = False if kind is bool else None
+    if Ellipsis in typing.get_args(kind):
+        repeated: Any = list
+        kind = repeated[typing.get_args(kind)[0]]
+    if default is None:
+        kind = kind | None
+    return inspect.Parameter(
+        setting.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option]
+    )
+
+
+def _help(setting: Field[Any]) -> str:
+    """The setting's sentence, with its default in brackets."""
+    text: str = setting.metadata["choice"].help
+    default = setting.metadata["if_unset"]
+    if setting.default and setting.default is not True:
+        default = f"{setting.default:g}" if isinstance(setting.default, float) else str(setting.default)
+    return f"{text.removesuffix('.')} \\[{default}]." if default else text  # a bare [ begins Rich's markup
+
+
+def serve(http: bool = False, **options: Any) -> None:
     """Serve the tools to agents over MCP: on stdin and stdout, or over HTTP at /mcp.
 
     Every option is also a variable: --max-image-mb is VEHANCHOR_MAX_IMAGE_MB, --root is VEHANCHOR_ROOTS. Several paths
     in one variable are separated by the system's path separator.
     """
-    given: dict[str, Any] = {
-        "roots": tuple(root) if root else None,
-        "image_hosts": tuple(image_host) if image_host else None,
-        "detector": detector,
-        "segmenter": segmenter,
-        "calibration": calibration,
-        "threads": threads,
-        "min_score": min_score,
-        "max_image_mb": max_image_mb,
-        "max_megapixels": max_megapixels,
-        "max_windowed_megapixels": max_windowed_megapixels,
-        "max_concurrency": max_concurrency,
-        "deadline_s": deadline_s,
-        "fetch_timeout_s": fetch_timeout_s,
-        "host": host,
-        "port": port,
-        "allowed_hosts": tuple(allowed_host) if allowed_host else None,
-        "allowed_origins": tuple(allowed_origin) if allowed_origin else None,
-        "public_url": public_url,
-        "token_file": token_file,
-        "oidc_issuer": oidc_issuer,
-        "oidc_audience": oidc_audience,
-        "max_body_mb": max_body_mb,
-        "insecure": insecure or None,
-    }
+    given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
     try:
-        settings = Settings.from_environment(**given)
+        settings = Settings.from_environment(**{name: value for name, value in given.items() if _says_something(value)})
         if http:
             from vehanchor_server.transport.http import serve_http
 
-            serve_http(settings, workers=workers)
+            serve_http(settings)
         else:
             gc.disable()  # importing the SDK makes thousands of classes: looking for garbage among them is slow
             try:
@@ -134,6 +82,15 @@ def serve(
     except SettingsError as error:
         typer.echo(f"error[invalid_settings]: {error}", err=True)
         raise typer.Exit(2) from None
+
+
+serve.__signature__ = inspect.Signature(_parameters())  # type: ignore[attr-defined] # what Typer reads,
+serve.__annotations__ = {each.name: each.annotation for each in _parameters()}  # and where it looks for the types
+
+
+def _says_something(value: Any) -> bool:
+    """Whether an option was given: 0 is a value, and a flag's absence is none."""
+    return value is not None and value is not False and value != ()
 
 
 def schemas(

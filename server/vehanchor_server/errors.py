@@ -18,18 +18,9 @@ The library's own codes (``vehanchor.errors``) pass through unchanged. The serve
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
-
 from mcp.server.mcpserver.exceptions import ToolError
 
-from vehanchor.errors import VehAnchorError
-
-if TYPE_CHECKING:
-    from vehanchor_server.images.source import OpenedImage
-
-__all__ = ["CallError", "call_errors"]
+__all__ = ["CallError"]
 
 
 class CallError(ToolError):
@@ -43,19 +34,3 @@ class CallError(ToolError):
     def __init__(self, code: str, message: str) -> None:
         super().__init__(f"{code}: {message}")
         self.code = code
-
-
-@contextmanager
-def call_errors(source: OpenedImage) -> Iterator[None]:
-    """Pass the library's errors on to the caller, without the name under which the server opened the file.
-
-    Raises:
-        CallError: instead of a ``VehAnchorError``, with its code.
-    """
-    try:
-        yield
-    except VehAnchorError as error:
-        message = str(error)
-        if isinstance(source, str):
-            message = message.replace(repr(source), "image").replace(source, "image")
-        raise CallError(error.code, message if message.endswith(".") else f"{message}.") from error

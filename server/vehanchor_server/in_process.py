@@ -10,16 +10,19 @@ from anyio.from_thread import start_blocking_portal
 from mcp import Client
 from mcp.types import TextContent
 
-from vehanchor_server.app import create_server, create_services
+from vehanchor_server.app import create_server
 from vehanchor_server.schemas import anthropic_definition, openai_definition
-from vehanchor_server.tools.registry import tools
+from vehanchor_server.services import create_services
+from vehanchor_server.settings import Settings
+from vehanchor_server.tools.registry import create_tools
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
     from mcp.types import CallToolResult
 
-    from vehanchor_server.settings import Settings
-
-__all__ = ["InProcessTools"]
+__all__ = ["InProcessTools", "open_tools"]
 
 _FOR_DRAWING = ("outline",)  # hundreds of numbers that tell a model nothing
 
@@ -37,7 +40,7 @@ class InProcessTools:
 
     def __init__(self, settings: Settings) -> None:
         services = create_services(settings)
-        contract = tools(services)
+        contract = create_tools(services)
         self.anthropic_tools = [anthropic_definition(tool) for tool in contract]
         self.openai_tools = [_below_function(openai_definition(tool)) for tool in contract]
         self._server = create_server(services)
@@ -63,6 +66,22 @@ class InProcessTools:
         """
         result = self._portal.call(self._client.call_tool, name, arguments)
         return _text(result), bool(result.is_error)
+
+
+def open_tools(
+    roots: Sequence[Path], *, detector: str | None = None, segmenter: tuple[Path, Path] | None = None
+) -> InProcessTools:
+    """Open the tools for a model; the entry point that ``vehanchor evaluate vlm --agent`` looks for.
+
+    Args:
+        roots: directories below which images are read.
+        detector: bundled name or path; None for the default one.
+        segmenter: encoder and decoder; None for the bundled one.
+
+    Raises:
+        SettingsError: a directory is not there.
+    """
+    return InProcessTools(Settings(roots=tuple(roots), detector=detector, segmenter=segmenter))
 
 
 def _below_function(definition: dict[str, Any]) -> dict[str, Any]:

@@ -24,16 +24,16 @@ __all__ = ["Models"]
 
 T = TypeVar("T")
 
-_ALSO_SLOW = ("vehanchor_server.tools.overlay", "vehanchor.measure", "vehanchor.pictures.area")
+_SLOW_IMPORTS = ("vehanchor_server.calls.overlay", "vehanchor.measure", "vehanchor.pictures.area")
 _logger = logging.getLogger(__name__)
 
 
-class _Late(Generic[T]):
-    """One thing that is loaded when it is first asked for.
+class _OnDemand(Generic[T]):
+    """A model that is loaded when it is first asked for.
 
     Args:
-        name: of the thing, and of the option that names it.
-        load: makes it.
+        name: of the model, and of the setting that names it.
+        load: loads it.
     """
 
     def __init__(self, name: str, load: Callable[[], T]) -> None:
@@ -45,10 +45,11 @@ class _Late(Generic[T]):
 
     @property
     def ready(self) -> bool:
+        """Whether it is loaded."""
         return self._value is not None
 
     def get(self) -> T:
-        """The thing; blocks while it is loaded.
+        """The model; blocks while it is loaded.
 
         Raises:
             CallError: ``model_unavailable``; the operator's paths stay in the log.
@@ -78,10 +79,10 @@ class Models:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self._detector = _Late("detector", self._load_detector)
-        self._segmenter = _Late("segmenter", self._load_segmenter)
-        self._calibration = _Late("calibration", self._load_calibration)
-        self._required: list[_Late[Any]] = [self._detector]
+        self._detector = _OnDemand("detector", self._load_detector)
+        self._segmenter = _OnDemand("segmenter", self._load_segmenter)
+        self._calibration = _OnDemand("calibration", self._load_calibration)
+        self._required: list[_OnDemand[Any]] = [self._detector]
         if settings.calibration is not None:
             self._required.append(self._calibration)
         if settings.segmenter is not None or bundled_segmenter() is not None:
@@ -99,7 +100,7 @@ class Models:
 
     def preload(self, delay_s: float = 0.0) -> None:
         """Load in the background after a while; a failure is logged, and met again by the first call."""
-        timer = threading.Timer(delay_s, self._load_quietly)
+        timer = threading.Timer(delay_s, self._load_all)
         timer.name, timer.daemon = "vehanchor-preload", True
         timer.start()
 
@@ -127,11 +128,11 @@ class Models:
         """
         return self._segmenter.get()
 
-    def _load_quietly(self) -> None:
+    def _load_all(self) -> None:
         for load in (self.detector, self.calibration, self.segmenter):
             with contextlib.suppress(CallError):  # logged where it was raised
                 load()
-        for module in _ALSO_SLOW:  # what else a first call would wait for
+        for module in _SLOW_IMPORTS:  # what else a first call would wait for
             importlib.import_module(module)
 
     # OpenCV and ONNX Runtime are slow to load: not before they are needed.

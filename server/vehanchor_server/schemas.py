@@ -12,11 +12,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-from vehanchor_server.app import create_services
+from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.portable_schema import portable_schema
-from vehanchor_server.tools.registry import tools
-from vehanchor_server.tools.strict import StrictTool
+from vehanchor_server.tools.registry import create_tools
+from vehanchor_server.tools.strict_tool import StrictTool
 
 __all__ = ["anthropic_definition", "openai_definition", "schema_files", "write_schemas"]
 
@@ -43,7 +43,7 @@ def write_schemas(directory: Path) -> list[Path]:
 
 def schema_files() -> dict[str, str]:
     """Every file's name and text."""
-    contract = tools(create_services(Settings()))
+    contract = create_tools(create_services(Settings()))
     documents: dict[str, Any] = {}
     for tool in contract:
         documents[f"{tool.name}.input.json"] = portable_schema(tool.parameters, dialect=True)

@@ -1,95 +1,128 @@
-"""What the operator decides: where images may come from, which model, how much work, who may call.
+"""The operator's decisions: where images may come from, which model, how much work, who may call.
 
-Nothing here can be changed by a caller. Every field is a flag of ``vehanchor serve`` and a ``VEHANCHOR_*`` variable.
+Nothing here can be changed by a caller. A field is declared once, with its default and its words: it is an option of
+``vehanchor serve`` and a ``VEHANCHOR_*`` variable of the field's name without being named anywhere else.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import typing
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
+from functools import cache
+from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from vehanchor.options import ImageLimits, choice
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["Settings", "SettingsError"]
+__all__ = ["Settings", "SettingsError", "variable_name"]
 
-_PREFIX = "VEHANCHOR_"
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _TRUE, _FALSE = ("1", "true", "yes", "on"), ("0", "false", "no", "off")
+_MIB, _MEGAPIXEL = 1 << 20, 1_000_000
+_SOURCES, _WORK, _HTTP = "Where images may come from", "Models and limits", "HTTP"
 
 
 class SettingsError(ValueError):
     """An option has no meaning, or two options contradict each other; the message says which and what to do."""
 
 
+def _words(help_text: str, *, panel: str, metavar: str = "", flag: str = "", if_unset: str = "") -> dict[str, Any]:
+    """Metadata of a field: all that is said about it.
+
+    Args:
+        help_text: one sentence for ``--help``.
+        panel: heading in ``--help``.
+        metavar: what stands for the value.
+        flag: the option's name; empty for the field's own.
+        if_unset: what a default of None means, in words.
+    """
+    return {**choice(help_text, metavar=metavar, flag=flag), "panel": panel, "if_unset": if_unset}
+
+
 @dataclass(frozen=True)
 class Settings:
-    """The operator's options.
+    """The operator's options; each is explained where it is declared.
 
-    Attributes:
-        roots: directories below which images may be read by path; none means that paths are off.
-        image_hosts: hosts (``name`` or ``name:port``) that images may be fetched from; none means that URLs are off.
-        detector: bundled name or path of the detector; None for the default one.
-        segmenter: paths of a segmenter's encoder and decoder; None for the bundled one.
-        calibration: file of a reference length, as ``vehanchor calibrate`` writes it, for callers who name neither
-            region nor reference length; None takes the detector's own.
-        threads: CPU threads of a model; None leaves it to ONNX Runtime.
-        min_score: lowest detection score; None takes the model's.
-        max_image_mb: encoded size of an image, MiB.
-        max_megapixels: declared size of an image that is decoded whole, millions of pixels.
-        max_windowed_megapixels: declared size of a TIFF that is read by windows, millions of pixels.
-        max_concurrency: calls that run at once in this process; None is one for each CPU, two at least.
-        deadline_s: seconds after which a call ends; below the 60 s at which common clients give up.
-        fetch_timeout_s: seconds that fetching an image may take in all.
-        host: address that HTTP listens on.
-        port: port that HTTP listens on.
-        allowed_hosts: Host headers to accept beside the loopback ones (``name``, ``name:port`` or ``name:*``).
-        allowed_origins: Origin headers to accept beside the loopback ones.
-        public_url: the URL under which callers reach the server; named in 401 answers.
-        token_file: file with one bearer token a line; ``#`` starts a comment.
-        oidc_issuer: issuer whose JWTs are accepted as bearer tokens.
-        oidc_audience: audience that those JWTs must carry.
-        max_body_mb: size of an HTTP request, MiB.
-        insecure: listen on a public address without authentication all the same.
+    Raises:
+        SettingsError: an option has no meaning, or two of them contradict each other.
     """
 
-    roots: tuple[Path, ...] = ()
-    image_hosts: tuple[str, ...] = ()
-    detector: str | None = None
-    segmenter: tuple[Path, Path] | None = None
-    calibration: Path | None = None
-    threads: int | None = None
-    min_score: float | None = None
-    max_image_mb: float = 512.0
-    max_megapixels: float = 100.0
-    max_windowed_megapixels: float = 10_000.0
-    max_concurrency: int | None = None
-    deadline_s: float = 55.0
-    fetch_timeout_s: float = 20.0
-    host: str = "127.0.0.1"
-    port: int = 8000
-    allowed_hosts: tuple[str, ...] = ()
-    allowed_origins: tuple[str, ...] = ()
-    public_url: str | None = None
-    token_file: Path | None = None
-    oidc_issuer: str | None = None
-    oidc_audience: str | None = None
-    max_body_mb: float = 32.0
-    insecure: bool = False
+    roots: tuple[Path, ...] = field(
+        default=(),
+        metadata=_words("Directory below which images may be read by path; repeatable.", panel=_SOURCES, flag="root"),
+    )
+    image_hosts: tuple[str, ...] = field(
+        default=(),
+        metadata=_words("Host that images may be fetched from (https); repeatable.", panel=_SOURCES, flag="image-host"),
+    )
+    detector: str | None = field(default=None, metadata=_words("Bundled name or path of the detector.", panel=_WORK))
+    segmenter: tuple[Path, Path] | None = field(
+        default=None,
+        metadata=_words(
+            "ONNX files of the segmenter.", panel=_WORK, metavar="ENCODER DECODER", if_unset="the bundled one"
+        ),
+    )
+    calibration: Path | None = field(  # for callers who name neither region nor reference length
+        default=None,
+        metadata=_words("Reference length that 'vehanchor calibrate' measured.", panel=_WORK, metavar="FILE"),
+    )
+    threads: int | None = field(default=None, metadata=_words("CPU threads of a model.", panel=_WORK))
+    min_score: float | None = field(default=None, metadata=_words("Lowest detection score.", panel=_WORK))
+    max_image_mb: float = field(
+        default=ImageLimits.max_bytes / _MIB, metadata=_words("Largest image file, MiB.", panel=_WORK)
+    )
+    max_megapixels: float = field(
+        default=ImageLimits.max_pixels / _MEGAPIXEL,
+        metadata=_words("Largest image decoded whole, megapixels.", panel=_WORK),
+    )
+    max_windowed_megapixels: float = field(
+        default=ImageLimits.max_windowed_pixels / _MEGAPIXEL,
+        metadata=_words("Largest TIFF read by windows, megapixels.", panel=_WORK),
+    )
+    max_concurrency: int | None = field(
+        default=None, metadata=_words("Calls at once in a process.", panel=_WORK, if_unset="one a CPU, at least 2")
+    )
+    deadline_s: float = field(  # below the 60 s at which common clients give up
+        default=55.0, metadata=_words("Seconds after which a call ends.", panel=_WORK)
+    )
+    fetch_timeout_s: float = field(
+        default=20.0, metadata=_words("Seconds that fetching an image may take.", panel=_SOURCES)
+    )
+    host: str = field(default="127.0.0.1", metadata=_words("Address to listen on.", panel=_HTTP))
+    port: int = field(default=8000, metadata=_words("Port to listen on.", panel=_HTTP))
+    workers: int = field(default=1, metadata=_words("Processes that share the port.", panel=_HTTP))
+    allowed_hosts: tuple[str, ...] = field(  # name, name:port or name:*
+        default=(),
+        metadata=_words(
+            "Host header to accept beside the loopback ones; repeatable.", panel=_HTTP, flag="allowed-host"
+        ),
+    )
+    allowed_origins: tuple[str, ...] = field(
+        default=(),
+        metadata=_words(
+            "Origin header to accept beside the loopback ones; repeatable.", panel=_HTTP, flag="allowed-origin"
+        ),
+    )
+    public_url: str | None = field(default=None, metadata=_words("URL under which callers reach /mcp.", panel=_HTTP))
+    token_file: Path | None = field(
+        default=None, metadata=_words("File with one accepted bearer token a line.", panel=_HTTP)
+    )
+    oidc_issuer: str | None = field(default=None, metadata=_words("Issuer whose JWTs are accepted.", panel=_HTTP))
+    oidc_audience: str | None = field(
+        default=None, metadata=_words("Audience that those JWTs must carry.", panel=_HTTP)
+    )
+    max_body_mb: float = field(default=32.0, metadata=_words("Largest request, MiB.", panel=_HTTP))
+    insecure: bool = field(default=False, metadata=_words("Listen publicly without authentication.", panel=_HTTP))
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)):
-                continue
-            if not (math.isfinite(value) and (value > 0 or (field.name == "min_score" and value == 0))):
-                raise SettingsError(f"{field.name} is {value}: use a finite number > 0")
-        if self.min_score is not None and self.min_score > 1:
-            raise SettingsError(f"min_score is {self.min_score}: it lies in 0..1")
+        self._check_numbers()
         object.__setattr__(self, "roots", tuple(_checked_root(root) for root in self.roots))
         object.__setattr__(self, "image_hosts", tuple(host.strip().lower() for host in self.image_hosts))
         for host in self.image_hosts:
@@ -98,6 +131,19 @@ class Settings:
                 raise SettingsError(f"image host {host!r}: give a plain host name or name:port, without https:// or *")
         if self.segmenter is not None and len(self.segmenter) != 2:
             raise SettingsError("segmenter needs two files: give its encoder and its decoder")
+        self._check_authentication()
+
+    def _check_numbers(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                continue
+            if not (math.isfinite(value) and (value > 0 or (each.name == "min_score" and value == 0))):
+                raise SettingsError(f"{each.name} is {value}: use a finite number > 0")
+        if self.min_score is not None and self.min_score > 1:
+            raise SettingsError(f"min_score is {self.min_score}: it lies in 0..1")
+
+    def _check_authentication(self) -> None:
         if (self.oidc_issuer is None) != (self.oidc_audience is None):
             raise SettingsError("oidc_issuer and oidc_audience belong together: give both or neither")
         if self.oidc_issuer is not None and not self.oidc_issuer.startswith("https://"):
@@ -114,6 +160,20 @@ class Settings:
     def loopback(self) -> bool:
         """Whether HTTP listens where only this machine reaches it."""
         return self.host in _LOOPBACK
+
+    @property
+    def image_limits(self) -> ImageLimits:
+        """The cost of an image that is accepted here."""
+        return ImageLimits(
+            max_bytes=round(self.max_image_mb * _MIB),
+            max_pixels=round(self.max_megapixels * _MEGAPIXEL),
+            max_windowed_pixels=round(self.max_windowed_megapixels * _MEGAPIXEL),
+        )
+
+    @property
+    def max_body_bytes(self) -> int:
+        """Size of an HTTP request that is accepted."""
+        return round(self.max_body_mb * _MIB)
 
     def check_exposure(self) -> None:
         """Refuse to listen where others reach the server and none has to show a token.
@@ -138,22 +198,53 @@ class Settings:
         """
         environ = os.environ if environ is None else environ
         chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-        for name, kind in typing.get_type_hints(cls).items():
-            text = environ.get(_PREFIX + name.upper())
+        for name, form in _forms().items():
+            text = environ.get(variable_name(name))
             if name not in chosen and text:
-                chosen[name] = _parsed(name, text, kind)
+                chosen[name] = _from_text(variable_name(name), text, form)
         return cls(**chosen)
 
-    def to_environment(self) -> dict[str, str]:
-        """The variables that make ``from_environment`` give these options: how worker processes get them."""
-        variables = {}
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, tuple):
-                value = (_separator(type(value[0])) if value else "").join(map(str, value))
-            if value is not None:
-                variables[_PREFIX + field.name.upper()] = str(value)
-        return variables
+    def to_json(self) -> str:
+        """All options, for ``from_json`` in another process; unlike variables, with nothing that separates values."""
+        return json.dumps({each.name: getattr(self, each.name) for each in fields(self)}, default=str)
+
+    @classmethod
+    def from_json(cls, text: str) -> Settings:
+        """The options that ``to_json`` gave.
+
+        Raises:
+            SettingsError: one of them has no meaning here.
+        """
+        values: dict[str, Any] = json.loads(text)
+        for name, form in _forms().items():
+            if form.many and values[name] is not None:
+                values[name] = tuple(form.type(value) for value in values[name])
+            elif values[name] is not None:
+                values[name] = form.type(values[name])
+        return cls(**values)
+
+
+def variable_name(name: str) -> str:
+    """The environment variable of a field."""
+    return f"VEHANCHOR_{name.upper()}"
+
+
+class _Form(NamedTuple):
+    """How a field's values are written: one or many of a type."""
+
+    type: Any
+    many: bool
+
+
+@cache
+def _forms() -> dict[str, _Form]:
+    forms = {}
+    for name, kind in typing.get_type_hints(Settings).items():
+        options = typing.get_args(kind)
+        bare = options[0] if type(None) in options else kind
+        many = typing.get_origin(bare) is tuple
+        forms[name] = _Form(typing.get_args(bare)[0] if many else bare, many)
+    return forms
 
 
 def _checked_root(root: Path) -> Path:
@@ -169,24 +260,31 @@ def _checked_root(root: Path) -> Path:
     return resolved
 
 
-def _parsed(name: str, text: str, kind: Any) -> Any:
+def _from_text(variable: str, text: str, form: _Form) -> Any:
     """A variable's text as the field's type."""
-    if type(None) in typing.get_args(kind):  # optional
-        kind = next(option for option in typing.get_args(kind) if option is not type(None))
-    many = typing.get_origin(kind) is tuple
-    one = typing.get_args(kind)[0] if many else kind
     try:
-        if one is bool:
+        if form.type is bool:
             if text.lower() not in _TRUE + _FALSE:
                 raise ValueError(text)
             return text.lower() in _TRUE
-        if many:
-            return tuple(one(part.strip()) for part in text.split(_separator(one)) if part.strip())
-        return one(text)
-    except ValueError:
-        raise SettingsError(f"{_PREFIX}{name.upper()} is {text!r}: expected {one.__name__}") from None
+        if form.many:
+            parts = _split_paths(variable, text) if form.type is Path else text.split(",")
+            return tuple(form.type(part.strip()) for part in parts if part.strip())
+        return form.type(text)
+    except ValueError as error:
+        if isinstance(error, SettingsError):
+            raise
+        raise SettingsError(f"{variable} is {text!r}: expected {form.type.__name__}") from None
 
 
-def _separator(kind: type) -> str:
-    """What stands between the parts of a variable."""
-    return os.pathsep if issubclass(kind, Path) else ","
+def _split_paths(variable: str, text: str) -> list[str]:
+    """The paths of a variable; refuses a name with the separator in it, which would be read as other directories."""
+    parts = text.split(os.pathsep)
+    for start, end in combinations(range(len(parts) + 1), 2):
+        joined = os.pathsep.join(parts[start:end])
+        if end - start > 1 and os.path.exists(joined):  # noqa: PTH110 - no error for a name that no path can have
+            raise SettingsError(
+                f"{variable} is {text!r}: {joined!r} exists, but {os.pathsep!r} separates paths in a variable. Name it "
+                "by an option of 'vehanchor serve', or rename it"
+            )
+    return parts

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.detection.detector import Detector
-from vehanchor.errors import InvalidParameterError, PromptError
+from vehanchor.errors import InvalidParameterError
 from vehanchor.estimate import analyse_raster, georeference_notice, image_facts, open_detector
 from vehanchor.imagery.raster import open_raster
 from vehanchor.models.zoo import resolve_segmenter
@@ -28,7 +28,8 @@ from vehanchor.records import (
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
 from vehanchor.scale.lengths import Interval
 from vehanchor.segmentation.doubts import mask_notices
-from vehanchor.segmentation.segmenter import Prompt, Segmenter, load_segmenter
+from vehanchor.segmentation.prompt import prompt_in_image, read_prompt
+from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
 from vehanchor.segmentation.shape import (
     inscribed_circle,
     mask_bounds,
@@ -50,17 +51,14 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import ImageSource, Raster
     from vehanchor.options import Frame, OptionKeywords
     from vehanchor.records import GsdEstimate, Status
+    from vehanchor.segmentation.prompt import Box, Point, Prompt
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
 
-    Box: TypeAlias = tuple[float, float, float, float]
-    Point: TypeAlias = tuple[float, float] | tuple[float, float, bool]
     SegmenterSource: TypeAlias = Segmenter | tuple[str | os.PathLike[str], str | os.PathLike[str]]
 
 __all__ = ["AreaAnalysis", "analyse_area", "measure_area"]
 
-MIN_BOX_PX = 2.0
 _Z95 = 1.959963984540054
-_CUT_EDGE_PX = 1.0  # the frame's rounding: a prompt may be this far (in its pixels) outside
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +200,7 @@ def analyse_object(
         VehAnchorError: as ``measure_area``.
     """
     options.frame.check(raster.width_px, raster.height_px)
-    prompt = _in_image(prompt, options.frame, raster.width_px, raster.height_px)
+    prompt = prompt_in_image(prompt, options.frame, raster.width_px, raster.height_px)
     # The mask first: it is the quicker of the two to find out that the prompt cannot be read.
     found = segmenter.segment(raster, prompt, limits=options.reading.limits, run_options=run_options)
     known_gsd = estimated = None
@@ -224,86 +222,6 @@ def _open_segmenter(segmenter: SegmenterSource | None, threads: int | None) -> S
             raise InvalidParameterError(f"segmenter is {segmenter!r}: give two paths, of its encoder and its decoder")
         files = Path(segmenter[0]), Path(segmenter[1])
     return load_segmenter(*resolve_segmenter(files), threads=threads)
-
-
-# --- Prompts ---------------------------------------------------------------------------------------------------------
-
-
-def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
-    """One prompt as the caller gave it, checked for itself.
-
-    Raises:
-        PromptError: neither or both, or what names nothing in any image.
-    """
-    if (box is None) == (not points):
-        found = "neither is given" if box is None else "both are given"
-        raise PromptError(f"give a box or points, one of the two: {found}")
-    if box is not None:
-        corners = tuple(_coordinate(value, "box") for value in box)
-        if len(corners) != 4:
-            raise PromptError(f"box has {len(corners)} numbers: use x1, y1, x2, y2")
-        x1, y1, x2, y2 = corners
-        if x2 <= x1 or y2 <= y1:
-            raise PromptError(f"box is {_numbers(corners)}: x1 < x2 and y1 < y2 are needed, it is reversed or empty")
-        return Prompt(box=(x1, y1, x2, y2))
-    read = []
-    for point in points or ():
-        if len(point) not in (2, 3):
-            raise PromptError(f"a point has {len(point)} parts: use x, y and whether it is on the object")
-        include = point[2] if len(point) == 3 else True
-        read.append((_coordinate(point[0], "point"), _coordinate(point[1], "point"), bool(include)))
-    if not any(include for _, _, include in read):
-        raise PromptError("no point is on the object: give at least one that is")
-    return Prompt(points=tuple(read))
-
-
-def _coordinate(value: float, what: str) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise PromptError(f"{what} has the coordinate {value!r}: use numbers") from None
-    if not math.isfinite(number):
-        raise PromptError(f"{what} has the coordinate {number}: use finite numbers")
-    return number
-
-
-def _numbers(values: Sequence[float]) -> str:
-    return ", ".join(f"{value:g}" for value in values)
-
-
-def _in_image(given: Prompt, frame: Frame, width_px: int, height_px: int) -> Prompt:
-    """The prompt in pixels of the full image, checked against it.
-
-    What is outside by less than a pixel of the frame, as rounding can bring about, is pulled in.
-
-    Raises:
-        PromptError: it is outside, or the box is too small.
-    """
-    frame_width, frame_height = frame.size or (width_px, height_px)
-    across, down = width_px / frame_width, height_px / frame_height
-    size = f"{frame_width} x {frame_height} px {'frame' if frame.size else 'image'}"
-
-    def inside(x: float, y: float) -> bool:
-        return all(-_CUT_EDGE_PX < at < side + _CUT_EDGE_PX for at, side in ((x, frame_width), (y, frame_height)))
-
-    def scaled(x: float, y: float) -> tuple[float, float]:
-        return min(max(x * across, 0.0), float(width_px)), min(max(y * down, 0.0), float(height_px))
-
-    if given.box is not None:
-        x1, y1, x2, y2 = given.box
-        if not (inside(x1, y1) and inside(x2, y2)):
-            raise PromptError(f"box {_numbers(given.box)} is not inside the {size}: clip it to what is visible")
-        box = (*scaled(x1, y1), *scaled(x2, y2))
-        if min(box[2] - box[0], box[3] - box[1]) < MIN_BOX_PX:
-            raise PromptError(
-                f"box {_numbers(given.box)} is {box[2] - box[0]:.3g} x {box[3] - box[1]:.3g} px of the full image: at "
-                f"least {MIN_BOX_PX:g} px a side are needed"
-            )
-        return Prompt(box=box)
-    for x, y, _ in given.points:
-        if not (0 <= x < frame_width and 0 <= y < frame_height):
-            raise PromptError(f"point {x:g}, {y:g} is not inside the {size}")
-    return Prompt(points=tuple((*scaled(x, y), include) for x, y, include in given.points))
 
 
 # --- The record ------------------------------------------------------------------------------------------------------

@@ -9,15 +9,17 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.detection.detector import REFERENCE_LENGTH_M
-from vehanchor.estimate import scale_from_detections
-from vehanchor.options import OUTLIER_ALPHA, Aggregation
+from vehanchor.errors import InvalidParameterError
+from vehanchor.options import Aggregation, Reference
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES
 from vehanchor_evaluation.gsd import ErrorRow, ScaleTrial
+from vehanchor_evaluation.search import ABLATION_ALPHAS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from vehanchor.estimate import ScaleAnalysis, ScaleOptions
+    from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.options import ScaleOptions
     from vehanchor_evaluation.gsd import ScaleBenchmark
     from vehanchor_evaluation.known_scale import KnownScaleImage
 
@@ -26,7 +28,6 @@ __all__ = ["AblationReport", "AblationRow", "ablate"]
 Boxes = Literal["detector", "labels"]
 
 _LENGTHS_M = (4.5, REFERENCE_LENGTH_M, 5.5)  # paper: European, DOTA's, North American
-_ALPHAS = (1.0, OUTLIER_ALPHA, None)  # paper
 _MANY_VEHICLES = 20  # paper
 _GSD_EDGES = (0.0, 0.3, 0.5, 0.7, float("inf"))  # the paper gives below 0.3 and above 0.7
 _PAPER: dict[tuple[str, str, Boxes], tuple[float, float | None]] = {
@@ -51,12 +52,23 @@ class AblationRow(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    choice: str = Field(description="What is varied.")
+    choice: str = Field(description="The choice that is varied.")
     setting: str = Field(description="Its value; a reference length is given as a factor on the one in use.")
     boxes: Boxes = Field(description="Whose vehicles: the detector's or the labels'.")
     errors: ErrorRow = Field(description="The errors.")
     paper_median: float | None = Field(description="Median error that the paper gives for it.")
     paper_within_20: float | None = Field(description="Share of errors below 20 % that the paper gives for it.")
+
+    def flat(self) -> dict[str, object]:
+        """The row's values by column."""
+        return {
+            "choice": self.choice,
+            "setting": self.setting,
+            "boxes": self.boxes,
+            **self.errors.model_dump(exclude={"name"}),
+            "paper_median": self.paper_median,
+            "paper_within_20": self.paper_within_20,
+        }
 
 
 class AblationReport(BaseModel):
@@ -114,17 +126,17 @@ def _variants() -> Iterator[_Variant]:
         factor = length / REFERENCE_LENGTH_M
         setting = "1" if factor == 1 else f"{length:g} / {REFERENCE_LENGTH_M:g}"
         yield _Variant("reference length", setting, partial(_with_length, factor=factor))
-    for alpha in _ALPHAS:
+    for alpha in ABLATION_ALPHAS:
         yield _Variant("alpha", "none" if alpha is None else f"{alpha:g}", partial(_with, alpha=alpha))
 
 
 def _with(_: ScaleAnalysis, options: ScaleOptions, **changes: Any) -> ScaleOptions:
-    return replace(options, **changes)
+    return replace(options, lengths=replace(options.lengths, **changes))
 
 
 def _with_length(analysis: ScaleAnalysis, options: ScaleOptions, factor: float) -> ScaleOptions:
     length = analysis.estimate.reference_length_m * factor
-    return replace(options, reference_length_m=length, region=None, calibration=None)
+    return replace(options, reference=Reference(length))
 
 
 def _repeated(
@@ -133,16 +145,11 @@ def _repeated(
     variant: _Variant,
     benchmark: ScaleBenchmark,
 ) -> ScaleTrial:
-    before = trial.analysis
-    after = scale_from_detections(
-        before.detections,
-        benchmark.detector,
-        variant.changed(before, options_of(trial.image)),
-        image_width_px=before.estimate.image_width_px,
-        image_height_px=before.estimate.image_height_px,
-        resolved=before.resolved,
-    )
-    return ScaleTrial(trial.image, after)
+    """The trial with one choice changed, from the same vehicles; the detail is looked at around those kept then."""
+    if trial.searched is None:
+        raise InvalidParameterError(f"the vehicles of {trial.image.path} were not kept: use benchmark_scale")
+    options = variant.changed(trial.analysis, options_of(trial.image))
+    return replace(trial, analysis=trial.searched.analysis(benchmark.detector, options))
 
 
 def _splits(trials: Sequence[ScaleTrial]) -> Iterator[tuple[str, str, list[ScaleTrial]]]:

@@ -11,14 +11,18 @@ objects; each object's mask comes from its box. Three areas follow from them:
 from __future__ import annotations
 
 import itertools
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import closing
+from functools import partial
+from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
-from vehanchor.errors import OutputError, VehAnchorError
+from vehanchor.batch.journal import Journal, Key, Source
+from vehanchor.batch.pool import finished_in_threads
+from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.raster import open_raster
 from vehanchor.options import ImageLimits
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
@@ -35,11 +39,11 @@ if TYPE_CHECKING:
     from vehanchor.segmentation.segmenter import Segmentation, Segmenter
     from vehanchor_evaluation.rs_gsd import Benchmark, BenchmarkEntry
 
-__all__ = ["AreaTrial", "MaskLog", "MaskTrial", "area_trials", "segment_entries", "summarise_area"]
+__all__ = ["AreaTrial", "MaskLog", "MaskTrial", "area_trials", "open_mask_log", "segment_entries", "summarise_area"]
 
 
 class MaskTrial(BaseModel):
-    """What the segmenter made of one entry."""
+    """The mask that the segmenter gave for one entry, in figures."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -50,7 +54,7 @@ class MaskTrial(BaseModel):
 
 
 class AreaTrial(BaseModel):
-    """What the pipeline said about one entry."""
+    """The pipeline's answer about one entry."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -71,55 +75,28 @@ class AreaTrial(BaseModel):
     true_mask_m2: float | None = Field(description="The true mask at the estimated scale.")
 
 
-class MaskLog:
-    """Masks' figures on disk, one JSON object a line: an interrupted run goes on where it stopped.
+MaskLog: TypeAlias = Journal[MaskTrial]
 
-    Lines of other models or benchmarks, and lines cut short, are ignored.
+
+def open_mask_log(path: Path | None, benchmark_sha256: str, segmenter_sha256: str) -> MaskLog:
+    """Open the masks' figures of earlier runs on the same benchmark with the same segmenter.
 
     Args:
-        path: of the file; its folder is made.
-        settings: what the figures depend on; hashes of the benchmark and the segmenter.
+        path: of the file; None keeps figures in memory only.
+        benchmark_sha256: what ``load_benchmark`` gave.
+        segmenter_sha256: of the segmenter's files.
 
     Raises:
-        OutputError: the file cannot be read or written.
+        InvalidParameterError: the file is no such log.
+        OutputError: it cannot be read or written.
     """
-
-    def __init__(self, path: Path, settings: str) -> None:
-        self._path, self._settings = path, settings
-        self.trials: dict[str, MaskTrial] = {}
-        """What is known, by entry."""
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            lines = path.read_bytes().splitlines(keepends=True) if path.exists() else []
-            if lines and not lines[-1].endswith(b"\n"):
-                path.write_bytes(b"".join(lines[:-1]))
-        except OSError as error:
-            raise OutputError(f"cannot use {str(path)!r}: {error.strerror or error}") from error
-        for line in lines:
-            try:
-                kept = _LoggedMask.model_validate_json(line)
-            except ValidationError:
-                continue
-            if kept.settings == settings:
-                self.trials[kept.trial.entry] = kept.trial
-
-    def add(self, trial: MaskTrial) -> None:
-        """Keep one result.
-
-        Raises:
-            OutputError: the file cannot be written.
-        """
-        self.trials[trial.entry] = trial
-        try:
-            with self._path.open("a", encoding="utf-8") as handle:
-                handle.write(_LoggedMask(settings=self._settings, trial=trial).model_dump_json() + "\n")
-        except OSError as error:
-            raise OutputError(f"cannot write {str(self._path)!r}: {error.strerror or error}") from error
+    settings = {"vehanchor": version("vehanchor"), "benchmark": benchmark_sha256, "segmenter": segmenter_sha256}
+    return Journal(path, settings, dump=MaskTrial.model_dump, load=MaskTrial.model_validate)
 
 
-class _LoggedMask(BaseModel):
-    settings: str
-    trial: MaskTrial
+def _key(entry: BenchmarkEntry) -> Key:
+    """The entry, and its image as it is now."""
+    return (entry.name, *Source.of(entry.image))
 
 
 def segment_entries(
@@ -132,7 +109,7 @@ def segment_entries(
     limits: ImageLimits | None = None,
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
-) -> list[FileIssue]:
+) -> tuple[dict[str, MaskTrial], list[FileIssue]]:
     """Segment the entries that the log does not know yet, each prompted by its box; the log takes the results.
 
     Args:
@@ -146,29 +123,25 @@ def segment_entries(
         progress: called with (entries done, entries in all).
 
     Returns:
-        Entries and images that could not be segmented, which never stop a run.
+        The masks' figures by entry; entries and images that could not be segmented, which never stop a run.
     """
-    missing = sorted((entry for entry in entries if entry.name not in log.trials), key=_image)
+    keys = {entry.name: _key(entry) for entry in entries}
+    missing = sorted((entry for entry in entries if keys[entry.name] not in log), key=_image)
     groups = [list(group) for _, group in itertools.groupby(missing, key=_image)]
-    bounds = limits or ImageLimits()
     issues: list[FileIssue] = []
     done = len(entries) - len(missing)
-    with ThreadPoolExecutor(workers) as pool:
-        try:
-            futures = {
-                pool.submit(_segment_image, benchmark, folder, group, segmenter, bounds): len(group) for group in groups
-            }
-            for future in as_completed(futures):
-                trials, found_issues = future.result()
-                for trial in trials:
-                    log.add(trial)
-                issues += found_issues
-                done += futures[future]
-                if progress is not None:
-                    progress(done, len(entries))
-        finally:
-            pool.shutdown(cancel_futures=True)
-    return issues
+    work = partial(_segment_image, benchmark, folder, segmenter, limits or ImageLimits())
+    with closing(finished_in_threads(workers, work, groups)) as results:
+        for group, future in results:
+            trials, found_issues = future.result()
+            for trial in trials:
+                log.add(keys[trial.entry], trial)
+            issues += found_issues
+            done += len(group)
+            if progress is not None:
+                progress(done, len(entries))
+    known = (log.get(key) for key in keys.values())
+    return {trial.entry: trial for trial in known if trial is not None}, issues
 
 
 def _image(entry: BenchmarkEntry) -> str:
@@ -178,9 +151,9 @@ def _image(entry: BenchmarkEntry) -> str:
 def _segment_image(
     benchmark: Benchmark,
     folder: Path,
-    entries: Sequence[BenchmarkEntry],
     segmenter: Segmenter,
     limits: ImageLimits,
+    entries: Sequence[BenchmarkEntry],
 ) -> tuple[list[MaskTrial], list[FileIssue]]:
     """All entries of one image."""
     trials, issues = [], []

@@ -22,7 +22,7 @@ __all__ = ["AreaReport", "area_markdown", "area_report", "write_area_report"]
 
 
 class AreaReport(BaseModel):
-    """What a run found, and what it depends on."""
+    """The findings of a run, and what they depend on."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from vehanchor.anchors.evidence import ImageFacts
 from vehanchor.detection.detector import Detections
-from vehanchor.estimate import ScaleAnalysis, ScaleOptions, analyse_scale
+from vehanchor.estimate import ScaleAnalysis, analyse_scale, open_detector
+from vehanchor.options import Reference, ScaleOptions
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
 from vehanchor.scale.lengths import kde_mode
 from vehanchor_evaluation.dota import SMALL_VEHICLE, labelled_boxes
@@ -36,11 +38,13 @@ __all__ = [
     "ScaleReport",
     "ScaleTrial",
     "benchmark_scale",
+    "check_options",
     "read_table",
     "report_scale",
     "run_trials",
     "summarise",
     "summarise_errors",
+    "with_regions",
 ]
 
 HIGH_ERROR = 0.20  # paper: 51 of 306 "high-error images" is what an error above 20 % gives
@@ -48,10 +52,17 @@ HIGH_ERROR = 0.20  # paper: 51 of 306 "high-error images" is what an error above
 
 @dataclass(frozen=True, eq=False)
 class ScaleTrial:
-    """What the pipeline said about one image of known scale."""
+    """The pipeline's answer for one image of known scale.
+
+    Attributes:
+        image: the image.
+        analysis: the answer.
+        searched: the vehicles it was made from, for another look at them; None where they were not kept.
+    """
 
     image: KnownScaleImage
     analysis: ScaleAnalysis
+    searched: SearchedImage | None = None
 
     @property
     def signed_error(self) -> float:
@@ -157,6 +168,30 @@ class ScaleBenchmark:
     label_options_of: Callable[[KnownScaleImage], ScaleOptions]
 
 
+def check_options(
+    detector: Detector, data: KnownScaleSet, options_of: Callable[[KnownScaleImage], ScaleOptions]
+) -> None:
+    """Check, before the work, that a model knows the region of every image, and the calibration is its own.
+
+    Raises:
+        InvalidParameterError: it does not know one of the regions.
+        CalibrationMismatchError: the calibration was made for another model.
+    """
+    for options in {id(options): options for options in map(options_of, data.images)}.values():
+        open_detector(detector, options)
+
+
+def with_regions(options: ScaleOptions, regions: Mapping[str, str]) -> Callable[[KnownScaleImage], ScaleOptions]:
+    """Choose the options of an image by its set.
+
+    Args:
+        options: of all images.
+        regions: by set, whose reference length is taken instead.
+    """
+    chosen = {name: replace(options, reference=Reference(region=region)) for name, region in regions.items()}
+    return lambda image: chosen.get(image.set, options)
+
+
 def benchmark_scale(
     data: KnownScaleSet,
     searched: Mapping[Path, SearchedImage | FileIssue],
@@ -190,7 +225,7 @@ def benchmark_scale(
         if isinstance(found, FileIssue):
             issues.append(found)
             continue
-        trials.append(ScaleTrial(image, found.analysis(detector, options_of(image))))
+        trials.append(ScaleTrial(image, found.analysis(detector, options_of(image)), found))
         if image.labels is None:
             continue
         try:
@@ -198,8 +233,9 @@ def benchmark_scale(
         except (OSError, ValueError) as error:
             issues.append(FileIssue(image.labels, "unreadable_labels", str(error), skipped=False))
             continue
-        labelled = SearchedImage(Detections(boxes, np.ones(len(boxes))), found.width_px, found.height_px)
-        baseline.append(ScaleTrial(image, labelled.analysis(detector, label_options_of(image))))
+        facts = ImageFacts(found.image.width_px, found.image.height_px)
+        labelled = SearchedImage(Detections(boxes, np.ones(len(boxes))), facts)
+        baseline.append(ScaleTrial(image, labelled.analysis(detector, label_options_of(image)), labelled))
     return ScaleBenchmark(data, detector, tuple(trials), tuple(baseline), tuple(issues), options_of, label_options_of)
 
 

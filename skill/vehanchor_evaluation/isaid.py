@@ -129,7 +129,7 @@ def _size(picture: NDArray[np.int32]) -> str:
 
 
 def _readers(folder: Path, issues: list[FileIssue]) -> dict[str, Callable[[], list[InstanceMask]]]:
-    """What reads the objects of each annotated image."""
+    """Find the reader of each annotated image's objects."""
     found: dict[str, Callable[[], list[InstanceMask]]] = {}
     for path in sorted(folder.rglob("*" + ID_SUFFIX)):
         name = path.name.removesuffix(ID_SUFFIX)

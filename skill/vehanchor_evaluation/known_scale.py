@@ -45,7 +45,7 @@ class KnownScaleImage(NamedTuple):
 
 
 class FileIssue(NamedTuple):
-    """What is wrong with one file of the data.
+    """A fault of one file of the data.
 
     Attributes:
         file: the file.
@@ -62,7 +62,7 @@ class FileIssue(NamedTuple):
 
 @dataclass(frozen=True)
 class KnownScaleSet:
-    """What a folder, a table or a list of files holds.
+    """The contents of a folder, a table or a list of files.
 
     Attributes:
         source: the folder, table or files, in words.

@@ -6,6 +6,7 @@ import csv
 import io
 from typing import TYPE_CHECKING
 
+from vehanchor.batch.journal import whole_file
 from vehanchor.errors import OutputError
 
 if TYPE_CHECKING:
@@ -91,9 +92,10 @@ def write_table(path: Path, rows: Sequence[Mapping[str, object]], columns: Seque
 def _write(path: Path, text: str) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8", errors="backslashreplace")
     except OSError as error:
         raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
+    with whole_file(path) as partial:
+        partial.write_text(text, encoding="utf-8", errors="backslashreplace")
     return path
 
 

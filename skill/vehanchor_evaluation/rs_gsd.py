@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from vehanchor.batch.journal import whole_file
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.records import BoundingBox
 from vehanchor_evaluation import isaid, segments
@@ -211,7 +212,8 @@ def build_benchmark(
         (folder / _MASKS).mkdir(parents=True, exist_ok=True)
         for entry, candidate in zip(entries, chosen, strict=True):
             (folder / entry.mask).write_bytes(candidate.png)
-        (folder / _FILE).write_text(benchmark.model_dump_json(indent=1) + "\n", encoding="utf-8")
+        with whole_file(folder / _FILE) as partial:  # last: a folder with this file is complete
+            partial.write_text(benchmark.model_dump_json(indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         raise OutputError(f"cannot write the benchmark to {str(folder)!r}: {error.strerror}") from None
     return benchmark, issues

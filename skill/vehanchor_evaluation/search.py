@@ -1,154 +1,116 @@
-"""One detection pass over many images, kept on disk: an interrupted pass goes on where it stopped, and every table and
-figure is made from the same boxes.
+"""One search for vehicles over many images, kept on disk: an interrupted one goes on where it stopped, and every table
+and figure is made from the same boxes.
 """  # noqa: D205 - one sentence
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
-import json
 import os
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, fields
+from contextlib import closing
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from vehanchor.anchors.evidence import ImageFacts, View
+from vehanchor.anchors.vehicles import select
+from vehanchor.batch.journal import Journal, Source
+from vehanchor.batch.pool import finished_in_threads
 from vehanchor.detection.detector import Detections
-from vehanchor.errors import OutputError, VehAnchorError
-from vehanchor.estimate import ScaleAnalysis, ScaleOptions, analyse_raster, raster_notices, scale_from_detections
+from vehanchor.errors import InvalidParameterError, VehAnchorError
+from vehanchor.estimate import ScaleAnalysis, analyse_raster, analyse_sighting, image_facts
+from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.raster import open_raster
+from vehanchor.options import OUTLIER_ALPHA, Lengths, ScaleOptions
 from vehanchor.records import Notice
-from vehanchor_evaluation.known_scale import FileIssue
+from vehanchor_evaluation.known_scale import DATASET_LIMITS, FileIssue
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from vehanchor.detection.detector import Detector, DetectorCard
+    from vehanchor.imagery.raster import Raster
+    from vehanchor_evaluation.known_scale import KnownScaleSet
 
-__all__ = ["DetectionLog", "SearchedImage", "search_images", "search_settings"]
+__all__ = [
+    "ABLATION_ALPHAS",
+    "MAX_WORKERS",
+    "DetectionLog",
+    "SearchedImage",
+    "default_workers",
+    "open_detection_log",
+    "search_images",
+    "search_known_scale",
+]
 
-_AFTER_SEARCH = {  # options that only the second half of the skill reads: one search serves all their values
-    "alpha", "aggregation", "reference_length_m", "region", "calibration", "frame_width_px", "frame_height_px",
-    "limits",
-}  # fmt: skip
+ABLATION_ALPHAS = (1.0, OUTLIER_ALPHA, None)  # paper, Table III
+MAX_WORKERS = 4  # by default: each holds an image in memory
 
 
 @dataclass(frozen=True, eq=False)
 class SearchedImage:
-    """What the first half of the skill found in one image.
+    """The findings of the first half of the skill in one image.
 
     Attributes:
         detections: the vehicles.
-        width_px: width of the image.
-        height_px: its height.
-        georeference_gsd_m_per_px: the scale that the file carries.
-        notices: what opening it had to tell.
-        resolved: share of the pixels' resolution at which there is detail around the vehicles.
+        image: size, own scale and notices of the file.
+        resolved: share of the pixels' resolution at which there is detail around the vehicles that the outlier filter
+            keeps, by its factor; vehicles that nobody has looked for, as labels, need none.
     """
 
     detections: Detections
-    width_px: int
-    height_px: int
-    georeference_gsd_m_per_px: float | None = None
-    notices: tuple[Notice, ...] = ()
-    resolved: float = 1.0
+    image: ImageFacts
+    resolved: Mapping[float | None, float] = field(default_factory=dict)
 
     def analysis(self, card: DetectorCard, options: ScaleOptions) -> ScaleAnalysis:
-        """The second half of the skill on these vehicles."""
-        return scale_from_detections(
-            self.detections,
-            card,
-            options,
-            image_width_px=self.width_px,
-            image_height_px=self.height_px,
-            georeference_gsd_m_per_px=self.georeference_gsd_m_per_px,
-            notices=self.notices,
-            resolved=self.resolved,
-        )
-
-
-def search_settings(detector: Detector, options: ScaleOptions, classes: Sequence[str] | None = None) -> str:
-    """A hash of all that the vehicles found depend on, but for the image."""
-    chosen = {field.name: getattr(options, field.name) for field in fields(options) if field.name not in _AFTER_SEARCH}
-    facts = {"version": version("vehanchor"), "model": detector.card.sha256, "classes": classes, **chosen}
-    return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()[:16]
-
-
-class DetectionLog:
-    """Searched images on disk, one JSON object a line, keyed by file and settings.
-
-    A line that was cut short by an interruption is ignored, and so is one whose file has changed since.
-
-    Args:
-        path: of the file; None keeps nothing.
-        settings: what ``search_settings`` gave.
-
-    Raises:
-        OutputError: the file cannot be read or written.
-    """
-
-    def __init__(self, path: Path | None, settings: str) -> None:
-        self._path, self._settings = path, settings
-        self._known: dict[tuple[str, int, int], SearchedImage] = {}
-        if path is None:
-            return
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with path.open("a+b") as handle:
-                handle.seek(0)
-                complete = True
-                for line in handle:
-                    complete = line.endswith(b"\n")
-                    self._take(line)
-                if not complete:
-                    handle.write(b"\n")
-        except OSError as error:
-            raise OutputError(f"cannot use {str(path)!r}: {error.strerror or error}") from error
-
-    def __len__(self) -> int:
-        return len(self._known)
-
-    def _take(self, line: bytes) -> None:
-        with contextlib.suppress(ValueError, KeyError, TypeError):
-            record = json.loads(line)
-            if record["settings"] == self._settings:
-                self._known[record["file"], record["bytes"], record["modified_ns"]] = _searched(record)
-
-    def get(self, image: Path) -> SearchedImage | None:
-        """What is known of an image as it is now."""
-        try:
-            return self._known.get(_key(image))
-        except OSError:
-            return None
-
-    def add(self, image: Path, searched: SearchedImage) -> None:
-        """Keep what was found in an image.
+        """Lead these vehicles through the second half of the skill.
 
         Raises:
-            OutputError: the file cannot be written.
+            InvalidParameterError: the search has not looked at the detail with this factor of the filter.
         """
-        key = _key(image)
-        self._known[key] = searched
-        if self._path is None:
-            return
-        record = {"file": key[0], "bytes": key[1], "modified_ns": key[2], "settings": self._settings}
-        try:
-            with self._path.open("a", encoding="utf-8") as handle:
-                handle.write(json.dumps(record | _record(searched)) + "\n")
-        except OSError as error:
-            raise OutputError(f"cannot write {str(self._path)!r}: {error.strerror or error}") from error
+        share = self.resolved.get(options.lengths.alpha) if self.resolved else 1.0
+        if share is None:
+            raise InvalidParameterError(f"searched without alpha {options.lengths.alpha}: search with these options")
+        return analyse_sighting(View(self.image, self.detections, card, options, lambda *_: share))
 
 
-def _key(image: Path) -> tuple[str, int, int]:
-    facts = image.stat()
-    return str(image.resolve()), facts.st_size, facts.st_mtime_ns
+DetectionLog: TypeAlias = Journal[SearchedImage]
+
+
+def default_workers() -> int:
+    """Images that are worth searching at once on this machine."""
+    return min(MAX_WORKERS, os.cpu_count() or 1)
+
+
+def open_detection_log(
+    path: Path | None, detector: Detector, options: ScaleOptions, classes: Sequence[str | int] | None = None
+) -> DetectionLog:
+    """Open what earlier searches with the same model and options have found.
+
+    Args:
+        path: of the file; None keeps findings in memory only.
+        detector: the model.
+        options: of the search; what only the second half of the skill reads does not matter.
+        classes: of the model, that count as vehicles; None for its own.
+
+    Raises:
+        InvalidParameterError: the file is no such log.
+        OutputError: it cannot be read or written.
+    """
+    settings = {
+        "vehanchor": version("vehanchor"),
+        "model_sha256": detector.card.sha256,
+        "classes": classes,
+        "search": asdict(options.search),
+        "bands": options.reading.bands,
+    }
+    return Journal(path, settings, dump=_record, load=_searched)
 
 
 def _record(searched: SearchedImage) -> dict[str, Any]:
-    found = searched.detections
+    found, image = searched.detections, searched.image
     return {
         "boxes": found.boxes.tolist(),
         "scores": found.scores.tolist(),
@@ -156,11 +118,11 @@ def _record(searched: SearchedImage) -> dict[str, Any]:
         "n_capped_tiles": found.n_capped_tiles,
         "scales": None if found.scales is None else found.scales.tolist(),
         "fleet_log_odds": None if found.fleet_log_odds is None else found.fleet_log_odds.tolist(),
-        "width_px": searched.width_px,
-        "height_px": searched.height_px,
-        "georeference_gsd_m_per_px": searched.georeference_gsd_m_per_px,
-        "resolved": searched.resolved,
-        "notices": [notice.model_dump() for notice in searched.notices],
+        "width_px": image.width_px,
+        "height_px": image.height_px,
+        "georeference_gsd_m_per_px": image.georeference_gsd_m_per_px,
+        "notices": [notice.model_dump(mode="json") for notice in image.notices],
+        "resolved": list(searched.resolved.items()),
     }
 
 
@@ -174,11 +136,13 @@ def _searched(record: dict[str, Any]) -> SearchedImage:
             None if record["scales"] is None else np.array(record["scales"], dtype=np.float64),
             None if record["fleet_log_odds"] is None else np.array(record["fleet_log_odds"], dtype=np.float64),
         ),
-        record["width_px"],
-        record["height_px"],
-        record["georeference_gsd_m_per_px"],
-        tuple(Notice(**notice) for notice in record["notices"]),
-        record["resolved"],
+        ImageFacts(
+            record["width_px"],
+            record["height_px"],
+            record["georeference_gsd_m_per_px"],
+            tuple(Notice(**notice) for notice in record["notices"]),
+        ),
+        dict(record["resolved"]),
     )
 
 
@@ -191,12 +155,12 @@ def search_images(
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[tuple[Path, SearchedImage | FileIssue]]:
-    """Search images that the log does not know yet; an image that cannot be used never stops the pass.
+    """Search images that the log does not know yet; an image that cannot be used never stops the search.
 
     Args:
         images: the files, each once.
         detector: the model, shared by all workers.
-        options: of the search; what only the second half reads does not matter.
+        options: of the search; of what only the second half reads, ``alpha`` may be one more that is looked at.
         log: takes what is found, at once.
         workers: images searched at the same time, each held in memory.
         progress: called with (images done, images in all).
@@ -205,49 +169,85 @@ def search_images(
         Each file with what was found, in order; or with why it could not be searched.
     """
     files = list(images)
-    if log is None:
-        log = DetectionLog(None, "")
-    waiting: dict[Future[SearchedImage | FileIssue], Path] = {}
+    log = open_detection_log(None, detector, options) if log is None else log
+    tell = progress or (lambda _done, _total: None)
+    keys = {file: Source.of(file) for file in files}
+    alphas = tuple(dict.fromkeys((*ABLATION_ALPHAS, options.lengths.alpha)))
+    missing = [file for file in files if not _covered(log.get(keys[file]), alphas)]
     issues: dict[Path, FileIssue] = {}
-    with ThreadPoolExecutor(max_workers=workers) as pool:
-        try:
-            for file in files:
-                if log.get(file) is None:
-                    waiting[pool.submit(_search, file, detector, options)] = file
-            done = len(files) - len(waiting)
-            while waiting:
-                if progress:
-                    progress(done, len(files))
-                finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    file, result = waiting.pop(future), future.result()
-                    done += 1
-                    if isinstance(result, FileIssue):
-                        issues[file] = result
-                    else:
-                        log.add(file, result)
-        finally:
-            pool.shutdown(cancel_futures=True)
-    if progress:
-        progress(len(files), len(files))
+    tell(len(files) - len(missing), len(files))
+    work = partial(_search, detector=detector, options=options, alphas=alphas)
+    with closing(finished_in_threads(workers, work, missing)) as results:
+        for done, (file, future) in enumerate(results, start=len(files) - len(missing) + 1):
+            found = future.result()
+            if isinstance(found, FileIssue):
+                issues[file] = found
+            elif Source.of(file) != keys[file]:
+                issues[file] = FileIssue(file, "image_changed", "the file was changed or removed during the search")
+            else:
+                log.add(keys[file], found)
+            tell(done, len(files))
     for file in files:
-        known = issues.get(file) or log.get(file)
-        yield file, known or FileIssue(file, "image_changed", "the file was changed or removed during the search")
+        known = issues.get(file) or log.get(keys[file])
+        assert known is not None  # found just now, or before
+        yield file, known
 
 
-def _search(file: Path, detector: Detector, options: ScaleOptions) -> SearchedImage | FileIssue:
+def search_known_scale(
+    data: KnownScaleSet,
+    detector: Detector,
+    options: ScaleOptions,
+    *,
+    classes: Sequence[str | int] | None = None,
+    cache: Path | None = None,
+    workers: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[Path, SearchedImage | FileIssue]:
+    """Search all images with a model; what the cache knows is not searched again.
+
+    Args:
+        data: images of known scale; they are the user's own, and may be as large as ``DATASET_LIMITS`` allows.
+        detector: the model.
+        options: of the search.
+        classes: of the model, that count as vehicles, as it was opened with.
+        cache: file of what was found so far, and will be; None keeps nothing.
+        workers: images at the same time; None for a good number.
+        progress: called with (images done, images in all).
+
+    Raises:
+        InvalidParameterError: the cache is no log of a search.
+        OutputError: it cannot be read or written.
+    """
+    options = replace(options, reading=replace(options.reading, limits=DATASET_LIMITS))
+    return dict(
+        search_images(
+            (image.path for image in data.images),
+            detector,
+            options,
+            log=open_detection_log(cache, detector, options, classes),
+            workers=workers or default_workers(),
+            progress=progress,
+        )
+    )
+
+
+def _covered(known: SearchedImage | None, alphas: Sequence[float | None]) -> bool:
+    return known is not None and all(alpha in known.resolved for alpha in alphas)
+
+
+def _search(
+    file: Path, detector: Detector, options: ScaleOptions, alphas: Sequence[float | None]
+) -> SearchedImage | FileIssue:
     try:
-        with open_raster(os.fspath(file), bands=options.bands, limits=options.limits) as raster:
-            analysis = analyse_raster(raster, detector, options)
-            notices = raster_notices(raster)
+        with open_raster(os.fspath(file), bands=options.reading.bands, limits=options.reading.limits) as raster:
+            found = analyse_raster(raster, detector, options).detections
+            resolved = {alpha: _resolved(raster, found, alpha) for alpha in alphas}
+            return SearchedImage(found, image_facts(raster), resolved)
     except VehAnchorError as error:
         return FileIssue(file, error.code, str(error))
-    estimate = analysis.estimate
-    return SearchedImage(
-        analysis.detections,
-        estimate.image_width_px,
-        estimate.image_height_px,
-        estimate.georeference_gsd_m_per_px,
-        notices,
-        analysis.resolved,
-    )
+
+
+def _resolved(raster: Raster, found: Detections, alpha: float | None) -> float:
+    """The share of the resolution with detail around the vehicles that a factor of the outlier filter keeps."""
+    fleet = select(found, Lengths(alpha=alpha))
+    return resolved_share(raster, fleet.centres, fleet.working_scale or 1.0)

@@ -32,7 +32,7 @@ _UNITS = [(re.compile(pattern, re.IGNORECASE), factor) for factor, pattern in _M
 
 
 class StatedArea(NamedTuple):
-    """What was read: an area in square metres, or why there is none."""
+    """The reading of a reply: an area in square metres, or why there is none."""
 
     area_m2: float | None
     problem: Problem | None = None

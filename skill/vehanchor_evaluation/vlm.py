@@ -8,7 +8,7 @@ or a reply without such a number, counts as an error of 100 %, as does a pipelin
 from __future__ import annotations
 
 import base64
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from vehanchor.batch.pool import finished_in_threads
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.raster import open_raster
 from vehanchor.pictures.scale import read_reduced
@@ -28,11 +29,13 @@ from vehanchor_evaluation.vlm_api import ApiRefusedError, BudgetSpentError, Requ
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from concurrent.futures import Future
 
     from numpy.typing import NDArray
 
+    from vehanchor_evaluation.agent_tools import ToolCaller
     from vehanchor_evaluation.rs_gsd import BenchmarkEntry
-    from vehanchor_evaluation.vlm_api import ModelApi, ToolRunner
+    from vehanchor_evaluation.vlm_api import ModelApi
 
 __all__ = [
     "HINT",
@@ -66,7 +69,7 @@ _FAILURES_IN_A_ROW = 5  # then the service is down, and the rest would fail as w
 
 @dataclass(frozen=True)
 class Query:
-    """What is asked, and how.
+    """The question, and how it is put.
 
     Attributes:
         hint: append the paper's sentence on the length of cars.
@@ -83,7 +86,7 @@ class Query:
 
 
 class VlmTrial(BaseModel):
-    """What the model said about one entry."""
+    """A model's answer about one entry."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -158,7 +161,7 @@ def run_vlm_trials(
     api: ModelApi,
     query: Query,
     *,
-    tools: ToolRunner | None = None,
+    tools: ToolCaller | None = None,
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> VlmRun:
@@ -175,54 +178,64 @@ def run_vlm_trials(
         workers: requests at once.
         progress: called with (entries done, entries in all).
     """
-    trials: dict[str, VlmTrial] = {}
-    issues: list[FileIssue] = []
-    stopped: str | None = None
-    failures = 0
-    ended = Event()  # so that no thread takes up another entry before this one has heard of the end
+    round_ = _Round(api, query, tools)
+    with closing(finished_in_threads(workers, round_.work, entries)) as answers:
+        for done, (entry, answer) in enumerate(answers, start=1):
+            round_.take(entry, answer)
+            if progress is not None and not round_.stopped:
+                progress(done, len(entries))
+    return VlmRun(
+        [round_.trials[entry.name] for entry in entries if entry.name in round_.trials], round_.issues, round_.stopped
+    )
 
-    def work(entry: BenchmarkEntry) -> VlmTrial | None:
-        if ended.is_set():
+
+class _Round:
+    """Answers as they come, and whether to go on."""
+
+    def __init__(self, api: ModelApi, query: Query, tools: ToolCaller | None) -> None:
+        self._ask_with = api, query, tools
+        self._ended = Event()  # so that no thread takes up another entry before the run has heard of the end
+        self._failures = 0
+        self.trials: dict[str, VlmTrial] = {}
+        self.issues: list[FileIssue] = []
+        self.stopped: str | None = None
+
+    def work(self, entry: BenchmarkEntry) -> VlmTrial | None:
+        """Ask about an entry; None once the run has ended."""
+        if self._ended.is_set():
             return None
         try:
-            return _ask(entry, api, query, tools)
+            return _ask(entry, *self._ask_with)
         except (BudgetSpentError, ApiRefusedError):
-            ended.set()
+            self._ended.set()
             raise
 
-    with ThreadPoolExecutor(workers) as pool:
-        futures = {pool.submit(work, entry): entry for entry in entries}
+    def take(self, entry: BenchmarkEntry, answer: Future[VlmTrial | None]) -> None:
+        """Keep an answer, also one that was under way when the run ended, or say why there is none."""
         try:
-            for done, future in enumerate(as_completed(futures), start=1):
-                entry = futures[future]
-                try:
-                    trial = future.result()
-                    if trial is not None:
-                        trials[entry.name] = trial
-                    failures = 0
-                except (BudgetSpentError, ApiRefusedError) as error:
-                    stopped = stopped or str(error)
-                except RequestFailedError as error:
-                    issues.append(FileIssue(Path(entry.image), "request_failed", f"{entry.name}: {error}"))
-                    failures += 1
-                    if failures >= _FAILURES_IN_A_ROW:
-                        stopped = stopped or f"{failures} requests in a row failed, the last: {error}"
-                except VehAnchorError as error:
-                    issues.append(FileIssue(Path(entry.image), error.code, f"{entry.name}: {error}"))
-                if stopped:
-                    ended.set()
-                    break
-                if progress is not None:
-                    progress(done, len(entries))
-        finally:
-            pool.shutdown(cancel_futures=True)
-    for future, entry in futures.items():  # what was under way when the run ended has its answer by now
-        if stopped and not future.cancelled() and future.exception() is None and (late := future.result()) is not None:
-            trials[entry.name] = late
-    return VlmRun([trials[entry.name] for entry in entries if entry.name in trials], issues, stopped)
+            trial = answer.result()
+        except (BudgetSpentError, ApiRefusedError) as error:
+            self._stop(str(error))
+        except RequestFailedError as error:
+            if self.stopped:
+                return
+            self.issues.append(FileIssue(Path(entry.image), "request_failed", f"{entry.name}: {error}"))
+            self._failures += 1
+            if self._failures >= _FAILURES_IN_A_ROW:
+                self._stop(f"{self._failures} requests in a row failed, the last: {error}")
+        except VehAnchorError as error:
+            self.issues.append(FileIssue(Path(entry.image), error.code, f"{entry.name}: {error}"))
+        else:
+            self._failures = 0
+            if trial is not None:
+                self.trials[entry.name] = trial
+
+    def _stop(self, reason: str) -> None:
+        self.stopped = self.stopped or reason
+        self._ended.set()
 
 
-def _ask(entry: BenchmarkEntry, api: ModelApi, query: Query, tools: ToolRunner | None) -> VlmTrial:
+def _ask(entry: BenchmarkEntry, api: ModelApi, query: Query, tools: ToolCaller | None) -> VlmTrial:
     with open_raster(entry.image) as raster:
         seen = read_reduced(raster)
         question = draw_question(seen, seen.shape[1] / raster.width_px, entry.corners, query.max_side_px)

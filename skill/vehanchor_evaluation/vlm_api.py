@@ -1,7 +1,7 @@
 """Vision-language models behind the Anthropic Messages API and the OpenAI Chat Completions API.
 
 The providers' own clients (extra ``examples``) send the requests and try again: on 408, 409, 429 and 5xx, on timeouts
-and lost connections, after what ``Retry-After`` says. Here is what they lack: replies kept on disk, and ceilings. Keys
+and lost connections, after what ``Retry-After`` says. They keep no replies and know no ceilings: both are here. Keys
 come from the environment only; they are never part of what is kept, hashed or told.
 """
 
@@ -13,13 +13,18 @@ import os
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 from urllib.parse import urlsplit
 
-from vehanchor.errors import InvalidParameterError, MissingExtraError, OutputError
+from vehanchor.batch.journal import Journal, Key
+from vehanchor.errors import InvalidParameterError, MissingExtraError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from vehanchor_evaluation.agent_tools import ToolCaller
 
 __all__ = [
     "PROVIDERS",
@@ -30,12 +35,11 @@ __all__ = [
     "ModelApi",
     "OpenAiApi",
     "Reply",
-    "ReplyCache",
     "RequestFailedError",
     "ToolCall",
     "ToolResult",
-    "ToolRunner",
     "open_api",
+    "reply_journal",
 ]
 
 Provider: TypeAlias = Literal["anthropic", "openai", "openai-compatible"]
@@ -60,7 +64,7 @@ class BudgetSpentError(Exception):
 
 
 class ToolCall(NamedTuple):
-    """What a model wants to have done."""
+    """A call of a tool, as a model wants it made."""
 
     id: str
     name: str
@@ -68,30 +72,15 @@ class ToolCall(NamedTuple):
 
 
 class ToolResult(NamedTuple):
-    """What came of it, as the model reads it."""
+    """The outcome of a call, as the model reads it."""
 
     text: str
     is_error: bool
 
 
-class ToolRunner(Protocol):
-    """Tools for a model.
-
-    Attributes:
-        anthropic_tools: their definitions for the Messages API.
-        openai_tools: their definitions for the Chat Completions API.
-    """
-
-    anthropic_tools: list[dict[str, Any]]
-    openai_tools: list[dict[str, Any]]
-
-    def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
-        """Do what the model asks for; gives what it reads and whether that tells an error."""
-
-
 @dataclass(frozen=True)
 class Reply:
-    """What a model said.
+    """A model's answer.
 
     Attributes:
         text: all text of the reply.
@@ -153,50 +142,21 @@ class Budget:
             self.tokens += tokens
 
 
-class ReplyCache:
-    """Responses on disk, one file each, named by the SHA-256 of provider, address and request.
-
-    Args:
-        folder: made.
+def reply_journal(folder: Path | None) -> Journal[dict[str, Any]]:
+    """Open the responses that are kept in a folder, so that none is asked for twice; None keeps them in memory.
 
     Raises:
-        OutputError: the folder cannot be made.
+        InvalidParameterError: the file there is no journal.
+        OutputError: it cannot be read or written.
     """
+    path = None if folder is None else folder / "replies.jsonl"
+    return Journal(path, {"responses": "as the service gave them"}, dump=dict, load=dict)
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"cannot make {str(folder)!r}: {error.strerror or error}") from error
 
-    @staticmethod
-    def key(provider: str, base_url: str, payload: dict[str, Any]) -> str:
-        """The name of a request."""
-        text = json.dumps([provider, base_url, payload], sort_keys=True, ensure_ascii=True)
-        return hashlib.sha256(text.encode()).hexdigest()
-
-    def get(self, key: str) -> dict[str, Any] | None:
-        """The response to a request, if it is known."""
-        try:
-            response = json.loads((self._folder / f"{key}.json").read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return None
-        return response if isinstance(response, dict) else None
-
-    def put(self, key: str, response: dict[str, Any]) -> None:
-        """Keep a response.
-
-        Raises:
-            OutputError: the disk refuses.
-        """
-        path = self._folder / f"{key}.json"
-        part = path.with_suffix(f".{threading.get_ident()}.part")
-        try:
-            part.write_text(json.dumps(response), encoding="utf-8")
-            part.replace(path)
-        except OSError as error:
-            raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
+def _request_key(provider: str, base_url: str, payload: dict[str, Any]) -> Key:
+    """SHA-256 of all that a response depends on; the key to the service is none of it."""
+    text = json.dumps([provider, base_url, payload], sort_keys=True, ensure_ascii=True)
+    return (hashlib.sha256(text.encode()).hexdigest(),)
 
 
 class ModelApi(ABC):
@@ -210,14 +170,20 @@ class ModelApi(ABC):
     """
 
     def __init__(
-        self, provider: str, model: str, client: Any, api_error: type[Exception], cache: ReplyCache, budget: Budget
+        self,
+        provider: str,
+        model: str,
+        client: Any,
+        api_error: type[Exception],
+        replies: Journal[dict[str, Any]],
+        budget: Budget,
     ) -> None:
         self.provider, self.model, self.budget = provider, model, budget
         self.base_url = str(client.base_url)
-        self._client, self._api_error, self._cache = client, api_error, cache
+        self._client, self._api_error, self._replies = client, api_error, replies
 
-    def ask(self, system: str, messages: Messages, tools: ToolRunner | None = None) -> Reply:
-        """Ask, or read the reply from the cache.
+    def ask(self, system: str, messages: Messages, tools: ToolCaller | None = None) -> Reply:
+        """Ask, or read the reply that is kept.
 
         Raises:
             RequestFailedError: the request failed after all attempts.
@@ -226,14 +192,14 @@ class ModelApi(ABC):
             OutputError: the reply cannot be kept.
         """
         payload = self._payload(system, messages, tools)
-        key = ReplyCache.key(self.provider, self.base_url, payload)
-        response = self._cache.get(key)
+        key = _request_key(self.provider, self.base_url, payload)
+        response = self._replies.get(key)
         if response is None:
             self.budget.begin()
             response = self._send(payload)
             reply = self._checked(response)
             self.budget.spend(reply.input_tokens + reply.output_tokens)
-            self._cache.put(key, response)
+            self._replies.add(key, response)
             return reply
         return self._checked(response)
 
@@ -270,7 +236,7 @@ class ModelApi(ABC):
         """The conversation after a reply and what came of its tool calls."""
 
     @abstractmethod
-    def _payload(self, system: str, messages: Messages, tools: ToolRunner | None) -> dict[str, Any]: ...
+    def _payload(self, system: str, messages: Messages, tools: ToolCaller | None) -> dict[str, Any]: ...
 
     @abstractmethod
     def _create(self, payload: dict[str, Any]) -> Any: ...
@@ -300,7 +266,7 @@ class AnthropicApi(ModelApi):
         ]
         return [*messages, reply.message, {"role": "user", "content": content}]
 
-    def _payload(self, system: str, messages: Messages, tools: ToolRunner | None) -> dict[str, Any]:
+    def _payload(self, system: str, messages: Messages, tools: ToolCaller | None) -> dict[str, Any]:
         payload: dict[str, Any] = {
             "model": self.model,
             "max_tokens": self._max_output_tokens,
@@ -355,7 +321,7 @@ class OpenAiApi(ModelApi):
         ]
         return [*messages, reply.message, *answers]
 
-    def _payload(self, system: str, messages: Messages, tools: ToolRunner | None) -> dict[str, Any]:
+    def _payload(self, system: str, messages: Messages, tools: ToolCaller | None) -> dict[str, Any]:
         del system  # the first message
         payload: dict[str, Any] = {"model": self.model, "messages": messages, **self._limits}
         return payload if tools is None else {**payload, "tools": tools.openai_tools}
@@ -394,7 +360,7 @@ def _arguments(text: str) -> dict[str, Any]:
 def open_api(
     provider: Provider,
     model: str,
-    cache: ReplyCache,
+    replies: Journal[dict[str, Any]],
     budget: Budget,
     *,
     base_url: str | None = None,
@@ -408,7 +374,7 @@ def open_api(
     Args:
         provider: ``anthropic``, ``openai`` or ``openai-compatible``.
         model: its name there.
-        cache: of replies.
+        replies: so far, see ``reply_journal``.
         budget: ceilings.
         base_url: of the service; None for the provider's own, needed for a compatible one.
         key_variable: the environment variable with the key; None for the provider's usual one.
@@ -420,6 +386,15 @@ def open_api(
         MissingExtraError: the provider's client is not installed.
         InvalidParameterError: there is no key in the environment, or no address for a compatible service.
     """
+    _check_address(provider, base_url)
+    key = _key(provider, key_variable)
+    options = {"api_key": key, "base_url": base_url, "timeout": timeout_s, "max_retries": max_retries}
+    kind: type[AnthropicApi | OpenAiApi] = AnthropicApi if provider == "anthropic" else OpenAiApi
+    client, api_error = _client(provider, options)
+    return kind(provider, model, client, api_error, replies, budget, max_output_tokens=max_output_tokens)
+
+
+def _check_address(provider: Provider, base_url: str | None) -> None:
     if provider == "openai-compatible" and base_url is None:
         raise InvalidParameterError("a compatible service needs its address: --base-url http://host:8000/v1")
     address = urlsplit(base_url or "")
@@ -427,29 +402,28 @@ def open_api(
         raise InvalidParameterError(
             "--base-url is http(s)://host/path, without user, password or key: those come from the environment"
         )
+
+
+def _key(provider: Provider, key_variable: str | None) -> str:
+    """The user's key, from the environment only."""
     variable = key_variable or _KEY_VARIABLES[provider]
     key = os.environ.get(variable)
     if not key and provider == "openai-compatible" and key_variable is None:
-        key = _NO_KEY
+        return _NO_KEY
     if not key:
         raise InvalidParameterError(f"no key in the environment: set {variable} to your key for {provider}")
-    options: dict[str, Any] = {
-        "api_key": key,
-        "base_url": base_url,
-        "timeout": timeout_s,
-        "max_retries": max_retries,
-    }
+    return key
+
+
+def _client(provider: Provider, options: dict[str, Any]) -> tuple[Any, type[Exception]]:
+    """The provider's own client, and the base of its errors."""
     try:
         if provider == "anthropic":
             import anthropic
 
-            client: Any = anthropic.Anthropic(**options)
-            return AnthropicApi(
-                provider, model, client, anthropic.APIError, cache, budget, max_output_tokens=max_output_tokens
-            )
+            return anthropic.Anthropic(**options), anthropic.APIError
         import openai
+
+        return openai.OpenAI(**options), openai.APIError
     except ImportError as error:
         raise MissingExtraError(f"{error.name} is not installed: pip install 'vehanchor[examples]'") from error
-    return OpenAiApi(
-        provider, model, openai.OpenAI(**options), openai.APIError, cache, budget, max_output_tokens=max_output_tokens
-    )

@@ -243,7 +243,7 @@ def test_the_table_tells_the_errors_of_mask_and_scale_apart(run: Any, data: Path
 
 def test_one_search_serves_all_objects_of_an_image(run: Any) -> None:
     assert run("--workers", 2).exit_code == 0
-    assert len(Path("out/detections.jsonl").read_text().splitlines()) == 3
+    assert sum(b'"key"' in line for line in Path("out/detections.jsonl").read_bytes().splitlines()) == 3
 
 
 def test_a_run_goes_on_where_it_stopped(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -251,7 +251,7 @@ def test_a_run_goes_on_where_it_stopped(run: Any, monkeypatch: pytest.MonkeyPatc
     whole = Path("out/area.csv").read_text()
     log = Path("out/masks.jsonl")
     lines = log.read_text().splitlines(keepends=True)
-    log.write_text("".join(lines[:3]) + lines[3][:20])  # a crash in the middle of a line
+    log.write_text("".join(lines[:4]) + lines[4][:20])  # a crash in the middle of the fourth result
     segmented = []
     segment = Segmenter.segment
 

@@ -4,6 +4,7 @@ import csv
 import json
 import re
 import time
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,9 +20,8 @@ from tests.sam_models import write_sam
 from vehanchor.cli import app as cli
 from vehanchor.errors import InvalidParameterError
 from vehanchor_evaluation.rs_gsd import Recipe, build_benchmark, load_benchmark
-from vehanchor_evaluation.stated_area import read_area
 from vehanchor_evaluation.vlm import HINT, QUESTION, SYSTEM, draw_question
-from vehanchor_evaluation.vlm_api import Budget, BudgetSpentError, ReplyCache, open_api
+from vehanchor_evaluation.vlm_api import Budget, BudgetSpentError, open_api, reply_journal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -162,82 +162,6 @@ def test_output_ceilings_have_the_name_that_the_service_knows(run: Any, service:
 # --- What is read ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("text", "area"),
-    [
-        ("AREA=120", 120),
-        ("so 10 x 12\nAREA = 1,234.5 m²", 1234.5),
-        ("**AREA=1,234**", 1234),
-        ("`AREA=450`", 450),
-        ("AREA=**450**", 450),
-        ("AREA=1.234,5", 1234.5),
-        ("AREA=1 234 567 m^2", 1234567),
-        ("AREA=1\u202f234", 1234),
-        ("AREA=1'234", 1234),
-        ("AREA=1_234", 1234),
-        ("AREA=1,234,567.89", 1234567.89),
-        ("AREA=1.234.567", 1234567),
-        ("AREA=12,5", 12.5),
-        ("AREA=1.2e3", 1200),
-        ("AREA=1.2E+3 square metres", 1200),
-        ("AREA=1.2 \u00d7 10^3 m²", 1200),
-        ("AREA=1.2\u00d710³", 1200),
-        ("AREA=5·10⁻¹", None),
-        ("AREA=$1.2 \\times 10^{3}\\ \\text{m}^2$", 1200),
-        ("AREA=\\boxed{450}", 450),
-        ("AREA=<450>", 450),
-        ("AREA=~450", 450),
-        ("AREA=approximately 450 square meters.", 450),
-        ("AREA=450 sq. m", 450),
-        ("AREA=450 (from 3 cars)", 450),
-        ("AREA=100 ± 20", 100),
-        ("AREA=.5", 0.5),
-        ("AREA=0", 0),
-        ("AREA=<number>\n...\nAREA=77", 77),
-        ("area=12", 12),
-        ("AREA=0.5 ha", 5000),
-        ("AREA=2 km2", 2e6),
-        ("AREA=5000 cm²", 0.5),
-        ("AREA=1000 sq ft", 92.90304),
-        ("AREA=1,000 ft²", 92.90304),
-        ("AREA=10 square yards", 8.3612736),
-        ("AREA=1 acre", 4046.8564224),
-    ],
-)
-def test_an_area_is_read_with_its_unit_and_separators(text: str, area: float | None) -> None:
-    stated = read_area(text)
-    if area is None:
-        assert stated.area_m2 is None
-    else:
-        assert stated.problem is None
-        assert stated.area_m2 == pytest.approx(area)
-
-
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        ("It is about 450 m².", "no_area_line"),
-        ("", "no_area_line"),
-        ("AREA: 450", "no_area_line"),
-        ("AREA=N/A", "no_number"),
-        ("AREA=<number>", "no_number"),
-        ("AREA=-5", "no_number"),
-        ("AREA=", "no_number"),
-        ("AREA=100-200", "ambiguous_number"),
-        ("AREA=100 to 200", "ambiguous_number"),
-        ("AREA=10 x 12 = 120", "ambiguous_number"),
-        ("AREA=1,2,3", "ambiguous_number"),
-        ("AREA=1.2.3", "ambiguous_number"),
-        ("AREA=1,23.456,7", "ambiguous_number"),
-        ("AREA=1e99", "ambiguous_number"),
-        ("AREA=450 pixels", "unknown_unit"),
-        ("AREA=450 m", "unknown_unit"),
-    ],
-)
-def test_what_is_no_area_is_refused_with_its_reason(text: str, problem: str) -> None:
-    assert read_area(text) == (None, problem)
-
-
 @pytest.mark.parametrize("provider", PROVIDERS)
 def test_refusals_count_as_an_error_of_100_percent_and_are_counted(
     run: Any, service: ModelService, provider: str
@@ -308,8 +232,8 @@ def test_replies_are_kept_and_never_asked_for_twice(run: Any, service: ModelServ
     assert run("--hint").exit_code == 0
     assert len(service.requests) == 6
     whole = Path("out/vlm.csv").read_text()
-    damaged = sorted(Path("out/replies").iterdir())[0]
-    damaged.write_text("{")
+    replies = Path("out/replies.jsonl")
+    replies.write_bytes(replies.read_bytes()[:-30])  # a crash in the middle of a line
     assert run().exit_code == 0
     assert run("--hint").exit_code == 0
     assert len(service.requests) == 7
@@ -384,17 +308,17 @@ def test_a_compatible_service_needs_no_key_but_its_address(
     service: ModelService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("OPENAI_API_KEY")
-    cache = ReplyCache(tmp_path)
-    api = open_api("openai-compatible", "qwen", cache, Budget(), base_url=service.url + "/v1")
+    replies = reply_journal(tmp_path)
+    api = open_api("openai-compatible", "qwen", replies, Budget(), base_url=service.url + "/v1")
     assert api.ask("s", api.first_messages("s", "t", jpeg())).text == "AREA=100"
     with pytest.raises(InvalidParameterError, match="--base-url"):
-        open_api("openai-compatible", "qwen", cache, Budget())
+        open_api("openai-compatible", "qwen", replies, Budget())
 
 
 @pytest.mark.parametrize("url", ["http://user:pass@host/v1", "https://host/v1?key=5", "host:8000"])
 def test_an_address_with_a_secret_in_it_is_refused(tmp_path: Path, url: str) -> None:
     with pytest.raises(InvalidParameterError, match="come from the environment"):
-        open_api("openai-compatible", "qwen", ReplyCache(tmp_path), Budget(), base_url=url)
+        open_api("openai-compatible", "qwen", reply_journal(tmp_path), Budget(), base_url=url)
 
 
 def jpeg() -> str:
@@ -409,7 +333,7 @@ def test_a_missing_client_names_the_extra(tmp_path: Path, monkeypatch: pytest.Mo
     for name in ("ANTHROPIC_API_KEY", "OPENAI_API_KEY"):
         monkeypatch.setenv(name, KEY)
     with pytest.raises(ImportError, match=r"pip install 'vehanchor\[examples\]'"):
-        open_api(provider, "m", ReplyCache(tmp_path), Budget(), base_url="http://127.0.0.1:9")
+        open_api(provider, "m", reply_journal(None), Budget(), base_url="http://127.0.0.1:9")
 
 
 # --- The agent -------------------------------------------------------------------------------------------------------
@@ -508,3 +432,16 @@ def test_what_a_tool_refuses_is_told_to_the_model(run: Any, data: Path, service:
     assert len(results) == 3
     assert "/etc/passwd" in results[0] or "not" in results[0]
     assert all(results)
+
+
+@pytest.mark.parametrize(
+    "declared", [[], [EntryPoint("tools", "no_such_package.tools:open_tools", "vehanchor.agent_tools")]]
+)
+def test_an_agent_without_tools_to_give_it_is_told_so(
+    run: Any, service: ModelService, monkeypatch: pytest.MonkeyPatch, declared: list[EntryPoint]
+) -> None:
+    monkeypatch.setattr("vehanchor_evaluation.agent_tools.entry_points", lambda group: declared)
+    result = run("--agent", "--limit", 1)
+    assert result.exit_code == 2
+    assert "error[missing_extra]: --agent needs tools for models" in result.stderr
+    assert not service.requests

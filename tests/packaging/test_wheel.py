@@ -67,7 +67,8 @@ def test_it_is_small_and_holds_all_it_needs(wheel: Path) -> None:
         path.name for path in (ROOT / "skill/vehanchor/models/bundled").iterdir() if path.suffix in (".onnx", ".md")
     }
     assert here == {Path(name).name for name in names if name.startswith("vehanchor/models/bundled/")}
-    pages = {path.name for path in (ROOT / "server/vehanchor_server/app_page").glob("panel.*")}
+    folder = ROOT / "server/vehanchor_server/app_page"
+    pages = {path.name for path in folder.iterdir() if path.suffix in (".css", ".html", ".js")}
     assert pages <= {Path(name).name for name in names if name.startswith("vehanchor_server/app_page/")}
     assert {f"{package}/py.typed" for package in PACKAGES} <= set(names)
     inside = {name for name in names if name.startswith((*(f"{package}/" for package in PACKAGES), "vehanchor-"))}

@@ -12,9 +12,10 @@ from mcp.server import MCPServer
 
 from tests.models import blank_image, paint_vehicles, write_detector
 from tests.sam_models import SamFiles, write_sam
-from vehanchor_server.app import create_server, create_services
+from tests.server.conversation import ERAS
+from vehanchor_server.app import create_server
+from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings
-from vehanchor_server.tools.registry import Services
 
 LENGTH_PX = 33.0
 N_VEHICLES = 24
@@ -26,6 +27,11 @@ _POOL_RGB = (40, 140, 210)
 @pytest.fixture
 def anyio_backend() -> str:
     return "asyncio"
+
+
+@pytest.fixture(params=ERAS)
+def era(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
 
 
 @pytest.fixture(autouse=True)

@@ -17,7 +17,7 @@ import vehanchor
 from tests.environments import environment
 from tests.sam_models import SamFiles
 from tests.server.conftest import POOL_BOX
-from tests.server.tools.test_tools import by_path
+from tests.server.conversation import by_path
 from tests.server.transport.test_http import served
 from vehanchor.detection.detector import load_detector
 from vehanchor_server.settings import Settings
@@ -72,7 +72,9 @@ def test_a_framework_gets_the_librarys_records_and_reads_what_went_wrong(
         ("measure_area", {**by_path(images / "pool.png"), "target": {"box": POOL_BOX}}),
         ("estimate_gsd", by_path(tmp_path / "elsewhere.png")),
     ]
-    command = {"command": sys.executable, "args": ["-m", "vehanchor", "serve"], "env": settings.to_environment()}
+    models = ["--detector", str(detector_path), "--segmenter", *map(str, segmenter_paths), "--threads", "1"]
+    serve = ["-m", "vehanchor", "serve", "--root", str(images), *models]
+    command: dict[str, Any] = {"command": sys.executable, "args": serve, "env": {}}
     with served(settings) as address:
         seen = driven(framework, packages, {"stdio": command, "url": f"{address}/mcp", "calls": calls})
     print(json.dumps(seen["versions"]))

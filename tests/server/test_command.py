@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import os
 import re
-from dataclasses import fields
+import typing
+from dataclasses import Field, fields
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +13,16 @@ from typer.testing import CliRunner
 
 from vehanchor_server.command import schemas, serve
 from vehanchor_server.schemas import schema_files
-from vehanchor_server.settings import Settings
+from vehanchor_server.settings import Settings, variable_name
 
-SINGULAR = {
-    "roots": "root",
-    "image_hosts": "image-host",
-    "allowed_hosts": "allowed-host",
-    "allowed_origins": "allowed-origin",
+SAMPLES: dict[str, Any] = {
+    "segmenter": (Path("e.onnx"), Path("d.onnx")),
+    "oidc_issuer": "https://a.test",
+    "min_score": 0.25,
+    "image_hosts": ("a.test", "b.test:8443"),
+    "insecure": True,
 }
+COMPANIONS = {"oidc_issuer": {"oidc_audience": "x"}, "oidc_audience": {"oidc_issuer": "https://a.test"}}
 
 
 @pytest.fixture
@@ -29,18 +33,79 @@ def app() -> typer.Typer:
     return made
 
 
-def test_every_setting_has_a_flag(app: typer.Typer) -> None:
-    shown = re.sub(r"\x1b\[[0-9;]*m", "", CliRunner().invoke(app, ["serve", "--help"], env={"COLUMNS": "200"}).output)
-    for field in fields(Settings):
-        assert f"--{SINGULAR.get(field.name, field.name.replace('_', '-'))}" in shown
+@pytest.fixture
+def shown(app: typer.Typer) -> list[str]:
+    """The lines of ``serve --help``."""
+    result = CliRunner().invoke(app, ["serve", "--help"], env={"COLUMNS": "200"})
+    return re.sub(r"\x1b\[[0-9;]*m", "", result.output).splitlines()
 
 
-def test_flags_become_settings(app: typer.Typer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    served: list[Any] = []
-    monkeypatch.setattr("vehanchor_server.transport.stdio.serve_stdio", served.append)
-    monkeypatch.setattr(
-        "vehanchor_server.transport.http.serve_http", lambda settings, workers: served.extend([settings, workers])
-    )
+@pytest.fixture
+def served(monkeypatch: pytest.MonkeyPatch) -> list[Settings]:
+    """The settings of servers that would have been started."""
+    settings: list[Settings] = []
+    monkeypatch.setattr("vehanchor_server.transport.stdio.serve_stdio", settings.append)
+    monkeypatch.setattr("vehanchor_server.transport.http.serve_http", settings.append)
+    return settings
+
+
+def sample(field: Field[Any], folder: Path) -> Any:
+    """A value that is not the default."""
+    if field.name in SAMPLES:
+        return SAMPLES[field.name]
+    kind = typing.get_type_hints(Settings)[field.name]
+    one = {"roots": (folder,), "allowed_hosts": ("a.test",), "allowed_origins": ("https://a.test",)}
+    if field.name in one:
+        return one[field.name]
+    bare = next(option for option in (*typing.get_args(kind), kind) if isinstance(option, type))
+    return bare(7 if bare in (int, float) else "name")
+
+
+@pytest.mark.parametrize("field", fields(Settings), ids=lambda field: str(field.name))
+def test_every_setting_is_in_the_help_with_its_words_and_its_default(shown: list[str], field: Field[Any]) -> None:
+    (line,) = [line for line in shown if f"\N{BOX DRAWINGS LIGHT VERTICAL} {flag_of(field)} " in line]
+    assert field.metadata["choice"].help.removesuffix(".") in line
+    if field.default or field.metadata["if_unset"]:
+        default = field.metadata["if_unset"] or str(field.default).removesuffix(".0")
+        assert f"[{default}]." in line
+
+
+@pytest.mark.parametrize("field", fields(Settings), ids=lambda field: str(field.name))
+def test_every_setting_is_a_flag_and_a_variable(
+    app: typer.Typer, served: list[Settings], tmp_path: Path, field: Field[Any]
+) -> None:
+    value = sample(field, tmp_path)
+    assert value != field.default
+    companion = COMPANIONS.get(field.name, {})
+    environ = {variable_name(name): text for name, text in companion.items()}
+    flag = flag_of(field)
+    words = [flag] if value is True else [word for each in values(field, value) for word in (flag, *each)]
+    assert CliRunner().invoke(app, ["serve", *words], env=environ).exit_code == 0
+    separator = os.pathsep if field.name == "segmenter" else ","
+    text = separator.join(map(str, value)) if isinstance(value, tuple) else str(value)
+    assert CliRunner().invoke(app, ["serve"], env={**environ, variable_name(field.name): text}).exit_code == 0
+    expected = Settings(**{field.name: value, **companion})
+    assert served == [expected, expected]
+
+
+def flag_of(field: Field[Any]) -> str:
+    return f"--{field.metadata['choice'].flag or field.name.replace('_', '-')}"
+
+
+def values(field: Field[Any], value: Any) -> list[list[str]]:
+    """The words that follow the flag, each time it is given."""
+    if field.name == "segmenter":
+        return [[str(part) for part in value]]
+    return [[str(part)] for part in value] if isinstance(value, tuple) else [[str(value)]]
+
+
+def test_a_lowest_score_of_zero_is_a_value(app: typer.Typer, served: list[Settings]) -> None:
+    result = CliRunner().invoke(app, ["serve", "--min-score", "0"], env={"VEHANCHOR_MIN_SCORE": "0.5"})
+    assert result.exit_code == 0
+    assert served == [Settings(min_score=0.0)]
+
+
+def test_flags_come_before_variables(app: typer.Typer, served: list[Settings], tmp_path: Path) -> None:
     runner = CliRunner()
     arguments = ["serve", "--root", str(tmp_path), "--threads", "2", "--image-host", "a.test", "--image-host", "b.test"]
     arguments += ["--segmenter", "e.onnx", "d.onnx", "--calibration", "c.json"]
@@ -57,7 +122,7 @@ def test_flags_become_settings(app: typer.Typer, monkeypatch: pytest.MonkeyPatch
     ]
     served.clear()
     assert runner.invoke(app, ["serve", "--http", "--port", "9001", "--workers", "2"]).exit_code == 0
-    assert served == [Settings(port=9001), 2]
+    assert served == [Settings(port=9001, workers=2)]
 
 
 def test_a_wrong_setting_is_a_line_on_stderr_and_status_2(app: typer.Typer) -> None:

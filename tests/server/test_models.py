@@ -15,7 +15,7 @@ from vehanchor_server import models as models_module
 from vehanchor_server.errors import CallError
 from vehanchor_server.models import Models
 from vehanchor_server.settings import Settings
-from vehanchor_server.tools.estimation import ScaleQuestion, scale_options
+from vehanchor_server.tools.scale_question import ScaleQuestion
 
 
 def wait_for(condition: Callable[[], Any]) -> None:
@@ -96,12 +96,12 @@ def test_the_calibration_sets_the_reference_length_of_callers_who_know_nothing_b
     models = Models(settings)
 
     def reference(question: ScaleQuestion) -> float | None:
-        calibration = scale_options(settings, question, models).calibration
+        calibration = question.options(settings, models).reference.calibration
         return None if calibration is None else calibration.reference_length_m
 
-    assert reference(ScaleQuestion(None, None, None, False)) == 4.31
-    assert reference(ScaleQuestion("europe", None, None, False)) is None
-    assert reference(ScaleQuestion(None, 4.8, None, False)) is None
+    assert reference(ScaleQuestion()) == 4.31
+    assert reference(ScaleQuestion(region="europe")) is None
+    assert reference(ScaleQuestion(reference_length_m=4.8)) is None
     assert Models(replace(settings, calibration=None)).calibration() is None
 
 

@@ -13,7 +13,7 @@ from mcp.server import MCPServer
 import vehanchor
 from tests.sam_models import SamFiles
 from tests.server.conftest import POOL_BOX
-from tests.server.tools.test_tools import by_path
+from tests.server.conversation import by_path
 from vehanchor.detection.detector import load_detector
 from vehanchor_server.schemas import schema_files, write_schemas
 from vehanchor_server.tools.portable_schema import portable_schema

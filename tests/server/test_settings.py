@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import fields
+from dataclasses import MISSING, Field, fields
 from pathlib import Path
 from typing import Any
 
@@ -125,12 +125,29 @@ def test_settings_survive_the_way_to_a_worker_process(tmp_path: Path) -> None:
         allowed_origins=("https://x.test",),
         public_url="https://x.test/mcp",
         token_file=tmp_path / "tokens",
+        workers=3,
         insecure=True,
     )
-    assert Settings.from_environment(settings.to_environment()) == settings
+    assert Settings.from_json(settings.to_json()) == settings
+    assert Settings.from_json(Settings().to_json()) == Settings()
 
 
-def test_every_field_is_documented() -> None:
-    assert Settings.__doc__ is not None
-    for field in fields(Settings):
-        assert f"        {field.name}: " in Settings.__doc__
+@pytest.mark.parametrize("name", ["a:b", "a,b", "a;b", " a", "a\udcff"])
+def test_a_root_of_any_name_survives_the_way_to_a_worker_process(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    assert Settings.from_json(Settings(roots=(tmp_path / name,)).to_json()).roots == (tmp_path / name,)
+
+
+def test_a_variable_with_a_directory_whose_name_holds_the_separator_is_refused(tmp_path: Path) -> None:
+    for name in ("other", "flight", "b", f"flight{os.pathsep}b"):
+        (tmp_path / name).mkdir()
+    text = os.pathsep.join([str(tmp_path / "other"), str(tmp_path / "flight"), "b"])
+    with pytest.raises(SettingsError, match=r"^VEHANCHOR_ROOTS is .*exists, but .* separates paths.*option"):
+        Settings.from_environment({"VEHANCHOR_ROOTS": text})
+
+
+@pytest.mark.parametrize("field", fields(Settings), ids=lambda field: str(field.name))
+def test_every_field_says_its_help_its_panel_and_its_default(field: Field[Any]) -> None:
+    assert field.metadata["choice"].help.endswith(".")
+    assert field.metadata["panel"]
+    assert field.default is not MISSING

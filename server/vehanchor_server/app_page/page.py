@@ -16,6 +16,17 @@ APP_URI = "ui://vehanchor/panel.html"
 APP_META: dict[str, Any] = {"ui": {"resourceUri": APP_URI}}
 """For the ``_meta`` of each tool whose results the page shows."""
 
+_SCRIPT = (
+    "host",
+    "elements",
+    "sections",
+    "picture",
+    "histogram",
+    "plan",
+    "record",
+    "panel",
+)  # in this order
+
 
 def app_extension() -> Apps:
     """MCP Apps with the page as its one resource; tools point to it by ``APP_META``."""
@@ -35,7 +46,7 @@ def app_extension() -> Apps:
 @cache
 def page_html() -> str:
     """The page, an HTML5 document."""
-    style, script = _part("panel.css"), _part("panel.js")
+    style, script = _part("panel.css"), _script()
     policy = "; ".join(
         [
             "default-src 'none'",
@@ -53,11 +64,17 @@ def page_html() -> str:
     return page
 
 
+def _script() -> str:
+    """The script's parts in one function, so that the page has no global names."""
+    parts = "\n".join(_part(f"{name}.js") for name in _SCRIPT)
+    return f'"use strict";\n(() => {{\n{parts}}})();\n'
+
+
 def _part(name: str) -> str:
     return files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
 def _hash_source(text: str) -> str:
-    """What a content security policy calls an inline style or script that it allows."""
+    """Name of an inline style or script in a content security policy that allows it."""
     digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
     return f"'sha256-{digest}'"

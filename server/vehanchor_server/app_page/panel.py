@@ -1,4 +1,4 @@
-"""What the page needs beyond the record: the histogram of lengths, and the picture where no one else gets it.
+"""Data for the page beyond the record: the histogram of lengths, and the picture where no one else gets it.
 
 It travels in the result's ``_meta``, which hosts keep from the model (MCP Apps, 2026-01-26, "Data Passing").
 """
@@ -9,7 +9,9 @@ import base64
 import math
 from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from vehanchor_server.frozen import FrozenModel
 
 if TYPE_CHECKING:
     from vehanchor.estimate import ScaleAnalysis
@@ -23,18 +25,14 @@ _CURVE_POINTS = 121
 _LONGEST_SHOWN = 2.5  # medians; longer outliers are counted beside the axis, or one false alarm would squeeze the rest
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class LengthBin(_Part):
+class LengthBin(FrozenModel):
     """One bar of the histogram."""
 
     kept: int = Field(description="Vehicles that the scale rests on.")
     dropped: int = Field(description="Outliers.")
 
 
-class LengthHistogram(_Part):
+class LengthHistogram(FrozenModel):
     """Vehicle lengths in bins of equal width; of one size, however many vehicles there are."""
 
     start_px: float = Field(description="Where the first bin begins.")
@@ -48,8 +46,8 @@ class LengthHistogram(_Part):
     guard_px: float = Field(description="P_thresh: below it the resolution guard holds.")
 
 
-class PanelData(_Part):
-    """What one result brings to the page.
+class PanelData(FrozenModel):
+    """Data of one result.
 
     Attributes:
         histogram: of the lengths behind the scale; null without vehicles.

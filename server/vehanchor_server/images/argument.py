@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from vehanchor_server.frozen import FrozenModel
 
 __all__ = [
     "MAX_PATH_CHARS",
     "MAX_URL_CHARS",
     "AnyImage",
     "Base64Image",
-    "Frame",
     "ImageArgument",
     "PathImage",
     "UrlImage",
@@ -21,11 +22,7 @@ MAX_PATH_CHARS = 4096  # Linux's PATH_MAX
 MAX_URL_CHARS = 2048
 
 
-class _Argument(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class PathImage(_Argument):
+class PathImage(FrozenModel):
     """An image file on the server's machine."""
 
     kind: Literal["path"]
@@ -36,14 +33,14 @@ class PathImage(_Argument):
     )
 
 
-class Base64Image(_Argument):
+class Base64Image(FrozenModel):
     """An image sent with the call, by a program: a model cannot write long base64."""
 
     kind: Literal["base64"]
     data: str = Field(min_length=1, description="The encoded image file (JPEG, PNG, TIFF, WebP, BMP), or a data: URI.")
 
 
-class UrlImage(_Argument):
+class UrlImage(FrozenModel):
     """An image on a web server that this server's operator allows."""
 
     kind: Literal["url"]
@@ -52,12 +49,7 @@ class UrlImage(_Argument):
 
 AnyImage: TypeAlias = PathImage | Base64Image | UrlImage
 
-ImageArgument = Annotated[AnyImage, Field(discriminator="kind")]
+ImageArgument = Annotated[
+    AnyImage, Field(discriminator="kind", description="The whole image, uncropped; kind says where it is.")
+]
 """The ``image`` of every tool; ``kind`` has no default, so that the published schema requires it."""
-
-
-class Frame(_Argument):
-    """Size of the resized copy of the image that the caller sees and works in."""
-
-    width_px: int = Field(gt=0, le=1_000_000, description="Width of that copy, pixels.")
-    height_px: int = Field(gt=0, le=1_000_000, description="Height of that copy, pixels.")

@@ -53,7 +53,7 @@ class Sandbox:
             named: an absolute path or a ``file://`` URL.
 
         Yields:
-            What to hand to the library: the name of the descriptor, or a file object where the system has no such name.
+            The file for the library: the name of the descriptor, or a file object where the system has no such name.
 
         Raises:
             CallError: ``source_disabled``, ``path_not_allowed``, or ``image_not_found`` for a name below a root that is

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, BinaryIO, TypeAlias
 
+from vehanchor.errors import VehAnchorError
 from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import AnyImage, Base64Image, PathImage, UrlImage
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from vehanchor_server.images.fetch import Fetcher
     from vehanchor_server.images.sandbox import Sandbox
 
-__all__ = ["ImageSources", "OpenedImage"]
+__all__ = ["ImageSources", "OpenedImage", "library_errors"]
 
 OpenedImage: TypeAlias = str | bytes | BinaryIO
 """A descriptor's name, bytes, or a file object: what ``vehanchor.imagery.raster.open_raster`` takes."""
@@ -47,7 +48,7 @@ class ImageSources:
 
     @contextmanager
     def open(self, image: AnyImage, fetched: bytes | None = None) -> Iterator[OpenedImage]:
-        """What the library opens, for as long as the context lasts; called in a worker thread.
+        """Open the image for the library, for as long as the context lasts; called in a worker thread.
 
         Args:
             image: the caller's argument.
@@ -77,3 +78,19 @@ class ImageSources:
             return base64.b64decode("".join(text.split()), validate=True)
         except (binascii.Error, ValueError) as error:
             raise CallError("base64_invalid", f"the data is not base64 ({error}). Encode the file's bytes.") from None
+
+
+@contextmanager
+def library_errors(source: OpenedImage) -> Iterator[None]:
+    """Pass the library's errors on to the caller, without the name under which the server opened the file.
+
+    Raises:
+        CallError: instead of a ``VehAnchorError``, with its code.
+    """
+    try:
+        yield
+    except VehAnchorError as error:
+        message = str(error)
+        if isinstance(source, str):
+            message = message.replace(repr(source), "image").replace(source, "image")
+        raise CallError(error.code, message if message.endswith(".") else f"{message}.") from error

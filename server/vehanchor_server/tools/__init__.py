@@ -1,1 +1,1 @@
-"""The tools, and how they answer."""
+"""The tools, one file each, and what they are made of."""

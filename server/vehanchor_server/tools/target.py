@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
+from pydantic import Discriminator, Field, Tag
 
-__all__ = ["MAX_POINTS", "AnyTarget", "Box", "BoxTarget", "Point", "PointsTarget", "TargetArgument"]
+from vehanchor_server.frozen import FrozenModel
+
+__all__ = ["MAX_POINTS", "AnyTarget", "BoxTarget", "PointsTarget", "TargetArgument"]
 
 MAX_POINTS = 32  # more than anyone clicks
 
 
-class _Argument(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Box(_Argument):
+class Box(FrozenModel):
     """An upright box around the object."""
 
     x_min: float = Field(description="Left side, pixels from the left edge.")
@@ -24,7 +22,7 @@ class Box(_Argument):
     y_max: float = Field(description="Lower side.")
 
 
-class Point(_Argument):
+class Point(FrozenModel):
     """A place on the object, or one beside it that must stay out."""
 
     x: float = Field(description="Pixels from the left edge.")
@@ -34,13 +32,13 @@ class Point(_Argument):
     )
 
 
-class BoxTarget(_Argument):
+class BoxTarget(FrozenModel):
     """The object in a box: the surest way."""
 
     box: Box = Field(description="Drawn tightly around the whole object.")
 
 
-class PointsTarget(_Argument):
+class PointsTarget(FrozenModel):
     """The object at a point, for one that a box does not tell from its neighbours."""
 
     points: list[Point] = Field(min_length=1, max_length=MAX_POINTS, description="At least one on the object.")

@@ -1,4 +1,4 @@
-"""Who may call over HTTP: holders of a token from the operator's file, or of a JWT from the operator's issuer."""
+"""Authentication over HTTP, by a token from the operator's file, or by a JWT from the operator's issuer."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _logger = logging.getLogger(__name__)
 
 
 def token_verifier(settings: Settings) -> TokenVerifier | None:
-    """What the settings ask for; None where callers need no token.
+    """The verifier that the settings ask for; None where callers need no token.
 
     Raises:
         SettingsError: the token file cannot be used.

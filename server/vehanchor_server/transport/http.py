@@ -1,7 +1,7 @@
 """The server over Streamable HTTP: stateless in both protocol eras, so that any worker answers any request.
 
-``create_app`` is what ``uvicorn --factory vehanchor_server.transport.http:create_app --workers N`` runs, with the
-operator's options in ``VEHANCHOR_*`` variables.
+``uvicorn --factory vehanchor_server.transport.http:create_app --workers N`` runs it, too, with the operator's options
+in ``VEHANCHOR_*`` variables.
 """
 
 from __future__ import annotations
@@ -16,14 +16,16 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from vehanchor_server.app import create_server, create_services
+from vehanchor_server.app import create_server
+from vehanchor_server.request_log import configure_logging
+from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.auth import token_verifier
-from vehanchor_server.transport.request_log import configure_logging
 
 __all__ = ["MCP_PATH", "create_app", "serve_http"]
 
 MCP_PATH = "/mcp"
+_SETTINGS_OF_WORKERS = "VEHANCHOR_SETTINGS_OF_WORKERS"  # one variable: a list in several would need separators
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 _SHUTDOWN_S = 5  # what a call may still take when the server is told to stop
 _KEEP_ALIVE_S = 30
@@ -33,14 +35,16 @@ def create_app(settings: Settings | None = None) -> Starlette:
     """The ASGI application.
 
     Args:
-        settings: the operator's options; None reads them from the environment, and sets up the logs.
+        settings: the operator's options; None takes those of ``serve_http``, in a process that it started, or else
+            reads them from the environment, and sets up the logs.
 
     Raises:
         SettingsError: an option has no meaning, or the server would be open to everyone.
     """
     if settings is None:
         configure_logging()
-        settings = Settings.from_environment()
+        handed_down = os.environ.get(_SETTINGS_OF_WORKERS)
+        settings = Settings.from_json(handed_down) if handed_down else Settings.from_environment()
     settings.check_exposure()
     services = create_services(settings)
     verifier = token_verifier(settings)
@@ -58,19 +62,18 @@ def create_app(settings: Settings | None = None) -> Starlette:
     app = server.streamable_http_app(
         streamable_http_path=MCP_PATH,
         stateless_http=True,
-        max_request_body_size=round(settings.max_body_mb * (1 << 20)),
+        max_request_body_size=settings.max_body_bytes,
         transport_security=_transport_security(settings),
     )
     app.router.routes += [Route("/healthz", healthz), Route("/readyz", readyz)]  # open to probes, which have no token
     return app
 
 
-def serve_http(settings: Settings, *, workers: int = 1) -> None:
+def serve_http(settings: Settings) -> None:
     """Listen until told to stop.
 
     Args:
         settings: the operator's options.
-        workers: processes that share the port.
 
     Raises:
         SettingsError: an option has no meaning, or the server would be open to everyone.
@@ -78,19 +81,22 @@ def serve_http(settings: Settings, *, workers: int = 1) -> None:
     settings.check_exposure()
     token_verifier(settings)  # a bad token file is told before anything listens
     configure_logging()
-    os.environ.update(settings.to_environment())
-    uvicorn.run(
-        "vehanchor_server.transport.http:create_app",
-        factory=True,
-        host=settings.host,
-        port=settings.port,
-        workers=workers,
-        log_config=None,
-        access_log=False,
-        server_header=False,
-        timeout_keep_alive=_KEEP_ALIVE_S,
-        timeout_graceful_shutdown=_SHUTDOWN_S,
-    )
+    os.environ[_SETTINGS_OF_WORKERS] = settings.to_json()
+    try:
+        uvicorn.run(
+            "vehanchor_server.transport.http:create_app",
+            factory=True,
+            host=settings.host,
+            port=settings.port,
+            workers=settings.workers,
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            timeout_keep_alive=_KEEP_ALIVE_S,
+            timeout_graceful_shutdown=_SHUTDOWN_S,
+        )
+    finally:
+        del os.environ[_SETTINGS_OF_WORKERS]
 
 
 def _auth(settings: Settings) -> AuthSettings:

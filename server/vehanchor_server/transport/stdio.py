@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 
 import anyio
 
-from vehanchor_server.app import create_server, create_services
-from vehanchor_server.transport.request_log import configure_logging
+from vehanchor_server.app import create_server
+from vehanchor_server.request_log import configure_logging
+from vehanchor_server.services import create_services
 
 if TYPE_CHECKING:
+    from vehanchor_server.services import Services
     from vehanchor_server.settings import Settings
-    from vehanchor_server.tools.registry import Services
 
 __all__ = ["serve_stdio"]
 

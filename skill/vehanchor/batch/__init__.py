@@ -2,7 +2,8 @@
 
 ``files`` names the images, an engine (``local_engine``: processes of this machine; ``ray_engine``: a Ray cluster)
 makes a ``BatchRow`` of each with one model per worker, ``journal`` keeps rows as they come so that an interrupted run
-goes on where it stopped, and ``table`` writes them in the order of the files. ``run`` puts these together.
+goes on where it stopped, and ``table`` writes them in the order of the files. ``run`` puts these together. ``journal``
+and ``pool`` serve the long runs of ``vehanchor_evaluation``, too.
 """
 
 from vehanchor.batch.files import find_images

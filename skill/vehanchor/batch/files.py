@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SUFFIXES", "find_images"]
 
+_SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
 SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff"})  # what a directory is searched for
 
 
@@ -21,14 +23,16 @@ def find_images(inputs: Sequence[str], *, leave_out: Iterable[Path] = ()) -> lis
 
     Args:
         inputs: directories (searched with all below them, by suffix), patterns (``photos/*.jpg``, ``**`` too), files.
-            A file that does not exist stays in the list: it becomes a row with its error.
+            One file of several that does not exist stays in the list, if its name is that of an image: it becomes a
+            row with its error.
         leave_out: files that are no images although a pattern finds them, such as the table to be written.
 
     Returns:
         Paths as they were named: inputs in their order, what each holds sorted.
 
     Raises:
-        ImageNotFoundError: a directory or pattern holds no image, or no input at all.
+        ImageNotFoundError: a directory or pattern holds no image, a directory does not exist, none of the images
+            does, or no input at all.
     """
     excluded = {path.resolve() for path in leave_out}
     found: dict[str, None] = {}
@@ -39,6 +43,8 @@ def find_images(inputs: Sequence[str], *, leave_out: Iterable[Path] = ()) -> lis
         found.update(dict.fromkeys(images))
     if not found:
         raise ImageNotFoundError("no image given: name files, directories or patterns")
+    if not any(Path(image).exists() for image in found):
+        raise ImageNotFoundError(f"there is no file {next(iter(found))!r}, nor any other of the {len(found)} named")
     return list(found)
 
 
@@ -49,4 +55,6 @@ def _images(name: str) -> list[str]:
     if not path.exists() and glob.has_magic(name):
         matches = glob.glob(name, recursive=True)  # noqa: PTH207 - a pattern may be absolute, which Path.glob refuses
         return sorted(file for file in matches if Path(file).is_file())
+    if not path.exists() and (name.endswith(_SEPARATORS) or path.suffix.lower() not in SUFFIXES):
+        raise ImageNotFoundError(f"there is no file or directory {name!r}")
     return [name]

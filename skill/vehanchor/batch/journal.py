@@ -1,122 +1,241 @@
-"""The rows so far, on disk beside the table to be: what an interrupted run goes on from.
+"""Results of a long run, on disk as they come: an interrupted run goes on from there instead of starting anew.
 
-A journal is a file of JSON lines, ``<table>.journal``: first what the rows depend on, then a row a line in the order in
-which they got ready. A last line that was cut off does not count.
+A journal is a file of JSON lines that is only ever appended to. A line of settings says once what results depend on
+besides their source (version, model, options); each result follows as ``{"settings": ..., "key": ..., "value": ...}``,
+so that several settings may share a file. A last line that was cut off by a crash is dropped. A key tells the source
+as it was when the work began (``Source``): the result of a file that has been replaced since is not found.
 """
 
 from __future__ import annotations
 
+import errno
+import hashlib
+import io
 import json
 import os
-from typing import TYPE_CHECKING, Any
+import threading
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeAlias, TypeVar
 
-from vehanchor.batch.row import BatchRow
+from pydantic import BaseModel
+
 from vehanchor.errors import InvalidParameterError, OutputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-    from types import TracebackType
-    from typing import Self
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from typing import BinaryIO
 
-__all__ = ["Journal", "journal_path"]
+__all__ = ["Journal", "Key", "Source", "whole_file"]
 
-
-def journal_path(table: Path) -> Path:
-    """Where the rows of a table are kept until it is complete."""
-    return table.with_name(table.name + ".journal")
+Key: TypeAlias = tuple[str | int, ...]
+Value = TypeVar("Value")
+_START = b'{"settings": '
 
 
-class Journal:
-    """An open journal.
+class Source(NamedTuple):
+    """A file as it is now.
 
-    Args:
-        path: of its file; made if it is not there.
-        basis: what the rows depend on, as JSON can hold it: rows of another basis must not be mixed in.
-
-    Raises:
-        InvalidParameterError: the file there has another basis, or is no journal.
-        OutputError: it cannot be written.
+    Attributes:
+        path: absolute, links followed.
+        size: bytes; -1 where there is no such file.
+        mtime_ns: time of its last change.
     """
 
-    def __init__(self, path: Path, basis: Mapping[str, Any]) -> None:
-        self.path = path
-        self._offsets: dict[str, int] = {}
+    path: str
+    size: int
+    mtime_ns: int
+
+    @classmethod
+    def of(cls, file: str | os.PathLike[str]) -> Source:
+        """The file of that name."""
+        path = Path(file).resolve()
         try:
-            self._file = path.open("a+b")
-            try:
-                end = self._read(dict(basis))
-                self._file.truncate(end)
-                if end == 0:
-                    self._file.write(json.dumps(basis).encode() + b"\n")
-                    self._file.flush()
-            except BaseException:
-                self._file.close()
-                raise
+            facts = path.stat()
+        except OSError:
+            return cls(str(path), -1, 0)
+        return cls(str(path), facts.st_size, facts.st_mtime_ns)
+
+
+class Journal(Generic[Value]):
+    """Results by key; safe for several threads.
+
+    Args:
+        path: of the file, made with its folder; None keeps results in memory only.
+        settings: what all results depend on, as JSON can hold it (records too); those of others are not seen.
+        dump: a result as JSON can hold it.
+        load: the same back.
+        sole: refuse a file that holds results of other settings, instead of sharing it with them.
+        remedy: what the user can do about a file that cannot be used.
+
+    Raises:
+        InvalidParameterError: the file is no journal; or, with ``sole``, it is one of other settings.
+        OutputError: the file cannot be read or written.
+    """
+
+    def __init__(
+        self,
+        path: Path | None,
+        settings: Mapping[str, Any],
+        *,
+        dump: Callable[[Value], Any],
+        load: Callable[[Any], Value],
+        sole: bool = False,
+        remedy: str = "move the file away",
+    ) -> None:
+        self.path = path
+        self._facts: dict[str, Any] = json.loads(json.dumps(settings, default=_plain))
+        self._settings = hashlib.sha256(json.dumps(self._facts, sort_keys=True).encode()).hexdigest()[:16]
+        self._dump, self._load, self._sole, self._remedy = dump, load, sole, remedy
+        self._offsets: dict[Key, int] = {}
+        self._declared = False  # whether the file says what our settings are
+        self._memory = io.BytesIO()
+        self._lock = threading.Lock()
+        if path is not None:
+            self._read(path)
+
+    def _read(self, path: Path) -> None:
+        """Find the results of these settings; drop a last line that was cut off."""
+        with self._opened("a+b") as file:
+            file.seek(0)
+            end = 0
+            for number, line in enumerate(file, start=1):
+                if not line.endswith(b"\n") and (line.startswith(_START) or _START.startswith(line)):
+                    file.truncate(end)
+                    break
+                try:
+                    self._take(json.loads(line), end)
+                except (ValueError, TypeError, KeyError):
+                    raise InvalidParameterError(
+                        f"{str(path)!r}, line {number}, is no line of a journal: {self._remedy}"
+                    ) from None
+                except _OtherSettingsError as other:
+                    raise InvalidParameterError(
+                        f"{str(path)!r} holds rows of an unfinished run with {other}: finish that run with its own "
+                        f"options, or {self._remedy}"
+                    ) from None
+                end += len(line)
+
+    def _take(self, record: dict[str, Any], offset: int) -> None:
+        ours = record["settings"] == self._settings
+        if "facts" not in record:
+            key = tuple(record["key"])
+            if ours:
+                self._offsets[key] = offset
+        elif ours:
+            self._declared = True
+        elif self._sole:
+            raise _OtherSettingsError(_difference(record["facts"], self._facts))
+
+    @contextmanager
+    def _opened(self, mode: str) -> Iterator[BinaryIO]:
+        if self.path is None:
+            yield self._memory
+            return
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with self.path.open(mode, buffering=0 if mode == "ab" else -1) as file:  # a line is written at once
+                yield file
         except OSError as error:
-            raise OutputError(f"cannot keep rows in {str(path)!r}: {error.strerror or error}") from None
+            raise OutputError(f"cannot keep results in {str(self.path)!r}: {error.strerror or error}") from None
 
-    def _read(self, basis: dict[str, Any]) -> int:
-        """Find the rows; returns where the whole lines end."""
-        self._file.seek(0)
-        end = 0
-        for number, line in enumerate(self._file):
-            if not line.endswith(b"\n"):
-                break
-            try:
-                record = json.loads(line)
-                if number:
-                    self._offsets[record["file"]] = end
-            except (ValueError, TypeError, KeyError):
-                raise InvalidParameterError(
-                    f"{str(self.path)!r}, line {number + 1}, is no line of a journal: move the file away, or start "
-                    "anew with --overwrite"
-                ) from None
-            if number == 0 and record != basis:
-                raise InvalidParameterError(
-                    f"{str(self.path)!r} holds rows of an unfinished run with {_difference(record, basis)}: finish "
-                    "that run with its own options, or start anew with --overwrite"
-                )
-            end += len(line)
-        return end
+    def __contains__(self, key: Key) -> bool:
+        return key in self._offsets
 
-    def __contains__(self, file: str) -> bool:
-        return file in self._offsets
+    def __len__(self) -> int:
+        return len(self._offsets)
 
-    def add(self, row: BatchRow) -> None:
-        """Keep a row; it is there after a crash of this process.
+    def add(self, key: Key, value: Value) -> None:
+        """Keep a result; it is there after a crash of this process.
 
         Raises:
             OutputError: the disk refuses.
         """
-        try:
-            self._file.seek(0, os.SEEK_END)
-            offset = self._file.tell()
-            self._file.write(row.model_dump_json().encode() + b"\n")
-            self._file.flush()
-        except OSError as error:
-            raise OutputError(f"cannot keep rows in {str(self.path)!r}: {error.strerror or error}") from None
-        self._offsets[row.file] = offset
+        record = {"settings": self._settings, "key": key, "value": self._dump(value)}
+        line = json.dumps(record, allow_nan=False).encode() + b"\n"
+        with self._lock, self._opened("ab") as file:
+            first = b"" if self._declared else self._declaration()
+            start = file.seek(0, os.SEEK_END)
+            if file.write(first + line) != len(first + line):
+                with suppress(OSError):
+                    file.truncate(start)  # the next line must not be appended to half of this one
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            self._offsets[key] = file.tell() - len(line)  # another process may append, too
+            self._declared = True
 
-    def rows(self, files: Sequence[str]) -> Iterator[BatchRow]:
-        """The rows of the files, in the files' order."""
-        for file in files:
-            self._file.seek(self._offsets[file])
-            yield BatchRow.model_validate_json(self._file.readline())
+    def _declaration(self) -> bytes:
+        return json.dumps({"settings": self._settings, "facts": self._facts}).encode() + b"\n"
 
-    def __enter__(self) -> Self:
-        return self
+    def get(self, key: Key) -> Value | None:
+        """The result of a key, if it is known.
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._file.close()
+        Raises:
+            OutputError: the file can no longer be read.
+        """
+        return next(self.values([key])) if key in self._offsets else None
+
+    def values(self, keys: Iterable[Key]) -> Iterator[Value]:
+        """The results of known keys, in the keys' order, read one at a time.
+
+        Raises:
+            OutputError: the file can no longer be read.
+        """
+        for key in keys:
+            with self._lock, self._opened("rb") as file:
+                file.seek(self._offsets[key])
+                line = file.readline()
+            yield self._load(json.loads(line)["value"])
+
+    def remove(self) -> None:
+        """Delete the file: the run is complete."""
+        if self.path is not None:
+            self.path.unlink(missing_ok=True)
+
+
+class _OtherSettingsError(Exception):
+    """The settings of a journal differ; the message says in what."""
+
+
+def _plain(record: Any) -> Any:
+    if isinstance(record, BaseModel):
+        return record.model_dump(mode="json")
+    raise TypeError(f"{type(record).__name__} is no JSON")
 
 
 def _difference(theirs: Any, ours: Mapping[str, Any]) -> str:
-    if not isinstance(theirs, dict):
-        return "options that cannot be read"
-    keys = sorted({*theirs, *ours})
+    before, now = dict(_leaves("", theirs)), dict(_leaves("", ours))
+    keys = sorted({*before, *now})
     return ", ".join(
-        f"{key} {theirs.get(key)!r} (now {ours.get(key)!r})" for key in keys if theirs.get(key) != ours.get(key)
+        f"{key} {before.get(key)!r} (now {now.get(key)!r})" for key in keys if before.get(key) != now.get(key)
     )
+
+
+def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if not isinstance(value, dict):
+        yield name, value
+        return
+    for key, inner in value.items():
+        yield from _leaves(f"{name}.{key}" if name else key, inner)
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """A file beside the one wanted, to be written in its stead; it takes its place once it is whole and on the disk.
+
+    Yields:
+        The path to write to. If the block raises, what was at ``path`` stays.
+
+    Raises:
+        OutputError: the disk refuses.
+    """
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        yield partial
+        with partial.open("rb+") as file:
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except OSError as error:
+        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
+    finally:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)

@@ -17,7 +17,7 @@ _NESTED = ("confidence_terms", "frame", "warnings")  # the only fields of an est
 
 
 class BatchRow(BaseModel):
-    """What became of one image.
+    """The outcome for one image.
 
     Attributes:
         file: the image, as the caller named it.
@@ -59,7 +59,7 @@ def _columns() -> dict[str, type]:
 
 
 def _kind(annotation: Any) -> type:
-    """What a field holds where it is not null."""
+    """The type that a field has where it is not null."""
     if get_origin(annotation) is Literal:
         return str
     if isinstance(annotation, type):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -12,20 +13,20 @@ from typing import TYPE_CHECKING, Any, Literal
 from vehanchor.batch.engines.local import local_rows, local_workers
 from vehanchor.batch.engines.ray import ray_rows, require_ray
 from vehanchor.batch.files import find_images
-from vehanchor.batch.journal import Journal, journal_path
+from vehanchor.batch.journal import Journal
+from vehanchor.batch.row import BatchRow
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, Task
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, OutputError
-from vehanchor.estimate import ScaleOptions, open_detector
+from vehanchor.estimate import open_detector
 from vehanchor.models.session import DEFAULT_PROVIDERS
 from vehanchor.models.zoo import bundled_models, resolve_model
+from vehanchor.options import ScaleOptions
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from vehanchor.batch.row import BatchRow
+    from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 
 __all__ = ["BatchSummary", "Engine", "run_batch"]
 
@@ -34,7 +35,7 @@ Engine = Literal["local", "ray"]
 
 @dataclass(frozen=True)
 class BatchSummary:
-    """What a finished run did.
+    """The outcome of a finished run.
 
     Attributes:
         table: the file written.
@@ -57,16 +58,17 @@ def run_batch(
     address: str | None = None,
     workers: int | None = None,
     detector: str | os.PathLike[str] | None = None,
+    classes: Sequence[str | int] | None = None,
     options: ScaleOptions | None = None,
     providers: Sequence[str] = DEFAULT_PROVIDERS,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> BatchSummary:
-    """Estimate the scale of many images and write a table with a row for each.
+    """Estimate the scale of many images: a table with a row for each.
 
     Rows are the same whichever engine and however many workers, and stand in the order of ``find_images``. Until the
     table is complete they are kept in ``<output>.journal``: the same call after an interruption makes only those that
-    are missing. An image that cannot be read is a row with ``error_code`` and ``error``.
+    are missing, or whose image has changed. An image that cannot be read is a row with ``error_code`` and ``error``.
 
     Args:
         inputs: directories, patterns and files; see ``find_images``.
@@ -74,55 +76,90 @@ def run_batch(
         engine: ``local`` for processes of this machine, ``ray`` (extra ``ray``) for Ray Data with a model per actor.
         address: of a Ray cluster; None starts a Ray on this machine for the run.
         workers: models at work at once; default one a CPU of the machine or cluster.
-        detector: a bundled model's name or the path of an ONNX file; default the bundled one.
-        options: every choice of the method, without ``frame``.
+        detector: name of a bundled model or path of an ONNX file; default the bundled one.
+        classes: of the model, by name or index, that count as vehicles; default the model's own.
+        options: every choice of the method, without a frame.
         providers: execution providers of ONNX Runtime, in order of preference.
-        overwrite: start anew, whatever an earlier run left.
+        overwrite: start anew; a complete table there is replaced once the new one is complete.
         progress: called with (images done, images in all).
 
-    Returns:
-        What was written.
-
     Raises:
-        ImageNotFoundError: a directory or pattern without images.
+        ImageNotFoundError: a directory that does not exist, a directory or pattern without images.
         InvalidParameterError: an option has no meaning, or an unfinished run at ``output`` had others.
         OutputError: the table exists, or cannot be written.
         ModelError: the detector cannot be used.
         MissingExtraError: Ray or pyarrow is not installed.
         WorkerDiedError: a worker was killed.
     """
-    table = check_table_path(Path(output))
-    _check(engine, address, workers, options)
+    table, chosen = check_table_path(Path(output)), options or ScaleOptions()
     journal_file = journal_path(table)
-    if overwrite:
-        table.unlink(missing_ok=True)
+    _check(engine, address, workers, chosen)
+    _check_unfinished(table, overwrite)
+    tasks = list(map(Task.of, find_images(inputs, leave_out=(table, journal_file))))
+    job = _job(detector, classes, chosen, tuple(providers))
+    if overwrite:  # only now that the run can begin; the table itself stays until the new one is whole
         journal_file.unlink(missing_ok=True)
-    elif table.exists():
-        raise OutputError(f"{str(table)!r} is there already and complete: name another file, or pass --overwrite")
-    tasks = [Task.of(path) for path in find_images(inputs, leave_out=(table, journal_file))]
-    chosen = options or ScaleOptions()
-    model = open_detector(Detector(resolve_model(None if detector is None else str(detector))), chosen)
-    bundled = model.path in bundled_models().values()  # elsewhere in the cluster it may lie elsewhere
-    job = BatchJob(
-        model.path.stem if bundled else str(model.path.resolve()), model.card.sha256, chosen, tuple(providers)
+    journal = open_journal(table, job)
+    keys = {task.file: task.key() for task in tasks}  # of the images as they are now
+    missing = [task for task in tasks if keys[task.file] not in journal]
+    with closing(_rows(engine, job, missing, workers, address)) as rows:
+        for row in _counting(rows, len(tasks) - len(missing), len(tasks), progress):
+            journal.add(keys[row.file], row)
+    statuses = _write(table, journal.values(keys[task.file] for task in tasks))
+    journal.remove()
+    return BatchSummary(table, len(tasks), len(tasks) - len(missing), statuses)
+
+
+def journal_path(table: Path) -> Path:
+    """Path of the file that keeps the rows of a table until it is complete."""
+    return table.with_name(table.name + ".journal")
+
+
+def open_journal(table: Path, job: BatchJob) -> Journal[BatchRow]:
+    """Open the rows so far of a table.
+
+    Raises:
+        InvalidParameterError: they are those of another job, or the file is no journal.
+        OutputError: it cannot be written.
+    """
+    return Journal(
+        journal_path(table),
+        _settings(job),
+        dump=lambda row: row.model_dump(mode="json"),
+        load=lambda value: BatchRow.model_validate_json(json.dumps(value)),
+        sole=True,
+        remedy="move the file away, or start anew with --overwrite",
     )
-    with Journal(journal_file, _basis(job)) as journal:
-        missing = [task for task in tasks if task.file not in journal]
-        n_done = n_resumed = len(tasks) - len(missing)
-        if progress is not None:
-            progress(n_done, len(tasks))
-        for row in _rows(engine, job, missing, workers, address):
-            journal.add(row)
-            n_done += 1
-            if progress is not None:
-                progress(n_done, len(tasks))
-        statuses: Counter[str] = Counter()
-        write_table(table, _counted(journal.rows([task.file for task in tasks]), statuses))
-    journal_file.unlink()
-    return BatchSummary(table, len(tasks), n_resumed, dict(statuses))
 
 
-def _check(engine: str, address: str | None, workers: int | None, options: ScaleOptions | None) -> None:
+def _settings(job: BatchJob) -> dict[str, Any]:
+    """Collect what the rows depend on: neither engine nor workers nor threads."""
+    options = asdict(job.options)
+    del options["frame"]
+    return {
+        "vehanchor": version("vehanchor"),
+        "model_sha256": job.detector_sha256,
+        "classes": job.classes,
+        **options,
+    }
+
+
+def _job(
+    detector: str | os.PathLike[str] | None,
+    classes: Sequence[str | int] | None,
+    options: ScaleOptions,
+    providers: tuple[str, ...],
+) -> BatchJob:
+    """Load the model once, so that what is wrong with it is told before the work."""
+    named = tuple(classes) if classes else None
+    path = resolve_model(None if detector is None else str(detector))
+    model = open_detector(Detector(path, classes=named, providers=providers), options)
+    bundled = model.path in bundled_models().values()  # elsewhere in the cluster it may lie elsewhere
+    name = model.path.stem if bundled else str(model.path.resolve())
+    return BatchJob(name, model.card.sha256, named, options, providers)
+
+
+def _check(engine: str, address: str | None, workers: int | None, options: ScaleOptions) -> None:
     if engine not in ("local", "ray"):
         raise InvalidParameterError(f"engine is {engine!r}: use local or ray")
     if engine == "ray":
@@ -131,29 +168,45 @@ def _check(engine: str, address: str | None, workers: int | None, options: Scale
         raise InvalidParameterError("an address is that of a Ray cluster: add --engine ray")
     if workers is not None and workers < 1:
         raise InvalidParameterError(f"workers is {workers}: use a whole number >= 1")
-    if options is not None and options.frame_width_px is not None:
+    if options.frame.size is not None:
         raise InvalidParameterError("a frame belongs to one image: a batch has none")
+
+
+def _check_unfinished(table: Path, overwrite: bool) -> None:
+    if table.exists() and not journal_path(table).exists() and not overwrite:
+        raise OutputError(f"{str(table)!r} is there already and complete: name another file, or pass --overwrite")
 
 
 def _rows(
     engine: Engine, job: BatchJob, tasks: Sequence[Task], workers: int | None, address: str | None
-) -> Iterator[BatchRow]:
+) -> Generator[BatchRow]:
     if not tasks:
-        return iter(())
+        return
     if engine == "ray":
-        return ray_rows(job, tasks, workers, address)
-    return local_rows(job, tasks, min(workers or local_workers(len(tasks)), len(tasks)))
+        yield from ray_rows(job, tasks, workers, address)
+    else:
+        yield from local_rows(job, tasks, min(workers or local_workers(len(tasks)), len(tasks)))
 
 
-def _basis(job: BatchJob) -> dict[str, Any]:
-    """What the rows depend on: neither engine nor workers nor threads."""
-    options = {name: value for name, value in asdict(job.options).items() if not name.startswith("frame")}
-    basis = {"vehanchor": version("vehanchor"), "model_sha256": job.detector_sha256, **options}
-    plain: dict[str, Any] = json.loads(json.dumps(basis, default=lambda record: record.model_dump(mode="json")))
-    return plain
-
-
-def _counted(rows: Iterator[BatchRow], statuses: Counter[str]) -> Iterator[BatchRow]:
-    for row in rows:
-        statuses["error" if row.estimate is None else row.estimate.status] += 1
+def _counting(
+    rows: Iterator[BatchRow], n_done: int, n_tasks: int, progress: Callable[[int, int], None] | None
+) -> Iterator[BatchRow]:
+    """The same rows, the progress told when each has been dealt with."""
+    tell = progress or (lambda _done, _total: None)
+    tell(n_done, n_tasks)
+    for number, row in enumerate(rows, start=n_done + 1):
         yield row
+        tell(number, n_tasks)
+
+
+def _write(table: Path, rows: Iterator[BatchRow]) -> dict[str, int]:
+    """Write the table; returns how many rows have each status."""
+    statuses: Counter[str] = Counter()
+
+    def counted() -> Iterator[BatchRow]:
+        for row in rows:
+            statuses["error" if row.estimate is None else row.estimate.status] += 1
+            yield row
+
+    write_table(table, counted())
+    return dict(statuses)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from vehanchor.batch.journal import whole_file
 from vehanchor.batch.row import COLUMNS
 from vehanchor.errors import MissingExtraError, OutputError
 
@@ -50,14 +50,8 @@ def write_table(path: Path, rows: Iterable[BatchRow]) -> None:
     Raises:
         OutputError: the disk refuses.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
+    with whole_file(path) as partial:
         _WRITERS[path.suffix.lower()](partial, rows)
-        partial.replace(path)
-    except OSError as error:
-        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}") from None
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _write_jsonl(path: Path, rows: Iterable[BatchRow]) -> None:

@@ -6,13 +6,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from vehanchor.batch.journal import Key, Source
 from vehanchor.batch.row import BatchRow
-from vehanchor.cli.terminal import printable
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ModelContractError, VehAnchorError
-from vehanchor.estimate import ScaleOptions, analyse_scale, open_detector
+from vehanchor.estimate import analyse_scale, open_detector
 from vehanchor.models.session import DEFAULT_PROVIDERS
 from vehanchor.models.zoo import resolve_model
+from vehanchor.options import ScaleOptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -22,18 +23,20 @@ __all__ = ["BatchJob", "Task", "Worker"]
 
 @dataclass(frozen=True)
 class BatchJob:
-    """What every worker has to know; the same for all, wherever they run.
+    """The facts that every worker has to know; the same for all, wherever they run.
 
     Attributes:
         detector: name of a bundled model, or the absolute path of a file.
         detector_sha256: what that file must be: on another machine it could be another one.
-        options: every choice of the method; ``frame`` has no place in a row.
+        classes: of the model, that count as vehicles; None for the model's own.
+        options: every choice of the method, without a frame.
         providers: execution providers of ONNX Runtime.
         threads: CPU threads of each worker's model; rows are the same with any.
     """
 
     detector: str
     detector_sha256: str
+    classes: tuple[str | int, ...] | None = None
     options: ScaleOptions = field(default_factory=ScaleOptions)
     providers: tuple[str, ...] = DEFAULT_PROVIDERS
     threads: int = 1
@@ -41,15 +44,24 @@ class BatchJob:
 
 @dataclass(frozen=True)
 class Task:
-    """One image: its name in the table, and where it is, absolute."""
+    """One image.
+
+    Attributes:
+        file: its name in the table.
+        path: where it is, absolute.
+    """
 
     file: str
     path: str
 
     @classmethod
     def of(cls, path: str) -> Task:
-        """The task of an image named by a caller of this process."""
-        return cls(file=printable(path), path=str(Path(path).absolute()))
+        """The task of an image named by a caller of this process; a name may hold bytes that are no text."""
+        return cls(file=path.encode("utf-8", "backslashreplace").decode(), path=str(Path(path).absolute()))
+
+    def key(self) -> Key:
+        """The row's key in the journal: the image under its name as it is now; it may be replaced meanwhile."""
+        return (self.file, *Source.of(self.path))
 
 
 class Worker:
@@ -63,7 +75,8 @@ class Worker:
     def __init__(self, job: BatchJob) -> None:
         self._options = job.options
         self._detector = open_detector(
-            Detector(resolve_model(job.detector), threads=job.threads, providers=job.providers), job.options
+            Detector(resolve_model(job.detector), classes=job.classes, threads=job.threads, providers=job.providers),
+            job.options,
         )
         if self._detector.card.sha256 != job.detector_sha256:
             raise ModelContractError(

@@ -1,4 +1,4 @@
-"""``vehanchor batch``, for the command line to mount."""
+"""``vehanchor batch``: the scale of many images, as a table."""
 
 from __future__ import annotations
 
@@ -12,14 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.options import (
-    CalibrationOption,
-    DetectorOption,
-    MinScoreOption,
-    ProviderOption,
-    ReferenceLengthOption,
-    RegionOption,
-)
+from vehanchor.cli.declared import Chosen, scale_command
 from vehanchor.cli.terminal import INTERRUPTED, printable, told_errors
 
 if TYPE_CHECKING:
@@ -36,6 +29,7 @@ class _Engine(StrEnum):
     ray = "ray"
 
 
+@scale_command(without=("frame", "threads"))
 def batch(
     inputs: Annotated[
         list[str],
@@ -60,15 +54,11 @@ def batch(
     workers: Annotated[
         int | None, typer.Option(metavar="N", help="Models at work at once. Default: one a CPU.")
     ] = None,
-    detector: DetectorOption = None,
-    reference_length: ReferenceLengthOption = None,
-    region: RegionOption = None,
-    calibration: CalibrationOption = None,
-    min_score: MinScoreOption = None,
-    provider: ProviderOption = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Start anew, whatever an earlier run left at FILE.")
     ] = False,
+    *,
+    chosen: Chosen,
 ) -> None:
     """Estimate the scale of many images: a table with one row an image, also where an image has an error.
 
@@ -76,17 +66,9 @@ def batch(
     """
     with told_errors():
         from vehanchor.batch import run_batch
-        from vehanchor.estimate import ScaleOptions
         from vehanchor.models.session import DEFAULT_PROVIDERS
-        from vehanchor.scale.calibration import opened_calibration
 
-        options = ScaleOptions(
-            reference_length_m=reference_length,
-            region=region,
-            calibration=opened_calibration(calibration),
-            min_score=min_score,
-        )
-        started = time.monotonic()
+        model, started = chosen.detector, time.monotonic()
         with _progress() as progress:
             try:
                 summary = run_batch(
@@ -95,19 +77,20 @@ def batch(
                     engine=engine.value,
                     address=address,
                     workers=workers,
-                    detector=detector,
-                    options=options,
-                    providers=provider or DEFAULT_PROVIDERS,
+                    detector=model.detector,
+                    classes=model.names_and_indices,
+                    options=chosen.options(),
+                    providers=model.providers or DEFAULT_PROVIDERS,
                     overwrite=overwrite,
                     progress=progress,
                 )
             except KeyboardInterrupt:
                 print("interrupted: the rows so far are kept; the same command goes on from there", file=sys.stderr)
                 raise typer.Exit(INTERRUPTED) from None
-        print(_told(summary, time.monotonic() - started), file=sys.stderr)
+        print(_summary_text(summary, time.monotonic() - started), file=sys.stderr)
 
 
-def _told(summary: BatchSummary, seconds: float) -> str:
+def _summary_text(summary: BatchSummary, seconds: float) -> str:
     counts = [f"{summary.statuses[status]} {status}" for status in _STATUSES if status in summary.statuses]
     made = summary.n_rows - summary.n_resumed
     resumed = f", {summary.n_resumed} of them from an earlier run" if summary.n_resumed else ""

@@ -67,6 +67,11 @@ class DetectorChoice:
         ),
     )
 
+    @property
+    def names_and_indices(self) -> list[str | int] | None:
+        """The classes as the detector takes them: a number is an index."""
+        return [int(name) if name.isdecimal() else name for name in self.classes] if self.classes else None
+
     def open(self) -> Detector:
         """Load the detector.
 
@@ -78,10 +83,9 @@ class DetectorChoice:
         from vehanchor.models.session import DEFAULT_PROVIDERS
         from vehanchor.models.zoo import resolve_model
 
-        wanted = [int(name) if name.isdecimal() else name for name in self.classes] if self.classes else None
         return Detector(
             resolve_model(self.detector),
-            classes=wanted,
+            classes=self.names_and_indices,
             threads=self.threads,
             providers=self.providers or DEFAULT_PROVIDERS,
         )

@@ -14,12 +14,8 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 import onnxruntime
 
-from vehanchor.errors import (
-    InvalidParameterError,
-    ModelContractError,
-    ModelNotFoundError,
-    ProviderUnavailableError,
-)
+from vehanchor.errors import InvalidParameterError, ModelContractError, ProviderUnavailableError
+from vehanchor.models.files import check_model_file, external_locations
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -28,18 +24,6 @@ if TYPE_CHECKING:
 __all__ = ["DEFAULT_PROVIDERS", "check_model_file", "metadata_number", "open_session", "stoppable"]
 
 DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
-
-
-def check_model_file(path: Path) -> None:
-    """Make sure that there is a file to open.
-
-    Raises:
-        ModelNotFoundError: there is none.
-    """
-    if not path.is_file():
-        raise ModelNotFoundError(
-            f"no model file at {path}; pass the path of an ONNX file, or see 'vehanchor models list'"
-        )
 
 
 def stoppable() -> onnxruntime.RunOptions:
@@ -57,8 +41,9 @@ def open_session(
     """Open a model.
 
     Args:
-        path: of the file; weights kept in files beside it are found through it.
-        content: the file's bytes where they are read already: then these are what is run.
+        path: of the file.
+        content: the file's bytes where they are read already: then these are what is run, unless the graph keeps
+            weights in files beside it, which ONNX Runtime finds by the path alone.
         threads: CPU threads; None leaves it to ONNX Runtime.
         providers: execution providers in order of preference.
 
@@ -84,10 +69,9 @@ def open_session(
     if threads is not None:
         options.intra_op_num_threads = threads
         options.inter_op_num_threads = 1
+    by_path = content is None or external_locations(content)
     try:
-        return onnxruntime.InferenceSession(
-            str(path) if content is None else content, options, providers=list(providers)
-        )
+        return onnxruntime.InferenceSession(str(path) if by_path else content, options, providers=list(providers))
     except Exception as error:  # ONNX Runtime's own exception types are private
         raise ModelContractError(f"{path} is not an ONNX model that ONNX Runtime can load: {error}") from None
 

@@ -6,16 +6,36 @@ from pathlib import Path
 
 from vehanchor.errors import ModelNotFoundError
 
-__all__ = ["DEFAULT_DETECTOR", "bundled_models", "bundled_segmenter", "resolve_model", "resolve_segmenter"]
+__all__ = [
+    "DEFAULT_DETECTOR",
+    "bundled_models",
+    "bundled_segmenter",
+    "fleet_beside",
+    "resolve_model",
+    "resolve_segmenter",
+]
 
 DEFAULT_DETECTOR = "vehicles"
 _SEGMENTER = "segmenter-encoder.onnx", "segmenter-decoder.onnx"
+_FLEET = "fleet.onnx"  # of the default detector
 _BUNDLED = Path(__file__).parent / "bundled"
 
 
 def bundled_models() -> dict[str, Path]:
     """Names of the bundled detectors and their files."""
-    return {path.stem: path for path in sorted(_BUNDLED.glob("*.onnx")) if path.name not in _SEGMENTER}
+    return {path.stem: path for path in sorted(_BUNDLED.glob("*.onnx")) if path.name not in (*_SEGMENTER, _FLEET)}
+
+
+def fleet_beside(detector: Path) -> Path | None:
+    """The file of the network that tells fleets apart for a detector; None where it has none.
+
+    Args:
+        detector: its file. The default detector's network is bundled with it; any other's lies beside it, as
+            ``mine.fleet.onnx`` beside ``mine.onnx``.
+    """
+    bundled = detector.resolve() == (_BUNDLED / f"{DEFAULT_DETECTOR}.onnx").resolve()
+    path = _BUNDLED / _FLEET if bundled else detector.with_name(f"{detector.stem}.fleet.onnx")
+    return path if path.is_file() else None
 
 
 def bundled_segmenter() -> tuple[Path, Path] | None:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from vehanchor.imagery.windows import outer_sides
 from vehanchor.notices import NoticeCode
 from vehanchor.records import Notice
-from vehanchor.segmentation.shape import mask_pieces
+from vehanchor.segmentation.shape import mask_pieces, touches_edge
 
 if TYPE_CHECKING:
-    from vehanchor.imagery.raster import Raster
-    from vehanchor.segmentation.segmenter import Prompt, Segmentation, SegmenterCard
+    from vehanchor.imagery.windows import Raster
+    from vehanchor.segmentation.prompt import Prompt
+    from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
 
 __all__ = ["SMALL_TARGET_PX", "mask_notices"]
 
@@ -40,7 +42,7 @@ def mask_notices(
                 f"of {card.min_score:g}: look at the outline before using the area.",
             )
         )
-    if _touches_image_edge(raster, found):
+    if touches_edge(found.mask, outer_sides(found.window, raster.width_px, raster.height_px)):
         notices.append(
             Notice(
                 code=NoticeCode.MASK_TOUCHES_EDGE,
@@ -73,16 +75,6 @@ def mask_notices(
             )
         )
     return notices
-
-
-def _touches_image_edge(raster: Raster, found: Segmentation) -> bool:
-    mask, window = found.mask, found.window
-    return bool(
-        (window.x_px == 0 and mask[:, 0].any())
-        or (window.y_px == 0 and mask[0].any())
-        or (window.x_px + window.width_px == raster.width_px and mask[:, -1].any())
-        or (window.y_px + window.height_px == raster.height_px and mask[-1].any())
-    )
 
 
 def _share_outside(found: Segmentation, prompt: Prompt) -> float:

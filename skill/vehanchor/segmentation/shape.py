@@ -62,9 +62,15 @@ def mask_bounds(mask: NDArray[np.bool_]) -> PixelBounds | None:
     return PixelBounds(int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1)
 
 
-def touches_edge(mask: NDArray[np.bool_]) -> bool:
-    """Whether a mask ``[h, w]`` reaches the first or last row or column of its array."""
-    return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
+def touches_edge(mask: NDArray[np.bool_], sides: tuple[bool, bool, bool, bool] = (True, True, True, True)) -> bool:
+    """Whether a mask reaches one of the sides of its array.
+
+    Args:
+        mask: ``[h, w]``.
+        sides: which of left, top, right and bottom count; ``imagery.windows.outer_sides`` tells those of the image.
+    """
+    lines = mask[:, 0], mask[0], mask[:, -1], mask[-1]
+    return any(counts and bool(line.any()) for counts, line in zip(sides, lines, strict=True))
 
 
 def mask_pieces(mask: NDArray[np.bool_]) -> NDArray[np.int64]:

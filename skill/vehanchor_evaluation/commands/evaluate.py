@@ -1,51 +1,26 @@
-"""``vehanchor evaluate gsd | ablation | figures | area | vlm``, for the command line to mount."""
+"""``vehanchor evaluate gsd | ablation | figures | area | vlm``: accuracy on data whose truth is known."""
 
 from __future__ import annotations
 
-import inspect
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.options import (
-    CalibrationOption,
-    ClassOption,
-    DetectorOption,
-    MinScoreOption,
-    ReferenceLengthOption,
-    RegionOption,
-)
-from vehanchor.cli.terminal import printable, told_errors
+from vehanchor.cli.terminal import printable
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor_evaluation.commands.area import area
-from vehanchor_evaluation.commands.sources import (
-    CacheOption,
-    DotaOption,
-    FilesCommand,
-    GeotiffOption,
-    LabelClassOption,
-    LabelsOption,
-    LimitOption,
-    SetOption,
-    SplitOption,
-    TableOption,
-    WorkersOption,
-    search,
-    survey,
-    tell_issues,
-)
+from vehanchor_evaluation.commands.request import measuring_command
+from vehanchor_evaluation.commands.sources import FilesCommand, KnownScaleRequest, open_shared, tell_issues
 from vehanchor_evaluation.commands.vlm import vlm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from vehanchor.estimate import ScaleOptions
+    from vehanchor.cli.declared import Chosen
     from vehanchor_evaluation.gsd import ScaleBenchmark
-    from vehanchor_evaluation.known_scale import KnownScaleImage
 
 __all__ = ["evaluate"]
 
@@ -58,67 +33,34 @@ evaluate = typer.Typer(
 )
 
 
-@dataclass(frozen=True)
-class ScaleRequest:
-    """What all commands on images of known scale are asked: each field is an option."""
+@dataclass(frozen=True, kw_only=True)
+class ScaleRequest(KnownScaleRequest):
+    """The question of all commands on images of known scale: each field is an option."""
 
-    dota: DotaOption = None
-    table: TableOption = None
-    geotiff: GeotiffOption = None
-    labels: LabelsOption = None
-    label_classes: LabelClassOption = None
-    set_name: SetOption = None
-    split: SplitOption = None
-    limit: LimitOption = None
-    detector: DetectorOption = None
-    classes: ClassOption = None
-    min_score: MinScoreOption = None
-    reference_length: ReferenceLengthOption = None
     label_reference_length: Annotated[
-        float | None, typer.Option(metavar="M", help="The same for labelled vehicles. Default: as the detector's.")
+        float | None,
+        typer.Option(
+            metavar="M", help="The reference length for labelled vehicles, metres. Default: as the detector's."
+        ),
     ] = None
-    region: RegionOption = None
     set_region: Annotated[
         list[str] | None,
         typer.Option(metavar="SET=REGION", help="The region of one set of the table; may be repeated."),
     ] = None
-    calibration: CalibrationOption = None
-    workers: WorkersOption = None
-    cache: CacheOption = None
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results, made where there is none.")] = _OUT
 
-    def benchmark(self) -> ScaleBenchmark:
+    def benchmark(self, chosen: Chosen) -> ScaleBenchmark:
         """Survey the data, search the images, make trials of them; what is wrong with which file goes to stderr."""
-        from vehanchor.estimate import ScaleOptions
-        from vehanchor.scale.calibration import opened_calibration
+        from vehanchor.options import Reference
         from vehanchor_evaluation.dota import SMALL_VEHICLE
-        from vehanchor_evaluation.gsd import benchmark_scale
+        from vehanchor_evaluation.gsd import benchmark_scale, check_options, with_regions
 
-        options = ScaleOptions(
-            min_score=self.min_score,
-            reference_length_m=self.reference_length,
-            region=self.region,
-            calibration=opened_calibration(self.calibration),
-        )
-        options_of = self._options_of(options)
-        data = survey(
-            self.dota,
-            self.table,
-            self.geotiff,
-            labels=self.labels,
-            set_name=self.set_name,
-            split=self.split,
-            limit=self.limit,
-        )
-        detector, found = search(
-            data,
-            self.detector,
-            self.classes,
-            [options_of(image) for image in data.images],
-            workers=self.workers,
-            cache=self.cache or self.out / _CACHE_NAME,
-        )
-        by_labels = ScaleOptions(reference_length_m=self.label_reference_length)
+        options = chosen.options()
+        options_of = with_regions(options, self._regions())
+        data, detector = self.survey(), open_shared(chosen, self.workers)
+        check_options(detector, data, options_of)
+        found = self.search(data, detector, options, chosen, self.cache or self.out / _CACHE_NAME)
+        by_labels = replace(options, reference=Reference(self.label_reference_length))
         benchmark = benchmark_scale(
             data,
             found,
@@ -130,34 +72,25 @@ class ScaleRequest:
         tell_issues(benchmark.issues)
         return benchmark
 
-    def _options_of(self, options: ScaleOptions) -> Callable[[KnownScaleImage], ScaleOptions]:
-        """The options of one image: those of all, or with the region of its set."""
+    def _regions(self) -> dict[str, str]:
+        """The regions by set."""
         regions = {}
         for text in self.set_region or ():
             name, equals, region = text.partition("=")
             if not equals or not region:
                 raise InvalidParameterError(f"--set-region is {text!r}: use SET=REGION, as in cannes=europe")
-            regions[name] = replace(options, region=region)
-        return lambda image: regions.get(image.set, options)
+            regions[name] = region
+        return regions
 
 
-def _on_known_scale(command: Callable[[ScaleRequest], Sequence[Path]]) -> Callable[..., None]:
-    """A command with the fields of ``ScaleRequest`` as its options, which tells what it wrote."""
-
-    def run(**choices: object) -> None:
-        with told_errors():
-            request = ScaleRequest(**choices)  # type: ignore[arg-type]
-            for path in command(request):
-                print(printable(f"wrote {path}"), file=sys.stderr)
-
-    run.__doc__ = command.__doc__
-    run.__signature__ = inspect.signature(ScaleRequest, eval_str=True)  # type: ignore[attr-defined]
-    return run
+def _tell_written(paths: Sequence[Path]) -> None:
+    for path in paths:
+        print(printable(f"wrote {path}"), file=sys.stderr)
 
 
 @evaluate.command("gsd", cls=FilesCommand)
-@_on_known_scale
-def evaluate_gsd(request: ScaleRequest) -> list[Path]:
+@measuring_command(ScaleRequest)
+def evaluate_gsd(request: ScaleRequest, chosen: Chosen) -> None:
     """Error of the estimated scale on images of known scale: the paper's Table I.
 
     Writes gsd.json, gsd.csv and gsd.md; images.csv, a line an image; issues.csv, what was wrong with which file. Run
@@ -166,20 +99,22 @@ def evaluate_gsd(request: ScaleRequest) -> list[Path]:
     from vehanchor_evaluation.gsd import report_scale
     from vehanchor_evaluation.report import scale_markdown, write_issues, write_results, write_trials
 
-    benchmark = request.benchmark()
+    benchmark = request.benchmark(chosen)
     report = report_scale(benchmark)
     text = scale_markdown(report)
     print(printable(text))
-    return [
-        *write_results(request.out, "gsd", report, [row.model_dump() for row in report.rows], text),
-        write_trials(request.out / "images.csv", benchmark),
-        write_issues(request.out / "issues.csv", benchmark.issues),
-    ]
+    _tell_written(
+        [
+            *write_results(request.out, "gsd", report, [row.model_dump() for row in report.rows], text),
+            write_trials(request.out / "images.csv", benchmark),
+            write_issues(request.out / "issues.csv", benchmark.issues),
+        ]
+    )
 
 
 @evaluate.command("ablation", cls=FilesCommand)
-@_on_known_scale
-def evaluate_ablation(request: ScaleRequest) -> list[Path]:
+@measuring_command(ScaleRequest)
+def evaluate_ablation(request: ScaleRequest, chosen: Chosen) -> None:
     """Change one choice of the method at a time: the paper's Table III, from the same search as 'evaluate gsd'.
 
     Writes ablation.json, ablation.csv and ablation.md.
@@ -187,26 +122,15 @@ def evaluate_ablation(request: ScaleRequest) -> list[Path]:
     from vehanchor_evaluation.ablation import ablate
     from vehanchor_evaluation.report import ablation_markdown, write_results
 
-    report = ablate(request.benchmark())
+    report = ablate(request.benchmark(chosen))
     text = ablation_markdown(report)
     print(printable(text))
-    rows = [
-        {
-            "choice": row.choice,
-            "setting": row.setting,
-            "boxes": row.boxes,
-            **row.errors.model_dump(exclude={"name"}),
-            "paper_median": row.paper_median,
-            "paper_within_20": row.paper_within_20,
-        }
-        for row in report.rows
-    ]
-    return write_results(request.out, "ablation", report, rows, text)
+    _tell_written(write_results(request.out, "ablation", report, [row.flat() for row in report.rows], text))
 
 
 @evaluate.command("figures", cls=FilesCommand)
-@_on_known_scale
-def evaluate_figures(request: ScaleRequest) -> list[Path]:
+@measuring_command(ScaleRequest)
+def evaluate_figures(request: ScaleRequest, chosen: Chosen) -> None:
     """Draw the figures, from the same search as 'evaluate gsd'; extra 'plots'.
 
     Writes predicted.png (true against predicted scale, the 10 % band, the guard), cumulative.png, calibration.png (of
@@ -217,7 +141,7 @@ def evaluate_figures(request: ScaleRequest) -> list[Path]:
     from vehanchor_evaluation import figures
 
     require_plots()  # before the search
-    benchmark = request.benchmark()
+    benchmark = request.benchmark(chosen)
     trials = benchmark.trials
     if not any(trial.estimated for trial in trials):
         raise InvalidParameterError("no image has an estimate: there is nothing to draw")
@@ -227,14 +151,16 @@ def evaluate_figures(request: ScaleRequest) -> list[Path]:
         request.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot make the folder {str(request.out)!r}: {error.strerror or error}") from error
-    return [
-        write_plot(request.out / "predicted.png", figures.plot_predicted(trials)),
-        write_plot(request.out / "cumulative.png", figures.plot_cumulative_error(curves)),
-        write_plot(request.out / "calibration.png", figures.plot_calibration(trials)),
-        write_picture(request.out / "sheet.png", figures.draw_sheet(rows)),
-    ]
+    _tell_written(
+        [
+            write_plot(request.out / "predicted.png", figures.plot_predicted(trials)),
+            write_plot(request.out / "cumulative.png", figures.plot_cumulative_error(curves)),
+            write_plot(request.out / "calibration.png", figures.plot_calibration(trials)),
+            write_picture(request.out / "sheet.png", figures.draw_sheet(rows)),
+        ]
+    )
 
 
 # --- Commands of their own modules -----------------------------------------------------------------------------------
-evaluate.command()(area)
-evaluate.command()(vlm)
+evaluate.command("area")(area)
+evaluate.command("vlm")(vlm)

@@ -18,16 +18,21 @@ from mcp.types import CallToolResult, ImageContent, TextResourceContents
 
 from tests.analyses import make_analysis
 from tests.server.conftest import POOL_BOX
-from tests.server.tools.test_tools import ERAS, by_path
+from tests.server.conversation import ERAS, by_path
 from vehanchor.records import ConfidenceTerms
 from vehanchor.scale.confidence import composite
-from vehanchor_server.app_page import APP_URI, PANEL_KEY, page_html
+from vehanchor_server.app_page import APP_URI, PANEL_KEY, page, page_html
 from vehanchor_server.app_page.panel import LengthHistogram, length_histogram
 
 SHOWS_PAGES = [advertise(EXTENSION_ID, {"mimeTypes": [APP_MIME_TYPE]})]
 
 
 # --- What the server sends -------------------------------------------------------------------------------------------
+
+
+def test_the_page_holds_every_script_of_its_folder() -> None:
+    for script in Path(page.__file__).parent.glob("*.js"):
+        assert script.read_text(encoding="utf-8") in page_html(), script.name
 
 
 @pytest.mark.anyio

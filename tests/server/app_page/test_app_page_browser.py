@@ -22,9 +22,10 @@ from tests.needs import needed_module, needed_program
 from tests.sam_models import SamFiles
 from tests.server.app_page.test_app_page import SHOWS_PAGES
 from tests.server.conftest import POOL_BOX, paint_scene, write_image
-from tests.server.tools.test_tools import by_path
-from vehanchor_server.app import create_server, create_services
+from tests.server.conversation import by_path
+from vehanchor_server.app import create_server
 from vehanchor_server.app_page import PANEL_KEY, page_html
+from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 
 pytestmark = pytest.mark.browser

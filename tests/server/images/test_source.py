@@ -1,9 +1,14 @@
 from __future__ import annotations
 
 import base64
+from pathlib import Path
+from typing import Any
 
 import pytest
+from mcp import Client
+from mcp.server import MCPServer
 
+from tests.server.conversation import by_path, error_of, text_of
 from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import Base64Image, UrlImage
 from vehanchor_server.images.fetch import Fetcher
@@ -74,3 +79,33 @@ async def test_urls_are_fetched_before_they_are_opened(sources: ImageSources, mo
     with sources.open(image, fetched) as opened:
         assert opened == b"https://a.test/b"
     assert await sources.fetched(Base64Image(kind="base64", data="AAEC")) is None
+
+
+@pytest.mark.anyio
+async def test_the_same_image_by_path_file_url_base64_and_data_uri_gives_the_same_record(
+    server: MCPServer[object], images: Path
+) -> None:
+    file = images / "sub dir" / "cars é.png"
+    encoded = base64.b64encode(file.read_bytes()).decode()
+    arguments: list[dict[str, Any]] = [
+        {"kind": "path", "path": str(file)},
+        {"kind": "path", "path": file.as_uri()},
+        {"kind": "path", "path": file.as_uri().replace("file:///", "file://localhost/")},
+        {"kind": "base64", "data": encoded},
+        {"kind": "base64", "data": f"data:image/png;base64,{encoded}"},
+        {"kind": "base64", "data": "\n".join(encoded[i : i + 76] for i in range(0, len(encoded), 76))},
+    ]
+    async with Client(server) as client:
+        results = [await client.call_tool("estimate_gsd", {"image": image}) for image in arguments]
+    assert [result.is_error for result in results] == [False] * len(arguments), [text_of(result) for result in results]
+    assert all(result.structured_content == results[0].structured_content for result in results)
+
+
+@pytest.mark.anyio
+async def test_a_file_that_is_no_image_is_told_without_a_descriptors_name(
+    server: MCPServer[object], images: Path
+) -> None:
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", by_path(images / "notes.txt"))
+    assert error_of(result) == "image_undecodable"
+    assert "/proc" not in text_of(result)

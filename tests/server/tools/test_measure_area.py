@@ -17,10 +17,11 @@ from mcp.types import CallToolResult
 import vehanchor
 from tests.sam_models import EMPTY, SamFiles, write_sam
 from tests.server.conftest import POOL, POOL_BOX
-from tests.server.tools.test_tools import ERAS, by_path, error_of, picture_of, text_of
+from tests.server.conversation import ERAS, by_path, error_of, picture_of, text_of
 from vehanchor.detection.detector import load_detector
 from vehanchor_server import models as models_module
-from vehanchor_server.app import create_server, create_services
+from vehanchor_server.app import create_server
+from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 
 pytestmark = pytest.mark.anyio

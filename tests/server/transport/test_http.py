@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import importlib
 import json
+import os
 import socket
 import threading
 import time
@@ -20,9 +22,10 @@ from mcp import Client
 from mcp.client.streamable_http import streamable_http_client
 
 from tests.server.conftest import paint_scene, write_image
-from tests.server.tools.test_tools import by_path, error_of, text_of
+from tests.server.conversation import by_path, error_of, text_of
+from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings, SettingsError
-from vehanchor_server.transport.http import create_app
+from vehanchor_server.transport.http import create_app, serve_http
 
 pytestmark = pytest.mark.anyio
 
@@ -266,6 +269,31 @@ async def test_a_client_that_hangs_up_frees_its_place(
 def test_an_app_that_everyone_could_use_is_not_made() -> None:
     with pytest.raises(SettingsError, match="refusing to listen"):
         create_app(Settings(host="0.0.0.0"))
+
+
+def test_workers_may_read_what_the_operator_allowed_and_no_more(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, detector_path: Path
+) -> None:
+    for name in ("flight:b", "flight", "b"):
+        (tmp_path / name).mkdir()
+    monkeypatch.chdir(tmp_path)
+    seen: list[Settings] = []
+
+    def make_app_in_a_worker(target: str, **_: Any) -> None:
+        module, name = target.split(":")
+        getattr(importlib.import_module(module), name)()
+
+    def note(settings: Settings) -> Services:
+        seen.append(settings)
+        return create_services(settings)
+
+    monkeypatch.setattr("vehanchor_server.transport.http.uvicorn.run", make_app_in_a_worker)
+    monkeypatch.setattr("vehanchor_server.transport.http.configure_logging", lambda: None)
+    monkeypatch.setattr("vehanchor_server.transport.http.create_services", note)
+    settings = Settings(roots=(tmp_path / "flight:b",), detector=str(detector_path), allowed_origins=("https://a,b",))
+    serve_http(settings)
+    assert seen == [settings]
+    assert not [name for name in os.environ if name.startswith("VEHANCHOR_")]
 
 
 def test_a_factory_reads_the_environment(monkeypatch: pytest.MonkeyPatch, settings: Settings) -> None:

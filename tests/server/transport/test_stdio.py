@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from mcp import Client, StdioServerParameters
 
-from tests.server.tools.test_tools import by_path, error_of
+from tests.server.conversation import by_path, error_of
 from vehanchor_server.settings import Settings
 
 pytestmark = [pytest.mark.anyio, pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals and pipes")]

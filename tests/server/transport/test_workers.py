@@ -19,7 +19,7 @@ from mcp import Client, MCPError
 from benchmarks.server_process import HttpServer, child_processes, http_server
 from tests.sam_models import SamFiles
 from tests.server.conftest import POOL_BOX
-from tests.server.tools.test_tools import ERAS, by_path, error_of
+from tests.server.conversation import ERAS, by_path, error_of
 
 pytestmark = [
     pytest.mark.anyio,

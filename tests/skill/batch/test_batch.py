@@ -18,8 +18,8 @@ from typer.testing import CliRunner
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor.batch import BatchJob, BatchRow, find_images, run_batch
 from vehanchor.batch.engines.local import local_workers
-from vehanchor.batch.journal import Journal, journal_path
 from vehanchor.batch.row import COLUMNS
+from vehanchor.batch.run import journal_path
 from vehanchor.batch.worker import Task, Worker
 from vehanchor.cli import app as cli
 from vehanchor.detection.detector import Detector
@@ -29,9 +29,11 @@ from vehanchor.errors import (
     MissingExtraError,
     ModelContractError,
     OutputError,
+    VehAnchorError,
     WorkerDiedError,
 )
-from vehanchor.estimate import ScaleOptions, estimate_gsd
+from vehanchor.estimate import estimate_gsd
+from vehanchor.options import Frame, Reference, ScaleOptions
 from vehanchor.records import GsdEstimate
 
 if TYPE_CHECKING:
@@ -83,6 +85,14 @@ def _batch(*arguments: object) -> Result:
 
 def test_a_directory_is_searched_with_all_below_it_and_sorted(folder: Path) -> None:
     assert find_images([str(folder)]) == [str(folder / name) for name in FILES]
+
+
+@pytest.mark.parametrize("names", [["nowhere"], ["cars.png", "nowhere"], ["nowhere.png/"], ["a.png", "b.jpg"]])
+def test_a_folder_that_does_not_exist_is_an_error_and_nothing_is_written(names: list[str], tmp_path: Path) -> None:
+    result = _batch(*names, "--output", tmp_path / "table.csv")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error[image_not_found]: there is no file")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_patterns_files_and_directories_are_taken_in_their_order_each_image_once() -> None:
@@ -219,7 +229,7 @@ def test_a_missing_extra_is_named(
         ({"engine": "spark"}, "use local or ray"),
         ({"address": "auto"}, "--engine ray"),
         ({"workers": 0}, "whole number"),
-        ({"options": ScaleOptions(frame_width_px=10, frame_height_px=10)}, "frame"),
+        ({"options": ScaleOptions(frame=Frame(10, 10))}, "frame"),
     ],
 )
 def test_options_without_meaning_are_refused(table: Path, arguments: dict[str, Any], words: str) -> None:
@@ -285,25 +295,56 @@ def test_other_images_than_before_change_only_what_is_missing(analysed: list[str
 def test_rows_of_other_options_are_not_mixed_in(analysed: list[str], detector: Path, table: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         run_batch(["."], table, detector=detector, workers=1)
-    other = ScaleOptions(reference_length_m=4.3)
+    other = ScaleOptions(reference=Reference(4.3))
     with pytest.raises(InvalidParameterError, match=r"reference_length_m None \(now 4.3\)"):
         run_batch(["."], table, detector=detector, workers=1, options=other)
     assert run_batch(["."], table, detector=detector, workers=1, options=other, overwrite=True).n_resumed == 0
     assert {row["reference_length_m"] for row in _rows(table)} == {4.3, None}
 
 
-@pytest.mark.parametrize("content", [b"not json\n", b"[]\n", b'{"a": 1}\n{"no file": 1}\n'])
-def test_a_file_that_is_no_journal_is_left_alone(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "x.journal"
-    path.write_bytes(content)
-    with pytest.raises(InvalidParameterError, match="--overwrite"):
-        Journal(path, {"a": 1})
-    assert path.read_bytes() == content
+def test_an_image_that_was_replaced_meanwhile_is_looked_at_again(
+    analysed: list[str], detector: Path, folder: Path, table: Path, tmp_path: Path
+) -> None:
+    image = tmp_path / "a.png"
+    image.write_bytes((folder / "empty.png").read_bytes())
+    images = [str(image), "cars.png", "empty.png"]
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(images, table, detector=detector, workers=1)
+    image.write_bytes((folder / "cars.png").read_bytes())
+    assert run_batch(images, table, detector=detector, workers=1).n_resumed == 1
+    assert [row["status"] for row in _rows(table)] == ["ok", "ok", "no_anchor"]
 
 
-def test_a_disk_that_refuses_is_told(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="cannot keep rows"):
-        Journal(tmp_path / "nowhere" / "x.journal", {})
+def test_an_unfinished_run_of_other_classes_is_not_mixed_in(analysed: list[str], detector: Path, table: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(["."], table, detector=detector, workers=1)
+    with pytest.raises(InvalidParameterError, match=r"classes None \(now \[0\]\)"):
+        run_batch(["."], table, detector=detector, classes=[0], workers=1)
+
+
+@pytest.mark.parametrize("trouble", ["detector", "provider", "input"])
+def test_what_is_wrong_is_told_before_a_finished_table_is_given_up(trouble: str, detector: Path, table: Path) -> None:
+    run_batch(["cars.png"], table, detector=detector, workers=1)
+    before = table.read_bytes()
+    wrong: dict[str, dict[str, Any]] = {
+        "detector": {"detector": "nowhere.onnx"},
+        "provider": {"detector": detector, "providers": ("CUDAExecutionProvider",)},
+        "input": {"inputs": ["nowhere"], "detector": detector},
+    }
+    with pytest.raises(VehAnchorError):
+        run_batch(**{"inputs": ["cars.png"], "output": table, "overwrite": True, "workers": 1, **wrong[trouble]})
+    assert table.read_bytes() == before
+
+
+def test_an_interrupted_overwriting_leaves_the_table_and_the_same_command_goes_on(
+    analysed: list[str], detector: Path, table: Path
+) -> None:
+    table.write_text("the last month's")
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(["."], table, detector=detector, workers=1, overwrite=True)
+    assert table.read_text() == "the last month's"
+    assert run_batch(["."], table, detector=detector, workers=1).n_resumed == 2
+    assert [row["file"] for row in _rows(table)] == FILES
 
 
 # --- Engines ---------------------------------------------------------------------------------------------------------
@@ -443,6 +484,35 @@ def test_the_commands_options_reach_the_estimate(detector: Path, table: Path) ->
     assert result.exit_code == 0, result.output
     (row,) = _rows(table)
     assert (row["reference_length_m"], row["n_detections"]) == (4.3, 0)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (("--alpha", "1", "--aggregation", "mean"), {"alpha": 1.0, "aggregation": "mean"}),
+        (
+            ("--region", "europe", "--tile", 512, "--stride", 300),
+            {"region": "europe", "tile_px": 512, "stride_px": 300},
+        ),
+        (("--nms-iou", 0.9, "--bands", 3, 2, 1, "--no-search-scales"), {"nms_iou": 0.9, "bands": (3, 2, 1)}),
+    ],
+)
+def test_batch_takes_the_options_of_estimate(
+    options: tuple[object, ...], expected: dict[str, Any], detector: Path, table: Path
+) -> None:
+    result = _batch("cars.png", "-o", table, "--detector", detector, "--workers", 1, "--class", 0, *options)
+    assert result.exit_code == 0, result.output
+    (row,) = _rows(table)
+    estimate = estimate_gsd("cars.png", detector=detector, **expected)
+    same = set(GsdEstimate.model_fields) & set(COLUMNS)
+    assert {name: row[name] for name in same} == {name: getattr(estimate, name) for name in same}
+
+
+def test_a_class_that_the_model_does_not_know_is_told_before_the_work(detector: Path, table: Path) -> None:
+    result = _batch("cars.png", "-o", table, "--detector", detector, "--class", "boat")
+    assert result.exit_code == 2
+    assert "boat" in result.stderr
+    assert list(table.parent.iterdir()) == []
 
 
 def test_the_command_tells_errors_in_a_line(table: Path) -> None:

@@ -13,10 +13,10 @@ from tests.models import blank_image, fleet_metadata, paint_vehicles, write_dete
 from vehanchor.detection.detector import Detector, detect_vehicles
 from vehanchor.detection.look import CHIP_SHAPE, MAX_CHIPS, FleetLengths, chip, vehicle_chips
 from vehanchor.errors import ModelContractError
-from vehanchor.estimate import analyse_scale
+from vehanchor.estimate import analyse_scale, image_facts
 from vehanchor.imagery.raster import open_raster
 from vehanchor.options import ScaleOptions
-from vehanchor_evaluation.search import DetectionLog, SearchedImage
+from vehanchor_evaluation.search import SearchedImage, open_detection_log
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -180,9 +180,9 @@ def test_searched_images_on_disk_keep_what_was_told(tmp_path: Path, model: Detec
     cv2.imwrite(str(picture), _car_park([40] * 6))
     with open_raster(picture) as raster:
         found = detect_vehicles(raster, model)
-        searched = SearchedImage(found, raster.width_px, raster.height_px)
-    DetectionLog(tmp_path / "log.jsonl", "s").add(picture, searched)
-    again = DetectionLog(tmp_path / "log.jsonl", "s").get(picture)
+        searched = SearchedImage(found, image_facts(raster))
+    open_detection_log(tmp_path / "log.jsonl", model, ScaleOptions()).add(("a.png",), searched)
+    again = open_detection_log(tmp_path / "log.jsonl", model, ScaleOptions()).get(("a.png",))
     assert again is not None
     assert again.detections.fleet_log_odds is not None
     np.testing.assert_array_equal(again.detections.fleet_log_odds, found.fleet_log_odds)

@@ -66,6 +66,18 @@ def test_a_mask_touches_the_edge_with_its_outer_row_or_column(
     assert touches_edge(_upright(*corners)) is touches
 
 
+def test_sides_that_do_not_count_may_be_touched() -> None:
+    mask = np.zeros((20, 30), dtype=bool)
+    for number, side in enumerate((np.s_[:, 0], np.s_[0], np.s_[:, -1], np.s_[-1])):  # left, top, right, bottom
+        mask[:] = False
+        mask[side] = True
+        mask[0, 0] = mask[-1, -1] = mask[0, -1] = mask[-1, 0] = False
+        only = tuple(each == number for each in range(4))
+        others = tuple(not each for each in only)
+        assert touches_edge(mask, only)
+        assert not touches_edge(mask, others)
+
+
 @given(_masks)
 @settings(max_examples=30)
 def test_pieces_hang_together_by_corners_and_add_up(mask: NDArray[np.bool_]) -> None:

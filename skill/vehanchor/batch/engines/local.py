@@ -6,11 +6,12 @@ import multiprocessing
 import os
 import signal
 import threading
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from itertools import islice
+from contextlib import closing
 from typing import TYPE_CHECKING
 
+from vehanchor.batch.pool import finished
 from vehanchor.batch.worker import Worker
 from vehanchor.errors import WorkerDiedError
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["local_rows", "local_workers"]
 
-_QUEUED_PER_WORKER = 2  # enough that none waits; a million futures at once would fill the memory
 _worker: Worker | None = None  # of this process, where it is a worker
 
 
@@ -34,7 +34,7 @@ def local_workers(n_tasks: int) -> int:
 
 
 def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[BatchRow]:
-    """The rows of all tasks, as they get ready.
+    """Make the rows of all tasks, as they get ready.
 
     Args:
         job: what every worker has to know.
@@ -55,20 +55,14 @@ def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[B
     context = multiprocessing.get_context("spawn")  # forking a process that runs threads can lock up
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_start, initargs=(job,))
     try:
-        waiting = iter(tasks)
-        running = {pool.submit(_row, task) for task in islice(waiting, workers * _QUEUED_PER_WORKER)}
-        while running:
-            done, running = wait(running, return_when=FIRST_COMPLETED)
-            running |= {pool.submit(_row, task) for task in islice(waiting, len(done))}
-            for future in done:
+        with closing(finished(pool, workers, _row, tasks)) as rows:
+            for _, future in rows:
                 yield future.result()
     except BrokenProcessPool:
         raise WorkerDiedError(
             f"a worker process died, most often for want of memory: {workers} of them each held a model and an image. "
             "The rows so far are kept; run the same command again with fewer --workers"
         ) from None
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def _start(job: BatchJob) -> None:

@@ -53,7 +53,7 @@ class _Actor:
 
 
 def ray_rows(job: BatchJob, tasks: Sequence[Task], workers: int | None, address: str | None) -> Iterator[BatchRow]:
-    """The rows of all tasks, as their blocks get ready.
+    """Make the rows of all tasks, as their blocks get ready.
 
     Args:
         job: what every worker knows; all machines have the same vehanchor and see the images under the same paths.

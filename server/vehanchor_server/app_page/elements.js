@@ -1,0 +1,74 @@
+// ---- Elements ----
+
+const byId = (id) => document.getElementById(id);
+const SVG = "http://www.w3.org/2000/svg";
+
+function element(namespace, name, attributes, children) {
+  const made = namespace ? document.createElementNS(namespace, name) : document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key === "on") for (const [event, act] of Object.entries(value)) made.addEventListener(event, act);
+    else if (key === "width_share") made.style.width = `${100 * value}%`;
+    else if (key === "left_share") made.style.left = `${100 * value}%`;
+    else if (value !== undefined && value !== false) made.setAttribute(key, value === true ? "" : value);
+  }
+  made.append(...children.filter((child) => child !== undefined && child !== null));
+  return made;
+}
+const html = (name, attributes = {}, ...children) => element(null, name, attributes, children);
+const svg = (name, attributes = {}, ...children) => element(SVG, name, attributes, children);
+
+// A drawing is made for the width it has, so that its letters keep their size.
+function drawing(label, draw) {
+  const canvas = svg("svg", { role: "img", "aria-label": label });
+  let drawn = 0;
+  new ResizeObserver(([entry]) => {
+    const width = Math.round(entry.contentRect.width);
+    if (!width || width === drawn) return;
+    drawn = width;
+    const { height, shapes } = draw(width);
+    canvas.setAttribute("viewBox", `0 0 ${width} ${height}`);
+    canvas.setAttribute("height", height);
+    canvas.replaceChildren(...shapes);
+  }).observe(canvas);
+  return canvas;
+}
+
+// ---- Numbers and words ----
+
+const threeDigits = new Intl.NumberFormat("en", { maximumSignificantDigits: 3 });
+const number = (value) => threeDigits.format(value);
+const whole = (value) => new Intl.NumberFormat("en").format(value);
+const pixels = (value) => `${value.toFixed(1)} px`;
+const counted = (n, noun) => `${whole(n)} ${noun}${n === 1 ? "" : "s"}`;
+const interval = (low, high, unit) =>
+  low === null || high === null ? undefined : `95 %: ${number(low)} to ${number(high)} ${unit}`;
+
+const STATUS = {
+  ok: { words: "Safe to use", mark: "M2.5 8.5 6 12 13.5 4" },
+  low_confidence: { words: "Low confidence: fall back", mark: "M8 2 15 14H1ZM8 6.5v4M8 12v.6" },
+  no_anchor: { words: "No metric scale", mark: "M3 3l10 10M13 3 3 13" },
+  failed: { words: "No result", mark: "M3 3l10 10M13 3 3 13" },
+};
+
+function say(text) {
+  byId("sentence").textContent = text;
+}
+
+function flag(status) {
+  const { words, mark } = STATUS[status];
+  const icon = svg("path", {
+    d: mark, fill: "none", stroke: "currentColor", "stroke-width": 1.8, "stroke-linecap": "round",
+    "stroke-linejoin": "round",
+  });
+  const chip = byId("status");
+  chip.className = `status ${status}`;
+  chip.replaceChildren(svg("svg", { viewBox: "0 0 16 16", "aria-hidden": "true" }, icon), words);
+  chip.hidden = false;
+}
+
+function fail(text) {
+  flag("failed");
+  say(text);
+  byId("sections").replaceChildren();
+  byId("panel").setAttribute("aria-busy", "false");
+}

@@ -1,0 +1,88 @@
+// ---- Sections ----
+
+const section = (title, kind, ...children) => html("section", { class: kind }, html("h2", {}, title), ...children);
+
+function reading(name, value, unit, ...notes) {
+  const said = notes.filter(Boolean).map((note) => html("dd", { class: "note" }, note));
+  return html(
+    "div", {}, html("dt", {}, name), html("dd", { class: "value" }, value, unit && html("small", {}, unit)), ...said,
+  );
+}
+
+function scaleReading(scale) {
+  if (scale.gsd_m_per_px === null) return reading("Scale", "none", "", "no vehicle found");
+  const bounds = interval(scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px, "m/px");
+  return reading("Scale", number(scale.gsd_m_per_px), "m/px", bounds);
+}
+
+function vehicleReadings(scale) {
+  const dropped = scale.n_detections - scale.n_vehicles;
+  return [
+    reading(
+      "Vehicles measured", whole(scale.n_vehicles), "",
+      dropped ? `of ${whole(scale.n_detections)} found; ${counted(dropped, "outlier")}` : scale.n_detections ? "all that were found" : "none found",
+    ),
+    scale.mode_length_px === null
+      ? undefined
+      : reading(
+          "Modal length P_mode", scale.mode_length_px.toFixed(1), "px",
+          `stands for ${number(scale.reference_length_m)} m`,
+        ),
+  ];
+}
+
+function readings(record) {
+  if (!isArea(record)) return html("dl", { class: "readings" }, scaleReading(record), ...vehicleReadings(record));
+  const tiles = [
+    record.area_m2 === null
+      ? reading("Area", whole(record.mask_area_px), "px", "no scale: pixels only")
+      : reading("Area", number(record.area_m2), "m²", interval(record.area_ci95_low_m2, record.area_ci95_high_m2, "m²")),
+  ];
+  if (record.inscribed_diameter_m !== null) {
+    const bounds = [record.inscribed_diameter_ci95_low_m, record.inscribed_diameter_ci95_high_m];
+    tiles.push(reading("Largest inscribed circle", `⌀ ${number(record.inscribed_diameter_m)}`, "m", interval(...bounds, "m")));
+  }
+  if (record.length_m !== null) {
+    const around = record.perimeter_m === null ? undefined : `outline ${number(record.perimeter_m)} m`;
+    tiles.push(reading("Length × width", `${number(record.length_m)} × ${number(record.width_m)}`, "m", around));
+  }
+  const scale = record.scale ?? record;
+  if (record.scale_source === "given") tiles.push(reading("Scale", number(record.gsd_m_per_px), "m/px", "given by the caller"));
+  else tiles.push(scaleReading(scale));
+  return html("dl", { class: "readings" }, ...tiles);
+}
+
+const TERMS = [ // the paper's weights, section III-D
+  ["sample", "Enough vehicles", 0.35],
+  ["concentration", "Lengths agree", 0.35],
+  ["quality", "Clear detections", 0.2],
+  ["plausibility", "Plausible length", 0.1],
+];
+
+function confidence(scale) {
+  const value = scale.confidence;
+  const tick = (at, kind, ...words) => html("div", { class: `tick ${kind}`, left_share: at }, html("span", {}, ...words));
+  const track = html(
+    "div",
+    {
+      class: `track ${scale.status}`, role: "meter", "aria-label": "Confidence", "aria-valuemin": 0, "aria-valuemax": 1,
+      "aria-valuenow": value.toFixed(2), "aria-valuetext": `${value.toFixed(2)}; 0.5 or more is safe to use`,
+    },
+    html("div", { class: "fill", width_share: value }),
+    scale.resolution_guard ? tick(0.3, "cap", "0.3", html("br"), "guard's cap") : undefined,
+    tick(0.5, "", "0.5", html("br"), "act from here"),
+  );
+  const terms = TERMS.map(([key, words, weight]) => [
+    html("dt", {}, `${words} (${100 * weight} %)`),
+    html(
+      "dd", {},
+      html("div", { class: "bar", "aria-hidden": "true" }, html("div", { width_share: scale.confidence_terms[key] })),
+      html("span", { class: "number" }, scale.confidence_terms[key].toFixed(2)),
+    ),
+  ]);
+  return section(
+    "Confidence", "",
+    html("div", { class: "gauge" }, html("p", { class: `reading ${scale.status}` }, value.toFixed(2)), track),
+    html("dl", { class: "terms" }, ...terms.flat()),
+  );
+}

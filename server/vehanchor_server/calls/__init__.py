@@ -1,0 +1,1 @@
+"""One call from its acceptance to its answer, whatever the tool."""

@@ -1,0 +1,115 @@
+"""The tool that measures an image's scale: its arguments, its work, its answer in words.
+
+The library is imported by the call: OpenCV and ONNX Runtime would make the server's first answer wait.
+"""
+
+# Annotations are evaluated here on purpose: the SDK reads the result's schema from them.
+
+from typing import Annotated, Any
+
+from mcp.server.apps import client_supports_apps
+from mcp.server.mcpserver import Context
+from mcp.types import CallToolResult
+from pydantic import Field
+
+from vehanchor.records import GsdEstimate
+from vehanchor_server.app_page import APP_META
+from vehanchor_server.calls.answer import Answer
+from vehanchor_server.calls.call import run_call
+from vehanchor_server.calls.job import Job
+from vehanchor_server.images.argument import ImageArgument
+from vehanchor_server.images.source import OpenedImage
+from vehanchor_server.services import Services
+from vehanchor_server.tools.scale_question import (
+    FrameArgument,
+    ReferenceLengthArgument,
+    RegionArgument,
+    ScaleQuestion,
+)
+from vehanchor_server.tools.sentences import POLICY, interval, rounded, scale_doubt, vehicles, warnings
+from vehanchor_server.tools.strict_tool import StrictTool
+
+__all__ = ["describe_estimate", "estimate_gsd_tool"]
+
+_DESCRIPTION = (
+    "Measures the metric scale (ground sampling distance, metres per pixel) of a near-nadir aerial or satellite image "
+    "from the cars in it; no camera metadata is needed. Call it before any distance, length or area is derived from an "
+    "aerial image whose scale is unknown or doubtful; never estimate the scale by eye. Needs visible cars and about "
+    f"0.3 m/px or finer. {POLICY} Multiply pixel distances by gsd_m_per_px and pixel areas by its square. If you see a "
+    "resized copy of the image, give the copy's size as frame and use frame.gsd_m_per_px for distances in that copy. "
+    "Very large images take up to a minute."
+)
+
+
+def estimate_gsd_tool(services: Services) -> StrictTool:
+    """The tool for a server."""
+
+    async def estimate_gsd(
+        image: ImageArgument,
+        ctx: Context[Any, Any],
+        region: RegionArgument = None,
+        reference_length_m: ReferenceLengthArgument = None,
+        frame: FrameArgument = None,
+        include_overlay: Annotated[
+            bool, Field(description="Also return a picture with the vehicles that were measured and a scale bar.")
+        ] = False,
+    ) -> Annotated[CallToolResult, GsdEstimate]:
+        question = ScaleQuestion(region, reference_length_m, frame)
+        drawn = include_overlay or client_supports_apps(ctx)
+        answer = await run_call(
+            services, ctx, image, lambda job, source: _estimate(services, job, source, question, drawn)
+        )
+        return answer.to_result(describe_estimate(answer.record), include_overlay=include_overlay)
+
+    return StrictTool.read_only(
+        estimate_gsd, title="Measure the scale of an aerial image", description=_DESCRIPTION, meta=APP_META
+    )
+
+
+def _estimate(
+    services: Services, job: Job, source: OpenedImage, question: ScaleQuestion, drawn: bool
+) -> Answer[GsdEstimate]:
+    """Search the image for vehicles and measure them; in a worker thread.
+
+    Raises:
+        VehAnchorError: the library refused.
+        CallError: a model cannot be loaded.
+        CallStoppedError: the call was asked to end.
+    """
+    from vehanchor.estimate import analyse_raster, open_detector
+    from vehanchor.imagery.raster import open_raster
+    from vehanchor.pictures.scale import draw_overlay
+    from vehanchor_server.app_page.panel import length_histogram
+    from vehanchor_server.calls.overlay import overlay_jpeg
+
+    detector = services.models.detector()
+    options = question.options(services.settings, services.models)
+    open_detector(detector, options)  # an unknown region is told before the work
+    job.enter("decode")
+    with open_raster(source, limits=options.reading.limits) as raster:
+        analysis = analyse_raster(raster, detector, options, progress=job.searched, run_options=job.run_options)
+        overlay = None
+        if drawn:
+            job.enter("overlay")
+            overlay = overlay_jpeg(raster, job.stop, lambda seen: draw_overlay(seen, analysis))
+    return Answer(analysis.estimate, overlay, length_histogram(analysis))
+
+
+def describe_estimate(estimate: GsdEstimate) -> str:
+    """One sentence with the scale and whether to use it, and one for each warning."""
+    words = [_scale_in_words(estimate)]
+    frame = estimate.frame
+    if frame is not None and frame.gsd_m_per_px is not None:
+        words.append(f"In your {frame.width_px} x {frame.height_px} copy that is {rounded(frame.gsd_m_per_px)} m/px.")
+    return " ".join([*words, *warnings(estimate.warnings)])
+
+
+def _scale_in_words(estimate: GsdEstimate) -> str:
+    if estimate.gsd_m_per_px is None:
+        return "No vehicles found, confidence 0: no metric scale; use another anchor."
+    scale = f"{rounded(estimate.gsd_m_per_px)} m/px"
+    scale += interval(estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px)
+    scale += f", confidence {estimate.confidence:.2f} from {vehicles(estimate.n_vehicles)}: "
+    if estimate.status == "ok":
+        return scale + "safe to use."
+    return scale + f"do not rely on it ({scale_doubt(estimate)}); fall back to another anchor."

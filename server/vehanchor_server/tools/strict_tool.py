@@ -1,0 +1,99 @@
+"""A tool that takes no unknown argument, says what was wrong in one line with a code, and logs every call."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from itertools import groupby
+from typing import Any
+
+from mcp.server.mcpserver import Context
+from mcp.server.mcpserver.exceptions import ToolError, UnexpectedToolError
+from mcp.server.mcpserver.tools import Tool
+from mcp.types import CallToolResult, ToolAnnotations
+from pydantic import ValidationError
+
+from vehanchor_server.errors import CallError
+from vehanchor_server.request_log import log_call
+from vehanchor_server.tools.portable_schema import portable_schema
+
+__all__ = ["StrictTool"]
+
+_IN_WORDS = {  # pydantic's own words for these help a programmer, not a model
+    "extra_forbidden": "there is no such argument",
+    "missing": "it is required",
+    "model_attributes_type": 'give an object, such as {"kind": "path", "path": "/data/photo.jpg"} for an image',
+    "model_type": "give an object",
+    "union_tag_not_found": "kind is missing: it says where the image is, path, base64 or url",
+}
+_MAX_COMPLAINTS = 3  # one wrong argument often breaks several rules; a model needs the first
+
+
+class StrictTool(Tool):
+    """The SDK's tool, made strict."""
+
+    @classmethod
+    def read_only(
+        cls, function: Callable[..., Any], *, title: str, description: str, meta: dict[str, Any] | None = None
+    ) -> StrictTool:
+        """A tool that only looks: it changes nothing, and the same call gives the same answer.
+
+        Args:
+            function: named as the tool; its parameters and result are the contract, as for ``Tool.from_function``, and
+                become schemas that every host can read.
+            title: for people.
+            description: for planners; clients keep 2 KB of it.
+            meta: its ``_meta``.
+        """
+        annotations = ToolAnnotations(
+            title=title, read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False
+        )
+        tool = cls.from_function(function, title=title, description=description, annotations=annotations, meta=meta)
+        assert isinstance(tool, StrictTool)
+        arguments = tool.fn_metadata.arg_model
+        arguments.model_config["extra"] = "forbid"  # the SDK would drop unknown arguments without a word
+        arguments.model_rebuild(force=True)
+        tool.parameters = portable_schema(arguments.model_json_schema(by_alias=True))
+        if tool.fn_metadata.output_schema is not None:
+            tool.fn_metadata.output_schema = portable_schema(tool.fn_metadata.output_schema)
+        return tool
+
+    async def run(self, arguments: dict[str, Any], context: Context[Any, Any], convert_result: bool = False) -> Any:
+        """Run the tool.
+
+        Raises:
+            CallError: the call failed; ``internal_error`` is one that the SDK logs with its traceback.
+        """
+        started = time.perf_counter()
+        status, result = "cancelled", None
+        try:
+            result = await super().run(arguments, context, convert_result)
+            status = "ok"
+            return result
+        except ToolError as error:
+            cause = error.__cause__
+            if isinstance(cause, CallError):
+                status = cause.code
+                raise cause from cause.__cause__
+            if isinstance(cause, ValidationError):
+                status = "invalid_arguments"
+                raise CallError(status, _complaints(cause)) from cause
+            status = "internal_error"
+            raise UnexpectedToolError(
+                "internal_error: the server failed on this call; its log says why. Report it to the server's operator."
+            ) from cause
+        finally:
+            record = result.structured_content if isinstance(result, CallToolResult) else None
+            log_call(self.name, status, time.perf_counter() - started, record)
+
+
+def _complaints(error: ValidationError) -> str:
+    """The arguments' faults, without the values: an image in base64 is no help to anyone."""
+    found = error.errors(include_url=False, include_context=False, include_input=False)
+    lines = []
+    for complaint in found[:_MAX_COMPLAINTS]:
+        # pydantic names the chosen form of a union after the argument: image.path.path, target.box.box.x_min
+        place = ".".join(str(part) for part, _ in groupby(complaint["loc"])) or "arguments"
+        lines.append(f"{place}: {_IN_WORDS.get(complaint['type'], complaint['msg'])}")
+    more = f" (and {len(found) - _MAX_COMPLAINTS} more)" if len(found) > _MAX_COMPLAINTS else ""
+    return "; ".join(lines) + more + ". Correct the arguments by the tool's input schema."

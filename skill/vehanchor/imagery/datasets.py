@@ -1,0 +1,265 @@
+"""Images that are read by windows through rasterio: GeoTIFF and COG, and datasets that the caller has opened."""
+
+from __future__ import annotations
+
+import math
+import sys
+import warnings
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
+
+import numpy as np
+
+from vehanchor.errors import (
+    ImageDecodeError,
+    ImageFormatError,
+    ImageTooLargeError,
+    InvalidParameterError,
+    MissingExtraError,
+)
+from vehanchor.imagery.bands import check_dtype, choose_bands, merge_bands
+from vehanchor.imagery.georeference import dataset_gsd_m_per_px
+from vehanchor.imagery.limits import check_windowed_size
+from vehanchor.imagery.stretch import SAMPLE_PX
+from vehanchor.imagery.windows import Raster, StoredPixels, Window
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from vehanchor.imagery.bands import BandChoice
+    from vehanchor.imagery.header import ImageHeader
+    from vehanchor.options import ImageLimits
+
+__all__ = ["Dataset", "DatasetRaster", "is_dataset", "open_dataset", "open_tiff"]
+
+_SAMPLE_GRID = 8  # windows a side: 64 spots of 128 px make SAMPLE_PX
+_SHOWN_PHOTOMETRIC = (1, 2, 3, 6)  # grey from black, RGB, palette, YCbCr
+_INKS = frozenset({"cyan", "magenta", "yellow", "black"})
+
+
+class Dataset(Protocol):
+    """An image that rasterio has opened for reading: what ``rasterio.open`` gives, and a ``WarpedVRT``."""
+
+    @property
+    def width(self) -> int:
+        """Columns."""
+
+    @property
+    def height(self) -> int:
+        """Rows."""
+
+    @property
+    def dtypes(self) -> Any:
+        """Of each band."""
+
+    def read_masks(self, indexes: Any = None, /, *, window: Any = None) -> NDArray[Any]:
+        """255 where a band holds data."""
+
+
+def is_dataset(image: object) -> TypeGuard[Dataset]:
+    """Whether something was opened by rasterio; does not import it."""
+    rasterio_base = sys.modules.get("rasterio._base")  # the one base of all its datasets has no public name
+    return rasterio_base is not None and isinstance(image, rasterio_base.DatasetBase)
+
+
+def open_dataset(dataset: Any, bands: BandChoice, limits: ImageLimits) -> DatasetRaster:
+    """Read a dataset that the caller has opened, and will close.
+
+    Its pixels are shown as GDAL gives them: an orientation tag is not looked at.
+
+    Raises:
+        InvalidParameterError: it is closed or open for writing only, or has no such bands.
+        ImageTooLargeError: too many pixels in all, or in one block.
+        ImageFormatError: it cannot be measured.
+    """
+    if dataset.closed or dataset.mode not in ("r", "r+"):
+        state = "closed" if dataset.closed else f"open in mode {dataset.mode!r}"
+        raise InvalidParameterError(f"the rasterio dataset {dataset.name!r} is {state}: open it for reading")
+    check_windowed_size("dataset", dataset.width, dataset.height, limits)
+    _check_block(dataset, "dataset", limits)
+    inks = _INKS.intersection(each.name for each in dataset.colorinterp)
+    if inks:
+        raise ImageFormatError(f"the dataset's bands are {', '.join(sorted(inks))}: convert it to RGB")
+    return DatasetRaster(dataset, "dataset", bands)
+
+
+def open_tiff(
+    file: str | bytes, source: str, header: ImageHeader, bands: BandChoice, limits: ImageLimits
+) -> DatasetRaster:
+    """Open a TIFF, by absolute path or in memory; nothing beside it is looked at.
+
+    Args:
+        file: its path or its bytes.
+        source: what to call it.
+        header: what it says of itself.
+        bands: which bands are red, green and blue.
+        limits: what to refuse.
+
+    Raises:
+        MissingExtraError: rasterio is not installed.
+        InvalidParameterError: ``bands`` names one that is not there.
+        ImageDecodeError: it is damaged.
+        ImageTooLargeError: it is stored in blocks of too many pixels.
+        ImageFormatError: it cannot be measured.
+    """
+    rasterio = _import_rasterio(source)
+    layout = header.tiff
+    if layout is None or layout.photometric not in _SHOWN_PHOTOMETRIC:
+        raise ImageFormatError(
+            f"the TIFF ({source}) has photometric interpretation {layout and layout.photometric}, which is neither"
+            " grey (black is zero), RGB, palette nor YCbCr; convert it to RGB"
+        )
+    with ExitStack() as stack:
+        # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could change what the file says, a VRT could name any other file.
+        with (
+            _gdal(source, GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR", GDAL_PAM_ENABLED="NO"),
+            warnings.catch_warnings(),
+        ):
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+            if isinstance(file, bytes):
+                file = stack.enter_context(rasterio.MemoryFile(file)).name
+            dataset = stack.enter_context(rasterio.open(file, driver="GTiff", sharing=False, GEOREF_SOURCES="INTERNAL"))
+            if (dataset.width, dataset.height) != (header.width_px, header.height_px):
+                raise ImageDecodeError(f"the TIFF ({source}) declares two different sizes: damaged")
+            _check_block(dataset, "TIFF", limits)
+            # A geotransform speaks of the stored frame: such files are shown as stored.
+            orientation = 1 if layout.georeferenced else header.orientation
+            raster = DatasetRaster(dataset, source, bands, orientation=orientation)
+        raster.closes(stack.pop_all())
+    return raster
+
+
+def _import_rasterio(source: str) -> Any:
+    try:
+        import rasterio
+        import rasterio.enums
+        import rasterio.errors
+    except ImportError as error:
+        raise MissingExtraError(
+            f"the TIFF ({source}) is georeferenced, too large or of too many bands for OpenCV; reading it needs"
+            " rasterio: pip install 'vehanchor[geo]'"
+        ) from error
+    return rasterio
+
+
+@contextmanager
+def _gdal(source: str, **options: str) -> Iterator[None]:
+    """Run GDAL with these options, silent on stderr, its errors as ours."""
+    from rasterio import Env
+    from rasterio._err import CPLE_BaseError
+    from rasterio.errors import RasterioError
+
+    try:
+        with Env(**options):
+            yield
+    except (RasterioError, CPLE_BaseError, OSError) as error:  # rasterio 1.3: RasterioIOError is only an OSError
+        cause = error.__cause__ or error
+        raise ImageDecodeError(f"the image ({source}) cannot be decoded by GDAL: {cause}") from error
+
+
+def _check_block(dataset: Any, name: str, limits: ImageLimits) -> None:
+    """A window is decoded from whole blocks: one block must not be what the limits were to prevent."""
+    height, width = max(dataset.block_shapes)
+    per_block = dataset.count if dataset.profile.get("interleave") == "pixel" else 1
+    if height * width * per_block > 4 * limits.max_pixels:
+        raise ImageTooLargeError(
+            f"the {name} is stored in blocks of {width} x {height} px with {per_block} bands, too large to read by"
+            f" windows under the limit of {limits.max_pixels} pixels; store it tiled"
+        )
+
+
+class DatasetRaster(Raster):
+    """An image read through rasterio.
+
+    Args:
+        dataset: open for reading; closed with the raster only where ``closes`` says so.
+        source: what to call it.
+        bands: which bands are red, green and blue.
+        orientation: how the stored image is to be turned, as EXIF counts.
+
+    Raises:
+        InvalidParameterError: ``bands`` names one that is not there.
+        ImageDecodeError: it is damaged.
+        ImageFormatError: it cannot be measured.
+    """
+
+    def __init__(self, dataset: Any, source: str, bands: BandChoice, *, orientation: int = 1) -> None:
+        self._palette = _palette(dataset)
+        if self._palette is not None:
+            channels, notes = choose_bands(3, bands)
+            self._palette = self._palette[:, list(channels)]
+            self._indexes = [1, 1, 1]
+        else:
+            channels, notes = choose_bands(dataset.count, bands)
+            self._indexes = [channel + 1 for channel in channels]
+        super().__init__(
+            source,
+            dataset.width,
+            dataset.height,
+            orientation=orientation,
+            georeference_gsd_m_per_px=dataset_gsd_m_per_px(dataset),
+            notes=notes,
+        )
+        dtype = np.dtype(dataset.dtypes[self._indexes[0] - 1])
+        check_dtype(dtype)
+        self._dataset = dataset
+        self._unique = sorted(set(self._indexes))
+        flags = [{flag.name for flag in dataset.mask_flag_enums[index - 1]} for index in self._unique]
+        self._masked = any("all_valid" not in names for names in flags)
+        self._stack = ExitStack()
+        if dtype != np.uint8 and self._palette is None:
+            self._choose_stretch(self._sample())
+
+    def closes(self, stack: ExitStack) -> None:
+        """Hand over what is to be closed with the raster."""
+        self._stack = stack
+
+    def close(self) -> None:
+        """Close the file, if it is ours."""
+        self._stack.close()
+
+    def _read_stored(self, window: Window) -> StoredPixels:
+        bounds = (
+            (window.y_px, window.y_px + window.height_px),
+            (window.x_px, window.x_px + window.width_px),
+        )
+        with _gdal(self.source):
+            planes = dict(zip(self._unique, self._dataset.read(self._unique, window=bounds), strict=True))
+            masks = self._dataset.read_masks(self._unique, window=bounds) if self._masked else None
+        # With "nodata = 0" a band is without data wherever it is dark: only where all are is there no picture.
+        valid: NDArray[np.bool_] | None = None if masks is None else masks.any(axis=0)
+        if self._palette is not None:
+            return StoredPixels(self._palette[planes[1]], valid)
+        rgb = merge_bands([planes[index] for index in self._indexes])
+        if rgb.dtype.kind == "f":
+            finite = np.isfinite(rgb).all(axis=2)
+            valid = finite if valid is None else valid & finite
+            rgb[~valid] = 0
+        return StoredPixels(rgb, valid)
+
+    def _sample(self) -> NDArray[Any]:
+        """Values ``[n, 3]`` with data: all of a small raster, else a grid of windows, never the whole of a huge one."""
+        width, height = self._dataset.width, self._dataset.height
+        if width * height <= SAMPLE_PX:
+            windows = [Window(0, 0, width, height)]
+        else:
+            side = math.isqrt(SAMPLE_PX) // _SAMPLE_GRID
+            spots = np.linspace(0, 1, _SAMPLE_GRID)
+            w, h = min(side, width), min(side, height)
+            windows = [Window(int(x * (width - w)), int(y * (height - h)), w, h) for y in spots for x in spots]
+        parts = [self._read_stored(window) for window in windows]
+        return np.concatenate(
+            [part.rgb.reshape(-1, 3) if part.valid is None else part.rgb[part.valid] for part in parts]
+        )
+
+
+def _palette(dataset: Any) -> NDArray[np.uint8] | None:
+    """The colours of a palette image, ``[values, 3]``; None for all other images."""
+    if dataset.count != 1 or dataset.colorinterp[0].name != "palette":
+        return None
+    colours = np.zeros((1 << 16 if dataset.dtypes[0] == "uint16" else 1 << 8, 3), np.uint8)
+    for value, (red, green, blue, _) in dataset.colormap(1).items():
+        colours[value] = red, green, blue
+    return colours

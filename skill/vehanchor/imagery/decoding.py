@@ -1,0 +1,94 @@
+"""Decoding images whole, with OpenCV, after their headers have been read and checked."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from vehanchor.errors import ImageDecodeError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from vehanchor.imagery.header import ImageHeader, TiffLayout
+
+__all__ = ["decode", "decodes_tiff"]
+
+_SILENT = 0
+
+
+def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
+    """Decode an image: ``[h, w]`` or ``[h, w, 3 or 4]`` in BGR order, depth as stored.
+
+    OpenCV turns TIFFs by their orientation tag even when told to leave the image unchanged, and nothing else.
+
+    Args:
+        data: the encoded image.
+        source: what to call it.
+        header: what it says of itself.
+
+    Raises:
+        ImageDecodeError: it is truncated or damaged.
+    """
+    if not header.complete:
+        raise ImageDecodeError(f"the {header.format} ({source}) is truncated: its end mark is missing")
+    try:
+        with _QUIET_OPENCV.entered():
+            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise ImageDecodeError(f"the {header.format} ({source}) cannot be decoded: {error.err}") from error
+    # None is in no older OpenCV's type of the result, but in every one's behaviour.
+    if pixels is None or sorted(pixels.shape[:2]) != sorted((header.height_px, header.width_px)):
+        raise ImageDecodeError(f"the {header.format} ({source}) cannot be decoded: truncated or damaged")
+    return pixels
+
+
+def decodes_tiff(layout: TiffLayout) -> bool:
+    """Whether OpenCV decodes such a TIFF without loss or misreading."""
+    if layout.bands not in (1, 3, 4) or layout.planar:
+        return False
+    bits = set(layout.bits)
+    if layout.sample_format == 3:
+        return bits in ({32}, {64}) and layout.photometric in (1, 2)
+    white_is_zero = layout.photometric == 0 and bits in ({1}, {8})
+    return (
+        layout.sample_format == 1 and bits in ({1}, {8}, {16}) and (white_is_zero or layout.photometric in (1, 2, 3, 6))
+    )
+
+
+class _QuietOpenCV:
+    """Keeps OpenCV from writing to stderr about files that we report by an error of our own.
+
+    Its log level is one for the whole process, which is not ours alone: the first of several threads that decode at the
+    same time sets it and the last one sets it back, unless somebody else has set another meanwhile.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._n_inside = 0
+        self._before = _SILENT
+
+    @contextmanager
+    def entered(self) -> Iterator[None]:
+        """Be quiet until the last of all that have entered leaves."""
+        logging: Any = getattr(cv2.utils, "logging", cv2)  # OpenCV 5 moved the functions
+        with self._lock:
+            if self._n_inside == 0:
+                self._before = logging.setLogLevel(_SILENT)
+            self._n_inside += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._n_inside -= 1
+                if self._n_inside == 0 and logging.getLogLevel() == _SILENT:
+                    logging.setLogLevel(self._before)
+
+
+_QUIET_OPENCV = _QuietOpenCV()

@@ -1,0 +1,70 @@
+"""What is refused before anything is decoded: by its bytes, by the size that it declares."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from vehanchor.errors import ImageFormatError, ImageTooLargeError
+from vehanchor.imagery.header import ImageHeader, ReadAt, read_header
+
+if TYPE_CHECKING:
+    from vehanchor.options import ImageLimits
+
+__all__ = ["MIN_SIDE_PX", "check_bytes", "check_side", "check_windowed_size", "read_checked_header"]
+
+MIN_SIDE_PX = 16
+"""Smallest side of an image that can be measured: a car of 5 m is 17 px long at 0.3 m/px, the coarsest scale of use."""
+
+
+def check_bytes(n_bytes: int, limits: ImageLimits) -> None:
+    """Make sure that an encoded image may be held in memory.
+
+    Raises:
+        ImageTooLargeError: it may not.
+    """
+    if n_bytes > limits.max_bytes:
+        raise ImageTooLargeError(f"the image has {n_bytes} bytes, the limit is {limits.max_bytes}")
+
+
+def check_side(width_px: int, height_px: int, hint: str = "") -> None:
+    """Make sure that an image is large enough to be measured.
+
+    Raises:
+        ImageFormatError: it is not; ``hint`` is said, too.
+    """
+    if min(width_px, height_px) < MIN_SIDE_PX:
+        raise ImageFormatError(
+            f"the image is {width_px} x {height_px} px; at least {MIN_SIDE_PX} px a side are needed{hint}"
+        )
+
+
+def check_windowed_size(name: str, width_px: int, height_px: int, limits: ImageLimits) -> None:
+    """Make sure that an image may be read by windows, and is large enough to be measured.
+
+    Raises:
+        ImageTooLargeError: it declares too many pixels.
+        ImageFormatError: too few.
+    """
+    if width_px * height_px > limits.max_windowed_pixels:
+        raise ImageTooLargeError(
+            f"the {name} declares {width_px} x {height_px} px, the limit is {limits.max_windowed_pixels} pixels"
+        )
+    check_side(width_px, height_px)
+
+
+def read_checked_header(read_at: ReadAt, limits: ImageLimits) -> ImageHeader:
+    """Read what an image says of itself, and hold its declared size against the limits.
+
+    Raises:
+        ImageDecodeError: not an image of a known format, or its header is broken.
+        ImageTooLargeError: it declares too many pixels to be decoded whole, a TIFF to be read at all.
+        ImageFormatError: too few to be measured.
+    """
+    header = read_header(read_at)
+    if header.tiff is None and header.width_px * header.height_px > limits.max_pixels:
+        raise ImageTooLargeError(
+            f"the {header.format} declares {header.width_px} x {header.height_px} px, the limit is "
+            f"{limits.max_pixels} pixels; convert it to a tiled TIFF, which is read by windows"
+        )
+    check_windowed_size(header.format, header.width_px, header.height_px, limits)
+    return header

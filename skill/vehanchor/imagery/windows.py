@@ -1,0 +1,167 @@
+"""An image that is read by windows: 8-bit RGB of any part of it, turned upright, whatever it is stored as."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from vehanchor.errors import InvalidParameterError
+from vehanchor.imagery.stretch import STRETCH_PERCENTILES, UNIT_RANGE, Stretch, choose_stretch, to_uint8
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from numpy.typing import NDArray
+
+__all__ = ["Raster", "RasterNote", "StoredPixels", "Window", "oriented", "outer_sides", "stored_window"]
+
+# EXIF orientation -> (rows and columns swap, then flip up-down, flip left-right) that shows the stored image upright.
+_ORIENTATIONS = {
+    1: (False, False, False),
+    2: (False, False, True),
+    3: (False, True, True),
+    4: (False, True, False),
+    5: (True, False, False),
+    6: (True, False, True),
+    7: (True, True, True),
+    8: (True, True, False),
+}
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of pixels in the oriented frame; (x_px, y_px) is its top left pixel."""
+
+    x_px: int
+    y_px: int
+    width_px: int
+    height_px: int
+
+
+class RasterNote(NamedTuple):
+    """Something about the image that its user should know: ``bands_selected`` or ``pixels_stretched``."""
+
+    code: str
+    message: str
+
+
+class StoredPixels(NamedTuple):
+    """Pixels as stored: ``[h, w, 3]`` RGB of any of ``bands.DTYPES``, and which of them hold data (None: all)."""
+
+    rgb: NDArray[Any]
+    valid: NDArray[np.bool_] | None
+
+
+class Raster(ABC):
+    """An open image. Reads are safe from any thread, but from one at a time; close it, or use it as a context manager.
+
+    Attributes:
+        width_px: width of the oriented frame.
+        height_px: height of the oriented frame.
+        source: the path as given, or "bytes", "file", "array", "dataset".
+        georeference_gsd_m_per_px: the scale that the file itself carries, None without one.
+        warnings: what its user should know.
+    """
+
+    def __init__(
+        self,
+        source: str,
+        stored_width_px: int,
+        stored_height_px: int,
+        *,
+        orientation: int = 1,
+        georeference_gsd_m_per_px: float | None = None,
+        notes: tuple[RasterNote, ...] = (),
+    ) -> None:
+        swapped = _ORIENTATIONS[orientation][0]
+        self.width_px = stored_height_px if swapped else stored_width_px
+        self.height_px = stored_width_px if swapped else stored_height_px
+        self.source = source
+        self.georeference_gsd_m_per_px = georeference_gsd_m_per_px
+        self.warnings = notes
+        self._orientation = orientation
+        self._stretch: Stretch | None = None
+
+    def read(self, window: Window | None = None) -> NDArray[np.uint8]:
+        """Read a window, or everything: [h, w, 3] uint8 RGB, contiguous; pixels without data are black.
+
+        The result may be a read-only view of the caller's own array where nothing had to be converted.
+
+        Raises:
+            InvalidParameterError: the window is empty or not wholly inside.
+            ImageDecodeError: the file is damaged here (rasters read by windows).
+            ImageFormatError: the values here cannot be shown.
+        """
+        if window is None:
+            window = Window(0, 0, self.width_px, self.height_px)
+        elif not (
+            0 <= window.x_px < window.x_px + window.width_px <= self.width_px
+            and 0 <= window.y_px < window.y_px + window.height_px <= self.height_px
+        ):
+            raise InvalidParameterError(f"{window} is not inside the image of {self.width_px} x {self.height_px} px")
+        rgb, valid = self._read_stored(stored_window(window, self.width_px, self.height_px, self._orientation))
+        shown = to_uint8(rgb, self._stretch)
+        if valid is not None:
+            shown[~valid] = 0
+        return np.ascontiguousarray(oriented(shown, self._orientation))
+
+    def close(self) -> None:  # noqa: B027 - most rasters hold nothing to close
+        """Release the file."""
+
+    def __enter__(self) -> Raster:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @abstractmethod
+    def _read_stored(self, window: Window) -> StoredPixels:
+        """The pixels of a window of the stored frame."""
+
+    def _choose_stretch(self, sample: NDArray[Any]) -> None:
+        """Decide from stored values (any shape) how all of them are shown."""
+        self._stretch = choose_stretch(sample)
+        if self._stretch is not None and self._stretch != UNIT_RANGE:
+            low, high = self._stretch
+            message = (
+                f"{sample.dtype} values {low:g} to {high:g} (percentiles {STRETCH_PERCENTILES[0]:g} and"
+                f" {STRETCH_PERCENTILES[1]:g}) are shown as 0 to 255"
+            )
+            self.warnings = (*self.warnings, RasterNote("pixels_stretched", message))
+
+
+def oriented(stored: NDArray[np.uint8], orientation: int) -> NDArray[np.uint8]:
+    """Turn a stored image ``[h, w, 3]`` upright, as a view.
+
+    Args:
+        stored: the pixels as the file holds them.
+        orientation: as EXIF counts them, 1 to 8.
+    """
+    swap, up_down, left_right = _ORIENTATIONS[orientation]
+    turned = stored.swapaxes(0, 1) if swap else stored
+    return turned[:: -1 if up_down else 1, :: -1 if left_right else 1]
+
+
+def stored_window(window: Window, width_px: int, height_px: int, orientation: int) -> Window:
+    """Where a window of the oriented frame, ``width_px`` x ``height_px``, lies in the stored one."""
+    swap, up_down, left_right = _ORIENTATIONS[orientation]
+    x = width_px - window.x_px - window.width_px if left_right else window.x_px
+    y = height_px - window.y_px - window.height_px if up_down else window.y_px
+    if swap:
+        return Window(y, x, window.height_px, window.width_px)
+    return Window(x, y, window.width_px, window.height_px)
+
+
+def outer_sides(window: Window, width_px: int, height_px: int) -> tuple[bool, bool, bool, bool]:
+    """Which sides of a window, left, top, right and bottom, are those of its image, ``width_px`` x ``height_px``."""
+    return (
+        window.x_px == 0,
+        window.y_px == 0,
+        window.x_px + window.width_px == width_px,
+        window.y_px + window.height_px == height_px,
+    )

@@ -1,0 +1,100 @@
+"""Loaded models, kept for as long as their files stay what they were."""
+
+from __future__ import annotations
+
+import functools
+import os
+import threading
+from collections import OrderedDict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
+
+from vehanchor.models.files import external_locations
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["file_cached"]
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class _FileState(NamedTuple):
+    """What tells a file from the one that was there before."""
+
+    path: Path
+    size_bytes: int
+    mtime_ns: int
+    inode: int
+
+
+def file_cached(
+    max_models: int, *, beside: Callable[[Path], Path | None] | None = None
+) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Keep what a function loads from model files, until one of the files is another.
+
+    The files are told by absolute path, size, time and inode, those that keep a graph's weights included: a model that
+    was replaced is loaded anew, and a relative path after ``chdir`` is another file.
+
+    Args:
+        max_models: how many results are kept at most; the one unused for longest goes first.
+        beside: a model that is loaded along with one, where there is such: it counts, too.
+
+    Returns:
+        A decorator for a function whose positional arguments, and whose keyword arguments that are ``os.PathLike``, are
+        ONNX files; all its other arguments must be hashable. What it raises is not kept.
+    """
+
+    def decorate(load: Callable[P, T]) -> Callable[P, T]:
+        kept: OrderedDict[Any, tuple[tuple[_FileState, ...], T]] = OrderedDict()
+        lock = threading.Lock()
+
+        @functools.wraps(load)
+        def cached(*args: P.args, **kwargs: P.kwargs) -> T:
+            named = {name: value for name, value in kwargs.items() if isinstance(value, os.PathLike)}
+            # Links are not resolved: weights lie beside the name that was given, not beside what it points to.
+            files = tuple(Path(str(file)).absolute() for file in (*args, *named.values()))
+            key = files, tuple(named), frozenset((name, kwargs[name]) for name in kwargs if name not in named)
+            along = [other for file in files if beside is not None and (other := beside(file)) is not None]
+            states = tuple(state for file in (*files, *along) for state in _states(file))
+            with lock:
+                if key in kept and kept[key][0] == states:
+                    kept.move_to_end(key)
+                    return kept[key][1]
+            loaded = load(*args, **kwargs)  # without the lock: one slow model must not hold up the others
+            with lock:
+                kept[key] = states, loaded
+                kept.move_to_end(key)
+                while len(kept) > max_models:
+                    kept.popitem(last=False)
+            return loaded
+
+        return cached
+
+    return decorate
+
+
+def _states(file: Path) -> list[_FileState]:
+    """Of a model's file and of the files of its weights; what is missing has none."""
+    state = _state(file)
+    if state is None:
+        return []
+    beside = (_state(file.parent / location) for location in _locations(state))
+    return [state, *(weights for weights in beside if weights is not None)]
+
+
+def _state(file: Path) -> _FileState | None:
+    try:
+        found = file.stat()
+    except (OSError, ValueError):  # ValueError: a NUL in the name
+        return None
+    return _FileState(file, found.st_size, found.st_mtime_ns, found.st_ino)
+
+
+@functools.lru_cache(maxsize=32)
+def _locations(state: _FileState) -> tuple[str, ...]:
+    try:
+        return external_locations(state.path.read_bytes())
+    except OSError:  # a folder, say: loading will tell
+        return ()

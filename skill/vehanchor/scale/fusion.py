@@ -1,0 +1,177 @@
+"""Densities over the log of the ground sampling distance: what rulers say, multiplied into one posterior.
+
+All densities lie on one grid (``GRID``: steps of half a per cent from 3 mm to 3 m a pixel) and are kept as
+probabilities of its cells. A ruler that may be wrong altogether is mixed with a flat floor before it is multiplied, so
+that one liar cannot veto the others.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from vehanchor.scale.lengths import Interval
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "GRID",
+    "LOG_STEP",
+    "VoteShape",
+    "blurred",
+    "credible_interval",
+    "flat",
+    "floored",
+    "mass_within",
+    "product",
+    "vehicle_density",
+]
+
+LOG_STEP = 0.005
+_FINEST, _COARSEST = 0.003, 3.0  # metres per pixel
+GRID: NDArray[np.float64] = np.arange(np.log(_FINEST), np.log(_COARSEST), LOG_STEP)
+"""``[g]`` natural logs of metres per pixel."""
+
+_SHARE_LEVELS = 24  # votes are binned by their weight, so that the cost does not grow with the vehicles
+_KERNEL_REACH_SDS = 6.0
+_LEAST_SHARE, _MOST_SHARE = 1e-3, 0.995
+
+
+class VoteShape(NamedTuple):
+    """How one box votes.
+
+    Attributes:
+        log_sd: standard deviation of the log of a car's measured length: of the box and of makes and models together.
+        clutter_density: density of false alarms per unit of log length: over how wide a range they are spread.
+        trust: exponent on the votes together: boxes of one image err alike, so that n of them say less than n.
+    """
+
+    log_sd: float
+    clutter_density: float
+    trust: float
+
+
+def flat() -> NDArray[np.float64]:
+    """Return the density that says nothing: ``[g]`` equal probabilities."""
+    return np.full(len(GRID), 1.0 / len(GRID))
+
+
+def floored(density: NDArray[np.float64], chance_wrong: float) -> NDArray[np.float64]:
+    """Mix a density with the flat one.
+
+    Args:
+        density: ``[g]`` probabilities.
+        chance_wrong: 0..1, weight of the flat one.
+
+    Returns:
+        ``[g]`` probabilities.
+    """
+    return np.asarray((1.0 - chance_wrong) * density + chance_wrong / len(GRID))
+
+
+def blurred(density: NDArray[np.float64], log_sd: float) -> NDArray[np.float64]:
+    """Widen a density by an error that all of its votes share, such as that of the reference length.
+
+    Args:
+        density: ``[g]`` probabilities.
+        log_sd: standard deviation of the error's log.
+
+    Returns:
+        ``[g]`` probabilities.
+    """
+    if log_sd < LOG_STEP / 10:  # narrower than a cell
+        return density
+    reach = int(np.ceil(_KERNEL_REACH_SDS * log_sd / LOG_STEP))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * LOG_STEP / log_sd) ** 2)
+    return _normalised(np.maximum(np.convolve(density, kernel)[reach : reach + len(density)], 0.0))
+
+
+def product(*densities: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Multiply densities of independent rulers.
+
+    Args:
+        *densities: ``[g]`` probabilities each, none of them all zero where the others are not.
+
+    Returns:
+        ``[g]`` probabilities.
+    """
+    logs = np.sum([np.log(np.maximum(density, 1e-300)) for density in densities], axis=0)
+    return _normalised(np.exp(logs - logs.max()))
+
+
+def vehicle_density(
+    lengths_px: ArrayLike, car_shares: ArrayLike, reference_length_m: float, shape: VoteShape
+) -> NDArray[np.float64]:
+    """Let every box vote for the scale at which it would be a car, or for none where it is no car.
+
+    The likelihood of a scale g is the product over boxes of ``(1 - p) + p N(log length; log(L_ref / g), sd) / u``, with
+    p the chance that a box of its score is a car and u the density of clutter, to the power ``trust``. All levels of a
+    search are judged together. What the reference length itself may be off by is not in it (see ``blurred``).
+
+    Args:
+        lengths_px: ``[n]`` pixels of the full image.
+        car_shares: ``[n]`` chance that each is a car, 0..1.
+        reference_length_m: ``L_ref``.
+        shape: of a vote.
+
+    Returns:
+        ``[g]`` probabilities; the flat density for no boxes.
+    """
+    lengths = np.asarray(lengths_px, dtype=np.float64)
+    if len(lengths) == 0:
+        return flat()
+    votes = np.log(reference_length_m / lengths)
+    cells = np.rint((votes - GRID[0]) / LOG_STEP).astype(np.intp)
+    shares = np.clip(np.asarray(car_shares, dtype=np.float64), _LEAST_SHARE, _MOST_SHARE)
+    inside = (cells >= 0) & (cells < len(GRID))
+    level = np.minimum((shares * _SHARE_LEVELS).astype(np.intp), _SHARE_LEVELS - 1)
+    reach = int(np.ceil(_KERNEL_REACH_SDS * shape.log_sd / LOG_STEP))
+    offsets = np.arange(-reach, reach + 1) * LOG_STEP / shape.log_sd
+    normal = np.exp(-0.5 * offsets**2) / (shape.log_sd * np.sqrt(2 * np.pi))
+    total = np.zeros(len(GRID))
+    for step in np.unique(level[inside]):
+        chosen = inside & (level == step)
+        share = float(shares[chosen].mean())
+        gain = np.log1p(share / (1 - share) * normal / shape.clutter_density)  # over a scale at which it is no car
+        counts = np.bincount(cells[chosen], minlength=len(GRID)).astype(np.float64)
+        total += np.convolve(counts, gain)[reach : reach + len(GRID)]
+    return _normalised(np.exp(shape.trust * (total - total.max())))
+
+
+def credible_interval(density: NDArray[np.float64], probability: float = 0.95) -> Interval:
+    """Take the central interval of a density: equal shares are left out on both sides.
+
+    Args:
+        density: ``[g]`` probabilities.
+        probability: what lies inside.
+
+    Returns:
+        Metres per pixel, low and high.
+    """
+    below = np.cumsum(density)
+    tail = (1.0 - probability) / 2
+    low, high = np.interp([tail, 1.0 - tail], below, GRID + LOG_STEP / 2)
+    return Interval(float(np.exp(low)), float(np.exp(high)))
+
+
+def mass_within(density: NDArray[np.float64], gsd_m_per_px: float, tolerance: float) -> float:
+    """Sum the probability that a scale is right within a relative tolerance.
+
+    Args:
+        density: ``[g]`` probabilities of the true scale.
+        gsd_m_per_px: the scale that is given out.
+        tolerance: largest ``|given - true| / true``.
+
+    Returns:
+        In 0..1.
+    """
+    low, high = np.log(gsd_m_per_px / (1 + tolerance)), np.log(gsd_m_per_px / (1 - tolerance))
+    below = np.concatenate([[0.0], np.cumsum(density)])
+    edges = np.concatenate([GRID - LOG_STEP / 2, [GRID[-1] + LOG_STEP / 2]])
+    return float(np.interp(high, edges, below) - np.interp(low, edges, below))
+
+
+def _normalised(density: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(density / density.sum())

@@ -1,0 +1,252 @@
+"""What all promptable segmenters have in common: how they are fed, run and read."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from vehanchor.errors import ModelContractError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    import onnxruntime
+    from numpy.typing import NDArray
+
+    from vehanchor.segmentation.prompt import Prompt
+
+__all__ = ["DTYPES", "MEAN_RGB", "SAM_STRIDE_PX", "SD_RGB", "MaskLogits", "SamContract", "StretchedContract",
+           "cells_per_px", "corner_prompt", "fixed_side", "resized_side"]  # fmt: skip
+
+MEAN_RGB = np.array([123.675, 116.28, 103.53], dtype=np.float32)  # SAM's and ImageNet's, in 0..255
+SD_RGB = np.array([58.395, 57.12, 57.375], dtype=np.float32)
+SAM_STRIDE_PX = 16  # of the embedding
+DTYPES: dict[str, type[np.generic]] = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(double)": np.float64,
+    "tensor(int64)": np.int64,
+    "tensor(int32)": np.int32,
+    "tensor(uint8)": np.uint8,
+}
+_MASK_PER_EMBEDDING = 4  # SAM's mask prompt is four times finer than its embedding
+_TOP_LEFT, _BOTTOM_RIGHT = 2, 3  # labels beside 1, inside, and 0, outside
+_SINGLE_AND_MULTI = 4  # masks of a decoder that puts out the single mask and the three of an ambiguous prompt
+
+
+@dataclass(frozen=True, eq=False)
+class MaskLogits:
+    """The chosen mask as logits on a grid of its own.
+
+    Attributes:
+        logits: ``[gh, gw]`` float32, the object where > 0.
+        score: the model's own estimate of its IoU, 0..1.
+        cells_per_px: columns and rows of the grid per pixel of the crop, from the common top left corner.
+    """
+
+    logits: NDArray[np.float32]
+    score: float
+    cells_per_px: tuple[float, float]
+
+
+class SamContract(ABC):
+    """One kind of encoder and decoder; the subclasses know what it is fed and what comes back.
+
+    A pair of files keeps a contract where the encoder has its one input and no other, and both have at least the other
+    names that the class lists.
+
+    Attributes:
+        name: short, for the model's card.
+        described: for whoever brought a pair of files of no known kind.
+        encoder_inputs: all inputs of the encoder.
+        encoder_outputs: outputs that it must have.
+        decoder_inputs: inputs that the decoder must have.
+        decoder_outputs: outputs that it must have.
+        input_px: side of the model's input, pixels.
+
+    Args:
+        encoder: session of the image encoder.
+        decoder: session of the prompt encoder and mask decoder.
+        input_px: the model's input size where its metadata names one.
+
+    Raises:
+        ModelContractError: the size of the model's input cannot be found out, or cannot be used.
+    """
+
+    name: ClassVar[str]
+    described: ClassVar[str]
+    encoder_inputs: ClassVar[frozenset[str]]
+    encoder_outputs: ClassVar[frozenset[str]]
+    decoder_inputs: ClassVar[frozenset[str]]
+    decoder_outputs: ClassVar[frozenset[str]]
+
+    def __init__(
+        self, encoder: onnxruntime.InferenceSession, decoder: onnxruntime.InferenceSession, input_px: int | None
+    ) -> None:
+        self._encoder, self._decoder = encoder, decoder
+        self._image = encoder.get_inputs()[0]
+        self.input_px = input_px or self._found_input_px()
+        self._check_image_shape()
+
+    def _found_input_px(self) -> int:
+        """The side of the model's square input, from the shapes of its graphs."""
+        shape = self._image.shape
+        sides = [side for side in shape[-2:] if isinstance(side, int)] if len(shape) == 4 else []
+        if len(shape) == 3:
+            sides = [side for side in shape[:2] if isinstance(side, int)]
+        if sides:
+            return int(max(sides))
+        embedding, prior = self._embedding_side(), fixed_side(self._decoder.get_inputs(), "mask_input")
+        if embedding is not None and prior in (None, embedding * _MASK_PER_EMBEDDING):
+            return embedding * SAM_STRIDE_PX
+        if embedding is None and prior is not None:
+            return prior * SAM_STRIDE_PX // _MASK_PER_EMBEDDING
+        raise ModelContractError(
+            f"the encoder's input {self._image.name!r} has shape {shape}, its embedding side {embedding} and the mask "
+            f"prompt side {prior}: the input's size cannot be told. Export with fixed shapes, or write the metadata "
+            "vehanchor.input_size_px"
+        )
+
+    def _embedding_side(self) -> int | None:
+        """Side of the coarsest embedding, from the encoder's or the decoder's declaration."""
+        name = "image_embeddings"
+        return fixed_side(self._encoder.get_outputs(), name) or fixed_side(self._decoder.get_inputs(), name)
+
+    def _check_image_shape(self) -> None:
+        shape = self._image.shape
+        fixed = [side for side in shape[-2:] if isinstance(side, int)]
+        if len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != 3):
+            raise ModelContractError(f"the encoder's input {self._image.name!r} has shape {shape}: not [b, 3, h, w]")
+        if any(side != self.input_px for side in fixed):
+            raise ModelContractError(
+                f"the encoder's input {self._image.name!r} has shape {shape}, but the input size is {self.input_px} "
+                "px: only square inputs can be used"
+            )
+
+    @abstractmethod
+    def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
+        """Width and height that a crop of this size is resized to before ``segment``."""
+
+    @abstractmethod
+    def segment(
+        self,
+        image: NDArray[np.uint8],
+        prompt: Prompt,
+        crop_size: tuple[int, int],
+        run_options: onnxruntime.RunOptions | None = None,
+    ) -> MaskLogits:
+        """Encode an image and decode one prompt.
+
+        Args:
+            image: ``[h, w, 3]`` uint8 RGB, the crop resized to ``input_size``.
+            prompt: in pixels of the crop.
+            crop_size: width and height of the crop, pixels.
+            run_options: ONNX Runtime's.
+
+        Returns:
+            The mask.
+
+        Raises:
+            PromptError: a prompt that this model cannot read.
+            ModelContractError: the model runs, but what it puts out is no mask.
+        """
+
+    def _run(
+        self,
+        session: onnxruntime.InferenceSession,
+        feeds: Mapping[str, NDArray[Any]],
+        run_options: onnxruntime.RunOptions | None,
+    ) -> dict[str, NDArray[Any]]:
+        """Run with what the graph asks for, in its types; outputs by name."""
+        asked = {item.name: feeds[item.name].astype(DTYPES[item.type]) for item in session.get_inputs()}
+        names = [output.name for output in session.get_outputs()]
+        try:
+            results = session.run(names, asked, run_options)
+        except Exception as error:  # ONNX Runtime's own exception types are private
+            if run_options is not None and run_options.terminate:
+                raise
+            shapes = ", ".join(f"{name} {list(value.shape)}" for name, value in asked.items())
+            raise ModelContractError(f"the {self.name} segmenter fails on {shapes}: {error}") from None
+        return dict(zip(names, (np.asarray(result) for result in results), strict=True))
+
+    def _no_mask_prompt(self) -> dict[str, NDArray[Any]]:
+        """The inputs of a mask prompt, saying that there is none."""
+        shapes = {item.name: item.shape for item in self._decoder.get_inputs()}
+        fallback = self.input_px * _MASK_PER_EMBEDDING // SAM_STRIDE_PX
+        sides = [side if isinstance(side, int) else fallback for side in shapes.get("mask_input", [])[2:]]
+        return {
+            "mask_input": np.zeros((1, 1, *(sides or [fallback] * 2)), np.float32),
+            "has_mask_input": np.zeros(1, np.float32),
+        }
+
+    def _chosen(self, masks: NDArray[Any], scores: NDArray[Any], prompt: Prompt) -> tuple[NDArray[np.float32], float]:
+        """One of ``[m, gh, gw]`` masks by the package's rule, and its score."""
+        grids = masks.reshape(-1, *masks.shape[-2:])
+        flat = np.nan_to_num(scores.reshape(-1).astype(np.float64), nan=0.0)
+        if len(grids) != len(flat) or len(grids) == 0 or min(grids.shape[1:]) < 1:
+            raise ModelContractError(
+                f"the decoder put out masks of shape {list(masks.shape)} and scores of shape {list(scores.shape)}: "
+                "expected one score a mask"
+            )
+        index = int(np.argmax(flat))
+        if len(flat) == _SINGLE_AND_MULTI:
+            index = 0 if prompt.unambiguous else 1 + int(np.argmax(flat[1:]))
+        return grids[index].astype(np.float32), float(np.clip(flat[index], 0.0, 1.0))
+
+
+class StretchedContract(SamContract):
+    """Models whose square input the crop is stretched to."""
+
+    def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
+        """The square, whatever the crop's shape."""
+        del width_px, height_px
+        return self.input_px, self.input_px
+
+    def _scale(self, crop_size: tuple[int, int]) -> tuple[float, float]:
+        return self.input_px / crop_size[0], self.input_px / crop_size[1]
+
+    def _covering(self, grid: NDArray[np.float32], score: float, crop_size: tuple[int, int]) -> MaskLogits:
+        square = self.input_px, self.input_px
+        return MaskLogits(grid, score, cells_per_px(grid, square, self._scale(crop_size)))
+
+
+def resized_side(side_px: int, scale: float) -> int:
+    """A side after scaling, rounded half up as SAM does, at least one pixel."""
+    return max(1, int(side_px * scale + 0.5))
+
+
+def fixed_side(items: Sequence[Any], name: str) -> int | None:
+    """The last side of an input or output, where it is fixed."""
+    for item in items:
+        if item.name == name and len(item.shape) == 4 and isinstance(item.shape[-1], int):
+            return int(item.shape[-1])
+    return None
+
+
+def cells_per_px(
+    grid: NDArray[np.float32], covered: tuple[int, int], scale: tuple[float, float]
+) -> tuple[float, float]:
+    """Cells of a grid that covers so many input pixels, per pixel of the crop."""
+    rows, columns = grid.shape
+    return columns / covered[0] * scale[0], rows / covered[1] * scale[1]
+
+
+def corner_prompt(
+    prompt: Prompt, scale: tuple[float, float], *, shift: float | tuple[float, float]
+) -> tuple[list[tuple[float, float]], list[int]]:
+    """Points and labels as SAM takes them, in input pixels less ``shift``: a box's corners first, labelled 2 and 3."""
+    across, down = shift if isinstance(shift, tuple) else (shift, shift)
+
+    def place(x: float, y: float) -> tuple[float, float]:
+        return x * scale[0] - across, y * scale[1] - down
+
+    coords, labels = [], []
+    if prompt.box is not None:
+        x1, y1, x2, y2 = prompt.box
+        coords, labels = [place(x1, y1), place(x2, y2)], [_TOP_LEFT, _BOTTOM_RIGHT]
+    coords += [place(x, y) for x, y, _ in prompt.points]
+    labels += [int(include) for _, _, include in prompt.points]
+    return coords, labels

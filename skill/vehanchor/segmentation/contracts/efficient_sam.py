@@ -1,0 +1,95 @@
+"""EfficientSAM's own export: it resizes in its graph, from any size.
+
+* Encoder: ``batched_images`` ``[b, 3, h, w]`` 0..1.
+* Decoder: ``image_embeddings, batched_point_coords, batched_point_labels, orig_im_size`` -> ``output_masks,
+  iou_predictions``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.errors import ModelContractError, PromptError
+from vehanchor.segmentation.contracts.base import (
+    SAM_STRIDE_PX,
+    MaskLogits,
+    SamContract,
+    cells_per_px,
+    corner_prompt,
+    resized_side,
+)
+
+if TYPE_CHECKING:
+    import onnxruntime
+    from numpy.typing import NDArray
+
+    from vehanchor.segmentation.prompt import Prompt
+
+__all__ = ["EfficientSam"]
+
+_MAX_POINTS = 6  # more are dropped without a word in its graph
+_INPUT_PX = 1024
+
+
+class EfficientSam(SamContract):
+    """EfficientSAM."""
+
+    name = "efficient_sam"
+    described = "EfficientSAM"
+    encoder_inputs = frozenset({"batched_images"})
+    encoder_outputs = frozenset({"image_embeddings"})
+    decoder_inputs = frozenset({"image_embeddings", "batched_point_coords", "batched_point_labels", "orig_im_size"})
+    decoder_outputs = frozenset({"output_masks", "iou_predictions"})
+
+    def _found_input_px(self) -> int:
+        side = self._embedding_side()
+        return _INPUT_PX if side is None else side * SAM_STRIDE_PX
+
+    def _check_image_shape(self) -> None:
+        if len(self._image.shape) != 4:
+            raise ModelContractError(
+                f"the encoder's input {self._image.name!r} has shape {self._image.shape}: not [b, 3, h, w]"
+            )
+
+    def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
+        """The crop reduced to the model's input, but never enlarged."""
+        height, width = self._image.shape[2:]
+        if isinstance(height, int) and isinstance(width, int):
+            return width, height
+        scale = min(1.0, self.input_px / max(width_px, height_px))  # enlarging is left to its graph
+        return resized_side(width_px, scale), resized_side(height_px, scale)
+
+    def segment(
+        self,
+        image: NDArray[np.uint8],
+        prompt: Prompt,
+        crop_size: tuple[int, int],
+        run_options: onnxruntime.RunOptions | None = None,
+    ) -> MaskLogits:
+        """Encode and decode; see ``SamContract.segment``. Points outside the object are refused, and more than six."""
+        if not all(include for _, _, include in prompt.points):
+            raise PromptError("EfficientSAM knows no points outside the object: leave them out, or use another model")
+        if len(prompt.points) > _MAX_POINTS:
+            raise PromptError(f"EfficientSAM reads {_MAX_POINTS} points at most, got {len(prompt.points)}")
+        height, width = image.shape[:2]
+        scale = width / crop_size[0], height / crop_size[1]
+        # Its half pixel is one of its own input, added after it has scaled the coordinates to it.
+        half = 0.5 / self.input_px
+        coords, labels = corner_prompt(prompt, scale, shift=(half * width, half * height))
+        encoded = self._run(
+            self._encoder, {"batched_images": image.astype(np.float32).transpose(2, 0, 1)[None] / 255.0}, run_options
+        )
+        outputs = self._run(
+            self._decoder,
+            {
+                "image_embeddings": encoded["image_embeddings"],
+                "batched_point_coords": np.array(coords, np.float32).reshape(1, 1, -1, 2),
+                "batched_point_labels": np.array(labels, np.float32).reshape(1, 1, -1),
+                "orig_im_size": np.array([height, width], np.int64),
+            },
+            run_options,
+        )
+        grid, score = self._chosen(outputs["output_masks"], outputs["iou_predictions"], prompt)
+        return MaskLogits(grid, score, cells_per_px(grid, (width, height), scale))

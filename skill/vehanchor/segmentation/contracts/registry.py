@@ -1,0 +1,67 @@
+"""The contracts that are known, and how a pair of files is told to keep one of them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from vehanchor.errors import ModelContractError
+from vehanchor.segmentation.contracts.base import DTYPES
+from vehanchor.segmentation.contracts.efficient_sam import EfficientSam
+from vehanchor.segmentation.contracts.sam import Sam
+from vehanchor.segmentation.contracts.sam2 import Sam2
+from vehanchor.segmentation.contracts.transformers import Transformers
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import onnxruntime
+
+    from vehanchor.segmentation.contracts.base import SamContract
+
+__all__ = ["CONTRACTS", "recognise_contract"]
+
+CONTRACTS: tuple[type[SamContract], ...] = (Sam, Sam2, Transformers, EfficientSam)
+"""Every contract; a new one is one file and one place here."""
+
+_OPTIONAL_INPUTS = frozenset({"mask_input", "has_mask_input", "orig_im_size"})  # of decoders: these can be given
+
+
+def recognise_contract(
+    encoder: onnxruntime.InferenceSession, decoder: onnxruntime.InferenceSession, input_px: int | None = None
+) -> SamContract:
+    """The contract that an encoder and a decoder keep, told by the names of their inputs and outputs.
+
+    Args:
+        encoder: session of the image encoder.
+        decoder: session of the mask decoder.
+        input_px: side of the model's input where its metadata names one.
+
+    Returns:
+        The contract, ready to run.
+
+    Raises:
+        ModelContractError: the pair is none of the package's; or its shapes do not fit.
+    """
+    found = [_names(names()) for names in (encoder.get_inputs, encoder.get_outputs)]
+    found += [_names(names()) for names in (decoder.get_inputs, decoder.get_outputs)]
+    for kind in CONTRACTS:
+        wanted = kind.encoder_inputs, kind.encoder_outputs, kind.decoder_inputs, kind.decoder_outputs
+        # What a decoder asks for beyond must be what we can give.
+        if found[0] == wanted[0] and all(names <= have for names, have in zip(wanted[1:], found[1:], strict=True)):
+            extra = found[2] - wanted[2] - _OPTIONAL_INPUTS
+            types = {item.type for session in (encoder, decoder) for item in session.get_inputs()}
+            if not extra and types <= DTYPES.keys():
+                return kind(encoder, decoder, input_px)
+    swapped = " (are encoder and decoder swapped?)" if found[2] in [kind.encoder_inputs for kind in CONTRACTS] else ""
+    listed = "; ".join(
+        f"{what} {', '.join(sorted(names)) or 'nothing'}"
+        for what, names in zip(("encoder in:", "encoder out:", "decoder in:", "decoder out:"), found, strict=True)
+    )
+    *kinds, last = (kind.described for kind in CONTRACTS)
+    raise ModelContractError(
+        f"not a promptable segmenter of a known kind{swapped}: {listed}. Expected {', '.join(kinds)}, or {last}"
+    )
+
+
+def _names(items: Sequence[Any]) -> frozenset[str]:
+    return frozenset(item.name for item in items)

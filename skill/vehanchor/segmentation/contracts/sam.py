@@ -1,0 +1,103 @@
+"""SAM and MobileSAM: Meta's export of the decoder, samexporter's of the encoder; and the bundled model.
+
+* Encoder: ``input_image`` ``[h, w, 3]`` RGB 0..255, or ``[1, 3, s, s]`` normalised; long side s, padded right and
+  below.
+* Decoder: ``image_embeddings, point_coords, point_labels, mask_input, has_mask_input, orig_im_size`` -> ``masks,
+  iou_predictions, low_res_masks``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.segmentation.contracts.base import (
+    MEAN_RGB,
+    SD_RGB,
+    MaskLogits,
+    SamContract,
+    cells_per_px,
+    corner_prompt,
+    resized_side,
+)
+
+if TYPE_CHECKING:
+    import onnxruntime
+    from numpy.typing import NDArray
+
+    from vehanchor.segmentation.prompt import Prompt
+
+__all__ = ["Sam"]
+
+_PADDING = -1  # label of a point that says nothing
+
+
+class Sam(SamContract):
+    """SAM and MobileSAM."""
+
+    name = "sam"
+    described = "SAM or MobileSAM (Meta's or samexporter's export)"
+    encoder_inputs = frozenset({"input_image"})
+    encoder_outputs = frozenset({"image_embeddings"})
+    decoder_inputs = frozenset({"image_embeddings", "point_coords", "point_labels"})
+    decoder_outputs = frozenset({"masks", "iou_predictions"})
+
+    def _check_image_shape(self) -> None:
+        shape = self._image.shape
+        if len(shape) == 3 and (shape[2] == 3 or not isinstance(shape[2], int)):
+            return
+        super()._check_image_shape()
+
+    def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
+        """The crop's shape, its long side that of the model's input."""
+        scale = self.input_px / max(width_px, height_px)
+        return resized_side(width_px, scale), resized_side(height_px, scale)
+
+    def segment(
+        self,
+        image: NDArray[np.uint8],
+        prompt: Prompt,
+        crop_size: tuple[int, int],
+        run_options: onnxruntime.RunOptions | None = None,
+    ) -> MaskLogits:
+        """Encode and decode with SAM's padding point; see ``SamContract.segment``."""
+        height, width = image.shape[:2]
+        scale = width / crop_size[0], height / crop_size[1]
+        coords, labels = corner_prompt(prompt, scale, shift=0.5)
+        coords, labels = [*coords, (0.0, 0.0)], [*labels, _PADDING]
+        encoded = self._run(self._encoder, {"input_image": self._prepared(image)}, run_options)
+        outputs = self._run(
+            self._decoder,
+            {
+                "image_embeddings": encoded["image_embeddings"],
+                "point_coords": np.array([coords], np.float32),
+                "point_labels": np.array([labels], np.float32),
+                "orig_im_size": np.array([height, width], np.float32),
+                **self._no_mask_prompt(),
+            },
+            run_options,
+        )
+        masks, covered = outputs["masks"], (width, height)
+        coarse = outputs.get("low_res_masks")
+        if coarse is not None and coarse.ndim == 4:  # exports with extra metrics give other things that name
+            # Exact, small, and free of the landscape shape that some traced exports freeze into "masks".
+            masks, covered = coarse, (self.input_px, self.input_px)
+        grid, score = self._chosen(masks, outputs["iou_predictions"], prompt)
+        return MaskLogits(grid, score, cells_per_px(grid, covered, scale))
+
+    def _prepared(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """What the encoder is fed: the picture alone where it pads by itself, else padded with what it takes as 0."""
+        height, width = image.shape[:2]
+        pixels = image.astype(np.float32)
+        below, right = self.input_px - height, self.input_px - width
+        if len(self._image.shape) == 3:
+            sides = self._image.shape[:2]
+            pads = [extra if isinstance(side, int) else 0 for side, extra in zip(sides, (below, right), strict=True)]
+            padded = np.empty((height + pads[0], width + pads[1], 3), np.float32)
+            padded[:] = MEAN_RGB
+            padded[:height, :width] = pixels
+            return padded
+        normal = np.zeros((1, 3, self.input_px, self.input_px), np.float32)
+        normal[0, :, :height, :width] = ((pixels - MEAN_RGB) / SD_RGB).transpose(2, 0, 1)
+        return normal

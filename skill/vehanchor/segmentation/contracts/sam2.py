@@ -1,0 +1,67 @@
+"""SAM 2 and 2.1 as samexporter writes them.
+
+* Encoder: ``image`` ``[1, 3, s, s]``, normalised, stretched to the square.
+* Decoder: ``image_embed, high_res_feats_0, high_res_feats_1`` and SAM's other inputs -> ``masks, iou_predictions``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.segmentation.contracts.base import (
+    MEAN_RGB,
+    SD_RGB,
+    MaskLogits,
+    StretchedContract,
+    corner_prompt,
+    fixed_side,
+)
+
+if TYPE_CHECKING:
+    import onnxruntime
+    from numpy.typing import NDArray
+
+    from vehanchor.segmentation.prompt import Prompt
+
+__all__ = ["Sam2"]
+
+
+class Sam2(StretchedContract):
+    """SAM 2 and 2.1."""
+
+    name = "sam2"
+    described = "SAM 2 (samexporter's)"
+    encoder_inputs = frozenset({"image"})
+    encoder_outputs = frozenset({"image_embed", "high_res_feats_0", "high_res_feats_1"})
+    decoder_inputs = frozenset({"image_embed", "high_res_feats_0", "high_res_feats_1", "point_coords", "point_labels"})
+    decoder_outputs = frozenset({"masks", "iou_predictions"})
+
+    def _embedding_side(self) -> int | None:
+        name = "image_embed"
+        return fixed_side(self._encoder.get_outputs(), name) or fixed_side(self._decoder.get_inputs(), name)
+
+    def segment(
+        self,
+        image: NDArray[np.uint8],
+        prompt: Prompt,
+        crop_size: tuple[int, int],
+        run_options: onnxruntime.RunOptions | None = None,
+    ) -> MaskLogits:
+        """Encode and decode; see ``SamContract.segment``."""
+        coords, labels = corner_prompt(prompt, self._scale(crop_size), shift=0.5)  # this graph pads by itself
+        pixels = ((image.astype(np.float32) - MEAN_RGB) / SD_RGB).transpose(2, 0, 1)[None]
+        encoded = self._run(self._encoder, {"image": pixels}, run_options)
+        outputs = self._run(
+            self._decoder,
+            {
+                **encoded,
+                "point_coords": np.array([coords], np.float32),
+                "point_labels": np.array([labels], np.float32),
+                "orig_im_size": np.array([self.input_px, self.input_px], np.float32),
+                **self._no_mask_prompt(),
+            },
+            run_options,
+        )
+        return self._covering(*self._chosen(outputs["masks"], outputs["iou_predictions"], prompt), crop_size)

@@ -1,0 +1,114 @@
+"""The part of the image that a model sees: where it lies, how it is read, and how a mask is put back into it."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from vehanchor.imagery.windows import Window
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.imagery.windows import Raster
+    from vehanchor.segmentation.contracts import MaskLogits
+    from vehanchor.segmentation.prompt import Prompt
+
+__all__ = ["crop_side", "crop_window", "place_mask", "read_resized"]
+
+_BOX_CONTEXT = 2.0  # side of the crop over the box's longer side
+_MIN_CROP_PX = 256
+_POINT_CROP_PX = 512  # where points alone say nothing about the object's size
+_ROWS_A_STRIP = 1024
+
+
+def crop_side(prompt: Prompt) -> int:
+    """The first side of a prompt's crop to try, pixels."""
+    x1, y1, x2, y2 = prompt.extent
+    least = _POINT_CROP_PX if prompt.box is None else _MIN_CROP_PX
+    return max(least, math.ceil(_BOX_CONTEXT * max(x2 - x1, y2 - y1)))
+
+
+def crop_window(prompt: Prompt, image_width_px: int, image_height_px: int, side_px: int) -> Window:
+    """The square around a prompt, pushed back into the image where it reaches over, and no larger than it.
+
+    Args:
+        prompt: in pixels of the image.
+        image_width_px: width of the image.
+        image_height_px: its height.
+        side_px: of the square.
+
+    Returns:
+        A window of the image.
+    """
+    x1, y1, x2, y2 = prompt.extent
+    width, height = min(side_px, image_width_px), min(side_px, image_height_px)
+    left = math.floor((x1 + x2 - width) / 2 + 0.5)
+    top = math.floor((y1 + y2 - height) / 2 + 0.5)
+    return Window(min(max(left, 0), image_width_px - width), min(max(top, 0), image_height_px - height), width, height)
+
+
+def read_resized(raster: Raster, window: Window, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Read a window at another size, in strips: each side averaged where it shrinks, interpolated where it grows.
+
+    Args:
+        raster: the image.
+        window: of the image.
+        size: width and height of the result.
+
+    Returns:
+        ``[h, w, 3]`` uint8 RGB.
+    """
+    width, height = size
+    if window.height_px <= _ROWS_A_STRIP:
+        narrow = _resized(raster.read(window), width, window.height_px)
+    else:
+        narrow = np.empty((window.height_px, width, 3), np.uint8)
+        for top in range(0, window.height_px, _ROWS_A_STRIP):
+            rows = min(_ROWS_A_STRIP, window.height_px - top)
+            strip = raster.read(Window(window.x_px, window.y_px + top, window.width_px, rows))
+            narrow[top : top + rows] = _resized(strip, width, rows)
+    return _resized(narrow, width, height)
+
+
+def place_mask(found: MaskLogits, width_px: int, height_px: int) -> NDArray[np.bool_]:
+    """The mask of a crop: logits between the grid's cells by bilinear interpolation, the object where they are > 0.
+
+    Args:
+        found: logits on the model's grid.
+        width_px: width of the crop.
+        height_px: its height.
+
+    Returns:
+        ``[h, w]`` bool.
+    """
+    grid = found.logits
+    left, right, across = _between(width_px, found.cells_per_px[0], grid.shape[1])
+    above, below, down = _between(height_px, found.cells_per_px[1], grid.shape[0])
+    mask = np.empty((height_px, width_px), dtype=bool)
+    for top in range(0, height_px, _ROWS_A_STRIP):  # never the whole crop as floats
+        part = slice(top, min(height_px, top + _ROWS_A_STRIP))
+        share = down[part, None]
+        lines = grid[above[part]] * (1 - share) + grid[below[part]] * share
+        mask[part] = lines[:, left] * (1 - across) + lines[:, right] * across > 0
+    return mask
+
+
+def _between(
+    side_px: int, cells_per_px: float, n_cells: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
+    """For every pixel's centre the cells whose centres lie before and behind it, and how far it is on the way."""
+    at = np.clip((np.arange(side_px) + 0.5) * cells_per_px - 0.5, 0, n_cells - 1)
+    before = at.astype(np.intp)
+    return before, np.minimum(before + 1, n_cells - 1), (at - before).astype(np.float32)
+
+
+def _resized(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    if (height, width) == image.shape[:2]:
+        return image
+    shrinks = width < image.shape[1] or height < image.shape[0]
+    method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return cv2.resize(image, (width, height), interpolation=method).astype(np.uint8, copy=False)

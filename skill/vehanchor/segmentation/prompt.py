@@ -1,0 +1,145 @@
+"""What to segment, as the caller says it: a box or points, in pixels, the first pixel spanning 0 to 1."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+from vehanchor.errors import PromptError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from vehanchor.options import Frame
+
+__all__ = ["MIN_BOX_PX", "Box", "Point", "Prompt", "prompt_in_image", "read_prompt"]
+
+Box: TypeAlias = tuple[float, float, float, float]
+"""x1, y1, x2, y2."""
+
+Point: TypeAlias = tuple[float, float] | tuple[float, float, bool]
+"""x, y and, optionally, whether the point is on the object (the default) or beside it."""
+
+MIN_BOX_PX = 2.0
+"""Smallest side of a box, pixels of the full image."""
+
+_CUT_EDGE_PX = 1.0  # the frame's rounding: a prompt may be this far (in its pixels) outside
+
+
+@dataclass(frozen=True)
+class Prompt:
+    """What to segment: a box or points, in pixels; the first pixel spans 0 to 1.
+
+    Attributes:
+        box: x1, y1, x2, y2.
+        points: x, y, and whether the point is on the object.
+    """
+
+    box: Box | None = None
+    points: tuple[tuple[float, float, bool], ...] = ()
+
+    @property
+    def extent(self) -> Box:
+        """The box, or the smallest one around the points: x1, y1, x2, y2."""
+        if self.box is not None:
+            return self.box
+        xs, ys = [x for x, _, _ in self.points], [y for _, y, _ in self.points]
+        return min(xs), min(ys), max(xs), max(ys)
+
+    @property
+    def unambiguous(self) -> bool:
+        """Whether it tells a whole from its parts: a box, or more than one point."""
+        return self.box is not None or len(self.points) > 1
+
+    def moved(self, dx: float, dy: float) -> Prompt:
+        """The same prompt seen from another origin."""
+        box = self.box and (self.box[0] + dx, self.box[1] + dy, self.box[2] + dx, self.box[3] + dy)
+        return Prompt(box, tuple((x + dx, y + dy, include) for x, y, include in self.points))
+
+
+def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
+    """One prompt as the caller gave it, checked for itself.
+
+    Args:
+        box: around the object; either this or points.
+        points: one on the object at least.
+
+    Raises:
+        PromptError: neither or both, or what names nothing in any image.
+    """
+    if (box is None) == (not points):
+        found = "neither is given" if box is None else "both are given"
+        raise PromptError(f"give a box or points, one of the two: {found}")
+    if box is not None:
+        corners = tuple(_coordinate(value, "box") for value in box)
+        if len(corners) != 4:
+            raise PromptError(f"box has {len(corners)} numbers: use x1, y1, x2, y2")
+        x1, y1, x2, y2 = corners
+        if x2 <= x1 or y2 <= y1:
+            raise PromptError(f"box is {_numbers(corners)}: x1 < x2 and y1 < y2 are needed, it is reversed or empty")
+        return Prompt(box=(x1, y1, x2, y2))
+    read = []
+    for point in points or ():
+        if len(point) not in (2, 3):
+            raise PromptError(f"a point has {len(point)} parts: use x, y and whether it is on the object")
+        include = point[2] if len(point) == 3 else True
+        read.append((_coordinate(point[0], "point"), _coordinate(point[1], "point"), bool(include)))
+    if not any(include for _, _, include in read):
+        raise PromptError("no point is on the object: give at least one that is")
+    return Prompt(points=tuple(read))
+
+
+def prompt_in_image(given: Prompt, frame: Frame, width_px: int, height_px: int) -> Prompt:
+    """The prompt in pixels of the full image, checked against it.
+
+    What is outside by less than a pixel of the frame, as rounding can bring about, is pulled in.
+
+    Args:
+        given: in pixels of the frame; of the image where no frame is named.
+        frame: the caller's resized copy.
+        width_px: of the full image.
+        height_px: of the full image.
+
+    Raises:
+        PromptError: it is outside, or the box is too small.
+    """
+    frame_width, frame_height = frame.size or (width_px, height_px)
+    across, down = width_px / frame_width, height_px / frame_height
+    size = f"{frame_width} x {frame_height} px {'frame' if frame.size else 'image'}"
+
+    def inside(x: float, y: float) -> bool:
+        return all(-_CUT_EDGE_PX < at < side + _CUT_EDGE_PX for at, side in ((x, frame_width), (y, frame_height)))
+
+    def scaled(x: float, y: float) -> tuple[float, float]:
+        return min(max(x * across, 0.0), float(width_px)), min(max(y * down, 0.0), float(height_px))
+
+    if given.box is not None:
+        x1, y1, x2, y2 = given.box
+        if not (inside(x1, y1) and inside(x2, y2)):
+            raise PromptError(f"box {_numbers(given.box)} is not inside the {size}: clip it to what is visible")
+        box = (*scaled(x1, y1), *scaled(x2, y2))
+        if min(box[2] - box[0], box[3] - box[1]) < MIN_BOX_PX:
+            raise PromptError(
+                f"box {_numbers(given.box)} is {box[2] - box[0]:.3g} x {box[3] - box[1]:.3g} px of the full image: at "
+                f"least {MIN_BOX_PX:g} px a side are needed"
+            )
+        return Prompt(box=box)
+    for x, y, _ in given.points:
+        if not (0 <= x < frame_width and 0 <= y < frame_height):
+            raise PromptError(f"point {x:g}, {y:g} is not inside the {size}")
+    return Prompt(points=tuple((*scaled(x, y), include) for x, y, include in given.points))
+
+
+def _coordinate(value: float, what: str) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise PromptError(f"{what} has the coordinate {value!r}: use numbers") from None
+    if not math.isfinite(number):
+        raise PromptError(f"{what} has the coordinate {number}: use finite numbers")
+    return number
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:g}" for value in values)

@@ -1,0 +1,143 @@
+"""A whole run over a benchmark of areas: masks, scales, trials and the report on them."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vehanchor_evaluation.area import area_trials, open_mask_log, segment_entries, summarise_area
+from vehanchor_evaluation.area_report import area_report
+from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet
+from vehanchor_evaluation.rs_gsd import load_benchmark
+from vehanchor_evaluation.search import default_workers, search_known_scale
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from vehanchor.detection.detector import Detector
+    from vehanchor.options import ScaleOptions
+    from vehanchor.records import GsdEstimate
+    from vehanchor.segmentation.segmenter import Segmenter
+    from vehanchor_evaluation.area import AreaTrial
+    from vehanchor_evaluation.area_report import AreaReport
+    from vehanchor_evaluation.rs_gsd import BenchmarkEntry
+    from vehanchor_evaluation.search import SearchedImage
+
+__all__ = ["AreaRun", "measure_benchmark"]
+
+
+@dataclass(frozen=True)
+class AreaRun:
+    """Results of a run.
+
+    Attributes:
+        report: the table with what it rests on.
+        trials: one for each entry that has a mask and whose image could be searched.
+        issues: what was left out.
+    """
+
+    report: AreaReport
+    trials: tuple[AreaTrial, ...]
+    issues: tuple[FileIssue, ...]
+
+
+def measure_benchmark(
+    folder: Path,
+    detector: Detector,
+    segmenter: Segmenter,
+    options: ScaleOptions,
+    *,
+    logs: Path | None = None,
+    classes: Sequence[str | int] | None = None,
+    limit: int | None = None,
+    workers: int | None = None,
+    progress: Callable[[str], Callable[[int, int], None] | None] | None = None,
+) -> AreaRun:
+    """Measure the entries of a benchmark and tell the errors of mask and scale apart.
+
+    Args:
+        folder: of the benchmark.
+        detector: finds the vehicles.
+        segmenter: finds the objects.
+        options: every choice of the method.
+        logs: folder of what earlier runs found, and will; None keeps nothing.
+        classes: of the detector, that count as vehicles, as it was opened with.
+        limit: measure the first entries only; categories take turns.
+        workers: images at once, each held in memory; None for a good number.
+        progress: given what is done next, gives what is called with (done, in all).
+
+    Raises:
+        InvalidParameterError: the folder holds no benchmark, or a log is none.
+        OutputError: a log cannot be written.
+    """
+    built, benchmark_sha = load_benchmark(folder)
+    entries = built.entries[:limit]
+    n_workers, step = workers or default_workers(), progress or (lambda _: None)
+    masks, issues = segment_entries(
+        built,
+        folder,
+        entries,
+        segmenter,
+        open_mask_log(logs and logs / "masks.jsonl", benchmark_sha, segmenter.card.sha256),
+        workers=n_workers,
+        progress=step(f"{len(entries)} objects"),
+    )
+    images = {entry.image: KnownScaleImage(Path(entry.image), entry.gsd_m_per_px) for entry in entries}
+    searched = search_known_scale(
+        KnownScaleSet(str(folder), tuple(images.values())),
+        detector,
+        options,
+        classes=classes,
+        cache=logs and logs / "detections.jsonl",
+        workers=n_workers,
+        progress=step(f"{len(images)} images"),
+    )
+    trials = area_trials(entries, masks, _scales(searched, detector, options))
+    issues += [found for found in searched.values() if isinstance(found, FileIssue)]
+    run = _run_facts(detector, segmenter, options, limit)
+    facts = _facts(trials, entries, detector.card.name, segmenter.card.name)
+    report = area_report(built, benchmark_sha, run, summarise_area(trials), facts, issues)
+    return AreaRun(report, tuple(trials), tuple(issues))
+
+
+def _scales(
+    searched: Mapping[Path, SearchedImage | FileIssue], detector: Detector, options: ScaleOptions
+) -> dict[str, GsdEstimate]:
+    return {
+        os.fspath(image): found.analysis(detector.card, options).estimate
+        for image, found in searched.items()
+        if not isinstance(found, FileIssue)
+    }
+
+
+def _run_facts(detector: Detector, segmenter: Segmenter, options: ScaleOptions, limit: int | None) -> dict[str, Any]:
+    """Models and options, for the report."""
+    return {
+        "detector": {"name": detector.card.name, "sha256": detector.card.sha256},
+        "segmenter": {"name": segmenter.card.name, "sha256": segmenter.card.sha256},
+        "reference_length_m": options.reference.reference_length_m,
+        "region": options.reference.region,
+        "calibration": options.reference.calibration and options.reference.calibration.model_dump(mode="json"),
+        **asdict(options.search),
+        **asdict(options.lengths),
+        "bands": options.reading.bands,
+        "limit": limit,
+    }
+
+
+def _facts(trials: Sequence[AreaTrial], entries: Sequence[BenchmarkEntry], detector: str, segmenter: str) -> list[str]:
+    """The grounds that the table rests on, a sentence each."""
+    facts = [
+        f"{len(trials)} of {len(entries)} entries measured, in {len({trial.image for trial in trials})} images",
+        f"detector {detector}, segmenter {segmenter}; no scale, or no mask, counts as an error of 100 %",
+    ]
+    if trials:
+        iou = np.array([trial.mask_iou for trial in trials])
+        n_without = sum(trial.gsd_m_per_px is None for trial in trials)
+        facts.append(f"masks: IoU median {np.median(iou):.3f}, mean {iou.mean():.3f}")
+        facts.append(f"scale: none for {n_without} entries ({n_without / len(trials):.0%})")
+    return facts

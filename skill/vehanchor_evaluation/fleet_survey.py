@@ -1,0 +1,112 @@
+"""Reference length of a region's fleet, from vehicles in images of known scale: labelled, or found by a model."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from vehanchor.detection.detector import REFERENCE_LENGTH_SD_M
+from vehanchor.scale.calibration import SurveyedImage, calibrate
+from vehanchor_evaluation.dota import SMALL_VEHICLE, labelled_boxes
+from vehanchor_evaluation.known_scale import FileIssue
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from vehanchor.detection.detector import DetectorCard
+    from vehanchor.options import ScaleOptions
+    from vehanchor.scale.calibration import Calibration
+    from vehanchor_evaluation.known_scale import KnownScaleSet
+    from vehanchor_evaluation.search import SearchedImage
+
+__all__ = ["FleetSurvey", "calibrate_found", "calibrate_labelled", "found_vehicles", "labelled_vehicles"]
+
+
+class FleetSurvey(NamedTuple):
+    """Vehicles of known scale, and the files that could not be used."""
+
+    images: list[SurveyedImage]
+    issues: list[FileIssue]
+
+
+def labelled_vehicles(data: KnownScaleSet, classes: Sequence[str] = (SMALL_VEHICLE,)) -> FleetSurvey:
+    """Collect the labelled vehicles.
+
+    Args:
+        data: images of known scale.
+        classes: of labels, that count as vehicles.
+    """
+    survey = FleetSurvey([], list(data.issues))
+    for image in data.images:
+        if image.labels is None:
+            survey.issues.append(FileIssue(image.path, "no_label", "no labels beside it"))
+            continue
+        try:
+            boxes = labelled_boxes(image.labels, classes)
+        except (OSError, ValueError) as error:
+            survey.issues.append(FileIssue(image.labels, "unreadable_labels", str(error)))
+            continue
+        survey.images.append(SurveyedImage(boxes, image.gsd_m_per_px))
+    return survey
+
+
+def found_vehicles(
+    data: KnownScaleSet,
+    searched: Mapping[Path, SearchedImage | FileIssue],
+    card: DetectorCard,
+    options: ScaleOptions,
+) -> FleetSurvey:
+    """Collect the vehicles that a model has found, less the outliers that an estimate drops.
+
+    Args:
+        data: images of known scale.
+        searched: what ``search_images`` found in each.
+        card: of the model.
+        options: every choice of the method.
+    """
+    survey = FleetSurvey([], list(data.issues))
+    weighted = (options.lengths.aggregation or card.aggregation) == "weighted_kde"
+    for image in data.images:
+        found = searched[image.path]
+        if isinstance(found, FileIssue):
+            survey.issues.append(found)
+            continue
+        analysis = found.analysis(card, options)
+        boxes, scores = analysis.detections.boxes[analysis.kept], analysis.detections.scores[analysis.kept]
+        survey.images.append(SurveyedImage(boxes, image.gsd_m_per_px, scores if weighted else None))
+    return survey
+
+
+def calibrate_labelled(survey: FleetSurvey, card: DetectorCard | None = None) -> Calibration:
+    """Measure the mode of labelled lengths, as the paper does.
+
+    Args:
+        survey: labelled vehicles.
+        card: of the only model that the calibration is for; None for any that draws boxes as the labels are.
+
+    Raises:
+        CalibrationRefusedError: too few vehicles, or imagery too coarse.
+    """
+    return calibrate(
+        survey.images,
+        source="labels",
+        region_sd_m=REFERENCE_LENGTH_SD_M if card is None else card.reference_length_sd_m,
+        detector=None if card is None else card.name,
+        detector_sha256=None if card is None else card.sha256,
+    )
+
+
+def calibrate_found(survey: FleetSurvey, card: DetectorCard) -> Calibration:
+    """Measure the mode of the lengths that a model finds, its way to draw boxes included: for it alone.
+
+    Raises:
+        CalibrationRefusedError: too few vehicles, or imagery too coarse.
+    """
+    return calibrate(
+        survey.images,
+        source="detections",
+        region_sd_m=card.reference_length_sd_m,
+        min_length_px=card.min_length_px,
+        detector=card.name,
+        detector_sha256=card.sha256,
+    )

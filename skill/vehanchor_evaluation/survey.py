@@ -1,0 +1,61 @@
+"""Images of known scale from one of the three sources: a split of DOTA, a table, georeferenced files."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from vehanchor.errors import InvalidParameterError
+from vehanchor_evaluation.dota import survey_dota
+from vehanchor_evaluation.geotiff import survey_geotiffs
+from vehanchor_evaluation.table import survey_table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from vehanchor_evaluation.known_scale import KnownScaleSet
+
+__all__ = ["survey_known_scale"]
+
+
+def survey_known_scale(
+    *,
+    dota: Path | None = None,
+    table: Path | None = None,
+    geotiff: Sequence[Path] = (),
+    labels: Path | None = None,
+    set_name: str | None = None,
+    split: str | None = None,
+    limit: int | None = None,
+) -> KnownScaleSet:
+    """Find images of known scale.
+
+    Args:
+        dota: folder of a split of DOTA.
+        table: CSV with the columns ``file`` and ``gsd_m_per_px``.
+        geotiff: georeferenced files, or folders of them.
+        labels: folder of DOTA's labels; None for the latest.
+        set_name: only this set of the table.
+        split: only this split of the table.
+        limit: only the first so many.
+
+    Returns:
+        The images, none where no file has a known scale: its issues say why.
+
+    Raises:
+        InvalidParameterError: not exactly one source, one that is not what it should be, or no image of that set and
+            split.
+    """
+    if sum((dota is not None, table is not None, bool(geotiff))) != 1:
+        raise InvalidParameterError("name the images by one of --dota DIR, --table FILE and --geotiff FILES")
+    if dota is not None:
+        data = survey_dota(dota, labels)
+    elif table is not None:
+        data = survey_table(table)
+    else:
+        data = survey_geotiffs(geotiff)
+    chosen = data.chosen(set_name=set_name, split=split, limit=limit)
+    if data.images and not chosen.images:
+        sets = ", ".join(sorted({f"{image.set or '-'} ({image.split or '-'})" for image in data.images}))
+        raise InvalidParameterError(f"no image of set {set_name!r} and split {split!r}; there are {sets}")
+    return chosen

@@ -1,0 +1,75 @@
+"""Report on a run of questions to a vision-language model."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from vehanchor_evaluation.area_report import area_report
+from vehanchor_evaluation.vlm import summarise_vlm
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from vehanchor_evaluation.area_report import AreaReport
+    from vehanchor_evaluation.rs_gsd import Benchmark
+    from vehanchor_evaluation.vlm import Query, VlmRun, VlmTrial
+    from vehanchor_evaluation.vlm_api import ModelApi
+
+__all__ = ["report_stem", "vlm_report"]
+
+
+def report_stem(query: Query) -> str:
+    """Stem of the names of a report's files: each setting has its own."""
+    return "_".join(["vlm", *_settings(query)])
+
+
+def vlm_report(
+    benchmark: Benchmark, sha256: str, api: ModelApi, query: Query, run: VlmRun, n_entries: int
+) -> AreaReport:
+    """Put a report together.
+
+    Args:
+        benchmark: whose entries were asked about.
+        sha256: of its file.
+        api: the model.
+        query: what was asked.
+        run: the answers.
+        n_entries: how many entries were to be asked about.
+    """
+    facts = [
+        f"{len(run.trials)} of {n_entries} entries asked, {api.provider} {api.model}; no number counts as an error of "
+        "100 %",
+        *_replies(run.trials),
+        f"this run: {api.budget.requests} requests, {api.budget.tokens} tokens; other replies were on disk",
+    ]
+    settings: dict[str, Any] = {
+        "provider": api.provider,
+        "base_url": api.base_url,
+        "model": api.model,
+        "query": asdict(query),
+        "entries": n_entries,
+        "stopped": run.stopped,
+    }
+    row = summarise_vlm(" + ".join([api.model, *_settings(query)]), run.trials)
+    return area_report(benchmark, sha256, settings, [row], facts, run.issues)
+
+
+def _settings(query: Query) -> list[str]:
+    return [name for name, chosen in (("hint", query.hint), ("tools", query.agent)) if chosen]
+
+
+def _replies(trials: Sequence[VlmTrial]) -> list[str]:
+    """How the model answered, a sentence each."""
+    if not trials:
+        return []
+    problems = Counter(trial.problem for trial in trials if trial.problem)
+    counts = ", ".join(f"{count} {problem}" for problem, count in sorted(problems.items())) or "none"
+    read, written = sum(trial.input_tokens for trial in trials), sum(trial.output_tokens for trial in trials)
+    calls = Counter(call for trial in trials for call in trial.tool_calls.split())
+    facts = [f"without an area: {counts}", f"tokens of all replies: {read} in, {written} out"]
+    if calls:
+        called = ", ".join(f"{count} {tool}" for tool, count in sorted(calls.items()))
+        facts.append(f"tool calls: {called}; {sum(trial.turns for trial in trials)} turns")
+    return facts

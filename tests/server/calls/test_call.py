@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+from mcp import Client
+from mcp.server import MCPServer
+
+from tests.server.conversation import by_path, error_of, text_of
+from vehanchor_server.app import create_server
+from vehanchor_server.services import create_services
+from vehanchor_server.settings import Settings
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.mark.parametrize(("name", "n_reports"), [("small.png", 4), ("large.png", 5)])
+async def test_progress_is_reported_three_to_five_times_and_rises(
+    server: MCPServer[object], images: Path, name: str, n_reports: int, era: str
+) -> None:
+    reports: list[float] = []
+
+    async def on_progress(progress: float, total: float | None, message: str | None) -> None:
+        assert total == 100
+        assert message
+        reports.append(progress)
+
+    async with Client(server, mode=era) as client:
+        await client.call_tool("estimate_gsd", by_path(images / name), progress_callback=on_progress)
+        await anyio.sleep(0.05)
+    assert len(reports) == n_reports
+    assert reports == sorted(set(reports))
+    assert reports[0] == 0
+    assert reports[-1] == 100
+
+
+async def test_over_capacity_a_call_is_refused_at_once(
+    settings: Settings, images: Path, slow_tiles: Callable[[float], None], era: str
+) -> None:
+    slow_tiles(0.5)
+    services = create_services(Settings(roots=settings.roots, detector=settings.detector, threads=1, max_concurrency=1))
+    codes: list[str] = []
+    async with Client(create_server(services), mode=era) as client, anyio.create_task_group() as group:
+
+        async def call() -> None:
+            result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
+            codes.append(error_of(result) if result.is_error else "ok")
+
+        group.start_soon(call)
+        await anyio.sleep(0.2)
+        with anyio.fail_after(0.25):
+            await call()
+        assert codes == ["busy"]
+    assert codes == ["busy", "ok"]
+    assert services.capacity.running == 0
+
+
+async def test_the_deadline_ends_a_call_and_frees_its_place(
+    settings: Settings, images: Path, slow_tiles: Callable[[float], None], era: str
+) -> None:
+    slow_tiles(0.1)
+    services = create_services(Settings(roots=settings.roots, detector=settings.detector, threads=1, deadline_s=0.3))
+    async with Client(create_server(services), mode=era) as client:
+        with anyio.fail_after(2):
+            result = await client.call_tool("estimate_gsd", by_path(images / "large.png"))
+    assert error_of(result) == "deadline_exceeded"
+    assert services.capacity.running == 0
+
+
+async def test_cancelling_stops_the_work_and_frees_its_place(
+    settings: Settings,
+    images: Path,
+    slow_tiles: Callable[[float], None],
+    era: str,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(logging.INFO, "vehanchor_server.calls")
+    slow_tiles(0.1)
+    services = create_services(Settings(roots=settings.roots, detector=settings.detector, threads=1))
+    async with Client(create_server(services), mode=era) as client:
+        with anyio.move_on_after(0.4):
+            await client.call_tool("estimate_gsd", by_path(images / "large.png"))
+        with anyio.fail_after(0.3):
+            while services.capacity.running:
+                await anyio.sleep(0.01)
+        assert [getattr(record, "fields", {}).get("status") for record in caplog.records][-1] == "cancelled"
+        result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
+    assert not result.is_error
+
+
+async def test_other_questions_are_answered_while_a_call_computes(
+    server: MCPServer[object], images: Path, slow_tiles: Callable[[float], None]
+) -> None:
+    slow_tiles(0.2)
+    async with Client(server) as client, anyio.create_task_group() as group:
+        group.start_soon(client.call_tool, "estimate_gsd", by_path(images / "large.png"))
+        await anyio.sleep(0.1)
+        with anyio.fail_after(0.5):
+            await client.list_tools()
+        group.cancel_scope.cancel()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        ({"region": "atlantis"}, "invalid_parameter"),
+        ({"region": "europe", "reference_length_m": 4.6}, "invalid_parameter"),
+        ({"frame": {"width_px": 100, "height_px": 100}}, "frame_mismatch"),
+    ],
+)
+async def test_the_librarys_refusals_keep_their_code(
+    server: MCPServer[object], images: Path, arguments: dict[str, Any], code: str
+) -> None:
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", {**by_path(images / "cars.png"), **arguments})
+    assert error_of(result) == code
+
+
+async def test_a_missing_model_is_the_operators_business(images: Path, caplog: pytest.LogCaptureFixture) -> None:
+    server = create_server(create_services(Settings(roots=(images,), detector="/nowhere/secret.onnx")))
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
+    assert error_of(result) == "model_unavailable"
+    assert "secret" not in text_of(result)
+    assert "/nowhere/secret.onnx" in caplog.text

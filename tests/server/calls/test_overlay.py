@@ -1,0 +1,29 @@
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from mcp import Client
+from mcp.types import ImageContent
+
+from tests.server.conversation import by_path
+from vehanchor_server.app import create_server
+from vehanchor_server.calls.overlay import MAX_PICTURE_BYTES
+from vehanchor_server.services import create_services
+from vehanchor_server.settings import Settings
+
+pytestmark = pytest.mark.anyio
+
+
+async def test_noise_is_squeezed_below_the_pictures_limit(settings: Settings, tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).integers(0, 256, (1600, 1600, 3), dtype=np.uint8)
+    assert cv2.imwrite(str(tmp_path / "noise.png"), noise)
+    server = create_server(create_services(Settings(roots=(tmp_path,), detector=settings.detector, threads=1)))
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", {**by_path(tmp_path / "noise.png"), "include_overlay": True})
+    picture = result.content[1]
+    assert isinstance(picture, ImageContent)
+    assert len(base64.b64decode(picture.data)) <= MAX_PICTURE_BYTES

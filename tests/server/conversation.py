@@ -1,0 +1,44 @@
+"""Words for talking with the server: arguments, and what an answer holds."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from mcp.types import CallToolResult, ImageContent, TextContent
+
+from vehanchor_server.calls.overlay import MAX_PICTURE_BYTES
+
+__all__ = ["ERAS", "by_path", "error_of", "picture_of", "text_of"]
+
+ERAS = ("auto", "legacy")  # auto finds the stateless 2026-07-28 protocol
+
+
+def by_path(path: Path | str) -> dict[str, Any]:
+    return {"image": {"kind": "path", "path": str(path)}}
+
+
+def text_of(result: CallToolResult) -> str:
+    first = result.content[0]
+    assert isinstance(first, TextContent)
+    return first.text
+
+
+def picture_of(result: CallToolResult) -> np.ndarray:
+    """The overlay, decoded, after a look at what every overlay must be."""
+    picture = result.content[1]
+    assert isinstance(picture, ImageContent)
+    assert picture.mime_type == "image/jpeg"
+    data = base64.b64decode(picture.data)
+    assert len(data) <= MAX_PICTURE_BYTES
+    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    assert decoded is not None
+    return np.asarray(decoded)
+
+
+def error_of(result: CallToolResult) -> str:
+    assert result.is_error
+    return text_of(result).partition(":")[0]

@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+import typing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcp import Client
+from mcp.server import MCPServer
+
+import vehanchor
+from tests.analyses import make_analysis
+from tests.server.conversation import by_path, picture_of, text_of
+from tests.server.test_models import calibration_file
+from vehanchor.detection.detector import load_detector
+from vehanchor.records import GsdEstimate, Notice
+from vehanchor.scale.confidence import FleetDoubt
+from vehanchor_server.app import create_server
+from vehanchor_server.services import create_services
+from vehanchor_server.settings import Settings
+from vehanchor_server.tools.estimate_gsd import describe_estimate
+
+pytestmark = pytest.mark.anyio
+
+
+async def test_a_call_gives_the_librarys_record_and_a_sentence(
+    server: MCPServer[object], images: Path, detector_path: Path, era: str
+) -> None:
+    expected = vehanchor.estimate_gsd(images / "cars.png", detector=load_detector(detector_path, threads=1))
+    async with Client(server, mode=era) as client:
+        result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
+    assert not result.is_error
+    assert result.structured_content == expected.model_dump(mode="json")
+    assert len(result.content) == 1
+    assert text_of(result).startswith(f"{expected.gsd_m_per_px:.3g} m/px (95 % interval ")
+    assert f"confidence {expected.confidence:.2f} from 24 vehicles: safe to use." in text_of(result)
+
+
+async def test_no_vehicle_is_a_result_not_an_error(server: MCPServer[object], images: Path, era: str) -> None:
+    async with Client(server, mode=era) as client:
+        result = await client.call_tool("estimate_gsd", by_path(images / "empty.png"))
+    assert not result.is_error
+    assert result.structured_content is not None
+    assert result.structured_content["status"] == "no_anchor"
+    assert result.structured_content["gsd_m_per_px"] is None
+    assert result.structured_content["confidence"] == 0
+    assert text_of(result) == "No vehicles found, confidence 0: no metric scale; use another anchor."
+
+
+async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCPServer[object], images: Path) -> None:
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", by_path(images / "two.png"))
+    assert result.structured_content is not None
+    assert result.structured_content["status"] == "low_confidence"
+    assert "from 2 vehicles: do not rely on it (too little evidence); fall back" in text_of(result)
+
+
+async def test_arguments_reach_the_library(server: MCPServer[object], images: Path, detector_path: Path) -> None:
+    expected = vehanchor.estimate_gsd(
+        images / "cars.png",
+        detector=load_detector(detector_path, threads=1),
+        reference_length_m=4.6,
+        frame_width_px=320,
+        frame_height_px=256,
+    )
+    arguments = {
+        **by_path(images / "cars.png"),
+        "reference_length_m": 4.6,
+        "frame": {"width_px": 320, "height_px": 256},
+    }
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", arguments)
+        by_region = await client.call_tool("estimate_gsd", {**by_path(images / "cars.png"), "region": "europe"})
+    assert result.structured_content == expected.model_dump(mode="json")
+    assert expected.frame is not None
+    assert f"In your 320 x 256 copy that is {expected.frame.gsd_m_per_px:.3g} m/px." in text_of(result)
+    assert by_region.structured_content is not None
+    assert by_region.structured_content["reference_length_m"] == pytest.approx(4.5)
+
+
+async def test_the_operators_calibration_is_the_ruler_of_callers_who_name_none(
+    settings: Settings, images: Path, tmp_path: Path
+) -> None:
+    calibration = calibration_file(tmp_path / "c.json")
+    server = create_server(create_services(replace(settings, calibration=calibration)))
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
+        named = await client.call_tool("estimate_gsd", {**by_path(images / "cars.png"), "reference_length_m": 4.8})
+    assert result.structured_content is not None
+    assert result.structured_content["reference_length_m"] == 4.31
+    assert named.structured_content is not None
+    assert named.structured_content["reference_length_m"] == 4.8
+
+
+async def test_the_overlay_is_a_small_jpeg_beside_the_record(server: MCPServer[object], images: Path, era: str) -> None:
+    async with Client(server, mode=era) as client:
+        result = await client.call_tool("estimate_gsd", {**by_path(images / "large.png"), "include_overlay": True})
+    assert not result.is_error
+    decoded = picture_of(result)
+    assert 700 < max(decoded.shape) <= 1568
+
+
+@pytest.fixture
+def doubtful() -> GsdEstimate:
+    """An estimate from three vehicles."""
+    boxes = np.array([[x, 50.0, 30.0, 12.0, 0.0] for x in (50.0, 150.0, 250.0)])
+    estimate = make_analysis(boxes, 400, 300).estimate
+    assert estimate.status == "low_confidence"
+    return estimate
+
+
+def test_few_vehicles_are_too_little_evidence(doubtful: GsdEstimate) -> None:
+    assert "from 3 vehicles: do not rely on it (too little evidence); fall back" in describe_estimate(doubtful)
+
+
+def test_a_single_vehicle_is_counted_in_the_singular(doubtful: GsdEstimate) -> None:
+    assert "from 1 vehicle: " in describe_estimate(doubtful.model_copy(update={"n_vehicles": 1}))
+
+
+def test_the_guard_is_told_as_what_it_means(doubtful: GsdEstimate) -> None:
+    guarded = doubtful.model_copy(update={"resolution_guard": True})
+    assert "(vehicles show too little detail to be measured well)" in describe_estimate(guarded)
+
+
+@pytest.mark.parametrize("code", typing.get_args(FleetDoubt))
+def test_doubts_about_the_fleet_are_told_with_their_warning(doubtful: GsdEstimate, code: str) -> None:
+    notice = Notice(code=code, message="They are all alike.")
+    words = describe_estimate(doubtful.model_copy(update={"warnings": (notice,)}))
+    assert "(the vehicles may not be cars)" in words
+    assert words.endswith(f"Warning {code}: They are all alike.")
+
+
+@pytest.mark.parametrize(("gsd", "words"), [(0.15234, "0.152 m/px"), (12.345, "12.3 m/px"), (1234.5, "1234 m/px")])
+def test_numbers_have_three_digits_and_no_exponent(doubtful: GsdEstimate, gsd: float, words: str) -> None:
+    assert describe_estimate(doubtful.model_copy(update={"gsd_m_per_px": gsd})).startswith(words)

@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.models import write_other_model
+from tests.sam_models import keep_weights_beside, write_sam2
+from vehanchor.errors import InvalidParameterError, ModelContractError, ProviderUnavailableError
+from vehanchor.models.session import metadata_number, open_session
+
+
+def outputs(path: Path, content: bytes | None) -> list[np.ndarray]:
+    session = open_session(path, content=content, threads=1)
+    feeds = {"pixel_values": np.ones((1, 3, 128, 128), np.float32), "image": np.ones((1, 3, 128, 128), np.float32)}
+    asked = {item.name: feeds[item.name] for item in session.get_inputs()}
+    return [np.asarray(value) for value in session.run(None, asked)]
+
+
+def test_weights_in_a_file_beside_the_model_are_found_from_any_folder_and_whoever_read_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decoder = write_sam2(tmp_path)[1]
+    inside = [item.name for item in open_session(decoder, content=decoder.read_bytes()).get_inputs()]
+    keep_weights_beside(decoder, ".weights")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    for content in (None, decoder.read_bytes()):
+        assert [item.name for item in open_session(decoder, content=content).get_inputs()] == inside
+
+
+def test_bytes_that_were_read_already_are_what_is_run(tmp_path: Path) -> None:
+    encoder = write_sam2(tmp_path)[0]
+    content = encoder.read_bytes()
+    before = outputs(encoder, None)
+    write_other_model(encoder)
+    for was, now in zip(before, outputs(encoder, content), strict=True):
+        np.testing.assert_array_equal(was, now)
+
+
+def test_what_cannot_be_loaded_is_our_error_that_names_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "text.onnx"
+    path.write_text("no model")
+    for content in (None, path.read_bytes()):
+        with pytest.raises(ModelContractError, match=r"text\.onnx is not an ONNX model"):
+            open_session(path, content=content)
+    with pytest.raises(ProviderUnavailableError, match="AbacusExecutionProvider"):
+        open_session(path, providers=["AbacusExecutionProvider"])
+    for threads in (0, -1, 1.5):
+        with pytest.raises(InvalidParameterError, match="threads"):
+            open_session(path, threads=threads)  # type: ignore[arg-type]
+
+
+def test_a_number_in_the_metadata_is_finite_and_not_negative() -> None:
+    assert metadata_number({"vehanchor.min_score": "0.5"}, "min_score", 0.1) == 0.5
+    assert metadata_number({}, "min_score", 0.1) == 0.1
+    for text in ("high", "", "nan", "inf", "-1"):
+        with pytest.raises(ModelContractError, match=r"vehanchor\.min_score"):
+            metadata_number({"vehanchor.min_score": text}, "min_score", 0.1)

@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vehanchor.scale.fusion import (
+    GRID,
+    LOG_STEP,
+    VoteShape,
+    blurred,
+    credible_interval,
+    flat,
+    floored,
+    mass_within,
+    product,
+    vehicle_density,
+)
+
+_VOTE = VoteShape(log_sd=0.12, clutter_density=0.3, trust=1.0)
+
+
+def _normal(gsd: float, log_sd: float) -> np.ndarray:
+    density = np.exp(-0.5 * ((GRID - np.log(gsd)) / log_sd) ** 2)
+    return np.asarray(density / density.sum())
+
+
+def _peak(density: np.ndarray) -> float:
+    return float(np.exp(GRID[np.argmax(density)]))
+
+
+def test_votes_of_many_cars_make_a_narrow_density_at_their_scale() -> None:
+    lengths = 30 * np.exp(np.random.default_rng(0).normal(0, 0.1, 40))
+    density = vehicle_density(lengths, np.full(40, 0.9), 4.5, _VOTE)
+    assert _peak(density) == pytest.approx(0.15, rel=0.04)
+    low, high = credible_interval(density)
+    assert low < 0.15 < high < 1.12 * low
+
+
+def test_the_binned_votes_are_the_product_of_the_boxes_likelihoods() -> None:
+    lengths, shares = np.array([20.0, 22.0, 60.0]), np.array([0.9, 0.3, 0.6])
+    distance = np.log(4.5 / lengths)[:, None] - GRID
+    normal = np.exp(-0.5 * (distance / 0.12) ** 2) / (0.12 * np.sqrt(2 * np.pi))
+    likelihood = np.prod((1 - shares[:, None]) + shares[:, None] * normal / 0.3, axis=0)
+    expected = likelihood / likelihood.sum()
+    np.testing.assert_allclose(vehicle_density(lengths, shares, 4.5, _VOTE), expected, atol=0.03 * expected.max())
+
+
+def test_no_boxes_say_nothing() -> None:
+    np.testing.assert_array_equal(vehicle_density([], [], 4.5, _VOTE), flat())
+
+
+def test_one_liar_cannot_veto_two_that_agree() -> None:
+    truth, lie = _normal(0.2, 0.05), _normal(0.05, 0.05)
+    fused = product(floored(truth, 0.02), floored(truth, 0.02), floored(lie, 0.02))
+    assert _peak(fused) == pytest.approx(0.2, rel=0.01)
+    assert mass_within(fused, 0.2, 0.2) > 0.95
+
+
+def test_two_humps_of_like_weight_give_an_interval_that_holds_both() -> None:
+    low, high = credible_interval((_normal(0.1, 0.03) + _normal(0.3, 0.03)) / 2)
+    assert low < 0.1
+    assert high > 0.3
+
+
+@given(st.floats(0.02, 1.0), st.floats(0.02, 0.3), st.floats(0.0, 0.3))
+def test_widening_adds_up_variances(gsd: float, log_sd: float, more: float) -> None:
+    wide = blurred(_normal(gsd, log_sd), more)
+    mean = float(np.sum(wide * GRID))
+    assert wide.sum() == pytest.approx(1)
+    assert mean == pytest.approx(np.log(gsd), abs=0.05)
+    assert np.sqrt(np.sum(wide * (GRID - mean) ** 2)) == pytest.approx(np.hypot(log_sd, more), abs=0.02)
+
+
+def test_the_mass_within_a_tolerance_is_that_of_the_true_scales_it_allows() -> None:
+    density = np.zeros(len(GRID))
+    density[np.argmin(np.abs(GRID - np.log(0.1)))] = 1.0
+    assert mass_within(density, 0.119, 0.2) == pytest.approx(1, abs=LOG_STEP)
+    assert mass_within(density, 0.122, 0.2) == pytest.approx(0, abs=1e-9)
+    assert mass_within(density, 0.081, 0.2) == pytest.approx(1, abs=1e-9)
+    assert mass_within(density, 0.079, 0.2) == pytest.approx(0, abs=1e-9)

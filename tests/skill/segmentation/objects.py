@@ -1,0 +1,54 @@
+"""Pictures of one object, segmented by any model."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tests.models import blank_image
+from vehanchor.imagery.raster import open_raster
+from vehanchor.segmentation.prompt import Prompt
+from vehanchor.segmentation.segmenter import Segmentation, Segmenter
+from vehanchor.segmentation.shape import mask_bounds
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+OBJECT_RGB = (60, 130, 200)
+
+OTHER_RGB = (200, 60, 60)
+
+
+def segmented(segmenter: Segmenter, image: NDArray[np.uint8], prompt: Prompt, **options: Any) -> Segmentation:
+    with open_raster(image) as raster:
+        return segmenter.segment(raster, prompt, **options)
+
+
+def full_mask(found: Segmentation, image: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    full = np.zeros(image.shape[:2], dtype=bool)
+    window = found.window
+    full[window.y_px : window.y_px + window.height_px, window.x_px : window.x_px + window.width_px] = found.mask
+    return full
+
+
+def is_rectangle(mask: NDArray[np.bool_], rectangle: tuple[int, int, int, int]) -> bool:
+    """Whether a mask is a rectangle to the pixel, but for the corners that interpolation between cells rounds off."""
+    bounds = mask_bounds(mask)
+    area = (rectangle[2] - rectangle[0]) * (rectangle[3] - rectangle[1])
+    return (
+        bounds is not None
+        and (bounds.x1, bounds.y1, bounds.x2, bounds.y2) == rectangle
+        and int(mask.sum()) >= 0.98 * area
+    )
+
+
+def picture(width: int, height: int, rectangle: tuple[int, int, int, int]) -> NDArray[np.uint8]:
+    """A rectangle x1, y1, x2, y2 of the object's colour on a varied ground."""
+    image = blank_image(width, height)
+    image[: height // 2, :, 1] = 20
+    image[:, : width // 3] = OTHER_RGB
+    x1, y1, x2, y2 = rectangle
+    image[y1:y2, x1:x2] = OBJECT_RGB
+    return image
