@@ -22,7 +22,8 @@ from scipy.stats import spearmanr
 
 from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.detection.boxes import boxes_from_corners
-from vehanchor.detection.detector import Detector, detect_vehicles
+from vehanchor.detection.detector import Detector
+from vehanchor.detection.search import search as search_image
 from vehanchor.estimate import analyse_scale, analyse_sighting
 from vehanchor.imagery.raster import open_raster
 from vehanchor.models.zoo import resolve_model
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.detection.detector import DetectorCard
+    from vehanchor.detection.card import DetectorCard
     from vehanchor_evaluation.gsd import KnownScaleImage
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
@@ -220,7 +221,7 @@ def _matched(
     pixels: NDArray[np.uint8], image: LabelledImage, detector: Detector, min_score: float, search: bool | None
 ) -> MatchedDetections:
     with open_raster(pixels) as raster:
-        found = detect_vehicles(raster, detector, min_score=min_score, search_scales=search)
+        found = search_image(raster, detector, Search(min_score=min_score, search_scales=search))
     return match_detections(found.boxes, found.scores, image.labels, image.ignored)
 
 

@@ -19,8 +19,9 @@ import cv2
 import numpy as np
 import onnxruntime
 
-from vehanchor.detection.boxes import oriented_nms
-from vehanchor.detection.detector import Detector, search_levels
+from vehanchor.detection.detector import Detector
+from vehanchor.detection.nms import oriented_nms
+from vehanchor.detection.search import search_levels
 from vehanchor.estimate import analyse_scale
 from vehanchor.imagery.raster import open_raster
 from vehanchor.imagery.tiles import read_reduced_window, tile_grid

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehanchor.anchors.evidence import ImageFacts, View
-from vehanchor.detection.detector import Detections, DetectorCard
+from vehanchor.detection.card import DetectorCard
+from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import ScaleAnalysis, analyse_sighting
 from vehanchor.options import Aggregation, ScaleOptions
 
@@ -40,7 +41,7 @@ def make_analysis(
 ) -> ScaleAnalysis:
     """The analysis of an image in which a detector found ``boxes``, all with score 0.8."""
     return analyse_found(
-        Detections(boxes, np.full(len(boxes), 0.8)),
+        Sighting(boxes, np.full(len(boxes), 0.8)),
         made_card(reference_length_m, min_length_px),
         ScaleOptions.of({"aggregation": aggregation}),
         image_width_px=width_px,
@@ -49,7 +50,7 @@ def make_analysis(
 
 
 def analyse_found(
-    found: Detections,
+    found: Sighting,
     card: DetectorCard,
     options: ScaleOptions | None = None,
     *,

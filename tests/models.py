@@ -16,7 +16,6 @@ by a tile's edge is not found; of two marks in one cell of ``cell_px`` the numbe
 
 from __future__ import annotations
 
-import base64
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -38,11 +37,11 @@ __all__ = [
     "BEACON_PX",
     "Graph",
     "blank_image",
-    "fleet_metadata",
     "paint_vehicle",
     "paint_vehicles",
     "save_model",
     "write_detector",
+    "write_fleet_network",
     "write_other_model",
 ]
 
@@ -205,13 +204,24 @@ def write_detector(
     )
 
 
-def fleet_metadata(folder: Path, lengths: FleetLengths, *, output: str = "log_odds") -> dict[str, str | None]:
-    """Metadata of a detector that tells fleets apart: its log odds are high for vehicles brighter than the ground.
+def write_fleet_network(
+    detector: Path,
+    lengths: FleetLengths,
+    *,
+    output: str = "log_odds",
+    metadata: Mapping[str, str | None] | None = None,
+) -> Path:
+    """Write the network beside a detector that tells fleets apart: its log odds are high for vehicles brighter than the
+    ground.
 
     Args:
-        folder: for the network on its way.
+        detector: file of the detector, which its metadata names by the stem.
         lengths: what the log odds mean.
         output: name of the network's output.
+        metadata: entries to add or replace; None as a value removes one.
+
+    Returns:
+        The path.
     """
     rows, columns = CHIP_SHAPE
     pattern = np.full((1, 1, rows, columns), -1.0)
@@ -219,19 +229,18 @@ def fleet_metadata(folder: Path, lengths: FleetLengths, *, output: str = "log_od
     graph = Graph()
     weighted = graph.add("Mul", ["chips", graph.constant(pattern / np.abs(pattern).sum() * 4)])
     graph.add("ReduceSum", [weighted, graph.constant([1, 2, 3], np.int64)], output=output, keepdims=0)
-    network = save_model(
-        folder / "fleet.onnx",
+    return save_model(
+        detector.with_name(f"{detector.stem}.fleet.onnx"),
         graph.nodes,
         [helper.make_tensor_value_info("chips", TensorProto.FLOAT, ["n", 1, rows, columns])],
         [helper.make_tensor_value_info(output, TensorProto.FLOAT, ["n"])],
         graph.constants,
-        {},
+        {
+            "vehanchor.detector": detector.stem,
+            "vehanchor.fleet_lengths": json.dumps(lengths._asdict()),
+            **(metadata or {}),
+        },
     )
-    return {
-        "vehanchor.fleet": base64.b64encode(network.read_bytes()).decode("ascii"),
-        "vehanchor.fleet_lengths": json.dumps(lengths._asdict()),
-        "vehanchor.region_lengths_m": '{"europe": 4.1}',
-    }
 
 
 def write_other_model(path: Path, *, metadata: Mapping[str, str | None] | None = None) -> Path:

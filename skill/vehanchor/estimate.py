@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.registry import OTHER_ANCHORS
 from vehanchor.anchors.vehicles import VehicleEvidence, Vehicles
-from vehanchor.detection.detector import Detector, detect_vehicles, load_detector
+from vehanchor.detection.detector import Detector, load_detector
+from vehanchor.detection.search import search
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.raster import open_raster
 from vehanchor.models.zoo import resolve_model
@@ -27,7 +28,7 @@ from vehanchor.scale.reference import reference_length
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
     from typing import Unpack
 
     import numpy as np
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.anchors.evidence import Evidence
-    from vehanchor.detection.detector import Detections as Sighting
+    from vehanchor.detection.sighting import Sighting
     from vehanchor.imagery.raster import ImageSource, Raster
     from vehanchor.options import Frame, OptionKeywords
 
@@ -60,16 +61,13 @@ class ScaleAnalysis:
 
     Attributes:
         estimate: the record.
-        evidence: of every ruler, vehicles first.
+        vehicles: their evidence, that of those that were dropped included.
+        others: the evidence of the other rulers.
     """
 
     estimate: GsdEstimate
-    evidence: tuple[VehicleEvidence, *tuple[Evidence, ...]]
-
-    @property
-    def vehicles(self) -> VehicleEvidence:
-        """What the vehicles say, those that were dropped included."""
-        return self.evidence[0]
+    vehicles: VehicleEvidence
+    others: tuple[Evidence, ...] = ()
 
     @property
     def detections(self) -> Sighting:
@@ -179,17 +177,7 @@ def analyse_raster(
 ) -> ScaleAnalysis:
     """As ``analyse_scale``, of an image that is open already."""
     options.frame.check(raster.width_px, raster.height_px)
-    sighting = detect_vehicles(
-        raster,
-        detector,
-        min_score=options.search.min_score,
-        tile_px=options.search.tile_px,
-        stride_px=options.search.stride_px,
-        nms_iou=options.search.nms_iou,
-        search_scales=options.search.search_scales,
-        progress=progress,
-        run_options=run_options,
-    )
+    sighting = search(raster, detector, options.search, progress=progress, run_options=run_options)
     view = View(image_facts(raster), sighting, detector.card, options, partial(resolved_share, raster))
     return analyse_sighting(view)
 
@@ -211,15 +199,14 @@ def analyse_sighting(view: View) -> ScaleAnalysis:
         InvalidParameterError: the model does not know the region.
         CalibrationMismatchError: the calibration was made for another model.
     """
-    evidence = (Vehicles().look(view), *(ruler.look(view) for ruler in OTHER_ANCHORS))
-    return ScaleAnalysis(conclude(evidence, view), evidence)
+    vehicles, others = Vehicles().look(view), tuple(ruler.look(view) for ruler in OTHER_ANCHORS)
+    return ScaleAnalysis(conclude(vehicles, others, view), vehicles, others)
 
 
-def conclude(evidence: tuple[VehicleEvidence, *tuple[Evidence, ...]], view: View) -> GsdEstimate:
+def conclude(vehicles: VehicleEvidence, others: Iterable[Evidence], view: View) -> GsdEstimate:
     """Conclude from the evidence to the caller's record; nothing else is computed here."""
-    vehicles, image = evidence[0], view.image
-    gsd, interval = vehicles.gsd_m_per_px, vehicles.interval
-    warnings = [*image.notices, *(notice for each in evidence for notice in each.notices)]
+    image, gsd, interval = view.image, vehicles.gsd_m_per_px, vehicles.interval
+    warnings = [*image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
     if gsd is not None:
         warnings += georeference_notice(image.georeference_gsd_m_per_px, gsd, "the vehicles say")
     confident = vehicles.confidence >= FALLBACK_CONFIDENCE

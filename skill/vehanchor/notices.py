@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-__all__ = ["NoticeCode"]
+__all__ = ["FLEET_DOUBTS", "NoticeCode"]
 
 
 class NoticeCode(StrEnum):
@@ -30,3 +30,13 @@ class NoticeCode(StrEnum):
     MASK_LEAVES_BOX = "mask_leaves_box"
     MASK_IN_PIECES = "mask_in_pieces"
     TARGET_SMALL = "target_small"
+
+
+FLEET_DOUBTS = (
+    NoticeCode.LENGTHS_DISAGREE,
+    NoticeCode.LENGTHS_ALIKE,
+    NoticeCode.SCORES_UNCLEAR,
+    NoticeCode.LOOKS_ALIKE,
+    NoticeCode.LOOKS_UNLIKE_CARS,
+)
+"""Doubts that the vehicles are cars; each caps the confidence below 0.5."""

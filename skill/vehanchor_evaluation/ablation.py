@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from vehanchor.detection.detector import REFERENCE_LENGTH_M
+from vehanchor.detection.card import REFERENCE_LENGTH_M
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options import Aggregation, Reference
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES

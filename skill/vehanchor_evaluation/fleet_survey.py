@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from vehanchor.detection.detector import REFERENCE_LENGTH_SD_M
+from vehanchor.detection.card import REFERENCE_LENGTH_SD_M
 from vehanchor.scale.calibration import SurveyedImage, calibrate
 from vehanchor_evaluation.dota import SMALL_VEHICLE, labelled_boxes
 from vehanchor_evaluation.known_scale import FileIssue
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from vehanchor.detection.detector import DetectorCard
+    from vehanchor.detection.card import DetectorCard
     from vehanchor.options import ScaleOptions
     from vehanchor.scale.calibration import Calibration
     from vehanchor_evaluation.known_scale import KnownScaleSet

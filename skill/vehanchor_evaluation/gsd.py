@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.anchors.evidence import ImageFacts
-from vehanchor.detection.detector import Detections
+from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import ScaleAnalysis, analyse_scale, open_detector
 from vehanchor.options import Reference, ScaleOptions
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from vehanchor.detection.detector import Detector, DetectorCard
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.detector import Detector
 
 __all__ = [
     "HIGH_ERROR",
@@ -234,7 +235,7 @@ def benchmark_scale(
             issues.append(FileIssue(image.labels, "unreadable_labels", str(error), skipped=False))
             continue
         facts = ImageFacts(found.image.width_px, found.image.height_px)
-        labelled = SearchedImage(Detections(boxes, np.ones(len(boxes))), facts)
+        labelled = SearchedImage(Sighting(boxes, np.ones(len(boxes))), facts)
         baseline.append(ScaleTrial(image, labelled.analysis(detector, label_options_of(image)), labelled))
     return ScaleBenchmark(data, detector, tuple(trials), tuple(baseline), tuple(issues), options_of, label_options_of)
 

@@ -17,7 +17,7 @@ from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.vehicles import select
 from vehanchor.batch.journal import Journal, Source
 from vehanchor.batch.pool import finished_in_threads
-from vehanchor.detection.detector import Detections
+from vehanchor.detection.sighting import Objects, Sighting
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.estimate import ScaleAnalysis, analyse_raster, analyse_sighting, image_facts
 from vehanchor.imagery.detail import resolved_share
@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from vehanchor.detection.detector import Detector, DetectorCard
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.detector import Detector
     from vehanchor.imagery.raster import Raster
     from vehanchor_evaluation.known_scale import KnownScaleSet
 
@@ -60,7 +61,7 @@ class SearchedImage:
             keeps, by its factor; vehicles that nobody has looked for, as labels, need none.
     """
 
-    detections: Detections
+    detections: Sighting
     image: ImageFacts
     resolved: Mapping[float | None, float] = field(default_factory=dict)
 
@@ -102,6 +103,7 @@ def open_detection_log(
     settings = {
         "vehanchor": version("vehanchor"),
         "model_sha256": detector.card.sha256,
+        "fleet_sha256": detector.card.fleet_sha256,
         "classes": classes,
         "search": asdict(options.search),
         "bands": options.reading.bands,
@@ -118,6 +120,10 @@ def _record(searched: SearchedImage) -> dict[str, Any]:
         "n_capped_tiles": found.n_capped_tiles,
         "scales": None if found.scales is None else found.scales.tolist(),
         "fleet_log_odds": None if found.fleet_log_odds is None else found.fleet_log_odds.tolist(),
+        "classes": None if found.classes is None else found.classes.tolist(),
+        "other_boxes": found.others.boxes.tolist(),
+        "other_scores": found.others.scores.tolist(),
+        "other_classes": found.others.classes.tolist(),
         "width_px": image.width_px,
         "height_px": image.height_px,
         "georeference_gsd_m_per_px": image.georeference_gsd_m_per_px,
@@ -128,13 +134,19 @@ def _record(searched: SearchedImage) -> dict[str, Any]:
 
 def _searched(record: dict[str, Any]) -> SearchedImage:
     return SearchedImage(
-        Detections(
+        Sighting(
             np.array(record["boxes"], dtype=np.float64).reshape(-1, 5),
             np.array(record["scores"], dtype=np.float64),
             record["n_tiles"],
             record["n_capped_tiles"],
             None if record["scales"] is None else np.array(record["scales"], dtype=np.float64),
             None if record["fleet_log_odds"] is None else np.array(record["fleet_log_odds"], dtype=np.float64),
+            None if record["classes"] is None else np.array(record["classes"], dtype=np.intp),
+            Objects(
+                np.array(record["other_boxes"], dtype=np.float64).reshape(-1, 5),
+                np.array(record["other_scores"], dtype=np.float64),
+                np.array(record["other_classes"], dtype=np.intp),
+            ),
         ),
         ImageFacts(
             record["width_px"],
@@ -247,7 +259,7 @@ def _search(
         return FileIssue(file, error.code, str(error))
 
 
-def _resolved(raster: Raster, found: Detections, alpha: float | None) -> float:
+def _resolved(raster: Raster, found: Sighting, alpha: float | None) -> float:
     """The share of the resolution with detail around the vehicles that a factor of the outlier filter keeps."""
     fleet = select(found, Lengths(alpha=alpha))
     return resolved_share(raster, fleet.centres, fleet.working_scale or 1.0)

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from vehanchor.cli.terminal import printable, told_errors
+from vehanchor.cli.terminal import exit_on_error, printable
 from vehanchor.errors import OutputError
 
 __all__ = ["LayoutChoice", "scene"]
@@ -40,7 +40,7 @@ def scene(
     layout: Annotated[LayoutChoice | None, typer.Option(help="Kind of place. Default: the seed decides.")] = None,
 ) -> None:
     """Render an aerial scene of exactly known scale, with its truth: GSD, oriented boxes (DOTA text), masks."""
-    with told_errors():
+    with exit_on_error():
         from vehanchor.pictures.scale import check_picture_path
         from vehanchor_scenes.render import render_scene
 

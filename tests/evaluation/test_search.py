@@ -3,15 +3,26 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.known_scale_data import cars, paint
+from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network
 from vehanchor.detection.detector import Detector
+from vehanchor.detection.look import FleetLengths
+from vehanchor.detection.search import search
 from vehanchor.errors import InvalidParameterError, OutputError
-from vehanchor.estimate import analyse_scale
+from vehanchor.estimate import analyse_scale, image_facts
+from vehanchor.imagery.raster import open_raster
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
 from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet
-from vehanchor_evaluation.search import DetectionLog, open_detection_log, search_images, search_known_scale
+from vehanchor_evaluation.search import (
+    DetectionLog,
+    SearchedImage,
+    open_detection_log,
+    search_images,
+    search_known_scale,
+)
 
 
 def _log(path: Path, model: Detector) -> DetectionLog:
@@ -137,3 +148,23 @@ def test_an_alpha_that_no_search_has_looked_at_is_looked_at(tmp_path: Path, dete
         assert not isinstance(found, FileIssue)
         assert found.analysis(model.card, wide).estimate.n_vehicles == 12
     assert len(counted) == 2
+
+
+def test_a_log_keeps_all_that_was_seen(tmp_path: Path) -> None:
+    model = Detector(write_detector(tmp_path / "m.onnx", names={0: "car", 1: "ship"}))
+    write_fleet_network(model.path, FleetLengths((-1.0, 1.0), (4.0, 5.0), 0.3, 2.0))
+    telling = Detector(model.path)
+    image = blank_image(400, 100)
+    paint_vehicles(image, [[50 + 70 * k, 50, 30, 12, 0.4] for k in range(4)], classes=[0, 0, 1, 0])
+    with open_raster(image) as raster:
+        found, facts = search(raster, telling), image_facts(raster)
+    _log(tmp_path / "log.jsonl", telling).add(("a.png",), SearchedImage(found, facts))
+    again = _log(tmp_path / "log.jsonl", telling).get(("a.png",))
+    assert again is not None
+    assert (len(found.boxes), len(found.others)) == (3, 1)
+    for kept, seen in ((again.detections, found), (again.detections.others, found.others)):
+        for name in ("boxes", "scores", "classes"):
+            np.testing.assert_array_equal(getattr(kept, name), getattr(seen, name))
+    assert found.fleet_log_odds is not None
+    np.testing.assert_array_equal(again.detections.fleet_log_odds, found.fleet_log_odds)
+    assert _log(tmp_path / "log.jsonl", model).get(("a.png",)) is None  # of another fleet network: none

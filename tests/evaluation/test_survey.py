@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import pytest
@@ -124,7 +125,8 @@ def test_a_source_is_named_one_way_and_its_images_may_be_chosen(dota: Path, tmp_
     paint(tmp_path / "plain.png", cars(20))
     assert survey_known_scale(geotiff=[tmp_path / "plain.png"]).images == ()
     assert len(survey_known_scale(dota=dota, limit=2).images) == 2
-    for sources in ({}, {"dota": dota, "table": tmp_path / "t.csv"}):
+    choices: tuple[dict[str, Any], ...] = ({}, {"dota": dota, "table": tmp_path / "t.csv"})
+    for sources in choices:
         with pytest.raises(InvalidParameterError, match="name the images by one of"):
             survey_known_scale(**sources)
     with pytest.raises(InvalidParameterError, match="no image of set 'asia'"):

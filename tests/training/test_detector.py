@@ -126,7 +126,7 @@ def test_one_image_fills_what_another_leaves_open() -> None:
 
 
 def test_the_stream_is_seeded() -> None:
-    first, second = (next(iter(CropStream([_sample()], seed=4))) for _ in range(2))
+    first, second = (CropStream([_sample()], seed=4)[7] for _ in range(2))
     assert torch.equal(first[0], second[0])
     assert torch.equal(first[1].heat, second[1].heat)
     assert photometric(np.random.default_rng(1), _sample().image).shape == (320, 400, 3)
@@ -154,7 +154,8 @@ def test_an_exported_network_gives_the_detector_what_the_network_saw(tmp_path: P
         columns = UltralyticsLayout(network)(tensor)[0].numpy()
     found = onnxruntime.InferenceSession(path).run(None, {"images": tensor.numpy()})[0][0]
     np.testing.assert_allclose(found[[0, 1, 2, 3, 5]], columns[[0, 1, 2, 3, 5]], atol=1e-3)
-    boxes, scores, _ = detector.detect_tile(image, 1e-6)
+    seen = detector.detect_tile(image, 1e-6).vehicles
+    boxes, scores = seen.boxes, seen.scores
     assert len(boxes) == (found[4] > 0).sum() == pytest.approx((columns[4] > 0).sum(), abs=5)  # untrained: near ties
     assert scores.max() == pytest.approx(columns[4].max(), abs=1e-5)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from pathlib import Path
 
@@ -13,9 +12,7 @@ import pytest
 torch = pytest.importorskip("torch")
 onnxruntime = pytest.importorskip("onnxruntime")
 
-from training.detector.export import export as export_detector  # noqa: E402 - PyTorch may be missing
-from training.detector.network import VehicleNet  # noqa: E402 - PyTorch may be missing
-from training.fleet.calibrate import FleetCase, log_errors, mean_error  # noqa: E402
+from training.fleet.calibrate import FleetCase, log_errors, mean_error  # noqa: E402 - PyTorch may be missing
 from training.fleet.data import (  # noqa: E402
     N_FOLDS,
     NORTH_AMERICA,
@@ -25,8 +22,9 @@ from training.fleet.data import (  # noqa: E402
     random_chip,
     vehicle_at_length,
 )
+from training.fleet.export import export_fleet  # noqa: E402
 from training.fleet.train import ChipStream, export, report, trained  # noqa: E402
-from vehanchor.detection.detector import Detector  # noqa: E402
+from vehanchor.detection.fleet import FleetNetwork  # noqa: E402
 from vehanchor.detection.look import CHIP_SHAPE, FleetLengths  # noqa: E402
 
 pytestmark = pytest.mark.slow
@@ -59,7 +57,8 @@ def test_resolution_alone_changes_a_chip_little() -> None:
 
 def test_half_of_the_stream_is_north_american_whatever_the_sets_sizes() -> None:
     vehicles = [_vehicle(NORTH_AMERICA, hood=0.3)] + [_vehicle("cannes", hood=0.2)] * 9
-    american = [bool(label) for _, label in itertools.islice(ChipStream(vehicles, 0), 400)]
+    stream = ChipStream(vehicles, 0)
+    american = [bool(stream[k][1]) for k in range(400)]
     assert 0.4 < np.mean(american) < 0.6
 
 
@@ -81,15 +80,13 @@ def test_a_network_learns_a_longer_hood_and_its_file_says_the_same(tmp_path: Pat
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter
-def test_the_detectors_file_takes_the_network_and_its_lengths_along(tmp_path: Path) -> None:
-    network = VehicleNet()
-    torch.save({"averaged": network.state_dict()}, tmp_path / "checkpoint.pt")
+def test_the_networks_file_says_what_its_log_odds_mean_and_for_which_detector(tmp_path: Path) -> None:
     export(trained([_vehicle(NORTH_AMERICA, hood=0.3), _vehicle("cannes", hood=0.2)], 2, 0), tmp_path / "fleet.onnx")
     lengths = FleetLengths((-1.0, 0.5), (4.3, 5.1), 0.3, 1.0)
     (tmp_path / "fleet_lengths.json").write_text(json.dumps(lengths._asdict()))
-    export_detector(tmp_path, tmp_path / "vehicles.onnx", {"name": "mine"}, tmp_path)
-    detector = Detector(tmp_path / "vehicles.onnx")
-    assert detector.card.fleet_lengths == lengths
+    export_fleet(tmp_path, tmp_path / "mine.fleet.onnx", "mine")
+    card = FleetNetwork(tmp_path / "mine.fleet.onnx").card
+    assert (card.detector, card.lengths) == ("mine", lengths)
 
 
 def test_the_error_counts_sets_alike() -> None:

@@ -139,7 +139,7 @@ def test_ragged_pools_are_no_lesson() -> None:
 def test_batches_are_seeded_and_their_masks_touch_their_prompts(tmp_path: Path) -> None:
     render_scene(0.2, width_px=320, height_px=320, seed=4).write(tmp_path / "scene_4.jpg")
     images = [_sample(), *load_scenes(tmp_path)]
-    first, second = (next(iter(BatchStream(images, seed=5))) for _ in range(2))
+    first, second = (BatchStream(images, seed=5)[0] for _ in range(2))
     assert torch.equal(first.image, second.image)
     assert torch.equal(first.prompt.points, second.prompt.points)
     assert first.image.shape[2] == 2 * first.target.shape[2]

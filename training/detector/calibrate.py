@@ -32,10 +32,12 @@ from numpy.typing import NDArray
 from training.detector.data import LENGTH_RANGE_PX, is_dev
 from training.detector.export import export
 from vehanchor.detection.boxes import boxes_from_corners
-from vehanchor.detection.detector import Detections, Detector, detect_vehicles
+from vehanchor.detection.detector import Detector
+from vehanchor.detection.search import search
+from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import ScaleAnalysis, analyse_scale
 from vehanchor.imagery.raster import open_raster
-from vehanchor.options import Aggregation
+from vehanchor.options import Aggregation, Search
 from vehanchor.scale.lengths import inlier_mask, modal_length
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.gsd import KnownScaleImage, read_table
@@ -58,7 +60,7 @@ class Found(NamedTuple):
     """Detections, at a low threshold, on one image of known scale."""
 
     image: KnownScaleImage
-    detections: Detections
+    detections: Sighting
 
 
 def region_lengths(lengths_m: list[tuple[str, float]]) -> dict[str, float]:
@@ -134,7 +136,7 @@ def length_pairs(vehicles: Path, detector: Detector, min_score: float) -> Length
             if min(small.shape[:2]) < 32:
                 continue
             with open_raster(np.ascontiguousarray(small[:, :, ::-1])) as raster:
-                boxes = detect_vehicles(raster, detector, min_score=min_score).boxes
+                boxes = search(raster, detector, Search(min_score=min_score)).boxes
             found, labelled = matched_lengths(boxes, labels * (factor, factor, factor, factor, 1))
             pairs.append(LengthPairs(found, labelled, np.full(len(found), row["set"])))
     return LengthPairs(*(np.concatenate(column) for column in zip(*pairs, strict=True)))
@@ -210,7 +212,7 @@ def main() -> None:
         for image in images:
             if is_dev(image.path.name, image.set):
                 with open_raster(image.path) as raster:
-                    searched = detect_vehicles(raster, detector, min_score=_SEARCH_SCORE, search_scales=False)
+                    searched = search(raster, detector, Search(min_score=_SEARCH_SCORE, search_scales=False))
                 found.append(Found(image, searched))
         errors = {threshold: mean_error(found, threshold) for threshold in _THRESHOLDS}
         min_score = min(errors, key=lambda threshold: errors[threshold])

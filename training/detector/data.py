@@ -11,24 +11,31 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 import torch
-from torch.utils.data import IterableDataset, get_worker_info
 
+from training.detector.distractors import draw_distractors
 from training.detector.network import STRIDE_PX
 from vehanchor.detection.boxes import box_corners, boxes_from_corners
 from vehanchor_evaluation.dota import read_labels
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
 CROP_PX = 320
 LENGTH_RANGE_PX = (9.0, 64.0)  # crops are scaled so that the car length is log-uniform in this range
 _MAX_ENLARGEMENT = 2.6  # beyond it an enlarged image is only blur
-_SET_WEIGHT = {"ucm": 0.27, "cannes": 0.25, "jekhor": 0.20, "saopaulo": 0.12, "empty": 0.06, "scene": 0.15}
+_SET_WEIGHT = {
+    "ucm": 0.15, "cannes": 0.15, "jekhor": 0.14, "saopaulo": 0.09, "empty": 0.04, "scene": 0.06, "estonia": 0.14,
+    "estonia_port": 0.07, "ucm_more": 0.08, "harbor": 0.06, "building": 0.04, "flights": 0.03,
+}  # fmt: skip
 _DEV_SHARE = 10  # one train group in ten is held out: thresholds and confidence are fitted there
 HELD_OUT = 0
 _CLUTTER_SHARE = 0.35  # of the crops of images that have some
+_FINER_SHARE = 0.12  # crops finer than the range, of images that are: there the parts of a car are no cars
+_FINEST_PX = 200.0
+_UNSEEN_PX = 105.0  # a car from this length on is not seen at this resolution, but at a reduced one
+_DISTRACTOR_SHARE = 0.12
 CORRECTIONS = Path(__file__).with_name("corrections.csv")
 
 
@@ -40,6 +47,7 @@ class TrainImage(NamedTuple):
     boxes: NDArray[np.float64]  # [n, 5] small vehicles
     ignore: NDArray[np.float64]  # [m, 4, 2] corners of what is neither car nor background
     clutter: NDArray[np.float64]  # [k, 2] where an earlier detector saw a car that cannot be one
+    car_px: float | None = None  # length of a car at the known scale; None: of the labelled ones
 
 
 def group_of(name: str, set_name: str) -> str:
@@ -76,14 +84,14 @@ def read_corrections(path: Path) -> dict[str, list[Correction]]:
     return out
 
 
-def load_train_images(vehicles: Path, corrections: Path = CORRECTIONS) -> list[TrainImage]:
-    """Load the training part of ``shared/data/vehicles`` without its held-out tenth, its labels corrected."""
+def load_train_images(vehicles: Path, corrections: Path = CORRECTIONS, *, held_out: bool = False) -> list[TrainImage]:
+    """Load the training part of ``shared/data/vehicles``, its labels corrected; or its held-out tenth alone."""
     known = read_corrections(corrections)
     out = []
     with (vehicles / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["split"] == "train"]
     for row in rows:
-        if not is_dev(row["file"], row["set"]):
+        if is_dev(row["file"], row["set"]) == held_out:
             sample = _load(vehicles / row["file"], row["set"], vehicles / "labels")
             out.append(corrected(sample, known.get(Path(row["file"]).name, [])))
     return out
@@ -137,8 +145,10 @@ class Crop(NamedTuple):
 def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
     """Cut a rotated, flipped, rescaled crop; cars at the crop's edge and out of the length range become ignored."""
     height, width = sample.image.shape[:2]
-    native = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else float(rng.uniform(14, 40))
+    native = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or float(rng.uniform(14, 40))
     target = float(np.exp(rng.uniform(*np.log(LENGTH_RANGE_PX))))
+    if native > LENGTH_RANGE_PX[1] and rng.random() < _FINER_SHARE:
+        target = float(np.exp(rng.uniform(np.log(LENGTH_RANGE_PX[1]), np.log(min(_FINEST_PX, 1.3 * native)))))
     scale = min(target / native, _MAX_ENLARGEMENT * float(rng.uniform(0.6, 1.0)))
     if len(sample.clutter) and rng.random() < _CLUTTER_SHARE:
         focus = sample.clutter[rng.integers(len(sample.clutter))] + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
@@ -204,24 +214,37 @@ def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
     )
     sized = (boxes[:, 2] > 0.8 * LENGTH_RANGE_PX[0]) & (boxes[:, 2] < 1.3 * LENGTH_RANGE_PX[1])
     good = inside & whole & sized
-    return Crop(image, boxes[good], np.concatenate([ignore, corners[~good]]), covered)
+    left_open = ~good & (boxes[:, 2] < _UNSEEN_PX)
+    return Crop(image, boxes[good], np.concatenate([ignore, corners[left_open]]), covered)
 
 
 def lay_over(top: Crop, bottom: Crop) -> Crop:
     """Fill what ``top`` leaves uncovered with ``bottom``, so that small source images do not waste the crop."""
     image = np.where(top.covered[:, :, None], top.image, bottom.image)
-    corners = box_corners(bottom.boxes)
-    probe = np.concatenate([corners, bottom.boxes[:, None, :2]], axis=1)
-    cells = np.clip(np.floor(probe), 0, CROP_PX - 1).astype(int)
-    hidden = top.covered[cells[:, :, 1], cells[:, :, 0]]
-    clear = ~hidden.any(axis=1)
-    cut = ~clear & ~hidden.all(axis=1)
+    below = _hidden_by(top.covered, bottom)
     return Crop(
         image,
-        np.concatenate([top.boxes, bottom.boxes[clear]]),
-        np.concatenate([top.ignore, bottom.ignore, corners[cut]]),
+        np.concatenate([top.boxes, below.boxes]),
+        np.concatenate([top.ignore, below.ignore]),
         top.covered | bottom.covered,
     )
+
+
+def distracted(rng: np.random.Generator, crop: Crop) -> Crop:
+    """A crop with striped or gridded things drawn over a part of it."""
+    image, hides = draw_distractors(rng, crop.image)
+    return _hidden_by(hides, crop)._replace(image=image)
+
+
+def _hidden_by(cover: NDArray[np.bool_], crop: Crop) -> Crop:
+    """The crop's boxes without those that ``cover`` hides; those that it cuts are ignored."""
+    corners = box_corners(crop.boxes)
+    probe = np.concatenate([corners, crop.boxes[:, None, :2]], axis=1)
+    cells = np.clip(np.floor(probe), 0, CROP_PX - 1).astype(int)
+    hidden = cover[cells[:, :, 1], cells[:, :, 0]]
+    clear = ~hidden.any(axis=1)
+    cut = ~clear & ~hidden.all(axis=1)
+    return crop._replace(boxes=crop.boxes[clear], ignore=np.concatenate([crop.ignore, corners[cut]]))
 
 
 def _compose(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -315,33 +338,44 @@ def dense_target(boxes: NDArray[np.float64], ignore: NDArray[np.float64]) -> Tar
 
 
 @dataclass
-class CropStream(IterableDataset):  # type: ignore[type-arg]
-    """An endless, seeded stream of ``(image [3, h, w] uint8, Target)``."""
+class CropStream:
+    """An endless, seeded stream of crops; the k-th is the same whenever it is asked for."""
 
     images: list[TrainImage]
     seed: int
 
-    def __iter__(self) -> Iterator[tuple[torch.Tensor, Target]]:
-        """Draw a set by weight, an image in it (those with more cars a little more often), then a crop."""
-        cv2.setNumThreads(1)
-        worker = get_worker_info()
-        rng = np.random.default_rng([self.seed, worker.id if worker else 0])
-        by_set: dict[str, list[TrainImage]] = {}
+    def __post_init__(self) -> None:
+        """Sort the images by their sets."""
+        self._by_set: dict[str, list[TrainImage]] = {}
         for sample in self.images:
-            by_set.setdefault(sample.set, []).append(sample)
-        names = sorted(by_set)
-        share = np.array([_SET_WEIGHT[name] for name in names])
-        pick = {name: np.array([1.0 + np.sqrt(len(s.boxes) + len(s.clutter)) for s in by_set[name]]) for name in names}
-        while True:
-            name = names[rng.choice(len(names), p=share / share.sum())]
+            self._by_set.setdefault(sample.set, []).append(sample)
+        self._names = sorted(self._by_set)
+        share = np.array([_SET_WEIGHT[name] for name in self._names])
+        self._share = share / share.sum()
+        self._pick = {}
+        for name, samples in self._by_set.items():
+            weight = np.array([1.0 + np.sqrt(len(s.boxes) + len(s.clutter)) for s in samples])
+            self._pick[name] = weight / weight.sum()
 
-            def draw(name: str = name) -> Crop:
-                return draw_crop(rng, by_set[name][rng.choice(len(by_set[name]), p=pick[name] / pick[name].sum())])
+    def __getitem__(self, index: int) -> tuple[torch.Tensor, Target]:
+        """Draw a set by weight, an image in it (those with more cars a little more often), then a crop.
 
-            crop = draw()
-            for _ in range(2):
-                if crop.covered.mean() < 0.75 and rng.random() < 0.9:
-                    crop = lay_over(crop, draw())
-            image = photometric(rng, crop.image)
-            pixels = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))
-            yield pixels, dense_target(crop.boxes, crop.ignore)
+        Returns:
+            The image ``[3, h, w]`` uint8 and its target.
+        """
+        cv2.setNumThreads(1)
+        rng = np.random.default_rng([self.seed, index])
+        name = self._names[rng.choice(len(self._names), p=self._share)]
+
+        def draw() -> Crop:
+            return draw_crop(rng, self._by_set[name][rng.choice(len(self._by_set[name]), p=self._pick[name])])
+
+        crop = draw()
+        for _ in range(2):
+            if crop.covered.mean() < 0.75 and rng.random() < 0.9:
+                crop = lay_over(crop, draw())
+        if rng.random() < _DISTRACTOR_SHARE:
+            crop = distracted(rng, crop)
+        image = photometric(rng, crop.image)
+        pixels = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))
+        return pixels, dense_target(crop.boxes, crop.ignore)

@@ -7,7 +7,6 @@ reads both. Scores of cells that are not the highest of their 3 x 3 neighbourhoo
 from __future__ import annotations
 
 import argparse
-import base64
 import json
 import math
 from collections.abc import Sequence
@@ -23,7 +22,7 @@ from torch.nn import functional
 from training.detector.network import STRIDE_PX, VehicleNet
 
 OPSET = 17
-_LICENCE = "Apache-2.0"
+LICENCE = "Apache-2.0"
 
 
 class LengthCorrection(nn.Module):
@@ -88,14 +87,13 @@ def write_metadata(path: Path, metadata: dict[str, str]) -> None:
     onnx.save(model, path)
 
 
-def export(run: Path, out: Path, calibration: dict[str, object], fleet: Path | None = None) -> None:
+def export(run: Path, out: Path, calibration: dict[str, object]) -> None:
     """Write a run as one ONNX file.
 
     Args:
         run: of ``train.py``.
         out: the file.
         calibration: of ``calibrate.py``; becomes metadata, its ``length_correction`` part of the graph.
-        fleet: run of ``training.fleet``, calibrated; its network and lengths become metadata, too.
     """
     correction = cast("Sequence[tuple[float, float]]", calibration.get("length_correction", ()))
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -112,7 +110,7 @@ def export(run: Path, out: Path, calibration: dict[str, object], fleet: Path | N
     metadata = {
         "description": "VehAnchor oriented-box vehicle detector",
         "author": "VehAnchor",
-        "license": _LICENCE,
+        "license": LICENCE,
         "task": "obb",
         "stride": "32",
         "batch": "1",
@@ -122,9 +120,6 @@ def export(run: Path, out: Path, calibration: dict[str, object], fleet: Path | N
     }
     for key, value in calibration.items():
         metadata[f"vehanchor.{key}"] = value if isinstance(value, str) else json.dumps(value)
-    if fleet is not None:
-        metadata["vehanchor.fleet"] = base64.b64encode((fleet / "fleet.onnx").read_bytes()).decode("ascii")
-        metadata["vehanchor.fleet_lengths"] = json.dumps(json.loads((fleet / "fleet_lengths.json").read_text()))
     write_metadata(out, metadata)
 
 
@@ -134,10 +129,9 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--calibration", type=Path, help="JSON of vehanchor.* metadata, written by calibrate.py")
-    parser.add_argument("--fleet", type=Path, help="run of training.fleet, with its fleet_lengths.json")
     options = parser.parse_args()
     calibration = json.loads(options.calibration.read_text()) if options.calibration else {}
-    export(options.run, options.out, calibration, options.fleet)
+    export(options.run, options.out, calibration)
     print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
 
 

@@ -19,8 +19,10 @@ from scipy.stats import spearmanr
 
 from training.detector.calibrate import REGION_OF_SET
 from training.detector.data import is_dev
-from vehanchor.detection.detector import Detector, detect_vehicles
+from vehanchor.detection.detector import Detector
+from vehanchor.detection.search import search
 from vehanchor.imagery.raster import open_raster
+from vehanchor.options import Search
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES, inlier_mask, modal_length
 from vehanchor_evaluation.gsd import read_table
 
@@ -53,7 +55,7 @@ def collect(table: Path, detector: Detector) -> tuple[list[Case], int]:
             way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
             scaled = cv2.resize(pixels, None, fx=factor, fy=factor, interpolation=way)
             with open_raster(np.ascontiguousarray(scaled[:, :, ::-1])) as raster:
-                found = detect_vehicles(raster, detector)
+                found = search(raster, detector, Search())
             kept = inlier_mask(found.boxes[:, 2])
             length, score = found.boxes[kept, 2], found.scores[kept]
             if not len(length):

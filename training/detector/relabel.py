@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from training.detector.data import is_dev
-from vehanchor.detection.boxes import boxes_from_corners, canonical_boxes, oriented_nms
+from vehanchor.detection.boxes import boxes_from_corners, canonical_boxes
 from vehanchor.detection.detector import Detector
+from vehanchor.detection.nms import oriented_nms
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.gsd import read_table
 
@@ -97,8 +98,9 @@ def search(image: NDArray[np.uint8], gsd_m_per_px: float, detector: Detector) ->
     height, width = scaled.shape[:2]
     boxes, scores, views = [], [], []
     for k in range(_N_SYMMETRIES):
-        box, score, _ = detector.detect_tile(symmetric(scaled, k), _SEARCH_SCORE)
-        box, kept = restored(box, k, width, height), oriented_nms(box, score, iou_threshold=_IOU)
+        seen = detector.detect_tile(symmetric(scaled, k), _SEARCH_SCORE).vehicles
+        score, kept = seen.scores, oriented_nms(seen.boxes, seen.scores, iou_threshold=_IOU)
+        box = restored(seen.boxes, k, width, height)
         boxes.append(box[kept])
         scores.append(score[kept])
         views.append(np.full(len(kept), k))

@@ -1,6 +1,6 @@
 """From log odds to a reference length: ``python -m training.fleet.calibrate MODEL.onnx``, MODEL the exported detector.
 
-Writes ``RUN/fleet_lengths.json``, which ``training.detector.export --fleet RUN`` puts into the detector's file. Of a
+Writes ``RUN/fleet_lengths.json``, which ``training.fleet.export`` puts into the network's file. Of a
 few settings it takes the one with the smallest mean error on the train images, every set counting alike. North
 America's images are judged by the network of the fold that has not learned from them, the others by the network that
 has never seen their set: as images of a new camera will be.

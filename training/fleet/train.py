@@ -9,15 +9,13 @@ looks at the ground beside the vehicles, and tells what cameras and places alone
 from __future__ import annotations
 
 import argparse
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
-from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from training.detector.data import is_dev
 from training.fleet.data import (
@@ -32,21 +30,26 @@ from training.fleet.data import (
     vehicle_at_length,
 )
 from training.fleet.network import FleetNet, Mirrored
+from training.loop import Recipe, Schedule, train
 from vehanchor.detection.look import CHIP_SHAPE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Mapping
 
 _BATCH = 64
 _STEPS = 4000
 _RATE = 2e-3
+_WARM_UP_STEPS = 400
 _REPORT_LENGTHS_PX = (12.0, 16.0, 24.0, 40.0)
 _LEAST_VEHICLES = 3  # of an image in the report
 _OPSET = 17
 
 
-class ChipStream(IterableDataset[tuple[Tensor, Tensor]]):
-    """Chips without end: half of North America, half of the other sets, each of these counting alike."""
+class ChipStream:
+    """Chips without end: half of North America, half of the other sets, each of these counting alike.
+
+    The k-th chip is the same whenever it is asked for.
+    """
 
     def __init__(self, vehicles: list[Vehicle], seed: int) -> None:
         self.by_set: dict[str, list[Vehicle]] = {}
@@ -54,37 +57,28 @@ class ChipStream(IterableDataset[tuple[Tensor, Tensor]]):
             self.by_set.setdefault(vehicle.set, []).append(vehicle)
         self.seed = seed
 
-    def __iter__(self) -> Iterator[tuple[Tensor, Tensor]]:
-        worker = get_worker_info()
-        rng = np.random.default_rng((self.seed, worker.id if worker else 0))
+    def __getitem__(self, index: int) -> tuple[Tensor, Tensor]:
+        """A chip ``[1, 16, 24]`` and whether it is North American, 0 or 1."""
+        rng = np.random.default_rng((self.seed, index))
         others = [name for name in self.by_set if name != NORTH_AMERICA]
-        while True:
-            american = rng.random() < 0.5
-            among = self.by_set[NORTH_AMERICA if american else others[rng.integers(len(others))]]
-            cut = random_chip(among[rng.integers(len(among))], rng)
-            yield torch.from_numpy(cut)[None], torch.tensor(float(american))
+        american = rng.random() < 0.5
+        among = self.by_set[NORTH_AMERICA if american else others[rng.integers(len(others))]]
+        cut = random_chip(among[rng.integers(len(among))], rng)
+        return torch.from_numpy(cut)[None], torch.tensor(float(american))
 
 
-def trained(vehicles: list[Vehicle], steps: int, seed: int) -> FleetNet:
-    """A network that has learned from these vehicles, in evaluation mode."""
+def losses(network: nn.Module, batch: tuple[Tensor, Tensor], device: torch.device) -> Mapping[str, Tensor]:
+    """Cross-entropy of the log odds."""
+    chips, american = (part.to(device) for part in batch)
+    return {"entropy": binary_cross_entropy_with_logits(network(chips), american)}
+
+
+def trained(vehicles: list[Vehicle], steps: int, seed: int, run: Path | None = None) -> FleetNet:
+    """A network that has learned from these vehicles, in evaluation mode; resumed from ``run`` where that is given."""
     torch.manual_seed(seed)
-    network = FleetNet()
-    optimizer = torch.optim.AdamW(network.parameters(), weight_decay=0.02)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, total_steps=steps)
-    loader = iter(DataLoader(ChipStream(vehicles, seed), batch_size=_BATCH, num_workers=1))
-    total, started = 0.0, time.monotonic()
-    for step in range(1, steps + 1):
-        chips, american = next(loader)
-        loss = binary_cross_entropy_with_logits(network(chips), american)
-        optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimizer.step()
-        schedule.step()
-        total += loss.item()
-        if step % 500 == 0:
-            print(f"{step} loss {total / 500:.4f} {(time.monotonic() - started) / step:.3f} s/step", flush=True)
-            total = 0.0
-    return network.eval()
+    schedule = Schedule(steps, _RATE, warm_up=min(_WARM_UP_STEPS, steps // 4 + 1), last=0.0)
+    recipe = Recipe(schedule, _BATCH, average=0.0, checkpoint_every=500, log_every=500)
+    return cast("FleetNet", train(FleetNet(), ChipStream(vehicles, seed), losses, recipe, run))
 
 
 def export(network: FleetNet, out: Path) -> None:
@@ -148,7 +142,7 @@ def main() -> None:
     american = [vehicle for vehicle in dev if vehicle.set == NORTH_AMERICA]
     for name, (known, unseen) in parts.items():
         print(f"{name}: {len(known)} vehicles", flush=True)
-        network = trained(known, options.steps, options.seed)
+        network = trained(known, options.steps, options.seed, options.run / name)
         export(network, options.run / f"{name}.onnx")
         if unseen:
             others = [vehicle for vehicle in unseen if vehicle.set != NORTH_AMERICA]

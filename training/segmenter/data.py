@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 import torch
-from torch.utils.data import IterableDataset, get_worker_info
 
 from training.detector.data import photometric
 from training.segmenter.network import BOTTOM_RIGHT, NEGATIVE, PADDING, POSITIVE, STRIDE_PX, TOP_LEFT, Prompt
 from training.segmenter.shapes import composite
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -246,8 +245,8 @@ CROP_SIZES = (CropSize(160, 16, (20.0, 110.0), 0.75), CropSize(256, 6, (70.0, 19
 
 
 @dataclass
-class BatchStream(IterableDataset):  # type: ignore[type-arg]
-    """An endless, seeded stream of whole batches, sizes mixed."""
+class BatchStream:
+    """An endless, seeded stream of whole batches, sizes mixed; the k-th is the same whenever it is asked for."""
 
     images: list[MaskImage]
     seed: int
@@ -265,15 +264,12 @@ class BatchStream(IterableDataset):  # type: ignore[type-arg]
         """Number of objects from each source."""
         return {name: len(items) for name, items in self._objects.items()}
 
-    def __iter__(self) -> Iterator[Batch]:
+    def __getitem__(self, index: int) -> Batch:
         """Draw a size, then examples from sources by weight."""
         cv2.setNumThreads(1)
-        worker = get_worker_info()
-        rng = np.random.default_rng([self.seed, worker.id if worker else 0])
+        rng = np.random.default_rng([self.seed, index])
         shares = np.array([size.share for size in CROP_SIZES])
-        while True:
-            size = CROP_SIZES[rng.choice(len(CROP_SIZES), p=shares / shares.sum())]
-            yield self.batch(rng, size)
+        return self.batch(rng, CROP_SIZES[rng.choice(len(CROP_SIZES), p=shares / shares.sum())])
 
     def batch(self, rng: np.random.Generator, size: CropSize) -> Batch:
         """One batch."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -40,10 +40,10 @@ def warnings(notices: Iterable[Notice]) -> list[str]:
 
 def scale_doubt(estimate: GsdEstimate) -> str:
     """The reason why a scale's confidence is low."""
-    from vehanchor.scale.confidence import FleetDoubt
+    from vehanchor.notices import FLEET_DOUBTS
 
     if estimate.resolution_guard:
         return "vehicles show too little detail to be measured well"
-    if any(notice.code in get_args(FleetDoubt) for notice in estimate.warnings):
+    if any(notice.code in FLEET_DOUBTS for notice in estimate.warnings):
         return "the vehicles may not be cars"
     return "too little evidence"

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from vehanchor.detection.detector import Detections as Sighting
-    from vehanchor.detection.detector import DetectorCard
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.sighting import Sighting
     from vehanchor.options import ScaleOptions
     from vehanchor.records import Notice
     from vehanchor.scale.lengths import Interval

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.anchors.evidence import View
-    from vehanchor.detection.detector import Detections as Sighting
-    from vehanchor.detection.detector import DetectorCard
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.sighting import Sighting
     from vehanchor.options import Aggregation, Lengths, ScaleOptions
     from vehanchor.records import ConfidenceTerms
     from vehanchor.scale.lengths import Interval

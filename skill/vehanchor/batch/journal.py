@@ -24,7 +24,7 @@ from vehanchor.errors import InvalidParameterError, OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
-    from typing import BinaryIO
+    from typing import IO
 
 __all__ = ["Journal", "Key", "Source", "whole_file"]
 
@@ -128,7 +128,7 @@ class Journal(Generic[Value]):
             raise _OtherSettingsError(_difference(record["facts"], self._facts))
 
     @contextmanager
-    def _opened(self, mode: str) -> Iterator[BinaryIO]:
+    def _opened(self, mode: str) -> Iterator[IO[bytes]]:
         if self.path is None:
             yield self._memory
             return

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vehanchor.cli.declared import Chosen, scale_command
-from vehanchor.cli.terminal import INTERRUPTED, printable, told_errors
+from vehanchor.cli.terminal import INTERRUPTED, exit_on_error, printable
 
 if TYPE_CHECKING:
     from vehanchor.batch import BatchSummary
@@ -64,7 +64,7 @@ def batch(
 
     Interrupted, the same command goes on where it stopped.
     """
-    with told_errors():
+    with exit_on_error():
         from vehanchor.batch import run_batch
         from vehanchor.models.session import DEFAULT_PROVIDERS
 

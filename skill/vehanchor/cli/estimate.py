@@ -14,6 +14,7 @@ from vehanchor.cli.declared import Chosen, scale_command
 from vehanchor.cli.terminal import (
     BAD_INPUT,
     STATUS_TEXTS,
+    exit_on_error,
     facts_table,
     failure,
     print_json,
@@ -23,7 +24,6 @@ from vehanchor.cli.terminal import (
     report,
     scale_text,
     tile_progress,
-    told_errors,
 )
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 
@@ -68,7 +68,7 @@ def estimate(
     chosen: Chosen,
 ) -> None:
     """Estimate the ground sampling distance (metres per pixel) of aerial images from the cars in them."""
-    with told_errors():
+    with exit_on_error():
         try:
             outputs = _outputs(images, overlay, plot)
             options, model = chosen.options(), chosen.open_detector()

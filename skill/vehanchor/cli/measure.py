@@ -11,6 +11,7 @@ from typer.core import TyperCommand
 from vehanchor.cli.declared import Chosen, DetectorChoice, scale_command
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
+    exit_on_error,
     facts_table,
     failure,
     print_json,
@@ -18,7 +19,6 @@ from vehanchor.cli.terminal import (
     print_warnings,
     scale_text,
     tile_progress,
-    told_errors,
 )
 from vehanchor.errors import InvalidParameterError, OutputError, PromptError, VehAnchorError
 
@@ -90,7 +90,7 @@ def _measure(
     chosen: Chosen,
 ) -> None:
     """Measure the area (square metres) of the object in a box or at a point, by the scale of the cars in the image."""
-    with told_errors():
+    with exit_on_error():
         try:
             outputs = _outputs(image, overlay, mask)
             options = chosen.options()

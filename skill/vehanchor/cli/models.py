@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vehanchor.cli.declared import DetectorChoice
-from vehanchor.cli.terminal import facts_table, failure, print_json, print_table, printable, told_errors
+from vehanchor.cli.terminal import exit_on_error, facts_table, failure, print_json, print_table, printable
 from vehanchor.errors import ModelError, VehAnchorError
 
 if TYPE_CHECKING:
-    from vehanchor.detection.detector import DetectorCard
+    from vehanchor.detection.card import DetectorCard
 
 __all__ = ["models"]
 
@@ -28,7 +28,7 @@ def list_models(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object per model and line.")] = False,
 ) -> None:
     """List the bundled detectors and the segmenter."""
-    with told_errors():
+    with exit_on_error():
         from vehanchor.detection.detector import load_detector
         from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, bundled_segmenter
 
@@ -46,7 +46,7 @@ def list_models(
                     print(printable(f"{name}: {path}\n  not a detector: {error}"))
                 continue
             if as_json:
-                print_json({"kind": "detector", "file": str(path), "default": default, **asdict(card)})
+                print_json({"kind": "detector", "file": str(path), "default": default, **card.model_dump(mode="json")})
             else:
                 facts = [("file", str(path)), *_card_facts(card, sha_digits=_SHORT_SHA)]
                 print_table(facts_table(f"{name} (default)" if default else name, facts))
@@ -85,7 +85,7 @@ def show_model(
     ] = None,
 ) -> None:
     """Show all that a detector's file says of itself; the paper's values stand in where it is silent."""
-    with told_errors():
+    with exit_on_error():
         try:
             model = DetectorChoice(detector=file, classes=classes).open()
         except VehAnchorError as error:
@@ -93,7 +93,9 @@ def show_model(
                 print_json(failure(file, error))
             raise
         if as_json:
-            print_json({"file": str(model.path), "fixed_size_px": model.fixed_size, **asdict(model.card)})
+            print_json(
+                {"file": str(model.path), "fixed_size_px": model.fixed_size, **model.card.model_dump(mode="json")}
+            )
             return
         card = model.card
         size = "any" if model.fixed_size is None else f"{model.fixed_size[1]} x {model.fixed_size[0]} px"

@@ -24,6 +24,7 @@ __all__ = [
     "INTERRUPTED",
     "STATUS_TEXTS",
     "UNFORESEEN",
+    "exit_on_error",
     "facts_table",
     "failure",
     "print_json",
@@ -33,7 +34,6 @@ __all__ = [
     "report",
     "scale_text",
     "tile_progress",
-    "told_errors",
 ]
 
 BAD_INPUT, UNFORESEEN, INTERRUPTED = 2, 1, 130  # exit statuses
@@ -47,8 +47,8 @@ def report(error: VehAnchorError, about: str = "") -> None:
 
 
 @contextmanager
-def told_errors() -> Iterator[None]:
-    """What a command raises becomes one line on stderr and an exit status."""
+def exit_on_error() -> Iterator[None]:
+    """Turn what a command raises into one line on stderr and an exit status."""
     try:
         yield
     except VehAnchorError as error:

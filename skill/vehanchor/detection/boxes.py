@@ -1,4 +1,4 @@
-"""Oriented boxes: geometry, exact IoU and non-maximum suppression.
+"""Oriented boxes: geometry and exact IoU.
 
 A box is a row ``(x, y, length, width, angle)``: centre in pixels, the two sides in pixels with ``length >= width``, and
 the angle of the long side in radians, counted from +x towards +y (image axes: x right, y down), in [0, pi).
@@ -13,12 +13,10 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vehanchor.options import NMS_IOU
-
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["box_corners", "boxes_from_corners", "canonical_boxes", "oriented_iou", "oriented_nms"]
+__all__ = ["box_corners", "boxes_from_corners", "canonical_boxes", "oriented_iou", "pair_iou"]
 
 _PARALLEL_RAD = 2e-4  # closer to parallel than this, the closed form errs by less than 0.001 in IoU
 
@@ -78,8 +76,17 @@ def boxes_from_corners(corners: ArrayLike) -> NDArray[np.float64]:
     return canonical_boxes(np.column_stack([points.mean(axis=1), sides, angle]))
 
 
-def _pair_iou(boxes: NDArray[np.float64], i: int, j: int) -> float:
-    """Exact IoU of two canonical boxes, computed about a local origin (float32 is coarse at 1e5 px)."""
+def pair_iou(boxes: NDArray[np.float64], i: int, j: int) -> float:
+    """Exact IoU of two canonical boxes, computed about a local origin (float32 is coarse at 1e5 px).
+
+    Args:
+        boxes: ``[n, 5]`` canonical boxes.
+        i: index of the one.
+        j: index of the other.
+
+    Returns:
+        In [0, 1].
+    """
     a, b = boxes[i], boxes[j]
     shared = _parallel_overlap(a, b)
     if shared is None:
@@ -136,7 +143,7 @@ def oriented_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     both = np.concatenate([first, second])
     out = np.zeros((len(first), len(second)))
     for i, j in _touching_pairs(first, second):
-        out[i, j] = _pair_iou(both, i, len(first) + j)
+        out[i, j] = pair_iou(both, i, len(first) + j)
     return out
 
 
@@ -152,84 +159,3 @@ def _touching_pairs(first: NDArray[np.float64], second: NDArray[np.float64]) -> 
     gap = np.linalg.norm(first[i, :2] - second[j, :2], axis=1)
     meet = np.flatnonzero(gap < radius_a[i] + radius_b[j])
     return np.column_stack([i[meet], j[meet]])
-
-
-def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = NMS_IOU) -> NDArray[np.intp]:
-    """Greedy non-maximum suppression with exact oriented IoU.
-
-    Boxes are visited from the highest score down (equal scores: by position and size, so that the input's order does
-    not matter); one is dropped if its IoU with a kept box exceeds ``iou_threshold``. Pairs are gated by a k-d tree on
-    the centres within size classes (one huge box does not widen everybody's gate), by the ratio of areas and by the
-    boxes' extents in each other's frame, which bound the IoU from above; what passes is intersected exactly, and only
-    against boxes that were kept.
-
-    Args:
-        boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)``.
-        scores: ``[n]`` detection scores.
-        iou_threshold: largest IoU that two kept boxes may have; paper: 0.45.
-
-    Returns:
-        Indices into ``boxes`` of those kept, from the highest score down.
-    """
-    rows = canonical_boxes(boxes)
-    score = np.asarray(scores, dtype=np.float64).reshape(-1)
-    if len(rows) == 0:
-        return np.zeros(0, dtype=np.intp)
-    order = np.lexsort((*rows.T[::-1], -score))
-    rows = rows[order]
-    neighbours = _overlap_candidates(rows, iou_threshold)
-    alive = np.ones(len(rows), dtype=bool)
-    kept = []
-    for i in range(len(rows)):
-        if not alive[i]:
-            continue
-        kept.append(i)
-        for j in neighbours[i]:
-            if alive[j] and _pair_iou(rows, i, j) > iou_threshold:
-                alive[j] = False
-    result: NDArray[np.intp] = order[kept]
-    return result
-
-
-def _shared_bound(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Upper bound of the area that each box of ``a`` shares with that of ``b``: the extent of ``b`` along a's sides."""
-    turn = b[:, 4] - a[:, 4]
-    cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
-    dx, dy = (b[:, :2] - a[:, :2]).T
-    along = np.abs(dx * np.cos(a[:, 4]) + dy * np.sin(a[:, 4]))
-    across = np.abs(dy * np.cos(a[:, 4]) - dx * np.sin(a[:, 4]))
-    bound = np.ones(len(a))
-    for side, extent, distance in (
-        (a[:, 2], b[:, 2] * cosine + b[:, 3] * sine, along),
-        (a[:, 3], b[:, 2] * sine + b[:, 3] * cosine, across),
-    ):
-        bound *= np.clip((side + extent) / 2 - distance, 0.0, np.minimum(side, extent))
-    return bound
-
-
-def _overlap_candidates(rows: NDArray[np.float64], iou_threshold: float) -> list[list[int]]:
-    """For each box the later ones that might exceed the threshold, by distance, area ratio and extent."""
-    length, width = rows[:, 2], rows[:, 3]
-    radius = np.hypot(length, width) / 2
-    area = length * width
-    size_class = np.floor(np.log2(np.maximum(radius, 1e-6))).astype(int)
-    later: list[list[int]] = [[] for _ in range(len(rows))]
-    classes = np.unique(size_class)
-    members = {c: np.flatnonzero(size_class == c) for c in classes}
-    trees = {c: cKDTree(rows[members[c], :2]) for c in classes}
-    for position, c in enumerate(classes):
-        for d in classes[position:]:
-            reach = radius[members[c]].max() + radius[members[d]].max()
-            if c == d:
-                local = trees[c].query_pairs(reach, output_type="ndarray")
-            else:
-                pairs = trees[c].query_ball_tree(trees[d], reach)
-                local = np.array([(i, j) for i, near in enumerate(pairs) for j in near], dtype=np.intp).reshape(-1, 2)
-            first, second = members[c][local[:, 0]], members[d][local[:, 1]]
-            ratio = np.minimum(area[first], area[second]) / np.maximum(np.maximum(area[first], area[second]), 1e-12)
-            first, second = first[ratio > iou_threshold], second[ratio > iou_threshold]
-            shared = np.minimum(_shared_bound(rows[first], rows[second]), _shared_bound(rows[second], rows[first]))
-            possible = shared > iou_threshold / (1 + iou_threshold) * (area[first] + area[second]) * (1 - 1e-9)
-            for i, j in zip(first[possible].tolist(), second[possible].tolist(), strict=True):
-                later[min(i, j)].append(max(i, j))
-    return later

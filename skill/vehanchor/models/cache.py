@@ -29,9 +29,7 @@ class _FileState(NamedTuple):
     inode: int
 
 
-def file_cached(
-    max_models: int, *, beside: Callable[[Path], Path | None] | None = None
-) -> Callable[[Callable[P, T]], Callable[P, T]]:
+def file_cached(max_models: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """Keep what a function loads from model files, until one of the files is another.
 
     The files are told by absolute path, size, time and inode, those that keep a graph's weights included: a model that
@@ -39,7 +37,6 @@ def file_cached(
 
     Args:
         max_models: how many results are kept at most; the one unused for longest goes first.
-        beside: a model that is loaded along with one, where there is such: it counts, too.
 
     Returns:
         A decorator for a function whose positional arguments, and whose keyword arguments that are ``os.PathLike``, are
@@ -56,8 +53,7 @@ def file_cached(
             # Links are not resolved: weights lie beside the name that was given, not beside what it points to.
             files = tuple(Path(str(file)).absolute() for file in (*args, *named.values()))
             key = files, tuple(named), frozenset((name, kwargs[name]) for name in kwargs if name not in named)
-            along = [other for file in files if beside is not None and (other := beside(file)) is not None]
-            states = tuple(state for file in (*files, *along) for state in _states(file))
+            states = tuple(state for file in files for state in _states(file))
             with lock:
                 if key in kept and kept[key][0] == states:
                     kept.move_to_end(key)

@@ -15,13 +15,13 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 import onnxruntime
 
 from vehanchor.errors import InvalidParameterError, ModelContractError, ProviderUnavailableError
-from vehanchor.models.files import check_model_file, external_locations
+from vehanchor.models.files import external_locations
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-__all__ = ["DEFAULT_PROVIDERS", "check_model_file", "metadata_number", "open_session", "stoppable"]
+__all__ = ["DEFAULT_PROVIDERS", "metadata_number", "open_session", "stoppable"]
 
 DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
 

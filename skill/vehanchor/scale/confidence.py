@@ -6,10 +6,11 @@ by ``training/detector/fit_confidence.py``.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.notices import NoticeCode
 from vehanchor.records import ConfidenceTerms
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES
 
@@ -21,7 +22,6 @@ __all__ = [
     "FALLBACK_CONFIDENCE",
     "GUARD_CONFIDENCE",
     "GUARD_GSD_M_PER_PX",
-    "FleetDoubt",
     "composite",
     "confidence_terms",
     "fleet_doubts",
@@ -45,11 +45,6 @@ _CV_FULL, _CV_NONE = 0.05, 0.25  # coefficient of variation: a clean fleet; leng
 _SCORE_NONE, _SCORE_FULL = 0.55, 0.75  # median detection score
 _QUARTILES_PER_SD = 1.349  # of a normal distribution
 _FADE = 1.5  # factor outside the trained range over which plausibility falls to 0
-
-
-FleetDoubt: TypeAlias = Literal[
-    "lengths_disagree", "lengths_alike", "scores_unclear", "looks_alike", "looks_unlike_cars"
-]
 
 
 def _ramp(value: float, zero_at: float, one_at: float) -> float:
@@ -97,7 +92,7 @@ def fleet_doubts(
     rival_share: float,
     clear_score: float,
     fleet_log_odds: ArrayLike | None = None,
-) -> tuple[FleetDoubt, ...]:
+) -> tuple[NoticeCode, ...]:
     """What speaks against vehicles being cars, where a search over scales has given up their size as evidence.
 
     * ``lengths_disagree``: another group of lengths has 0.35 or more of the evidence of this one.
@@ -121,20 +116,20 @@ def fleet_doubts(
     values, score = np.asarray(lengths, dtype=np.float64), np.asarray(scores, dtype=np.float64)
     if len(values) == 0:
         return ()
-    doubts: list[FleetDoubt] = []
+    doubts: list[NoticeCode] = []
     if rival_share >= _RIVAL_SHARE:
-        doubts.append("lengths_disagree")
+        doubts.append(NoticeCode.LENGTHS_DISAGREE)
     low, high = np.percentile(np.log(values), [25, 75])
     if len(values) >= _ALIKE_VEHICLES and (high - low) / _QUARTILES_PER_SD < _ALIKE_LOG_SPREAD:
-        doubts.append("lengths_alike")
+        doubts.append(NoticeCode.LENGTHS_ALIKE)
     if np.percentile(score, _CLEAR_PERCENTILE) < clear_score:
-        doubts.append("scores_unclear")
+        doubts.append(NoticeCode.SCORES_UNCLEAR)
     look = np.asarray([] if fleet_log_odds is None else fleet_log_odds, dtype=np.float64)
     if len(look) >= _ALIKE_VEHICLES:
         if look.std() < _ALIKE_LOG_ODDS:
-            doubts.append("looks_alike")
+            doubts.append(NoticeCode.LOOKS_ALIKE)
         if look.mean() < _UNLIKE_LOG_ODDS:
-            doubts.append("looks_unlike_cars")
+            doubts.append(NoticeCode.LOOKS_UNLIKE_CARS)
     return tuple(doubts)
 
 

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from vehanchor.detection.detector import DetectorCard
+    from vehanchor.detection.card import DetectorCard
     from vehanchor.options import Reference
     from vehanchor.records import ReferenceSource
 

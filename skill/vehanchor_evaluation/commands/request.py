@@ -7,7 +7,7 @@ import typing
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from vehanchor.cli.declared import Chosen, scale_command
-from vehanchor.cli.terminal import told_errors
+from vehanchor.cli.terminal import exit_on_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -29,7 +29,7 @@ def plain_command(request: type[Request]) -> Callable[[Callable[[Request], None]
 
     def decorate(command: Callable[[Request], None]) -> Callable[..., None]:
         def run(**typed: Any) -> None:
-            with told_errors():
+            with exit_on_error():
                 command(request(**typed))
 
         return _declared(run, command, _parameters(request))
@@ -53,7 +53,7 @@ def measuring_command(
 
     def decorate(command: Callable[[Request, Chosen], None]) -> Callable[..., None]:
         def run(chosen: Chosen, **typed: Any) -> None:
-            with told_errors():
+            with exit_on_error():
                 command(request(**typed), chosen)
 
         chosen = inspect.Parameter("chosen", inspect.Parameter.KEYWORD_ONLY, annotation=Chosen)

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import typing
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,8 +13,8 @@ from tests.analyses import make_analysis
 from tests.server.conversation import by_path, picture_of, text_of
 from tests.server.test_models import calibration_file
 from vehanchor.detection.detector import load_detector
+from vehanchor.notices import FLEET_DOUBTS
 from vehanchor.records import GsdEstimate, Notice
-from vehanchor.scale.confidence import FleetDoubt
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -123,7 +122,7 @@ def test_the_guard_is_told_as_what_it_means(doubtful: GsdEstimate) -> None:
     assert "(vehicles show too little detail to be measured well)" in describe_estimate(guarded)
 
 
-@pytest.mark.parametrize("code", typing.get_args(FleetDoubt))
+@pytest.mark.parametrize("code", FLEET_DOUBTS)
 def test_doubts_about_the_fleet_are_told_with_their_warning(doubtful: GsdEstimate, code: str) -> None:
     notice = Notice(code=code, message="They are all alike.")
     words = describe_estimate(doubtful.model_copy(update={"warnings": (notice,)}))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from tests.analyses import made_card
 from vehanchor.anchors.evidence import Evidence, ImageFacts, View
 from vehanchor.anchors.vehicles import Vehicles, select
-from vehanchor.detection.detector import Detections
+from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import analyse_sighting
 from vehanchor.options import Lengths, ScaleOptions
 from vehanchor.records import Notice
@@ -18,7 +18,7 @@ _LENGTHS = [40.0, 41.0, 42.0, 40.0, 41.0, 90.0]
 
 def _view(lengths: list[float]) -> View:
     boxes = np.array([[99.0 * k, 50, length, 18, 0] for k, length in enumerate(lengths)]).reshape(-1, 5)
-    found = Detections(boxes, np.full(len(boxes), 0.8))
+    found = Sighting(boxes, np.full(len(boxes), 0.8))
     return View(ImageFacts(800, 600), found, made_card(5.0), ScaleOptions(), lambda *_: 1.0)
 
 
@@ -54,15 +54,14 @@ class _Shadow:
 def test_a_ruler_in_the_registry_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vehanchor.estimate.OTHER_ANCHORS", (_Shadow(),))
     analysis = analyse_sighting(_view(_LENGTHS))
-    assert [each.kind for each in analysis.evidence] == ["vehicles", "shadow"]
-    assert analysis.evidence[1].gsd_m_per_px == 0.125
+    assert [(each.kind, each.gsd_m_per_px) for each in analysis.others] == [("shadow", 0.125)]
     assert [notice.code for notice in analysis.estimate.warnings] == ["shadow_short"]
 
 
 def test_the_look_of_the_kept_vehicles_is_what_was_asked_of_them() -> None:
     odds: NDArray[np.float64] = np.array([1.0, 2.0, 3.0])
     view = _view(_LENGTHS)
-    found = Detections(view.sighting.boxes[::-1], view.sighting.scores, fleet_log_odds=odds)
+    found = Sighting(view.sighting.boxes[::-1], view.sighting.scores, fleet_log_odds=odds)
     fleet = select(found, Lengths())
     assert fleet.log_odds is not None
     assert fleet.log_odds.tolist() == [2.0, 3.0]  # the longest comes first and is dropped

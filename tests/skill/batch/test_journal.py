@@ -110,9 +110,12 @@ def test_a_full_disk_is_told(tmp_path: Path) -> None:
 
 def test_threads_may_add_at_once(tmp_path: Path) -> None:
     journal = _journal(tmp_path / "j.jsonl")
-    threads = [
-        Thread(target=lambda k: [journal.add((k, n), f"{k} {n}") for n in range(20)], args=(k,)) for k in range(8)
-    ]
+
+    def add_twenty(k: int) -> None:
+        for n in range(20):
+            journal.add((k, n), f"{k} {n}")
+
+    threads = [Thread(target=add_twenty, args=(k,)) for k in range(8)]
     for thread in threads:
         thread.start()
     for thread in threads:

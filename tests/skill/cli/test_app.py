@@ -6,7 +6,7 @@ import subprocess
 import sys
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +16,7 @@ from typer.testing import CliRunner, Result
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_other_model
 from vehanchor import estimate as perception
-from vehanchor import options, records
+from vehanchor import records
 from vehanchor.cli import app as cli
 from vehanchor.errors import VehAnchorError
 from vehanchor.models import zoo as model_zoo
@@ -225,10 +225,6 @@ def test_the_options_reach_the_method(run: Any) -> None:
     frame = record("--frame", "450", "250")["frame"]
     assert frame["gsd_m_per_px"] == pytest.approx(2 * plain["gsd_m_per_px"])
     assert "450 x 250 px:" in _estimate(run, "cars.png", "--frame", "450", "250").stdout
-
-
-def test_the_choices_are_the_librarys() -> None:
-    assert {choice.value for choice in cli._Aggregation} == set(get_args(options.Aggregation))
 
 
 def test_warnings_follow_the_table_and_stay_inside_the_json(run: Any, tmp_path: Path) -> None:

@@ -3,18 +3,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import onnx
 import pytest
+from onnx.external_data_helper import set_external_data
 
-from tests.models import blank_image, paint_vehicles, write_detector, write_other_model
-from vehanchor.detection.boxes import oriented_iou
-from vehanchor.detection.detector import (
-    LENGTH_RANGE_PX,
-    MIN_SCORE,
-    REFERENCE_LENGTH_M,
-    Detector,
-    detect_vehicles,
-    load_detector,
-)
+from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network, write_other_model
+from vehanchor.detection.detector import Detector, load_detector
+from vehanchor.detection.look import FleetLengths
+from vehanchor.detection.search import search
 from vehanchor.errors import (
     InvalidParameterError,
     ModelContractError,
@@ -22,6 +18,7 @@ from vehanchor.errors import (
     ProviderUnavailableError,
 )
 from vehanchor.imagery.raster import open_raster
+from vehanchor.options import Search
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,6 +31,7 @@ _DOTA = {
     12: "roundabout", 13: "soccer ball field", 14: "swimming pool",
 }  # fmt: skip
 _TWO = {0: "small_vehicle", 1: "large vehicle"}
+_LENGTHS = FleetLengths((-1.0, 1.0), (4.0, 5.0), 0.3, 2.0)
 _BOXES = np.array([[60.3, 50.7, 30, 12, 0.3], [150, 90, 28, 11, 1.9], [100.5, 200, 31, 12.5, 3.0]])
 
 
@@ -64,7 +62,7 @@ def test_every_layout_gives_the_painted_boxes(
     image, painted = _picture(classes=[kind] * 3)
     detector = Detector(write_detector(tmp_path / "m.onnx", layout=layout, names=names, fixed_size=fixed_size))
     with open_raster(image) as raster:
-        found = detect_vehicles(raster, detector)
+        found = search(raster, detector)
     _assert_same(found.boxes, painted)
     np.testing.assert_allclose(found.scores, 0.9, atol=1 / 255)
 
@@ -73,14 +71,14 @@ def test_half_precision_exports_work(tmp_path: Path) -> None:
     image, painted = _picture()
     detector = Detector(write_detector(tmp_path / "m.onnx", dtype="float16"))
     with open_raster(image) as raster:
-        _assert_same(detect_vehicles(raster, detector).boxes, painted, within=2e-2)
+        _assert_same(search(raster, detector).boxes, painted, within=2e-2)
 
 
 def test_swapped_sides_and_unbounded_angles_are_the_same_boxes(tmp_path: Path) -> None:
     image, painted = _picture()
     path = write_detector(tmp_path / "m.onnx", swap_sides=True, angle_offset=-6 * np.pi)
     with open_raster(image) as raster:
-        _assert_same(detect_vehicles(raster, Detector(path)).boxes, painted)
+        _assert_same(search(raster, Detector(path)).boxes, painted)
 
 
 def test_other_classes_are_not_vehicles_unless_asked_for(tmp_path: Path) -> None:
@@ -89,7 +87,7 @@ def test_other_classes_are_not_vehicles_unless_asked_for(tmp_path: Path) -> None
 
     def found(classes: list[str | int] | None) -> NDArray[np.float64]:
         with open_raster(image) as raster:
-            return detect_vehicles(raster, Detector(path, classes=classes)).boxes
+            return search(raster, Detector(path, classes=classes)).boxes
 
     _assert_same(found(None), painted[:1])
     _assert_same(found(["small-vehicle", "Large_Vehicle"]), painted[:2])
@@ -99,138 +97,71 @@ def test_other_classes_are_not_vehicles_unless_asked_for(tmp_path: Path) -> None
             found([unknown])
 
 
+@pytest.mark.parametrize("layout", ["raw", "end2end"])
+def test_a_tiles_other_objects_keep_their_class(tmp_path: Path, layout: Any) -> None:
+    image, painted = _picture(classes=[10, 9, 0], scores=[0.9, 0.6, 0.3])
+    path = write_detector(tmp_path / "m.onnx", names=_DOTA, layout=layout)
+    seen = Detector(path).detect_tile(image, 0.1)
+    assert seen.vehicles.classes.tolist() == [10]
+    _assert_same(seen.others.boxes, painted[1:])
+    found = sorted(zip(seen.others.classes.tolist(), seen.others.scores.tolist(), strict=True))
+    assert found == [(0, pytest.approx(0.3, abs=1 / 255)), (9, pytest.approx(0.6, abs=1 / 255))]
+    both = Detector(path, classes=["small vehicle", "large vehicle"]).detect_tile(image, 0.1)
+    assert sorted(both.vehicles.classes.tolist()) == [9, 10]
+    assert both.others.classes.tolist() == [0]
+
+
 def test_fifteen_nameless_classes_are_taken_for_dota(tmp_path: Path) -> None:
     image, painted = _picture(classes=[10, 9, 10])
     detector = Detector(write_detector(tmp_path / "m.onnx", names=None, n_classes=15))
     with open_raster(image) as raster:
-        _assert_same(detect_vehicles(raster, detector).boxes, painted[[0, 2]])
+        _assert_same(search(raster, detector).boxes, painted[[0, 2]])
 
 
 def test_scores_below_the_threshold_are_dropped(tmp_path: Path) -> None:
     image, _ = _picture(scores=[0.9, 0.3, 0.08])
     detector = Detector(write_detector(tmp_path / "m.onnx"))
     with open_raster(image) as raster:
-        assert len(detect_vehicles(raster, detector).boxes) == 2  # the paper's 0.1
-        assert len(detect_vehicles(raster, detector, min_score=0.05).boxes) == 3
-        assert len(detect_vehicles(raster, detector, min_score=0.5).boxes) == 1
-
-
-def _street(width: int, height: int, seed: int = 0) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    rng = np.random.default_rng(seed)
-    image = blank_image(width, height)
-    grid = np.stack(np.meshgrid(np.arange(40, width - 40, 60), np.arange(40, height - 40, 60)), axis=-1).reshape(-1, 2)
-    n = len(grid)
-    boxes = np.column_stack(
-        [grid + rng.uniform(-5, 5, grid.shape), rng.normal(30, 2, n), rng.normal(12, 0.5, n), rng.uniform(0, np.pi, n)]
-    )
-    return image, paint_vehicles(image, boxes)
-
-
-@pytest.mark.parametrize(("width", "height", "tile"), [(700, 500, 256), (513, 300, 256), (300, 900, 320)])
-def test_tiles_find_each_vehicle_once_in_image_coordinates(tmp_path: Path, width: int, height: int, tile: int) -> None:
-    image, painted = _street(width, height)
-    detector = Detector(write_detector(tmp_path / "m.onnx"))
-    with open_raster(image) as raster:
-        found = detect_vehicles(raster, detector, tile_px=tile)
-    _assert_same(found.boxes, painted)
-    assert found.n_tiles > 1
-
-
-def test_a_model_of_fixed_size_sets_the_tile_and_pads_small_images(tmp_path: Path) -> None:
-    image, painted = _street(400, 200)
-    detector = Detector(write_detector(tmp_path / "m.onnx", fixed_size=320))
-    with open_raster(image) as raster:
-        _assert_same(detect_vehicles(raster, detector).boxes, painted)
-        with pytest.raises(InvalidParameterError, match="fixed"):
-            detect_vehicles(raster, detector, tile_px=1024)
-
-
-def test_a_tile_whose_rows_ran_out_is_counted(tmp_path: Path) -> None:
-    image, painted = _street(400, 400)
-    detector = Detector(write_detector(tmp_path / "m.onnx", layout="end2end", cap=20))
-    with open_raster(image) as raster:
-        found = detect_vehicles(raster, detector)
-    assert len(painted) > len(found.boxes) == 20
-    assert (found.n_tiles, found.n_capped_tiles) == (1, 1)
-
-
-def test_overlapping_boxes_of_one_vehicle_are_merged(tmp_path: Path) -> None:
-    boxes = np.array([[60.5, 60.5, 30, 12, 0.3], [60.5, 64.2, 30, 12, 0.3], [150, 60, 30, 12, 0.3]])
-    image, _ = _picture(boxes, scores=[0.9, 0.8, 0.7])
-    with open_raster(image) as raster:
-        detector = Detector(write_detector(tmp_path / "m.onnx"))
-        merged = detect_vehicles(raster, detector)
-        every = detect_vehicles(raster, detector, nms_iou=1.0)
-    assert oriented_iou(boxes[:1], boxes[1:2])[0, 0] > 0.45
-    assert (len(merged.boxes), len(every.boxes)) == (2, 3)
-
-
-def test_progress_counts_tiles_and_may_stop_the_search(tmp_path: Path) -> None:
-    image, _ = _street(700, 500)
-    detector = Detector(write_detector(tmp_path / "m.onnx"))
-    seen: list[tuple[int, int]] = []
-    with open_raster(image) as raster:
-        detect_vehicles(raster, detector, tile_px=256, progress=lambda done, total: seen.append((done, total)))
-    assert seen == [(k, len(seen) - 1) for k in range(len(seen))]
-
-    def stop(done: int, total: int) -> None:
-        raise TimeoutError
-
-    with open_raster(image) as raster, pytest.raises(TimeoutError):
-        detect_vehicles(raster, detector, progress=stop)
-
-
-@pytest.mark.parametrize("options", [{"tile_px": 16}, {"stride_px": 0}, {"tile_px": 256, "stride_px": 257}])
-def test_tiles_without_meaning_are_refused(tmp_path: Path, options: dict[str, Any]) -> None:
-    detector = Detector(write_detector(tmp_path / "m.onnx"))
-    with open_raster(blank_image(300, 300)) as raster, pytest.raises(InvalidParameterError, match="tile"):
-        detect_vehicles(raster, detector, **options)
-
-
-def test_the_card_reads_our_metadata(tmp_path: Path) -> None:
-    metadata = {
-        "vehanchor.name": "mine",
-        "vehanchor.reference_length_m": "4.6",
-        "vehanchor.reference_length_sd_m": "0.3",
-        "vehanchor.length_range_px": "9,64",
-        "vehanchor.min_length_px": "13",
-        "vehanchor.min_score": "0.35",
-        "vehanchor.region_lengths_m": '{"asia": 4.3}',
-        "license": "Apache-2.0",
-    }
-    card = Detector(write_detector(tmp_path / "m.onnx", metadata=metadata)).card
-    assert (card.name, card.reference_length_m, card.reference_length_sd_m) == ("mine", 4.6, 0.3)
-    assert (card.length_range_px, card.min_length_px, card.min_score) == ((9.0, 64.0), 13.0, 0.35)
-    assert card.region_lengths_m["asia"] == 4.3
-    assert card.region_lengths_m["europe"] == pytest.approx(4.6 * 4.5 / 5.045)
-    assert card.licence == "Apache-2.0"
-
-
-def test_a_foreign_model_gets_the_papers_values(tmp_path: Path) -> None:
-    card = Detector(write_detector(tmp_path / "foreign.onnx")).card
-    assert (card.name, card.reference_length_m, card.min_score) == ("foreign", REFERENCE_LENGTH_M, MIN_SCORE)
-    assert card.reference_length_m == 5.045
-    assert card.length_range_px == LENGTH_RANGE_PX
-    assert card.min_length_px == 0
-    assert card.region_lengths_m == pytest.approx({"europe": 4.5, "north_america": 5.5})
-    assert len(card.sha256) == 64
+        assert len(search(raster, detector).boxes) == 2  # the paper's 0.1
+        assert len(search(raster, detector, Search(min_score=0.05)).boxes) == 3
+        assert len(search(raster, detector, Search(min_score=0.5)).boxes) == 1
 
 
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("vehanchor.reference_length_m", "long"),
+        ("vehanchor.reference_length_m", "0"),
         ("vehanchor.reference_length_m", "nan"),
-        ("vehanchor.min_score", "-1"),
-        ("vehanchor.length_range_px", "9"),
-        ("vehanchor.region_lengths_m", "[1]"),
+        ("vehanchor.length_range_px", "64,9"),
+        ("vehanchor.length_range_px", "nan,64"),
+        ("stride", "inf"),
         ("names", "{0: small"),
-        ("names", "7"),
+        ("names", "{1: 'car'}"),  # this layout has a score for every class from 0 on
     ],
 )
-def test_unreadable_metadata_is_a_contract_error(tmp_path: Path, key: str, value: str) -> None:
-    path = write_detector(tmp_path / "m.onnx", metadata={key: value})
-    with pytest.raises(ModelContractError):
+def test_metadata_without_meaning_is_a_contract_error_that_names_the_file(tmp_path: Path, key: str, value: str) -> None:
+    with pytest.raises(ModelContractError, match=r"m\.onnx"):
+        Detector(write_detector(tmp_path / "m.onnx", metadata={key: value}))
+
+
+def test_a_detector_with_its_weights_in_a_file_beside_it_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image, painted = _picture()
+    path = write_detector(tmp_path / "m.onnx")
+    alone = Detector(path).card.sha256
+    model = onnx.load(str(path))
+    for tensor in model.graph.initializer:
+        if tensor.data_type == onnx.TensorProto.FLOAT:  # the shapes of tensors have to stay in the file
+            set_external_data(tensor, location="m.onnx.data")
+    onnx.save(model, str(path))
+    monkeypatch.chdir(path.root)
+    detector = Detector(path)
+    with open_raster(image) as raster:
+        _assert_same(search(raster, detector).boxes, painted)
+    assert detector.card.sha256 != alone
+    (tmp_path / "m.onnx.data").unlink()
+    with pytest.raises(ModelNotFoundError, match=r"m\.onnx\.data"):
         Detector(path)
 
 
@@ -266,3 +197,32 @@ def test_a_model_is_opened_once(tmp_path: Path) -> None:
     path = write_detector(tmp_path / "m.onnx")
     assert load_detector(path, threads=1) is load_detector(path, threads=1)
     assert load_detector(path, threads=1) is not load_detector(path, threads=2)
+
+
+def test_a_model_that_was_replaced_is_opened_anew(tmp_path: Path) -> None:
+    path = write_detector(tmp_path / "m.onnx")
+    before = load_detector(path).card
+    write_detector(path, names={0: "car"}, metadata={"vehanchor.min_score": "0.25"})
+    after = load_detector(path).card
+    assert (before.min_score, after.min_score) == (0.1, 0.25)
+    assert before.sha256 != after.sha256
+
+
+def test_a_relative_path_is_another_model_in_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        write_detector(tmp_path / name / "m.onnx", metadata={"vehanchor.name": name})
+    for name in ("a", "b", "a"):
+        monkeypatch.chdir(tmp_path / name)
+        assert load_detector("m.onnx").card.name == name
+
+
+def test_a_fleet_network_that_comes_changes_or_goes_is_noticed(tmp_path: Path) -> None:
+    path = write_detector(tmp_path / "m.onnx")
+    assert load_detector(path).fleet is None
+    network = write_fleet_network(path, _LENGTHS)
+    assert load_detector(path).card.fleet_lengths == _LENGTHS
+    write_fleet_network(path, _LENGTHS._replace(sd_m=0.125))
+    assert load_detector(path).card.fleet_lengths == _LENGTHS._replace(sd_m=0.125)
+    network.unlink()
+    assert load_detector(path).fleet is None

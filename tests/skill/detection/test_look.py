@@ -1,26 +1,18 @@
-"""Chips of vehicles, and what a model that tells fleets apart does with them."""
+"""Chips of vehicles, and what their log odds mean for the reference length."""
 
 from __future__ import annotations
 
-import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 import pytest
 
-from tests.models import blank_image, fleet_metadata, paint_vehicles, write_detector
-from vehanchor.detection.detector import Detector, detect_vehicles
-from vehanchor.detection.look import CHIP_SHAPE, MAX_CHIPS, FleetLengths, chip, vehicle_chips
-from vehanchor.errors import ModelContractError
-from vehanchor.estimate import analyse_scale, image_facts
+from tests.models import blank_image
+from vehanchor.detection.look import CHIP_SHAPE, FleetLengths, chip, vehicle_chips
 from vehanchor.imagery.raster import open_raster
-from vehanchor.options import ScaleOptions
-from vehanchor_evaluation.search import SearchedImage, open_detection_log
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
 _LENGTHS = FleetLengths((-1.0, 1.0), (4.0, 5.0), 0.3, 2.0)
@@ -101,112 +93,3 @@ def test_the_reference_length_moves_between_two_fleets() -> None:
     assert _LENGTHS.reference_length([0.9]) == pytest.approx(4.5 + 0.5 * 0.9 / 3)  # one car among two neutral ones
     many = _LENGTHS.reference_length(np.full(98, 0.9))
     assert many == pytest.approx(4.5 + 0.5 * 0.9 * 98 / 100)
-
-
-def _car_park(levels: list[int], length: float = 30.0) -> NDArray[np.uint8]:
-    """Vehicles on ground of a level: the darker it is, the higher ``fleet_metadata``'s network answers."""
-    image = blank_image(90 + 70 * len(levels), 100, 100)
-    for k, level in enumerate(levels):
-        image[:, 15 + 70 * k : 85 + 70 * k] = level
-    paint_vehicles(image, [[50 + 70 * k, 50, length * (1 + 0.01 * (k % 3)), 12, 0.4] for k in range(len(levels))])
-    return image
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Detector:
-    folder = tmp_path_factory.mktemp("model")
-    return Detector(write_detector(folder / "m.onnx", metadata=fleet_metadata(folder, _LENGTHS)))
-
-
-def test_a_model_that_tells_fleets_apart_moves_the_reference_length(model: Detector) -> None:
-    dark, light = (analyse_scale(_car_park([level] * 12), detector=model).estimate for level in (40, 235))
-    assert dark.reference_source == light.reference_source == "appearance"
-    assert 4.0 <= light.reference_length_m < 4.3 < 4.7 < dark.reference_length_m <= 5.0
-    assert dark.mode_length_px == light.mode_length_px
-    for estimate in (dark, light):
-        assert estimate.mode_length_px is not None
-        assert estimate.gsd_m_per_px == pytest.approx(estimate.reference_length_m / estimate.mode_length_px)
-
-
-def test_only_vehicles_that_were_kept_have_a_say(model: Detector) -> None:
-    image = _car_park([40] * 8)
-    lorries = blank_image(image.shape[1], 100, 235)
-    paint_vehicles(lorries, [[50 + 70 * k, 50, 65, 20, 0.0] for k in range(3)])
-    alone = analyse_scale(image, detector=model).estimate
-    together = analyse_scale(np.vstack([image, lorries]), detector=model)
-    assert together.estimate.n_detections == 11
-    assert together.estimate.n_vehicles == 8
-    assert together.estimate.reference_length_m == pytest.approx(alone.reference_length_m, abs=0.02)
-
-
-@pytest.mark.parametrize(
-    ("options", "source", "length"),
-    [
-        ({"region": "europe"}, "region", 4.1),
-        ({"reference_length_m": 4.7}, "given", 4.7),
-    ],
-)
-def test_what_the_caller_says_comes_first(model: Detector, options: Any, source: str, length: float) -> None:
-    estimate = analyse_scale(_car_park([40] * 6), ScaleOptions.of(options), detector=model).estimate
-    assert (estimate.reference_source, estimate.reference_length_m) == (source, length)
-
-
-def test_without_vehicles_the_reference_is_the_models(model: Detector) -> None:
-    estimate = analyse_scale(blank_image(200, 200), detector=model).estimate
-    assert (estimate.reference_source, estimate.reference_length_m) == ("model", model.card.reference_length_m)
-
-
-def test_no_more_than_a_hundred_vehicles_are_asked(model: Detector) -> None:
-    image = blank_image(900, 700)
-    paint_vehicles(image, [[40 + 60 * (k % 14), 40 + 60 * (k // 14), 30, 12, 0.4] for k in range(140)])
-    with open_raster(image) as raster:
-        found = detect_vehicles(raster, model)
-    assert len(found.boxes) == 140
-    assert found.fleet_log_odds is not None
-    assert len(found.fleet_log_odds) == MAX_CHIPS
-    assert analyse_scale(image, detector=model).estimate.reference_source == "appearance"
-
-
-def test_a_foreign_model_cannot_tell(tmp_path: Path) -> None:
-    detector = Detector(write_detector(tmp_path / "foreign.onnx"))
-    assert detector.card.fleet_lengths is None
-    with open_raster(_car_park([40] * 6)) as raster:
-        assert detect_vehicles(raster, detector).fleet_log_odds is None
-    assert analyse_scale(_car_park([40] * 6), detector=detector).estimate.reference_source == "model"
-
-
-def test_searched_images_on_disk_keep_what_was_told(tmp_path: Path, model: Detector) -> None:
-    picture = tmp_path / "a.png"
-    cv2.imwrite(str(picture), _car_park([40] * 6))
-    with open_raster(picture) as raster:
-        found = detect_vehicles(raster, model)
-        searched = SearchedImage(found, image_facts(raster))
-    open_detection_log(tmp_path / "log.jsonl", model, ScaleOptions()).add(("a.png",), searched)
-    again = open_detection_log(tmp_path / "log.jsonl", model, ScaleOptions()).get(("a.png",))
-    assert again is not None
-    assert again.detections.fleet_log_odds is not None
-    np.testing.assert_array_equal(again.detections.fleet_log_odds, found.fleet_log_odds)
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("vehanchor.fleet", "no base64!"),
-        ("vehanchor.fleet", "bm8gbW9kZWw="),
-        ("vehanchor.fleet_lengths", None),
-        ("vehanchor.fleet_lengths", "[]"),
-        ("vehanchor.fleet_lengths", json.dumps({**_LENGTHS._asdict(), "log_odds": [1.0, -1.0]})),
-        ("vehanchor.fleet_lengths", json.dumps({**_LENGTHS._asdict(), "length_m": [4.0]})),
-        ("vehanchor.fleet_lengths", json.dumps({**_LENGTHS._asdict(), "sd_m": "wide"})),
-    ],
-)
-def test_metadata_that_cannot_be_used_is_a_contract_error(tmp_path: Path, key: str, value: str | None) -> None:
-    metadata = fleet_metadata(tmp_path, _LENGTHS) | {key: value}
-    with pytest.raises(ModelContractError):
-        Detector(write_detector(tmp_path / "m.onnx", metadata=metadata))
-
-
-def test_a_network_of_another_contract_is_refused(tmp_path: Path) -> None:
-    metadata = fleet_metadata(tmp_path, _LENGTHS, output="fleet")
-    with pytest.raises(ModelContractError, match="log_odds"):
-        Detector(write_detector(tmp_path / "m.onnx", metadata=metadata))

@@ -12,7 +12,7 @@ import pytest
 from tests.conftest import ROOT
 from vehanchor.detection.detector import Detector
 from vehanchor.estimate import estimate_gsd
-from vehanchor.models.zoo import DEFAULT_DETECTOR, resolve_model
+from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, fleet_beside, resolve_model
 from vehanchor.records import GsdEstimate
 from vehanchor_evaluation.gsd import read_table, run_trials, summarise
 from vehanchor_scenes import Scene, render_scene
@@ -78,6 +78,13 @@ def test_the_shipped_file_is_the_one_that_was_measured() -> None:
     assert sha256 in (ROOT / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")
     assert sha256 in path.with_suffix(".md").read_text(encoding="utf-8")
     assert path.stat().st_size <= 8_000_000
+    fleet = fleet_beside(path)
+    assert fleet is not None
+    assert hashlib.sha256(fleet.read_bytes()).hexdigest() in path.with_suffix(".md").read_text(encoding="utf-8")
+
+
+def test_the_network_that_tells_fleets_apart_is_no_detector_of_its_own() -> None:
+    assert list(bundled_models()) == [DEFAULT_DETECTOR]
 
 
 def test_the_shipped_file_carries_its_calibration(detector: Detector) -> None:

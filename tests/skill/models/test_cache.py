@@ -111,19 +111,3 @@ def test_paths_given_by_keyword_are_files_too(model: Path) -> None:
     assert load(path=model) is first
     model.write_bytes(b"another")
     assert load(path=model).content == b"another"
-
-
-def test_a_model_that_is_loaded_along_counts_too(model: Path) -> None:
-    other = model.with_name("model.fleet.onnx")
-
-    @file_cached(max_models=2, beside=lambda path: other if other.is_file() else None)
-    def load_both(path: Path) -> tuple[bytes, bool]:
-        return path.read_bytes(), other.is_file()
-
-    alone = load_both(model)
-    assert load_both(model) is alone
-    other.write_bytes(b"fleet")
-    both = load_both(model)
-    assert both == (b"first", True)
-    other.write_bytes(b"another fleet")
-    assert load_both(model) is not both

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.analyses import analyse_found, made_card, make_analysis
-from vehanchor.detection.detector import Detections
+from vehanchor.detection.sighting import Sighting
 from vehanchor.errors import MissingExtraError, OutputError
 from vehanchor.options import Aggregation
 from vehanchor.pictures.plot import plot_scale, write_plot
@@ -48,7 +48,7 @@ def test_outliers_that_are_shorter_than_the_kept_are_drawn_too() -> None:
     lengths = np.concatenate([np.random.default_rng(0).normal(60, 3, 40), np.linspace(8, 20, 19)])
     boxes, scales = _boxes(list(lengths)), np.ones(len(lengths))
     analysis = analyse_found(
-        Detections(boxes, np.where(lengths > 30, 0.9, 0.4), scales=scales),
+        Sighting(boxes, np.where(lengths > 30, 0.9, 0.4), scales=scales),
         made_card(),
         image_width_px=800,
         image_height_px=600,
@@ -119,7 +119,7 @@ def test_matplotlib_is_loaded_on_demand_and_without_global_state(tmp_path: Path)
 import sys
 import numpy as np
 from tests.analyses import analyse_found, made_card, make_analysis
-from vehanchor.detection.detector import Detections
+from vehanchor.detection.sighting import Sighting
 from vehanchor.pictures.plot import plot_scale, write_plot
 assert "matplotlib" not in sys.modules
 figure = plot_scale(make_analysis(np.array([[5.0, 5, 30, 10, 0]]), 100, 100))

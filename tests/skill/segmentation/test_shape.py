@@ -66,16 +66,21 @@ def test_a_mask_touches_the_edge_with_its_outer_row_or_column(
     assert touches_edge(_upright(*corners)) is touches
 
 
-def test_sides_that_do_not_count_may_be_touched() -> None:
-    mask = np.zeros((20, 30), dtype=bool)
-    for number, side in enumerate((np.s_[:, 0], np.s_[0], np.s_[:, -1], np.s_[-1])):  # left, top, right, bottom
-        mask[:] = False
-        mask[side] = True
-        mask[0, 0] = mask[-1, -1] = mask[0, -1] = mask[-1, 0] = False
-        only = tuple(each == number for each in range(4))
-        others = tuple(not each for each in only)
-        assert touches_edge(mask, only)
-        assert not touches_edge(mask, others)
+@pytest.mark.parametrize(
+    ("corners", "only"),
+    [
+        ((0, 5, 9, 9), (True, False, False, False)),
+        ((5, 0, 9, 9), (False, True, False, False)),
+        ((5, 5, 100, 9), (False, False, True, False)),
+        ((5, 5, 9, 80), (False, False, False, True)),
+    ],
+)
+def test_sides_that_do_not_count_may_be_touched(
+    corners: tuple[int, int, int, int], only: tuple[bool, bool, bool, bool]
+) -> None:
+    mask = _upright(*corners)
+    assert touches_edge(mask, only)
+    assert not touches_edge(mask, (not only[0], not only[1], not only[2], not only[3]))
 
 
 @given(_masks)

@@ -1,0 +1,146 @@
+"""The network that tells fleets apart, and what an estimate does with it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network, write_other_model
+from vehanchor.detection.detector import Detector
+from vehanchor.detection.fleet import FleetNetwork
+from vehanchor.detection.look import MAX_CHIPS, FleetLengths
+from vehanchor.detection.search import search
+from vehanchor.errors import ModelContractError, ModelNotFoundError
+from vehanchor.estimate import analyse_scale
+from vehanchor.imagery.raster import open_raster
+from vehanchor.models.zoo import resolve_model
+from vehanchor.options import ScaleOptions
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+_LENGTHS = FleetLengths((-1.0, 1.0), (4.0, 5.0), 0.3, 2.0)
+
+
+def _car_park(levels: list[int], length: float = 30.0) -> NDArray[np.uint8]:
+    """Vehicles on ground of a level: the darker it is, the higher ``write_fleet_network``'s answers."""
+    image = blank_image(90 + 70 * len(levels), 100, 100)
+    for k, level in enumerate(levels):
+        image[:, 15 + 70 * k : 85 + 70 * k] = level
+    paint_vehicles(image, [[50 + 70 * k, 50, length * (1 + 0.01 * (k % 3)), 12, 0.4] for k in range(len(levels))])
+    return image
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Detector:
+    path = write_detector(
+        tmp_path_factory.mktemp("model") / "m.onnx", metadata={"vehanchor.region_lengths_m": '{"europe": 4.1}'}
+    )
+    write_fleet_network(path, _LENGTHS)
+    return Detector(path)
+
+
+def test_a_model_that_tells_fleets_apart_moves_the_reference_length(model: Detector) -> None:
+    dark, light = (analyse_scale(_car_park([level] * 12), detector=model).estimate for level in (40, 235))
+    assert dark.reference_source == light.reference_source == "appearance"
+    assert 4.0 <= light.reference_length_m < 4.3 < 4.7 < dark.reference_length_m <= 5.0
+    assert dark.mode_length_px == light.mode_length_px
+    for estimate in (dark, light):
+        assert estimate.mode_length_px is not None
+        assert estimate.gsd_m_per_px == pytest.approx(estimate.reference_length_m / estimate.mode_length_px)
+
+
+def test_only_vehicles_that_were_kept_have_a_say(model: Detector) -> None:
+    image = _car_park([40] * 8)
+    lorries = blank_image(image.shape[1], 100, 235)
+    paint_vehicles(lorries, [[50 + 70 * k, 50, 65, 20, 0.0] for k in range(3)])
+    alone = analyse_scale(image, detector=model).estimate
+    together = analyse_scale(np.vstack([image, lorries]), detector=model)
+    assert together.estimate.n_detections == 11
+    assert together.estimate.n_vehicles == 8
+    assert together.estimate.reference_length_m == pytest.approx(alone.reference_length_m, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("options", "source", "length"),
+    [
+        ({"region": "europe"}, "region", 4.1),
+        ({"reference_length_m": 4.7}, "given", 4.7),
+    ],
+)
+def test_what_the_caller_says_comes_first(model: Detector, options: Any, source: str, length: float) -> None:
+    estimate = analyse_scale(_car_park([40] * 6), ScaleOptions.of(options), detector=model).estimate
+    assert (estimate.reference_source, estimate.reference_length_m) == (source, length)
+
+
+def test_without_vehicles_the_reference_is_the_models(model: Detector) -> None:
+    estimate = analyse_scale(blank_image(200, 200), detector=model).estimate
+    assert (estimate.reference_source, estimate.reference_length_m) == ("model", model.card.reference_length_m)
+
+
+def test_no_more_than_a_hundred_vehicles_are_asked(model: Detector) -> None:
+    image = blank_image(900, 700)
+    paint_vehicles(image, [[40 + 60 * (k % 14), 40 + 60 * (k // 14), 30, 12, 0.4] for k in range(140)])
+    with open_raster(image) as raster:
+        found = search(raster, model)
+    assert len(found.boxes) == 140
+    assert found.fleet_log_odds is not None
+    assert len(found.fleet_log_odds) == MAX_CHIPS
+    assert analyse_scale(image, detector=model).estimate.reference_source == "appearance"
+
+
+def test_a_detector_without_such_a_network_cannot_tell(tmp_path: Path) -> None:
+    detector = Detector(write_detector(tmp_path / "foreign.onnx"))
+    assert (detector.fleet, detector.card.fleet_lengths, detector.card.fleet_sha256) == (None, None, None)
+    with open_raster(_car_park([40] * 6)) as raster:
+        assert search(raster, detector).fleet_log_odds is None
+    assert analyse_scale(_car_park([40] * 6), detector=detector).estimate.reference_source == "model"
+
+
+def test_a_network_may_lie_elsewhere_when_it_is_named(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    network = write_fleet_network(tmp_path / "elsewhere" / "m.onnx", _LENGTHS)
+    path = write_detector(tmp_path / "m.onnx")
+    assert Detector(path).fleet is None
+    assert Detector(path, fleet=network).card.fleet_lengths == _LENGTHS
+    with pytest.raises(ModelNotFoundError, match="nowhere"):
+        Detector(path, fleet=tmp_path / "nowhere.onnx")
+
+
+def test_the_bundled_detector_comes_with_its_network() -> None:
+    detector = Detector(resolve_model(), threads=1)
+    assert detector.fleet is not None
+    assert detector.fleet.card.detector == detector.card.name
+    assert detector.card.fleet_lengths == detector.fleet.card.lengths
+    assert detector.card.fleet_sha256 not in (None, detector.card.sha256)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"vehanchor.fleet_lengths": None},
+        {"vehanchor.fleet_lengths": "[]"},
+        {"vehanchor.detector": None},
+        {"vehanchor.detector": "another"},
+    ],
+)
+def test_a_network_without_its_numbers_or_for_another_detector_is_refused(tmp_path: Path, wrong: Any) -> None:
+    path = write_detector(tmp_path / "m.onnx")
+    write_fleet_network(path, _LENGTHS, metadata=wrong)
+    with pytest.raises(ModelContractError):
+        Detector(path)
+
+
+def test_a_network_of_another_contract_is_refused(tmp_path: Path) -> None:
+    network = write_fleet_network(tmp_path / "m.onnx", _LENGTHS, output="fleet")
+    with pytest.raises(ModelContractError, match=r"chips, fleet: expected.*log_odds"):
+        FleetNetwork(network)
+    with pytest.raises(ModelContractError, match="image, logits"):
+        FleetNetwork(write_other_model(tmp_path / "classifier.onnx"))
+    (tmp_path / "text.onnx").write_text("not a model")
+    with pytest.raises(ModelContractError, match=r"text\.onnx"):
+        FleetNetwork(tmp_path / "text.onnx")

@@ -1,0 +1,261 @@
+"""What keeps an estimate from being sure of the wrong thing after a search over reduced copies of an image."""
+
+from __future__ import annotations
+
+from statistics import NormalDist
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.analyses import analyse_found
+from tests.models import write_detector
+from tests.yards import YARDS, Yard, paint_yard
+from vehanchor.detection.detector import Detector
+from vehanchor.detection.sighting import Sighting
+from vehanchor.estimate import estimate_gsd
+from vehanchor.models.zoo import resolve_model
+from vehanchor.options import ScaleOptions
+from vehanchor.scale.lengths import dominant_group
+from vehanchor_evaluation.gsd import read_table
+from vehanchor_scenes import Scene, render_scene
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+_SEARCHING = {"vehanchor.length_range_px": "9,64", "vehanchor.search_scales": "1"}
+
+
+@pytest.fixture(scope="module")
+def searching(tmp_path_factory: pytest.TempPathFactory) -> Detector:
+    """A detector of painted vehicles whose file asks for the search."""
+    return Detector(write_detector(tmp_path_factory.mktemp("model") / "m.onnx", metadata=_SEARCHING))
+
+
+@pytest.fixture(scope="module")
+def bundled() -> Detector:
+    return Detector(resolve_model(), threads=2)
+
+
+def _fleet(mean: float, n: int = 30) -> list[float]:
+    """Lengths as a fleet has them: normal, spread by 7 %."""
+    return [mean * (1 + 0.07 * NormalDist().inv_cdf((k + 0.5) / n)) for k in range(n)]
+
+
+# --- Levels that disagree --------------------------------------------------------------------------------------------
+
+
+def _analysis(detector: Detector, groups: list[tuple[float, int, float, float]], **options: Any) -> Any:
+    """An analysis of groups of (length, number, score, scale), their lengths spread as a fleet's."""
+    lengths = np.concatenate([_fleet(length, n) for length, n, _, _ in groups])
+    boxes = np.column_stack([np.arange(len(lengths)) * 999, lengths * 0, lengths, lengths / 2.2, lengths * 0])
+    scores = np.concatenate([np.full(n, score) for _, n, score, _ in groups])
+    scales = np.concatenate([np.full(n, scale) for _, n, _, scale in groups])
+    return analyse_found(
+        Sighting(boxes, scores, scales=scales),
+        detector.card,
+        ScaleOptions.of(options),
+        image_width_px=4000,
+        image_height_px=4000,
+    ).estimate
+
+
+@given(
+    st.lists(st.tuples(st.floats(5, 900), st.floats(0.01, 1)), min_size=1, max_size=60),
+    st.randoms(use_true_random=False),
+)
+def test_the_dominant_group_is_a_fleet_whatever_the_order(found: list[tuple[float, float]], order: Any) -> None:
+    lengths, weights = (np.array(column) for column in zip(*found, strict=True))
+    group = dominant_group(lengths, weights)
+    chosen = lengths[group.members]
+    assert len(chosen) > 0
+    assert chosen.max() / chosen.min() <= 1.5**2
+    assert group.rival_share >= 0
+    assert (group.rival_share == 0) == bool(group.members.all())
+    shuffled = list(range(len(lengths)))
+    order.shuffle(shuffled)
+    again = dominant_group(lengths[shuffled], weights[shuffled])
+    assert sorted(lengths[shuffled][again.members]) == sorted(chosen)
+
+
+def test_the_heavier_of_two_groups_dominates_and_the_rival_is_measured_by_it() -> None:
+    lengths = np.array(_fleet(30, 40) + _fleet(100, 10))
+    group = dominant_group(lengths, np.r_[np.full(40, 0.5), np.full(10, 0.4)])
+    assert group.members.tolist() == [True] * 40 + [False] * 10
+    assert group.rival_share == pytest.approx(4 / 20)
+    turned = dominant_group(lengths, np.r_[np.full(40, 0.05), np.full(10, 0.4)])
+    assert turned.members.tolist() == [False] * 40 + [True] * 10
+
+
+def test_a_level_with_little_evidence_neither_moves_nor_lowers_the_answer(searching: Detector) -> None:
+    alone = _analysis(searching, [(30.0, 40, 0.8, 1.0)])
+    beside = _analysis(searching, [(30.0, 40, 0.8, 1.0), (190.0, 6, 0.6, 0.25)])
+    assert beside.mode_length_px == pytest.approx(alone.mode_length_px)
+    assert beside.n_vehicles == 40
+    assert beside.confidence == pytest.approx(alone.confidence)
+    assert beside.working_scale == 1.0
+    assert beside.warnings == ()
+
+
+@pytest.mark.parametrize("other", [60.0, 190.0])
+def test_two_levels_that_disagree_are_not_averaged_and_never_sure(searching: Detector, other: float) -> None:
+    e = _analysis(searching, [(30.0, 30, 0.8, 1.0), (other, 26, 0.8, 0.5 if other < 100 else 0.25)])
+    assert e.confidence < 0.5
+    assert e.status == "low_confidence"
+    assert [w.code for w in e.warnings] == ["lengths_disagree"]
+    assert e.mode_length_px == pytest.approx(30.0, rel=0.02)
+    assert e.n_vehicles == 30
+
+
+@pytest.mark.parametrize(("n", "spread", "sure"), [(40, 0.02, False), (40, 0.08, True), (12, 0.02, True)])
+def test_a_yard_of_equal_things_is_no_fleet(searching: Detector, n: int, spread: float, sure: bool) -> None:
+    lengths = 40.0 * np.exp(np.random.default_rng(1).normal(0, spread, n))
+    boxes = np.column_stack([np.arange(n) * 99, lengths * 0, lengths, lengths / 2.2, lengths * 0])
+
+    def estimate(scales: NDArray[np.float64] | None) -> Any:
+        found = Sighting(boxes, np.full(n, 0.9), scales=scales)
+        return analyse_found(found, searching.card, ScaleOptions(), image_width_px=4000, image_height_px=40).estimate
+
+    searched = estimate(np.ones(n))
+    assert (searched.confidence >= 0.5) is sure
+    assert [w.code for w in searched.warnings] == ([] if sure else ["lengths_alike"])
+    assert estimate(None).confidence >= 0.5  # at full resolution their size speaks for them
+
+
+@pytest.mark.parametrize(
+    ("n", "mean", "spread", "doubt"),
+    [
+        (30, 0.0, 1.2, None),
+        (30, 0.5, 0.5, "looks_alike"),
+        (12, 0.5, 0.5, None),
+        (30, -3.6, 1.2, "looks_unlike_cars"),
+        (12, -3.6, 1.2, None),
+        (30, 3.6, 1.2, None),
+    ],
+)
+def test_things_that_do_not_look_like_a_fleet_of_cars_are_never_sure(
+    searching: Detector, n: int, mean: float, spread: float, doubt: str | None
+) -> None:
+    odds = mean + spread * np.array([NormalDist().inv_cdf((k + 0.5) / n) for k in range(n)])
+    lengths = np.array(_fleet(40.0, n))
+    boxes = np.column_stack([np.arange(n) * 99, lengths * 0, lengths, lengths / 2.2, lengths * 0])
+
+    def estimate(scales: NDArray[np.float64] | None) -> Any:
+        found = Sighting(boxes, np.full(n, 0.9), scales=scales, fleet_log_odds=odds)
+        return analyse_found(found, searching.card, ScaleOptions(), image_width_px=4000, image_height_px=40).estimate
+
+    searched = estimate(np.ones(n))
+    assert [w.code for w in searched.warnings] == ([doubt] if doubt else [])
+    assert (searched.confidence >= 0.5) is (doubt is None)
+    assert estimate(None).confidence >= 0.5  # at full resolution their size speaks for them
+
+
+def test_vehicles_of_which_none_is_clearly_a_car_are_never_sure(tmp_path: Path) -> None:
+    strict = Detector(write_detector(tmp_path / "m.onnx", metadata=_SEARCHING | {"vehanchor.clear_score": "0.75"}))
+    assert strict.card.clear_score == 0.75
+    faint, clear = (_analysis(strict, [(30.0, 34, 0.7, 1.0), (30.0, 6, best, 1.0)]) for best in (0.7, 0.8))
+    assert (faint.status, [w.code for w in faint.warnings]) == ("low_confidence", ["scores_unclear"])
+    assert (clear.status, clear.warnings) == ("ok", ())
+
+
+def test_scores_and_not_numbers_alone_decide_which_level_dominates(searching: Detector) -> None:
+    e = _analysis(searching, [(30.0, 30, 0.4, 1.0), (190.0, 20, 0.9, 0.25)])
+    assert e.working_scale == 0.25
+    assert e.mode_length_px == pytest.approx(190.0, rel=0.02)
+
+
+def test_a_fleet_at_the_border_of_two_levels_is_one_fleet(searching: Detector) -> None:
+    e = _analysis(searching, [(55.0, 20, 0.8, 1.0), (60.0, 18, 0.8, 0.5)])
+    assert (e.status, e.n_vehicles, e.working_scale) == ("ok", 38, 1.0)
+    assert 54 < e.mode_length_px < 61
+
+
+def test_without_the_search_the_papers_filter_stays_as_it_is(tmp_path: Path) -> None:
+    plain = Detector(write_detector(tmp_path / "m.onnx"))
+    boxes = np.array([[99.0 * k, 0, 30 if k < 20 else 12, 8, 0] for k in range(36)])
+    e = analyse_found(
+        Sighting(boxes, np.full(36, 0.9)), plain.card, ScaleOptions(), image_width_px=4000, image_height_px=40
+    ).estimate
+    assert (e.n_vehicles, e.warnings) == (36, ())
+
+
+# --- Missing detail --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("resolved", "guarded"), [(1.0, False), (0.6, False), (0.4, True)])
+def test_vehicles_without_the_detail_of_their_pixels_are_guarded(
+    searching: Detector, resolved: float, guarded: bool
+) -> None:
+    lengths = np.array(_fleet(30.0, 40))
+    boxes = np.column_stack([np.arange(40) * 99, lengths * 0, lengths, lengths / 2, lengths * 0])
+    e = analyse_found(
+        Sighting(boxes, np.full(40, 0.9)),
+        searching.card,
+        ScaleOptions(),
+        image_width_px=4000,
+        image_height_px=40,
+        resolved=resolved,
+    ).estimate  # the guard asks for 16.8 px
+    assert e.resolution_guard is guarded
+    assert [w.code for w in e.warnings] == (["detail_missing"] if guarded else [])
+    assert e.confidence == (0.3 if guarded else pytest.approx(0.95, abs=0.03))
+
+
+# --- The bundled model -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def close_view() -> Scene:
+    """Cars of about 115 px, twice what the bundled model was trained on."""
+    return render_scene(0.04, width_px=1500, height_px=1500, seed=11, layout="parking", mean_vehicle_length_m=4.6)
+
+
+@pytest.mark.slow
+def test_cars_longer_than_any_in_training_give_the_scale(bundled: Detector, close_view: Scene) -> None:
+    e = estimate_gsd(close_view.image, detector=bundled, search_scales=True, reference_length_m=4.6)
+    assert e.gsd_m_per_px == pytest.approx(0.04, rel=0.10)
+    assert e.working_scale in (0.25, 0.5)
+    assert e.confidence >= 0.5
+    alone = estimate_gsd(close_view.image, detector=bundled, search_scales=False, reference_length_m=4.6)
+    assert alone.confidence < 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("yard", YARDS)
+@pytest.mark.parametrize("length_px", [30, 60, 120])
+def test_a_yard_of_things_shaped_like_cars_is_never_a_confident_scale(
+    bundled: Detector, yard: Yard, length_px: int
+) -> None:
+    image = paint_yard(yard, YARDS[yard][0] / length_px, max(500, 8 * length_px), seed=1)
+    e = estimate_gsd(image, detector=bundled, search_scales=True)
+    assert e.confidence < 0.5, e
+
+
+@pytest.mark.data
+def test_searching_photographs_without_vehicles_finds_next_to_nothing(real_data: Path, bundled: Detector) -> None:
+    images = [i for i in read_table(real_data / "gsd" / "table.csv") if i.set == "empty" and i.split == "val"]
+    assert len(images) == 30
+    estimates = [estimate_gsd(image.path, detector=bundled, search_scales=True) for image in images]
+    assert sum(e.n_detections > 0 for e in estimates) <= 4
+    assert all(e.confidence < 0.5 for e in estimates)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("way", [cv2.INTER_LINEAR, cv2.INTER_CUBIC, cv2.INTER_LANCZOS4])
+def test_photographs_too_coarse_to_measure_are_not_trusted_after_enlarging(
+    real_data: Path, bundled: Detector, way: int
+) -> None:
+    rows = [i for i in read_table(real_data / "gsd" / "table.csv") if i.set == "ucm" and i.split == "val"]
+    densest = sorted(rows, key=lambda image: -(image.labelled_vehicles or 0))[:8]
+    for image in densest:
+        photograph = cv2.imread(str(image.path))
+        assert photograph is not None
+        coarse = cv2.resize(photograph, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)  # 0.61 m/px
+        enlarged = cv2.resize(coarse, None, fx=4, fy=4, interpolation=way)
+        e = estimate_gsd(np.ascontiguousarray(enlarged[:, :, ::-1]), detector=bundled, search_scales=True)
+        assert e.confidence < 0.5

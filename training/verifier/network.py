@@ -1,0 +1,47 @@
+"""From a candidate's chip to the logit that it is a car."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+
+_LAYERS = ((3, 24, 2), (24, 32, 1), (32, 48, 2), (48, 64, 1), (64, 80, 2), (80, 80, 1))  # inputs, outputs, stride
+
+
+class VerifierNet(nn.Module):
+    """Six 3 x 3 convolutions; the middle of the chip and its mean side by side; input ``[b, 3, 48, 48]`` in 0..1."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.body = nn.Sequential(
+            *(
+                nn.Sequential(
+                    nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False),
+                    nn.BatchNorm2d(outputs),
+                    nn.ReLU(inplace=True),
+                )
+                for inputs, outputs, stride in _LAYERS
+            )
+        )
+        width = _LAYERS[-1][1]
+        self.head = nn.Sequential(nn.Linear(2 * width, 48), nn.ReLU(inplace=True), nn.Dropout(0.2), nn.Linear(48, 1))
+
+    def forward(self, chips: Tensor) -> Tensor:
+        """Logits ``[b]``."""
+        seen = self.body(chips)  # [b, c, 6, 6]
+        middle, whole = seen[:, :, 2:4, 1:5].mean(dim=(2, 3)), seen.mean(dim=(2, 3))
+        return cast("Tensor", self.head(torch.cat([middle, whole], dim=1))).squeeze(1)
+
+
+class Mirrored(nn.Module):
+    """The mean of a network's answers to a chip and to the chip turned by half: a box has no front."""
+
+    def __init__(self, network: VerifierNet) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, chips: Tensor) -> Tensor:
+        """Logits ``[b]``."""
+        return cast("Tensor", (self.network(chips) + self.network(chips.flip(2, 3))) / 2)
