@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehanchor.anchors.evidence import ImageFacts, View
+from vehanchor.defaults import Aggregation
 from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import ScaleAnalysis, analyse_sighting
-from vehanchor.options import Aggregation, ScaleOptions
+from vehanchor.options import ScaleOptions
 
 __all__ = ["analyse_found", "made_card", "make_analysis"]
 

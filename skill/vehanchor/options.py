@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 import numbers
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, get_args
 
+from vehanchor.defaults import NMS_IOU, OUTLIER_ALPHA, Aggregation
 from vehanchor.errors import FrameError, InvalidParameterError
 
 if TYPE_CHECKING:
@@ -22,9 +23,6 @@ if TYPE_CHECKING:
     from vehanchor.scale.calibration import Calibration
 
 __all__ = [
-    "NMS_IOU",
-    "OUTLIER_ALPHA",
-    "Aggregation",
     "Choice",
     "Frame",
     "ImageLimits",
@@ -37,10 +35,6 @@ __all__ = [
     "choice",
 ]
 
-Aggregation = Literal["kde", "weighted_kde", "median", "mean"]
-
-NMS_IOU = 0.45  # paper, section III-B
-OUTLIER_ALPHA = 1.5  # paper, equation 2
 _MIB = 1 << 20
 
 

@@ -9,7 +9,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from vehanchor.options import Aggregation
+from vehanchor.defaults import Aggregation
 
 __all__ = [
     "AreaMeasurement",

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from vehanchor.defaults import Aggregation
 from vehanchor.detection.card import REFERENCE_LENGTH_M
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options import Aggregation, Reference
+from vehanchor.options import Reference
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES
 from vehanchor_evaluation.gsd import ErrorRow, ScaleTrial
 from vehanchor_evaluation.search import ABLATION_ALPHAS

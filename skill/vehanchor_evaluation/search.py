@@ -17,12 +17,13 @@ from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.vehicles import select
 from vehanchor.batch.journal import Journal, Source
 from vehanchor.batch.pool import finished_in_threads
+from vehanchor.defaults import OUTLIER_ALPHA
 from vehanchor.detection.sighting import Objects, Sighting
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.estimate import ScaleAnalysis, analyse_raster, analyse_sighting, image_facts
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.raster import open_raster
-from vehanchor.options import OUTLIER_ALPHA, Lengths, ScaleOptions
+from vehanchor.options import Lengths, ScaleOptions
 from vehanchor.records import Notice
 from vehanchor_evaluation.known_scale import DATASET_LIMITS, FileIssue
 

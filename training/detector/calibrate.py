@@ -31,13 +31,14 @@ from numpy.typing import NDArray
 
 from training.detector.data import LENGTH_RANGE_PX, is_dev
 from training.detector.export import export
+from vehanchor.defaults import Aggregation
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
 from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import ScaleAnalysis, analyse_scale
 from vehanchor.imagery.raster import open_raster
-from vehanchor.options import Aggregation, Search
+from vehanchor.options import Search
 from vehanchor.scale.lengths import inlier_mask, modal_length
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.gsd import KnownScaleImage, read_table

@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.anchors.evidence import View
+    from vehanchor.defaults import Aggregation
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.sighting import Sighting
-    from vehanchor.options import Aggregation, Lengths, ScaleOptions
+    from vehanchor.options import Lengths, ScaleOptions
     from vehanchor.records import ConfidenceTerms
     from vehanchor.scale.lengths import Interval
     from vehanchor.scale.reference import ReferenceLength

@@ -10,9 +10,9 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from vehanchor.defaults import Aggregation
 from vehanchor.detection.look import FleetLengths
 from vehanchor.errors import ModelContractError
-from vehanchor.options import Aggregation
 
 __all__ = [
     "LENGTH_RANGE_PX",

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
+from vehanchor.defaults import NMS_IOU
 from vehanchor.detection.boxes import canonical_boxes, pair_iou
-from vehanchor.options import NMS_IOU
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

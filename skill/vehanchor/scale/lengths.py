@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from vehanchor.defaults import OUTLIER_ALPHA
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options import OUTLIER_ALPHA
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from vehanchor.options import Aggregation
+    from vehanchor.defaults import Aggregation
 
 __all__ = [
     "MIN_KDE_VEHICLES",

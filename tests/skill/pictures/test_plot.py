@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.analyses import analyse_found, made_card, make_analysis
+from vehanchor.defaults import Aggregation
 from vehanchor.detection.sighting import Sighting
 from vehanchor.errors import MissingExtraError, OutputError
-from vehanchor.options import Aggregation
 from vehanchor.pictures.plot import plot_scale, write_plot
 from vehanchor.scale.lengths import kde_density
 

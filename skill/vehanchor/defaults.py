@@ -1,0 +1,13 @@
+"""What holds where nobody chooses otherwise, and the names to choose from."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+__all__ = ["NMS_IOU", "OUTLIER_ALPHA", "Aggregation"]
+
+Aggregation = Literal["kde", "weighted_kde", "median", "mean"]
+"""How lengths become one (see ``vehanchor.scale.lengths.modal_length``)."""
+
+NMS_IOU = 0.45  # paper, section III-B
+OUTLIER_ALPHA = 1.5  # paper, equation 2
