@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
-_LEAST_SCORE = 0.05
+_LEAST_SCORE = 0.15
 _THRESHOLDS = (0.2, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8)
 _SURE = 0.5
 _HIGH_ERROR = 0.2
@@ -143,7 +143,8 @@ class Eyes:
             area = raster.width_px * raster.height_px / 1e6
         boxes, scores = found.boxes, found.scores
         if self._look and len(boxes):
-            chips = np.stack([chip(_rgb(image), box) for box in boxes]).transpose(0, 3, 1, 2)
+            pixels = _rgb(image)
+            chips = np.stack([chip(pixels, box) for box in boxes]).transpose(0, 3, 1, 2)
             logits = self._look.run(["logit"], {"chips": np.ascontiguousarray(chips, np.float32) / 255})[0]
             first = np.clip(scores, 1e-4, 1 - 1e-4)
             total = self._weights["detector"] * np.log(first / (1 - first)) + self._weights["look"] * logits
