@@ -30,8 +30,8 @@ from training.scene_scale.density import (
 BINS = SceneBins(FIRST_LOG_GSD, LOG_STEP)
 _CHOICES: dict[str, Sequence[float]] = {
     "temperature": tuple(np.exp(np.linspace(np.log(0.25), np.log(4.0), 23))),
-    "levels": (-1.0, -0.8, -0.6, -0.4, -0.2, 0.0),
-    "tiles": (0.0, 0.1, 0.2, 0.3),
+    "levels": (0.0, 0.25, 0.5, 0.75, 1.0),
+    "reach": (0.0, 0.25, 0.5, 0.75, 1.0, 1.5),
     "floor": (0.005, 0.01, 0.015, 0.02, 0.03, 0.04),
 }
 _ROUNDS = 3

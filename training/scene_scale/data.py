@@ -41,12 +41,13 @@ _FINEST_SHARE = 0.75  # of its native metres a pixel a source is resampled to: b
 _FINEST_FLIGHT_SHARE = 0.6  # reduced copies are sharp to the pixel
 _SET_WEIGHT = {
     "cannes": 1.0, "ucm": 0.8, "ucm_more": 0.8, "empty": 0.4, "saopaulo": 1.0, "estonia": 1.0, "estonia_port": 0.7,
-    "building": 1.0, "munich": 0.5, "minsk": 0.8, "garfield": 1.0, "seneca": 0.8,
+    "building": 1.0, "munich": 0.5, "minsk": 0.8, "garfield": 1.0, "seneca": 0.8, "scene": 1.0,
 }  # fmt: skip
 _TURNED_SHARE = 0.25  # of the crops by any angle, which softens them; the others in one of the eight symmetries
+_PHOTOMETRIC_SHARE = 0.5  # of the crops as the detector's, which blurs and sharpens; the others are retouched only
 _BLURRED_SHARE, _NOISE_SHARE = 0.08, 0.05
 _BLUR_PX = (2.0, 9.0)  # standard deviations; from the upper one on a crop says nothing
-SETS = tuple(_SET_WEIGHT)
+SETS = tuple(name for name in _SET_WEIGHT if name != "scene")
 
 
 class ScaledImage(NamedTuple):
@@ -86,6 +87,15 @@ def sources(data: Path) -> list[Source]:
 def load_images(data: Path, *, held_out: bool = False, without: Collection[str] = ()) -> list[ScaledImage]:
     """Load the training part of ``shared/data``, or its held-out tenth alone; ``without`` names sets to leave out."""
     return [_load(s) for s in sources(data) if s.held_out == held_out and s.set not in without]
+
+
+def load_scenes(folder: Path) -> list[ScaledImage]:
+    """Load rendered scenes (``training.detector.render_scenes``): images with DOTA text beside them."""
+    out = []
+    for path in sorted(folder.glob("*.jpg")):
+        gsd = float(path.with_suffix(".txt").read_text().split()[0].removeprefix("gsd:"))
+        out.append(_load(Source(path, "scene", gsd, 0.0, held_out=False)))
+    return out
 
 
 def load_val_images(data: Path, *, without: Collection[str] = ()) -> list[ScaledImage]:
@@ -217,6 +227,21 @@ def draw_crop(rng: np.random.Generator, image: ScaledImage, gsd_m_per_px: float)
     return np.ascontiguousarray(part[:, ::-1] if rng.random() < 0.5 else part)
 
 
+def retouched(rng: np.random.Generator, crop: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Other colours, tones and compression, and no other sharpness."""
+    x = crop.astype(np.float32) / 255.0
+    grey = x.mean(axis=2, keepdims=True)
+    x = grey + (x - grey) * np.float32(rng.uniform(0.3, 1.4))
+    x = x * rng.uniform(0.9, 1.1, 3).astype(np.float32)
+    x = np.clip(x, 0, 1) ** np.float32(np.exp(rng.uniform(-0.35, 0.35)))
+    x = (x - x.mean()) * np.float32(rng.uniform(0.65, 1.35)) + x.mean() + np.float32(rng.uniform(-0.1, 0.1))
+    out = np.asarray(np.clip(x * 255 + 0.5, 0, 255), np.uint8)
+    if rng.random() < 0.4:
+        _, coded = cv2.imencode(".jpg", out, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(60, 97))])
+        out = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), np.uint8)
+    return out
+
+
 def featureless(rng: np.random.Generator) -> NDArray[np.uint8]:
     """Noise of any roughness in any colour, ``[TILE_PX, TILE_PX, 3]``: water, sand, cloud, a lens cap."""
     field = np.zeros((TILE_PX, TILE_PX), np.float32)
@@ -265,7 +290,8 @@ class CropStream:
                 crop = np.asarray(cv2.GaussianBlur(crop, (0, 0), blur), np.uint8)
                 lost = (blur - _BLUR_PX[0]) / (_BLUR_PX[1] - _BLUR_PX[0])
             target = soft_target(gsd, image.label_spread, lost)
-        pixels = photometric(rng, crop).transpose(2, 0, 1)
+        changed = photometric if rng.random() < _PHOTOMETRIC_SHARE else retouched
+        pixels = changed(rng, crop).transpose(2, 0, 1)
         return torch.from_numpy(np.ascontiguousarray(pixels)), torch.from_numpy(target)
 
     def _draw(self, rng: np.random.Generator) -> tuple[ScaledImage, float]:

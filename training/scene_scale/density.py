@@ -3,7 +3,8 @@
 A network tells of a tile of 160 px how many metres a pixel is. An image is looked at on tiles spread over it at its own
 resolution and at 1/2, 1/4 and 1/8: the further view tells houses and roads where the near one sees nothing but grass.
 The log-probabilities of a level's tiles are averaged (tiles that disagree flatten it), shifted by the level's factor,
-added up over the levels, weighed, and mixed with a flat floor: the chance of being wrong altogether.
+averaged over the levels, sharpened or flattened by a temperature, and mixed with a flat floor: the chance of being
+wrong altogether.
 
 A bin at either end stands for all that is finer or coarser: beyond them nothing is known, so
 nothing is denied.
@@ -48,15 +49,16 @@ class SceneCalibration:
     """From a network's answers to a density that can be believed (``training/scene_scale/calibrate.py``).
 
     Attributes:
-        temperature: exponent on the product of the levels.
-        tiles: each level's exponent grows with its number of tiles to this power.
-        levels: and all of them with the number of levels to this one.
+        temperature: exponent on the levels' weighed geometric mean.
+        levels: the exponent grows with the number of levels to this power: 0 if each says the same, 1 if each says
+            something else.
+        reach: a level's weight grows with its factor to this power, for the further view knows more things.
         floor: share of the flat density.
     """
 
     temperature: float = 1.0
-    tiles: float = 0.0
-    levels: float = -1.0
+    levels: float = 0.0
+    reach: float = 0.0
     floor: float = 0.02
 
 
@@ -142,10 +144,12 @@ def scene_density(
     for seen, factor in zip(log_probs, factors, strict=True):
         centres = bins.first + bins.step * np.arange(seen.shape[1])
         mean = seen.astype(np.float64).mean(axis=0)
-        total += len(seen) ** calibration.tiles * np.interp(GRID + np.log(factor), centres, mean)
-    total *= calibration.temperature * max(1, len(factors)) ** calibration.levels
-    density = np.exp(total - total.max())
-    return (1 - calibration.floor) * density / density.sum() + calibration.floor / len(GRID)
+        total += float(factor) ** calibration.reach * np.interp(GRID + np.log(factor), centres, mean)
+    total /= np.sum(np.asarray(factors, np.float64) ** calibration.reach)
+    total *= calibration.temperature * float(len(factors)) ** calibration.levels
+    density: NDArray[np.float64] = np.exp(total - total.max())
+    density *= (1 - calibration.floor) / density.sum()
+    return density + calibration.floor / len(GRID)
 
 
 def quantiles(density: NDArray[np.float64], shares: Sequence[float]) -> NDArray[np.float64]:

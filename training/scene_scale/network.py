@@ -1,4 +1,4 @@
-"""From a tile of 160 px to a distribution over log metres per pixel; plain convolutions that any runtime fuses.
+"""From a tile of 160 px to a distribution over log metres per pixel.
 
 The body is the encoder of the detector (``training/detector/network.py``), fewer blocks of it: its weights are where
 training begins, since what tells how big a pixel is are the things that the detector has learned to tell from cars.
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 _CHANNELS = (16, 32, 64, 128, 192)  # at strides 2, 4, 8, 16, 32
 _BOTTLENECK = (32, 64, 96)  # inner width of the residual blocks at strides 4 to 16
 _BLOCKS = (1, 1, 2, 0)
+_HIDDEN = 64
 
 
 def _conv(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
@@ -41,7 +42,11 @@ class _Residual(nn.Module):
 
 
 class SceneScaleNet(nn.Module):
-    """Five stride-2 stages; attention pooling beside the mean; input ``[n, 3, 160, 160]`` RGB in 0..1."""
+    """Five stride-2 stages; input ``[n, 3, 160, 160]`` RGB in 0..1.
+
+    The head sees the mean and the spread of every stage from stride 4 on, which is texture, and what attention picks
+    out of the last one, which is things.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -54,17 +59,27 @@ class SceneScaleNet(nn.Module):
             for k, blocks in enumerate(_BLOCKS)
         )
         self.look = nn.Conv2d(_CHANNELS[-1], 1, 1)
-        self.head = nn.Sequential(nn.Dropout(0.15), nn.Linear(2 * _CHANNELS[-1], BINS))
+        width = 2 * sum(_CHANNELS[1:]) + _CHANNELS[-1]
+        self.head = nn.Sequential(
+            nn.BatchNorm1d(width),
+            nn.Dropout(0.1),
+            nn.Linear(width, _HIDDEN),
+            nn.ReLU(inplace=True),
+            nn.Linear(_HIDDEN, BINS),
+        )
 
     def forward(self, tiles: Tensor) -> Tensor:
         """Log-probabilities ``[n, BINS]``."""
         seen = self.stem(tiles)
+        pooled = []
         for stage in self.stages:
             seen = stage(seen)  # [n, c, 5, 5] in the end
+            mean = seen.mean(dim=(2, 3))
+            square = (seen * seen).mean(dim=(2, 3))
+            pooled += [mean, (square - mean * mean).clamp(min=1e-6).sqrt()]
         attention = self.look(seen).flatten(2).softmax(2)
-        attended = (seen.flatten(2) * attention).sum(2)
-        pooled = torch.cat([attended, seen.mean(dim=(2, 3))], dim=1)
-        return functional.log_softmax(self.head(pooled), dim=1)
+        pooled.append((seen.flatten(2) * attention).sum(2))
+        return functional.log_softmax(self.head(torch.cat(pooled, dim=1)), dim=1)
 
     def freeze(self, parts: int) -> None:
         """Keep the weights of the first parts as they are: of the stem, and then of one stage after another."""

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from training.loop import Recipe, Schedule, load_average, train
-from training.scene_scale.data import SETS, CropStream, load_images
+from training.scene_scale.data import SETS, CropStream, load_images, load_scenes
 from training.scene_scale.network import SceneScaleNet, begin_with_detector
 
 _RATE = 3e-3
@@ -32,6 +32,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--scenes", type=Path, help="folder of rendered scenes to add")
     parser.add_argument("--steps", type=int, default=1500)
     parser.add_argument("--rate", type=float, default=_RATE)
     parser.add_argument("--held", type=float, default=0.3, help="share of the steps before the rate begins to fall")
@@ -46,6 +47,8 @@ def main() -> None:
     torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)
     images = load_images(options.data, without=[name for name in options.without.split(",") if name])
+    if options.scenes:
+        images += load_scenes(options.scenes)
     print(f"{len(images)} images, {sum(i.pixels.nbytes for i in images) / 1e9:.2f} GB", flush=True)
     stream = CropStream(images, options.seed)
     network = SceneScaleNet()
@@ -57,7 +60,7 @@ def main() -> None:
     network.freeze(options.frozen)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's stubs lack it
     schedule = Schedule(options.steps, options.rate, warm_up=min(60, options.steps // 4 + 1), held=options.held)
-    recipe = Recipe(schedule, _BATCH, average=0.99, checkpoint_every=50, log_every=25)
+    recipe = Recipe(schedule, _BATCH, average=0.99, checkpoint_every=50, log_every=25, workers=0)
     train(network, stream, losses, recipe, options.run)
 
 
