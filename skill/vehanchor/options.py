@@ -97,6 +97,8 @@ class ImageLimits:
         max_bytes: encoded size of what is read into memory whole.
         max_pixels: declared width x height of what is decoded whole; larger TIFFs are read by windows.
         max_windowed_pixels: declared width x height of what is read by windows.
+        max_decoded_bytes: memory that decoding may take: width x height x bands x depth of what is decoded whole, or of
+            a strip or tile of what is read by windows, and what the decoder holds beside it.
 
     Raises:
         InvalidParameterError: one of them is no whole number >= 1.
@@ -105,6 +107,7 @@ class ImageLimits:
     max_bytes: int = 512 * _MIB
     max_pixels: int = 100_000_000
     max_windowed_pixels: int = 10_000_000_000
+    max_decoded_bytes: int = 1 << 30
 
     def __post_init__(self) -> None:
         for each in fields(self):

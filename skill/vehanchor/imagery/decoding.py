@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from vehanchor.errors import ImageDecodeError
+from vehanchor.imagery.header import picture_chunks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -38,6 +39,8 @@ def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
     """
     if not header.complete:
         raise ImageDecodeError(f"the {header.format} ({source}) is truncated: its end mark is missing")
+    if header.format == "PNG":
+        data = picture_chunks(data)
     try:
         with _QUIET_OPENCV.entered():
             pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
