@@ -52,6 +52,7 @@ __all__ = [
     "open_detector",
 ]
 
+MAX_INTERVAL_FACTOR = 3.0  # between the ends of an interval; a wider one is never "ok", whatever the confidence
 GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale may differ by this from another before a warning
 
 
@@ -209,7 +210,8 @@ def conclude(vehicles: VehicleEvidence, others: Iterable[Evidence], view: View) 
     warnings = [*image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
     if gsd is not None:
         warnings += georeference_notice(image.georeference_gsd_m_per_px, gsd, "the vehicles say")
-    confident = vehicles.confidence >= FALLBACK_CONFIDENCE
+    narrow = interval is not None and interval.high <= MAX_INTERVAL_FACTOR * interval.low
+    confident = narrow and vehicles.confidence >= FALLBACK_CONFIDENCE
     return GsdEstimate(
         status="no_anchor" if gsd is None else "ok" if confident else "low_confidence",
         gsd_m_per_px=gsd,

@@ -15,6 +15,8 @@ from vehanchor.errors import (
     ImageFormatError,
     InvalidParameterError,
     MissingExtraError,
+    OutOfMemoryError,
+    VehAnchorError,
 )
 from vehanchor.imagery.bands import check_dtype, choose_bands, merge_bands
 from vehanchor.imagery.georeference import dataset_gsd_m_per_px
@@ -147,13 +149,18 @@ def _import_rasterio(source: str) -> Any:
 def _gdal(source: str, **options: str) -> Iterator[None]:
     """Run GDAL with these options, silent on stderr, its errors as ours."""
     from rasterio import Env
-    from rasterio._err import CPLE_BaseError
+    from rasterio._err import CPLE_BaseError, CPLE_OutOfMemoryError
     from rasterio.errors import RasterioError
 
     try:
         with Env(**options):
             yield
-    except (RasterioError, CPLE_BaseError, OSError) as error:  # rasterio 1.3: RasterioIOError is only an OSError
+    except VehAnchorError:
+        raise
+    except (MemoryError, CPLE_OutOfMemoryError) as error:
+        raise OutOfMemoryError(f"no memory for the image ({source}): try again later") from error
+    # RasterioIOError of rasterio 1.3 is only an OSError, CRSError a ValueError; a damaged palette is a LookupError.
+    except (RasterioError, CPLE_BaseError, OSError, ValueError, LookupError, ArithmeticError) as error:
         cause = error.__cause__ or error
         raise ImageDecodeError(f"the image ({source}) cannot be decoded by GDAL: {cause}") from error
 

@@ -24,10 +24,10 @@ from vehanchor.imagery.jpeg import EXIF_PREFIX, MAX_SEGMENTS, Reader, read_jpeg_
 __all__ = ["ImageHeader", "ReadAt", "TiffLayout", "is_tiff", "picture_chunks", "read_header"]
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_PNG_GREY = 0
+_PNG_BANDS = {0: 1, 2: 3}  # of grey and of RGB; all others, and these with transparency, may become four
 _PICTURE_CHUNKS = frozenset({b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"})
 _MAX_PNG_CHUNKS = 100_000  # 512 MiB in chunks of 8 KiB, as libpng writes them, would be 65,536
-_WEBP_PIXEL_BYTES = 8  # of the result and of the lossless decoder, both with alpha
+_COPIES = 2  # OpenCV 5 copies what it has decoded before it gives it away (measured)
 _TIFF_PIXEL_BYTES = 4  # OpenCV decodes 8 bits and less to four bands
 _MAX_EXIF_BYTES = 1 << 16  # the first directory, with the orientation, stands at the start; JPEG holds no more anyway
 
@@ -144,7 +144,7 @@ def _read_jpeg(read_at: ReadAt) -> ImageHeader:
         markers.height_px,
         orientation=markers.orientation,
         complete=markers.complete,
-        decoding_bytes=markers.width_px * markers.height_px * (shown + held),
+        decoding_bytes=markers.width_px * markers.height_px * max(_COPIES * shown, shown + held),
         n_scans=markers.n_scans,
     )
 
@@ -171,14 +171,14 @@ def _read_png(read_at: ReadAt) -> ImageHeader:
         if kind == b"eXIf":
             orientation = exif_orientation(read_at(position + 8, min(length, _MAX_EXIF_BYTES)))
         position += length + 12
-    pixel_bytes = (1 if colour == _PNG_GREY else 4) * (2 if depth == 16 else 1)
+    pixel_bytes = _PNG_BANDS.get(colour, 4) * (2 if depth == 16 else 1)
     return ImageHeader(
         "PNG",
         width,
         height,
         orientation=orientation,
         complete=complete,
-        decoding_bytes=width * height * pixel_bytes,
+        decoding_bytes=_COPIES * width * height * pixel_bytes,
     )
 
 
@@ -233,7 +233,7 @@ def _read_webp(read_at: ReadAt) -> ImageHeader:
         found = "two different sizes: damaged" if sizes else "no image chunk: truncated or damaged"
         raise ImageDecodeError(f"the WebP holds {found}")
     ((width, height),) = sizes
-    decoding_bytes = width * height * _WEBP_PIXEL_BYTES
+    decoding_bytes = _COPIES * 4 * width * height
     return ImageHeader("WebP", width, height, orientation=orientation, complete=complete, decoding_bytes=decoding_bytes)
 
 
@@ -244,7 +244,7 @@ def _read_bmp(read_at: ReadAt) -> ImageHeader:
     else:
         width, height = struct.unpack("<ii", read_at(18, 8))
     width, height = abs(width), abs(height)  # a negative height means rows from top to bottom
-    return ImageHeader("BMP", width, height, decoding_bytes=4 * width * height)
+    return ImageHeader("BMP", width, height, decoding_bytes=_COPIES * 4 * width * height)
 
 
 def _read_tiff(read_at: ReadAt) -> ImageHeader:
@@ -274,7 +274,7 @@ def _read_tiff(read_at: ReadAt) -> ImageHeader:
         height,
         orientation=orientation_of(tags),
         tiff=layout,
-        decoding_bytes=(width * height + layout.block_px) * pixel_bytes,
+        decoding_bytes=(width * height + max(width * height, layout.block_px)) * pixel_bytes,
     )
 
 

@@ -128,12 +128,12 @@ def test_what_two_readers_may_take_differently_is_refused(data: bytes, message: 
 @pytest.mark.parametrize(
     ("make", "decoded_bytes"),
     [
-        (lambda: encoded(".png", np.zeros((100, 200, 3), np.uint16)), 8 * 20_000),
-        (lambda: encoded(".png", np.zeros((100, 200), np.uint8)), 20_000),
-        (lambda: encoded(".jpg", np.zeros((100, 200, 3), np.uint8)), 3 * 20_000),
+        (lambda: encoded(".png", np.zeros((100, 200, 3), np.uint16)), 12 * 20_000),
+        (lambda: encoded(".png", np.zeros((100, 200), np.uint8)), 2 * 20_000),
+        (lambda: encoded(".jpg", np.zeros((100, 200, 3), np.uint8)), 6 * 20_000),
         (lambda: bombs.jpeg_of_scans(12, 100), (3 + 6) * 10_000),
         (lambda: encoded(".webp", np.zeros((100, 200, 3), np.uint8)), 8 * 20_000),
-        (lambda: encoded(".bmp", np.zeros((100, 200, 3), np.uint8)), 4 * 20_000),
+        (lambda: encoded(".bmp", np.zeros((100, 200, 3), np.uint8)), 8 * 20_000),
     ],
 )
 def test_the_limit_is_what_decoding_takes_not_what_the_file_weighs(
@@ -172,5 +172,5 @@ def test_the_largest_ordinary_images_pass_the_limits_still(side_px: int) -> None
     limits = ImageLimits()
     n_pixels = side_px * side_px
     assert n_pixels == limits.max_pixels
-    for pixel_bytes in (3, 3 + 6, 8):  # JPEG, progressive JPEG, 16-bit PNG with alpha
+    for pixel_bytes in (6, 3 + 6, 8):  # JPEG and RGB PNG, progressive JPEG, all others of 8 bits with alpha
         assert n_pixels * pixel_bytes <= limits.max_decoded_bytes
