@@ -166,7 +166,7 @@ def _read_png(read_at: ReadAt) -> ImageHeader:
         if kind == b"IHDR" and n_chunks > 1:
             raise ImageDecodeError("the PNG declares its size twice: damaged")
         if kind == b"IEND":
-            complete = len(reader.get(position + 8, 4)) == 4
+            complete = length == 0 and len(reader.get(position + 8, 4)) == 4  # OpenCV makes room for any length
             break
         if kind == b"eXIf":
             orientation = exif_orientation(read_at(position + 8, min(length, _MAX_EXIF_BYTES)))

@@ -248,8 +248,8 @@ def calibrate(
         The record, to be kept with ``save_calibration`` or used as ``ScaleOptions(calibration=...)``.
 
     Raises:
-        CalibrationRefusedError: fewer than 100 vehicles; or imagery so coarse that their modal length is below the
-            resolution guard (paper, equation 6), where lengths come out too short.
+        CalibrationRefusedError: fewer than 100 vehicles; or lengths that no vehicles have; or imagery so coarse that
+            their modal length is below the resolution guard (paper, equation 6), where lengths come out too short.
     """
     with_vehicles = [image for image in images if len(image.boxes)]
     n_vehicles = sum(len(image.boxes) for image in with_vehicles)
@@ -260,6 +260,12 @@ def calibrate(
             f"{MIN_VEHICLES} are needed. Add images of the same region with more cars"
         )
     length = reference_length(with_vehicles)
+    spread_m = math.hypot(length.sd_m, region_sd_m / 2)
+    if not LEAST_VEHICLE_M <= length.mode_m <= LARGEST_VEHICLE_M or spread_m > length.mode_m:
+        raise CalibrationRefusedError(
+            f"the vehicles are {length.mode_m:.3g} m long (sd {spread_m:.3g} m), as no fleet is: {LEAST_VEHICLE_M:g} "
+            f"to {LARGEST_VEHICLE_M:g} m. Check the images' scales, and what the labels are of"
+        )
     lengths_px = np.concatenate([image.boxes[:, 2] for image in with_vehicles])
     weights, smoothing = _weights(with_vehicles, lengths_px)
     mode_px = kde_mode(lengths_px, weights, smoothing=smoothing)
@@ -276,7 +282,7 @@ def calibrate(
         reference_length_m=length.mode_m,
         reference_length_ci95_low_m=length.low_m,
         reference_length_ci95_high_m=length.high_m,
-        reference_length_sd_m=math.hypot(length.sd_m, region_sd_m / 2),
+        reference_length_sd_m=spread_m,
         source=source,
         n_vehicles=n_vehicles,
         n_images=len(with_vehicles),

@@ -90,6 +90,13 @@ def test_a_jpeg_with_two_frame_headers_is_refused() -> None:
         open_raster(data[:frame] + header + data[frame:])
 
 
+def test_an_end_mark_of_a_png_that_declares_a_gigabyte_is_no_end_mark() -> None:
+    """Found by ``tests.fuzz``: 1,487 bytes took 1.2 GiB."""
+    data = encoded(".png")
+    with pytest.raises(ImageDecodeError, match="end mark"):
+        open_raster(data[:-12] + struct.pack(">I", 1_275_068_416) + data[-8:])
+
+
 def test_texts_of_a_png_are_not_unpacked() -> None:
     one, many = _opening_s(bombs.png_of_text(1)), _opening_s(bombs.png_of_text(20))
     assert many <= 3 * one
