@@ -11,3 +11,6 @@ Aggregation = Literal["kde", "weighted_kde", "median", "mean"]
 
 NMS_IOU = 0.45  # paper, section III-B
 OUTLIER_ALPHA = 1.5  # paper, equation 2
+
+LEAST_VEHICLE_M, LARGEST_VEHICLE_M = 2.0, 20.0
+"""Lengths of vehicles, metres, from a quadricycle's (2.3 m) to a lorry's with its trailer (18.75 m in Europe)."""

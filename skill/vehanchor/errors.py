@@ -20,6 +20,7 @@
   x MissingExtraError (ImportError)      ``missing_extra``      an optional dependency is not installed
   x OutputError                          ``output_unwritable``  a result cannot be written: no folder, odd suffix
   x WorkerDiedError                      ``worker_died``        a process of a batch run was killed
+  x OutOfMemoryError (MemoryError)       ``out_of_memory``      this machine has too little memory left just now
 
 ``code`` is stable: programs may match on it. The message says what was wrong, with the value, and what to do.
 """
@@ -42,6 +43,7 @@ __all__ = [
     "ModelContractError",
     "ModelError",
     "ModelNotFoundError",
+    "OutOfMemoryError",
     "OutputError",
     "PromptError",
     "ProviderUnavailableError",
@@ -168,3 +170,9 @@ class WorkerDiedError(VehAnchorError):
     """A worker process of a batch run was killed, for want of memory as a rule; the rows so far are kept."""
 
     code = "worker_died"
+
+
+class OutOfMemoryError(VehAnchorError, MemoryError):
+    """There is too little memory left just now: nothing need be wrong with what was given, a later try may succeed."""
+
+    code = "out_of_memory"

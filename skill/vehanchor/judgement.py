@@ -21,6 +21,7 @@ __all__ = ["Judgement", "judge"]
 
 LEAST_P_WITHIN_20 = 0.9  # below it a scale is not to be used
 _WIDEST_USABLE = 2.0  # high over low of an interval: beyond it a scale is not to be used
+_WIDEST_OF_ANY = 3.0  # the same where no chance of being right is known, as with foreign detectors
 _LOST_WIDTH = 5.0  # high over low of the scene's own interval: it was never shown the like
 _SCENE_REACH, _SCENE_AGREES = 0.4, 0.1  # the ground bears a scale out where it holds a tenth within +-40 %
 
@@ -58,6 +59,8 @@ def judge(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judgement:
         interval, p_within_20 = fuse(gsd, vehicles.density, *densities)
         if p_within_20 < LEAST_P_WITHIN_20 or interval.high > _WIDEST_USABLE * interval.low:
             confidence = min(confidence, UNSURE_CONFIDENCE)
+    if interval is not None and interval.high > _WIDEST_OF_ANY * interval.low:
+        confidence = min(confidence, UNSURE_CONFIDENCE)
     usable = gsd is not None and confidence >= FALLBACK_CONFIDENCE
     return Judgement(interval, p_within_20, confidence, None if usable else _reason(vehicles, others))
 

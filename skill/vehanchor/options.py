@@ -13,7 +13,7 @@ import numbers
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, get_args
 
-from vehanchor.defaults import NMS_IOU, OUTLIER_ALPHA, Aggregation
+from vehanchor.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, NMS_IOU, OUTLIER_ALPHA, Aggregation
 from vehanchor.errors import FrameError, InvalidParameterError
 
 if TYPE_CHECKING:
@@ -97,6 +97,8 @@ class ImageLimits:
         max_bytes: encoded size of what is read into memory whole.
         max_pixels: declared width x height of what is decoded whole; larger TIFFs are read by windows.
         max_windowed_pixels: declared width x height of what is read by windows.
+        max_decoded_bytes: memory that decoding may take: width x height x bands x depth of what is decoded whole, or of
+            a strip or tile of what is read by windows, and what the decoder holds beside it.
 
     Raises:
         InvalidParameterError: one of them is no whole number >= 1.
@@ -105,6 +107,7 @@ class ImageLimits:
     max_bytes: int = 512 * _MIB
     max_pixels: int = 100_000_000
     max_windowed_pixels: int = 10_000_000_000
+    max_decoded_bytes: int = 1 << 30
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -201,18 +204,18 @@ class Reference:
     """Where the reference length ``L_ref`` comes from: one of these, or, with none, the look of the vehicles.
 
     Attributes:
-        reference_length_m: the fleet's modal vehicle length, metres.
+        reference_length_m: the fleet's modal vehicle length, 2 to 20 metres.
         region: take the model's reference length for a region (``europe``, ``north_america``, ...).
         calibration: take the reference length measured for this fleet and detector (see ``load_calibration``); the
             path of its file is read at once.
 
     Raises:
-        InvalidParameterError: two of them, or a length that is no number > 0.
+        InvalidParameterError: two of them, or a length that is no number from 2 to 20.
         CalibrationFileError: the calibration cannot be read.
     """
 
     reference_length_m: float | None = field(
-        default=None, metadata=choice("Modal vehicle length, metres. Default: the model's.", metavar="M")
+        default=None, metadata=choice("Modal vehicle length, 2 to 20 m. Default: the model's.", metavar="M")
     )
     region: str | None = field(
         default=None,
@@ -227,7 +230,12 @@ class Reference:
         if len(given) > 1:
             raise InvalidParameterError(f"give {' or '.join(given)}, not both: each sets the reference length")
         if self.reference_length_m is not None:
-            _settle(self, "reference_length_m", _positive("reference_length_m", self.reference_length_m))
+            length = _positive("reference_length_m", self.reference_length_m)
+            if not LEAST_VEHICLE_M <= length <= LARGEST_VEHICLE_M:
+                raise InvalidParameterError(
+                    f"reference_length_m is {length:g}: a vehicle has {LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m"
+                )
+            _settle(self, "reference_length_m", length)
         if self.calibration is not None:
             from vehanchor.scale.calibration import as_calibration
 

@@ -6,8 +6,8 @@ import csv
 import io
 from typing import TYPE_CHECKING
 
-from vehanchor.batch.journal import whole_file
 from vehanchor.errors import OutputError
+from vehanchor.output import whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -20,8 +20,8 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from vehanchor.batch.journal import whole_file
 from vehanchor.errors import InvalidParameterError, OutputError
+from vehanchor.output import whole_file
 from vehanchor.records import BoundingBox
 from vehanchor_evaluation import isaid, segments
 from vehanchor_evaluation.dota import survey_dota

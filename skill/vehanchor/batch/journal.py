@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
     from typing import IO
 
-__all__ = ["Journal", "Key", "Source", "whole_file"]
+__all__ = ["Journal", "Key", "Source"]
 
 Key: TypeAlias = tuple[str | int, ...]
 Value = TypeVar("Value")
@@ -216,26 +216,3 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         return
     for key, inner in value.items():
         yield from _leaves(f"{name}.{key}" if name else key, inner)
-
-
-@contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """A file beside the one wanted, to be written in its stead; it takes its place once it is whole and on the disk.
-
-    Yields:
-        The path to write to. If the block raises, what was at ``path`` stays.
-
-    Raises:
-        OutputError: the disk refuses.
-    """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        yield partial
-        with partial.open("rb+") as file:
-            os.fsync(file.fileno())
-        partial.replace(path)
-    except OSError as error:
-        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
-    finally:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)

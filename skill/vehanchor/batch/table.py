@@ -8,9 +8,9 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vehanchor.batch.journal import whole_file
 from vehanchor.batch.row import COLUMNS
 from vehanchor.errors import MissingExtraError, OutputError
+from vehanchor.output import whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

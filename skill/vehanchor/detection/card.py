@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from vehanchor.defaults import Aggregation
+from vehanchor.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, Aggregation
 from vehanchor.detection.look import FleetLengths
 from vehanchor.errors import ModelContractError
 from vehanchor.scale.fusion import Votes
@@ -34,10 +34,14 @@ REFERENCE_LENGTH_SD_M = 0.25  # half of the paper's +-0.5 m sweep, taken as two 
 LENGTH_RANGE_PX = (9.0, 120.0)  # what a DOTA-trained model at 1024 px has seen of small vehicles
 _REGION_RATIOS = {"europe": 4.5 / 5.045, "north_america": 5.5 / 5.045}  # paper, section IV-D
 _STRIDE_PX = 32  # of every YOLO's coarsest layer
+_MAX_LENGTH_PX = 1024.0  # a tile
+_MAX_TEXT = 1 << 20  # characters of one entry; a thousand class names take a fiftieth
 _MAX_STRIDE_PX = 1024  # a tile: input sides are padded to whole strides
 
-_Positive = Annotated[float, Field(gt=0)]
-_NotNegative = Annotated[float, Field(ge=0)]
+_VehicleLength = Annotated[float, Field(ge=LEAST_VEHICLE_M, le=LARGEST_VEHICLE_M)]
+_VehicleSpread = Annotated[float, Field(ge=0, le=LARGEST_VEHICLE_M)]
+_LengthPx = Annotated[float, Field(gt=0, le=_MAX_LENGTH_PX)]
+_LeastLengthPx = Annotated[float, Field(ge=0, le=_MAX_LENGTH_PX)]
 _Share = Annotated[float, Field(ge=0, le=1)]
 _ClassIndex = Annotated[int, Field(ge=0)]
 
@@ -80,11 +84,11 @@ class DetectorCard(_Card):
     name: str
     sha256: str
     class_names: dict[_ClassIndex, str]
-    reference_length_m: _Positive
-    reference_length_sd_m: _NotNegative
-    region_lengths_m: dict[str, _Positive]
-    length_range_px: tuple[_Positive, _Positive]
-    min_length_px: _NotNegative
+    reference_length_m: _VehicleLength
+    reference_length_sd_m: _VehicleSpread
+    region_lengths_m: dict[str, _VehicleLength]
+    length_range_px: tuple[_LengthPx, _LengthPx]
+    min_length_px: _LeastLengthPx
     min_score: _Share
     licence: str | None
     search_scales: bool = False
@@ -130,8 +134,10 @@ class FleetCard(_Card):
     @classmethod
     def _in_order(cls, value: FleetLengths) -> FleetLengths:
         few, many = value.log_odds
-        if not (few < many and min(*value.length_m, value.neutral_vehicles) > 0 and value.sd_m >= 0):
+        if not (few < many and value.neutral_vehicles > 0 and value.sd_m >= 0):
             raise ValueError("expected rising log_odds, length_m and neutral_vehicles > 0, and sd_m >= 0")
+        if not (LEAST_VEHICLE_M <= min(value.length_m) <= max(value.length_m) <= LARGEST_VEHICLE_M >= value.sd_m):
+            raise ValueError(f"expected length_m, {LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m, and sd_m no longer")
         return value
 
 
@@ -192,6 +198,18 @@ def _votes(text: str) -> Votes:
     return Votes(**{name: float(value) for name, value in json.loads(text).items()})
 
 
+# MemoryError and RecursionError: what Python's parsers say of too many brackets.
+_UNREADABLE = (
+    ValueError,
+    SyntaxError,
+    TypeError,
+    LookupError,
+    AttributeError,
+    ArithmeticError,
+    RecursionError,
+    MemoryError,
+)
+
 # Field -> the key of the metadata, how its text is read, and what a text that cannot be read should have been.
 _Entry = tuple[str, Callable[[str], Any], str]
 _DETECTOR_ENTRIES: dict[str, _Entry] = {
@@ -233,8 +251,10 @@ def _stated(path: Path, metadata: Mapping[str, str], entries: Mapping[str, _Entr
     for field, (key, read, expected) in entries.items():
         if key in metadata:
             try:
+                if len(metadata[key]) > _MAX_TEXT:
+                    raise ValueError("too long")
                 values[field] = read(metadata[key])
-            except (ValueError, SyntaxError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError):
+            except _UNREADABLE:
                 raise ModelContractError(
                     f"{path}: metadata {key!r} is {metadata[key][:80]!r}: expected {expected}"
                 ) from None

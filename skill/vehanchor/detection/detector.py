@@ -5,6 +5,7 @@ One code path reads the bundled model and any YOLOv8, YOLO11 or YOLO26 OBB file 
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -21,7 +22,7 @@ from vehanchor.detection.sighting import Objects
 from vehanchor.errors import ModelContractError
 from vehanchor.models.cache import file_cached
 from vehanchor.models.files import models_sha256, read_model
-from vehanchor.models.session import DEFAULT_PROVIDERS, open_session
+from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
 from vehanchor.models.zoo import fleet_beside, second_look_beside
 
 if TYPE_CHECKING:
@@ -35,6 +36,9 @@ __all__ = ["Detector", "TileSighting", "load_detector"]
 
 _PADDING_LEVEL = 114  # the grey that Ultralytics pads with
 _ANGLE_LIMIT = 1e4  # a finite, sane angle in radians before it is taken modulo pi
+_MAX_INPUT_PX = 8192  # of a fixed input: 100 times the pixels of what YOLO is trained on
+_PX_PER_PLACE = 8  # a YOLO with a layer of stride 4 has a place for every 12
+_LEAST_PLACES = 4096
 _PROBE_STRIDES = 4  # side of the blank image that tells the shapes of outputs, in strides
 
 
@@ -137,6 +141,8 @@ class Detector:
             raise ModelContractError(
                 f"{self.path}: batch size is fixed at {batch}; export with batch=1 or dynamic=True"
             )
+        if max(height or 0, width or 0) > _MAX_INPUT_PX:
+            raise self._refuse(f"its input is fixed at {width} x {height} px, more than {_MAX_INPUT_PX} px a side")
         return (height, width) if height and width else None
 
     def _recognised_contract(self) -> DetectorContract:
@@ -146,8 +152,8 @@ class Detector:
             height, width = self.fixed_size or (self.card.stride_px * _PROBE_STRIDES,) * 2
             try:
                 outputs = self._run(np.zeros((1, 3, height, width), dtype=self._dtype))
-            except Exception as error:  # whatever ONNX Runtime raises: the graph does not take an image
-                raise self._refuse(f"it fails on a blank {width} x {height} image ({error})") from None
+            except ModelContractError as error:
+                raise self._refuse(f"it does not take a blank {width} x {height} image ({error})") from None
             shapes = [output.shape for output in outputs]
         try:
             return recognise_contract(shapes, self.card.class_names)
@@ -155,7 +161,9 @@ class Detector:
             raise self._refuse(str(error)) from None
 
     def _run(self, batch: NDArray[Any], run_options: onnxruntime.RunOptions | None = None) -> list[NDArray[Any]]:
-        return [np.asarray(output) for output in self._session.run(None, {self._input.name: batch}, run_options)]
+        described = f"the detector {self.path} fails on {list(batch.shape)}"
+        outputs = run_session(self._session, None, {self._input.name: batch}, run_options, described)
+        return [np.asarray(output) for output in outputs]
 
     def _prepared(self, tile: NDArray[np.uint8]) -> NDArray[Any]:
         """``[h, w, 3]`` uint8 to the model's ``[1, 3, H, W]`` in 0..1, padded right and below."""
@@ -185,20 +193,40 @@ class Detector:
             Vehicles and other objects, their boxes canonical, in tile pixels.
         """
         outputs = self._run(self._prepared(tile), run_options)
+        try:
+            vehicles = self._contract.objects(outputs, min_score, self._vehicle_classes)
+            others = Objects.joined()
+            if self._contract.n_classes != len(self._vehicle_classes):
+                anything = self._contract.objects(outputs, min_score)
+                others = anything.take(~np.isin(anything.classes, self._vehicle_classes))
+            ran_out = self._contract.ran_out(outputs)
+        except (LookupError, ValueError, TypeError) as error:  # shapes that the blank image did not have
+            shapes = ", ".join(str(list(output.shape)) for output in outputs)
+            raise ModelContractError(f"the detector {self.path} puts out {shapes}, no layout of its") from error
+        return TileSighting(self._checked(vehicles, tile), self._checked(others, tile), ran_out)
+
+    def _checked(self, found: Objects, tile: NDArray[np.uint8]) -> Objects:
+        """The boxes that can be objects of a tile.
+
+        Raises:
+            ModelContractError: there are more of them than a tile has places.
+        """
         height, width = tile.shape[:2]
-        vehicles = self._contract.objects(outputs, min_score, self._vehicle_classes)
-        others = Objects.joined()
-        if self._contract.n_classes != len(self._vehicle_classes):
-            anything = self._contract.objects(outputs, min_score)
-            others = anything.take(~np.isin(anything.classes, self._vehicle_classes))
-        ran_out = self._contract.ran_out(outputs)
-        return TileSighting(_within(vehicles, width, height), _within(others, width, height), ran_out)
+        most = _LEAST_PLACES + height * width // _PX_PER_PLACE
+        if len(found) > most:
+            raise ModelContractError(
+                f"the detector {self.path} puts out {len(found)} boxes for {width} x {height} px: at most {most} have "
+                "place there"
+            )
+        return _within(found, width, height)
 
 
 def _within(found: Objects, width_px: int, height_px: int) -> Objects:
-    """The objects that are boxes, with their centre inside the tile, in canonical form."""
+    """The objects that are boxes no larger than the tile, with their centre inside it, in canonical form."""
     boxes = found.boxes
+    diagonal_px = math.hypot(width_px, height_px)
     sane = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:4] > 0).all(axis=1) & (np.abs(boxes[:, 4]) < _ANGLE_LIMIT)
+    sane &= (boxes[:, 2:4] <= diagonal_px).all(axis=1)
     sane &= (boxes[:, 0] >= 0) & (boxes[:, 0] <= width_px) & (boxes[:, 1] >= 0) & (boxes[:, 1] <= height_px)
     return Objects(canonical_boxes(boxes[sane]), np.clip(found.scores[sane], 0.0, 1.0), found.classes[sane])
 

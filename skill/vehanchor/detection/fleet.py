@@ -11,7 +11,7 @@ from vehanchor.detection.card import read_fleet_card
 from vehanchor.detection.look import CHIP_SHAPE, MAX_CHIPS, vehicle_chips
 from vehanchor.errors import ModelContractError
 from vehanchor.models.files import models_sha256, read_model
-from vehanchor.models.session import DEFAULT_PROVIDERS, open_session
+from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -72,4 +72,8 @@ class FleetNetwork:
         if len(boxes) == 0:
             return np.zeros(0)
         chips = vehicle_chips(raster, boxes[:MAX_CHIPS])
-        return np.asarray(self._session.run([_OUTPUT], {_INPUT: chips})[0], dtype=np.float64)
+        described = f"the fleet network {self.path} fails on {list(chips.shape)}"
+        odds = np.asarray(run_session(self._session, [_OUTPUT], {_INPUT: chips}, None, described)[0], dtype=np.float64)
+        if odds.shape != (len(chips),) or not np.isfinite(odds).all():
+            raise ModelContractError(f"the fleet network {self.path} does not give one number for each vehicle")
+        return odds

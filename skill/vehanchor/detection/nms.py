@@ -9,11 +9,14 @@ from scipy.spatial import cKDTree
 
 from vehanchor.defaults import NMS_IOU
 from vehanchor.detection.boxes import canonical_boxes, pair_iou
+from vehanchor.errors import ModelContractError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["oriented_nms"]
+
+_MOST_PAIRS = 20_000_000  # 0.3 GiB of indices
 
 
 def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = NMS_IOU) -> NDArray[np.intp]:
@@ -32,6 +35,10 @@ def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = 
 
     Returns:
         Indices into ``boxes`` of those kept, from the highest score down.
+
+    Raises:
+        ModelContractError: no detector of vehicles puts so many boxes on one another: time and memory would grow with
+            the square of their number.
     """
     rows = canonical_boxes(boxes)
     score = np.asarray(scores, dtype=np.float64).reshape(-1)
@@ -79,9 +86,17 @@ def _overlap_candidates(rows: NDArray[np.float64], iou_threshold: float) -> list
     classes = np.unique(size_class)
     members = {c: np.flatnonzero(size_class == c) for c in classes}
     trees = {c: cKDTree(rows[members[c], :2]) for c in classes}
+    n_pairs = 0
     for position, c in enumerate(classes):
         for d in classes[position:]:
             reach = radius[members[c]].max() + radius[members[d]].max()
+            if len(rows) ** 2 > _MOST_PAIRS:
+                n_pairs += int(trees[c].count_neighbors(trees[d], reach))
+            if n_pairs > _MOST_PAIRS:
+                raise ModelContractError(
+                    f"the detector put {len(rows)} boxes so much on one another that more than {_MOST_PAIRS} pairs of "
+                    "them would have to be compared: it is none for vehicles, or min_score is too low for it"
+                )
             if c == d:
                 local = trees[c].query_pairs(reach, output_type="ndarray")
             else:

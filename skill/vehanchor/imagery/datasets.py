@@ -13,13 +13,14 @@ import numpy as np
 from vehanchor.errors import (
     ImageDecodeError,
     ImageFormatError,
-    ImageTooLargeError,
     InvalidParameterError,
     MissingExtraError,
+    OutOfMemoryError,
+    VehAnchorError,
 )
 from vehanchor.imagery.bands import check_dtype, choose_bands, merge_bands
 from vehanchor.imagery.georeference import dataset_gsd_m_per_px
-from vehanchor.imagery.limits import check_windowed_size
+from vehanchor.imagery.limits import check_block, check_windowed_size
 from vehanchor.imagery.stretch import SAMPLE_PX
 from vehanchor.imagery.windows import Raster, StoredPixels, Window
 
@@ -148,26 +149,35 @@ def _import_rasterio(source: str) -> Any:
 def _gdal(source: str, **options: str) -> Iterator[None]:
     """Run GDAL with these options, silent on stderr, its errors as ours."""
     from rasterio import Env
-    from rasterio._err import CPLE_BaseError
+    from rasterio._err import CPLE_BaseError, CPLE_OutOfMemoryError
     from rasterio.errors import RasterioError
 
     try:
         with Env(**options):
             yield
-    except (RasterioError, CPLE_BaseError, OSError) as error:  # rasterio 1.3: RasterioIOError is only an OSError
+    except VehAnchorError:
+        raise
+    except (MemoryError, CPLE_OutOfMemoryError) as error:
+        raise OutOfMemoryError(f"no memory for the image ({source}): try again later") from error
+    # RasterioIOError of rasterio 1.3 is only an OSError, CRSError a ValueError; a damaged palette is a LookupError.
+    except (RasterioError, CPLE_BaseError, OSError, ValueError, LookupError, ArithmeticError) as error:
         cause = error.__cause__ or error
         raise ImageDecodeError(f"the image ({source}) cannot be decoded by GDAL: {cause}") from error
 
 
 def _check_block(dataset: Any, name: str, limits: ImageLimits) -> None:
-    """A window is decoded from whole blocks: one block must not be what the limits were to prevent."""
-    height, width = max(dataset.block_shapes)
-    per_block = dataset.count if dataset.profile.get("interleave") == "pixel" else 1
-    if height * width * per_block > 4 * limits.max_pixels:
-        raise ImageTooLargeError(
-            f"the {name} is stored in blocks of {width} x {height} px with {per_block} bands, too large to read by"
-            f" windows under the limit of {limits.max_pixels} pixels; store it tiled"
-        )
+    together = dataset.count if dataset.profile.get("interleave") == "pixel" else 1
+    sample_bytes = max(_dtype(name).itemsize for name in dataset.dtypes)
+    check_block(name, max(height * width for height, width in dataset.block_shapes), together, sample_bytes, limits)
+
+
+def _dtype(name: str) -> np.dtype[Any]:
+    try:
+        return np.dtype(name)
+    except TypeError:  # complex_int16, which only GDAL has
+        raise ImageFormatError(
+            f"pixels of {name} cannot be measured; convert them to uint8, uint16 or float32"
+        ) from None
 
 
 class DatasetRaster(Raster):
@@ -202,7 +212,7 @@ class DatasetRaster(Raster):
             georeference_gsd_m_per_px=dataset_gsd_m_per_px(dataset),
             notes=notes,
         )
-        dtype = np.dtype(dataset.dtypes[self._indexes[0] - 1])
+        dtype = _dtype(dataset.dtypes[self._indexes[0] - 1])
         check_dtype(dtype)
         self._dataset = dataset
         self._unique = sorted(set(self._indexes))

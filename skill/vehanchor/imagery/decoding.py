@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from vehanchor.errors import ImageDecodeError
+from vehanchor.errors import ImageDecodeError, OutOfMemoryError
+from vehanchor.imagery.header import picture_chunks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["decode", "decodes_tiff"]
 
 _SILENT = 0
+_NO_MEMORY = -4  # cv::Error::StsNoMem
 
 
 def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
@@ -35,13 +37,19 @@ def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
 
     Raises:
         ImageDecodeError: it is truncated or damaged.
+        OutOfMemoryError: there is too little memory for it now.
     """
     if not header.complete:
         raise ImageDecodeError(f"the {header.format} ({source}) is truncated: its end mark is missing")
+    if header.format == "PNG":
+        data = picture_chunks(data)
     try:
         with _QUIET_OPENCV.entered():
             pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
+    except (cv2.error, MemoryError) as error:
+        if isinstance(error, MemoryError) or error.code == _NO_MEMORY:
+            size = f"{header.width_px} x {header.height_px} px"
+            raise OutOfMemoryError(f"no memory for the {header.format} of {size}: try again later") from error
         raise ImageDecodeError(f"the {header.format} ({source}) cannot be decoded: {error.err}") from error
     # None is in no older OpenCV's type of the result, but in every one's behaviour.
     if pixels is None or sorted(pixels.shape[:2]) != sorted((header.height_px, header.width_px)):

@@ -69,13 +69,14 @@ def dataset_gsd_m_per_px(dataset: Any) -> float | None:
     """
     from rasterio.errors import RasterioError
 
-    crs, affine = dataset.crs, dataset.transform
+    affine = dataset.transform
     transform: AffineCoefficients = (affine.a, affine.b, affine.c, affine.d, affine.e, affine.f)
-    if not crs or transform == _IDENTITY or not all(map(math.isfinite, transform)):
-        return None
     try:
+        crs = dataset.crs
+        if not crs or transform == _IDENTITY or not all(map(math.isfinite, transform)):
+            return None
         gsd = _gsd_in_crs(transform, crs, dataset.width / 2, dataset.height / 2)
-    except (RasterioError, ValueError):  # a coordinate system that PROJ cannot use; rasterio's CRSError is a ValueError
+    except (RasterioError, ValueError, ArithmeticError):  # a system that PROJ cannot use; CRSError is a ValueError
         return None
     return gsd if math.isfinite(gsd) and gsd > 0 else None
 

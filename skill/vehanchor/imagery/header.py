@@ -6,46 +6,49 @@ versions, that a JPEG was cut off, and only a TIFF's tags say whether OpenCV can
 
 from __future__ import annotations
 
-import re
 import struct
-from collections.abc import Callable
 from dataclasses import dataclass
 
-from vehanchor.errors import ImageDecodeError
+from vehanchor.errors import ImageDecodeError, ImageTooLargeError
+from vehanchor.imagery.ifd import (
+    MAX_VALUES,
+    TAG_ORIENTATION,
+    TIFF_SIGNATURES,
+    ReadAt,
+    exif_orientation,
+    orientation_of,
+    read_ifd,
+)
+from vehanchor.imagery.jpeg import EXIF_PREFIX, MAX_SEGMENTS, Reader, read_jpeg_markers
 
-__all__ = ["ImageHeader", "ReadAt", "TiffLayout", "is_tiff", "read_header"]
-
-ReadAt = Callable[[int, int], bytes]
-"""``read_at(offset, count)`` gives up to ``count`` bytes, fewer only where the file ends."""
+__all__ = ["ImageHeader", "ReadAt", "TiffLayout", "is_tiff", "picture_chunks", "read_header"]
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # classic and BigTIFF, either byte order
-_EXIF_PREFIX = b"Exif\0\0"
+_PNG_BANDS = {0: 1, 2: 3}  # of grey and of RGB; all others, and these with transparency, may become four
+_PICTURE_CHUNKS = frozenset({b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"})
+_MAX_PNG_CHUNKS = 100_000  # 512 MiB in chunks of 8 KiB, as libpng writes them, would be 65,536
+_COPIES = 2  # OpenCV 5 copies what it has decoded before it gives it away (measured)
+_TIFF_PIXEL_BYTES = 4  # OpenCV decodes 8 bits and less to four bands
 _MAX_EXIF_BYTES = 1 << 16  # the first directory, with the orientation, stands at the start; JPEG holds no more anyway
 
-_JPEG_SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # DHT, JPG and DAC share the range
-_JPEG_STANDALONE = frozenset({0x01, *range(0xD0, 0xD8)})  # TEM and RSTn carry no length
-_JPEG_SOS, _JPEG_EOI, _JPEG_APP1 = 0xDA, 0xD9, 0xE1
-# In entropy-coded data 0xFF is followed by 0 (stuffing), a restart marker, or a fill byte; all else is a marker.
-_JPEG_MARKER_IN_SCAN = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
-_SCAN_CHUNK_BYTES = 1 << 20
-
 _TAG_WIDTH, _TAG_HEIGHT, _TAG_BITS, _TAG_PHOTOMETRIC = 256, 257, 258, 262
-_TAG_ORIENTATION, _TAG_SAMPLES, _TAG_PLANAR, _TAG_SAMPLE_FORMAT = 274, 277, 284, 339
+_TAG_SAMPLES, _TAG_ROWS_PER_STRIP, _TAG_PLANAR, _TAG_SAMPLE_FORMAT = 277, 278, 284, 339
+_TAG_TILE_WIDTH, _TAG_TILE_HEIGHT = 322, 323
 _GEO_TAGS = frozenset({33550, 34264, 34735})  # ModelPixelScale, ModelTransformation, GeoKeyDirectory
-_TIFF_TAGS = _GEO_TAGS | {
-    _TAG_WIDTH,
-    _TAG_HEIGHT,
-    _TAG_BITS,
-    _TAG_PHOTOMETRIC,
-    _TAG_ORIENTATION,
-    _TAG_SAMPLES,
-    _TAG_PLANAR,
-    _TAG_SAMPLE_FORMAT,
-}
-_TIFF_INTEGER_TYPES = {1: "B", 3: "H", 4: "I", 16: "Q"}
-_MAX_IFD_ENTRIES = 4096  # a real directory has some dozens
-_MAX_TAG_VALUES = 64  # one per band; what is equal in the first 64 is taken to be equal in all
+_TAGS_OF_BANDS = frozenset({_TAG_BITS, _TAG_SAMPLE_FORMAT})  # a value for each band
+_TAGS_OF_ONE = frozenset(
+    {
+        _TAG_WIDTH,
+        _TAG_HEIGHT,
+        _TAG_PHOTOMETRIC,
+        TAG_ORIENTATION,
+        _TAG_SAMPLES,
+        _TAG_ROWS_PER_STRIP,
+        _TAG_PLANAR,
+        _TAG_TILE_WIDTH,
+        _TAG_TILE_HEIGHT,
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ class TiffLayout:
         photometric: 0 white is zero, 1 black is zero, 2 RGB, 3 palette, 5 CMYK, 6 YCbCr, 8 Lab.
         planar: bands are stored one after the other.
         georeferenced: it carries GeoTIFF tags.
+        block_px: pixels of the strips or tiles in which it is stored, each decoded as a whole.
     """
 
     bands: int
@@ -67,6 +71,12 @@ class TiffLayout:
     photometric: int
     planar: bool
     georeferenced: bool
+    block_px: int
+
+    @property
+    def pixel_bytes(self) -> int:
+        """Bytes of a decoded pixel, all bands."""
+        return self.bands * next((size for size in (1, 2, 4) if max(self.bits) <= 8 * size), 8)
 
 
 @dataclass(frozen=True)
@@ -80,6 +90,8 @@ class ImageHeader:
         orientation: EXIF orientation, 1 to 8; 1 where none or a meaningless one is given.
         complete: False if the file ends before its format's end mark (known for JPEG, PNG, WebP).
         tiff: the layout of a TIFF, None for other formats.
+        decoding_bytes: memory that decoding it whole takes: its pixels, and what the decoder holds beside them.
+        n_scans: how often the decoder goes over the whole image; more than 1 for some JPEGs.
     """
 
     format: str
@@ -88,11 +100,13 @@ class ImageHeader:
     orientation: int = 1
     complete: bool = True
     tiff: TiffLayout | None = None
+    decoding_bytes: int = 0
+    n_scans: int = 1
 
 
 def is_tiff(start: bytes) -> bool:
     """True if these first bytes (at least four) open a TIFF or BigTIFF."""
-    return start[:4] in _TIFF_SIGNATURES
+    return start[:4] in TIFF_SIGNATURES
 
 
 def read_header(read_at: ReadAt) -> ImageHeader:
@@ -121,94 +135,106 @@ def read_header(read_at: ReadAt) -> ImageHeader:
 
 
 def _read_jpeg(read_at: ReadAt) -> ImageHeader:
-    size: tuple[int, int] | None = None
-    orientation = 1
-    complete = False
-    position = 2
-    while True:
-        start = read_at(position, 2)
-        if len(start) < 2 or start[0] != 0xFF:
-            break
-        marker = start[1]
-        if marker == 0xFF:  # fill byte
-            position += 1
-            continue
-        if marker == _JPEG_EOI:
-            complete = True
-            break
-        position += 2
-        if marker in _JPEG_STANDALONE:
-            continue
-        head = read_at(position, 8)
-        if len(head) < 2:
-            break
-        if marker in _JPEG_SOF and size is None:
-            height, width = struct.unpack_from(">HH", head, 3)
-            size = width, height
-        elif marker == _JPEG_APP1 and head[2:8] == _EXIF_PREFIX:
-            orientation = _exif_orientation(read_at(position + 8, int.from_bytes(head[:2], "big") - 8))
-        position += int.from_bytes(head[:2], "big")
-        if marker == _JPEG_SOS:
-            position = _next_jpeg_marker(read_at, position)
-    if size is None:
-        raise ImageDecodeError("the JPEG has no frame header: truncated or damaged")
-    return ImageHeader("JPEG", *size, orientation=orientation, complete=complete)
-
-
-def _next_jpeg_marker(read_at: ReadAt, position: int) -> int:
-    while True:
-        chunk = read_at(position, _SCAN_CHUNK_BYTES)
-        found = _JPEG_MARKER_IN_SCAN.search(chunk)
-        if found:
-            return position + found.start()
-        if len(chunk) < _SCAN_CHUNK_BYTES:
-            return position + len(chunk)
-        position += len(chunk) - 1  # a marker may straddle two chunks
+    markers = read_jpeg_markers(read_at)
+    shown = 1 if markers.components == 1 else 3
+    held = 2 * markers.components if markers.held else 0  # coefficients of 16 bits
+    return ImageHeader(
+        "JPEG",
+        markers.width_px,
+        markers.height_px,
+        orientation=markers.orientation,
+        complete=markers.complete,
+        decoding_bytes=markers.width_px * markers.height_px * max(_COPIES * shown, shown + held),
+        n_scans=markers.n_scans,
+    )
 
 
 def _read_png(read_at: ReadAt) -> ImageHeader:
-    length, kind, width, height = struct.unpack(">I4sII", read_at(8, 16))
+    length, kind, width, height, depth, colour = struct.unpack(">I4sIIBB", read_at(8, 18))
     if kind != b"IHDR" or length != 13:
         raise ImageDecodeError("the PNG does not begin with its IHDR chunk: damaged")
+    reader = Reader(read_at)
     orientation = 1
     complete = False
     position = 8
-    while len(head := read_at(position, 8)) == 8:
+    n_chunks = 0
+    while len(head := reader.get(position, 8)) == 8:
+        n_chunks += 1
+        if n_chunks > _MAX_PNG_CHUNKS:
+            raise ImageTooLargeError(f"the PNG has more than {_MAX_PNG_CHUNKS} chunks; save it again")
         length, kind = struct.unpack(">I4s", head)
+        if kind == b"IHDR" and n_chunks > 1:
+            raise ImageDecodeError("the PNG declares its size twice: damaged")
         if kind == b"IEND":
-            complete = len(read_at(position + 8, 4)) == 4
+            complete = length == 0 and len(reader.get(position + 8, 4)) == 4  # OpenCV makes room for any length
             break
         if kind == b"eXIf":
-            orientation = _exif_orientation(read_at(position + 8, min(length, _MAX_EXIF_BYTES)))
+            orientation = exif_orientation(read_at(position + 8, min(length, _MAX_EXIF_BYTES)))
         position += length + 12
-    return ImageHeader("PNG", width, height, orientation=orientation, complete=complete)
+    pixel_bytes = _PNG_BANDS.get(colour, 4) * (2 if depth == 16 else 1)
+    return ImageHeader(
+        "PNG",
+        width,
+        height,
+        orientation=orientation,
+        complete=complete,
+        decoding_bytes=_COPIES * width * height * pixel_bytes,
+    )
+
+
+def picture_chunks(png: bytes) -> bytes:
+    """A PNG, whose header has been read, without what no picture needs: texts, profiles, animation.
+
+    libpng unpacks a thousand texts of 8 MB each that take a thousandth of that in the file, and writes a line to stderr
+    for every chunk that it does not like.
+    """
+    parts = [png[:8]]
+    start = position = 8
+    while len(head := png[position : position + 8]) == 8:
+        length, kind = struct.unpack(">I4s", head)
+        after = position + length + 12
+        if kind not in _PICTURE_CHUNKS:
+            parts.append(png[start:position])
+            start = after
+        position = after
+        if kind == b"IEND":
+            break
+    return b"".join([*parts, png[start:position]]) if len(parts) > 1 else png
 
 
 def _read_webp(read_at: ReadAt) -> ImageHeader:
     (riff_bytes,) = struct.unpack("<I", read_at(4, 4))
     end = riff_bytes + 8
     complete = len(read_at(end - 1, 1)) == 1
-    size: tuple[int, int] | None = None
+    sizes: set[tuple[int, int]] = set()
     orientation = 1
+    reader = Reader(read_at)
     position = 12
-    while position < end and len(head := read_at(position, 8)) == 8:
+    n_chunks = 0
+    while position < end and len(head := reader.get(position, 8)) == 8:
+        n_chunks += 1
+        if n_chunks > MAX_SEGMENTS:
+            raise ImageTooLargeError(f"the WebP has more than {MAX_SEGMENTS} chunks; save it again")
         kind, length = struct.unpack("<4sI", head)
-        body = read_at(position + 8, 10)
-        if size is None and kind == b"VP8X":
-            size = 1 + int.from_bytes(body[4:7], "little"), 1 + int.from_bytes(body[7:10], "little")
-        elif size is None and kind == b"VP8 ":
+        body = reader.get(position + 8, 10)
+        if kind == b"VP8X":
+            sizes.add((1 + int.from_bytes(body[4:7], "little"), 1 + int.from_bytes(body[7:10], "little")))
+        elif kind == b"VP8 ":
             width, height = struct.unpack_from("<HH", body, 6)
-            size = width & 0x3FFF, height & 0x3FFF
-        elif size is None and kind == b"VP8L":
+            sizes.add((width & 0x3FFF, height & 0x3FFF))
+        elif kind == b"VP8L":
             (packed,) = struct.unpack_from("<I", body, 1)
-            size = 1 + (packed & 0x3FFF), 1 + (packed >> 14 & 0x3FFF)
+            sizes.add((1 + (packed & 0x3FFF), 1 + (packed >> 14 & 0x3FFF)))
         elif kind == b"EXIF":
             payload = read_at(position + 8, min(length, _MAX_EXIF_BYTES))
-            orientation = _exif_orientation(payload.removeprefix(_EXIF_PREFIX))
+            orientation = exif_orientation(payload.removeprefix(EXIF_PREFIX))
         position += 8 + length + (length & 1)
-    if size is None:
-        raise ImageDecodeError("the WebP holds no image chunk: truncated or damaged")
-    return ImageHeader("WebP", *size, orientation=orientation, complete=complete)
+    if len(sizes) != 1:
+        found = "two different sizes: damaged" if sizes else "no image chunk: truncated or damaged"
+        raise ImageDecodeError(f"the WebP holds {found}")
+    ((width, height),) = sizes
+    decoding_bytes = _COPIES * 4 * width * height
+    return ImageHeader("WebP", width, height, orientation=orientation, complete=complete, decoding_bytes=decoding_bytes)
 
 
 def _read_bmp(read_at: ReadAt) -> ImageHeader:
@@ -217,75 +243,48 @@ def _read_bmp(read_at: ReadAt) -> ImageHeader:
         width, height = struct.unpack("<HH", read_at(18, 4))
     else:
         width, height = struct.unpack("<ii", read_at(18, 8))
-    return ImageHeader("BMP", abs(width), abs(height))  # a negative height means rows from top to bottom
+    width, height = abs(width), abs(height)  # a negative height means rows from top to bottom
+    return ImageHeader("BMP", width, height, decoding_bytes=_COPIES * 4 * width * height)
 
 
 def _read_tiff(read_at: ReadAt) -> ImageHeader:
-    tags = _read_ifd(read_at)
-    try:
-        width, height = tags[_TAG_WIDTH][0], tags[_TAG_HEIGHT][0]
-    except (KeyError, IndexError):
-        raise ImageDecodeError("the TIFF's first directory declares no width and height: damaged") from None
-
-    def first(tag: int, default: int) -> int:
-        return (tags.get(tag) or (default,))[0]
-
+    tags = read_ifd(read_at, _TAGS_OF_ONE | _TAGS_OF_BANDS, _GEO_TAGS)
+    if _TAG_WIDTH not in tags or _TAG_HEIGHT not in tags:
+        raise ImageDecodeError("the TIFF's first directory declares no width and height: damaged")
+    twofold = [tag for tag in _TAGS_OF_ONE if len(tags.get(tag, (0,))) != 1]
+    if twofold:
+        raise ImageDecodeError(f"the TIFF's tag {twofold[0]} has several values where one belongs: damaged")
+    (width,), (height,), (bands,) = tags[_TAG_WIDTH], tags[_TAG_HEIGHT], tags.get(_TAG_SAMPLES, (1,))
+    for tag in _TAGS_OF_BANDS:
+        if len(tags.get(tag, (0,))) not in (1, min(bands, MAX_VALUES)):
+            raise ImageDecodeError(f"the TIFF's tag {tag} has {len(tags[tag])} values for {bands} bands: damaged")
     layout = TiffLayout(
-        bands=first(_TAG_SAMPLES, 1),
-        bits=tags.get(_TAG_BITS) or (1,),
-        sample_format=first(_TAG_SAMPLE_FORMAT, 1),
-        photometric=first(_TAG_PHOTOMETRIC, 1),
-        planar=first(_TAG_PLANAR, 1) == 2,
+        bands=bands,
+        bits=tags.get(_TAG_BITS, (1,)),
+        sample_format=tags.get(_TAG_SAMPLE_FORMAT, (1,))[0],
+        photometric=tags.get(_TAG_PHOTOMETRIC, (1,))[0],
+        planar=tags.get(_TAG_PLANAR, (1,))[0] == 2,
         georeferenced=not _GEO_TAGS.isdisjoint(tags),
+        block_px=_block_px(tags, width, height),
     )
-    return ImageHeader("TIFF", width, height, orientation=_orientation(tags), tiff=layout)
+    pixel_bytes = max(_TIFF_PIXEL_BYTES, layout.pixel_bytes)
+    return ImageHeader(
+        "TIFF",
+        width,
+        height,
+        orientation=orientation_of(tags),
+        tiff=layout,
+        decoding_bytes=(width * height + max(width * height, layout.block_px)) * pixel_bytes,
+    )
 
 
-def _read_ifd(read_at: ReadAt) -> dict[int, tuple[int, ...]]:
-    """The known tags of a TIFF's first directory; those that hold no integers have no values here."""
-    head = read_at(0, 16)
-    order = {b"II": "<", b"MM": ">"}.get(head[:2])
-    if order is None:
-        raise ImageDecodeError("the TIFF directory names no byte order: damaged")
-    (version,) = struct.unpack_from(order + "H", head, 2)
-    if version == 43:  # BigTIFF
-        (offset,) = struct.unpack_from(order + "Q", head, 8)
-        count_format, entry_format, value_bytes = order + "Q", order + "HHQ", 8
-    else:
-        (offset,) = struct.unpack_from(order + "I", head, 4)
-        count_format, entry_format, value_bytes = order + "H", order + "HHI", 4
-    count_bytes = struct.calcsize(count_format)
-    (n_entries,) = struct.unpack(count_format, read_at(offset, count_bytes))
-    if n_entries > _MAX_IFD_ENTRIES:
-        raise ImageDecodeError(f"the TIFF directory declares {n_entries} entries: damaged")
-    value_at = struct.calcsize(entry_format)
-    entry_bytes = value_at + value_bytes
-    table = read_at(offset + count_bytes, n_entries * entry_bytes)
-    tags: dict[int, tuple[int, ...]] = {}
-    for start in range(0, n_entries * entry_bytes, entry_bytes):
-        tag, kind, count = struct.unpack_from(entry_format, table, start)
-        if tag not in _TIFF_TAGS:
-            continue
-        if kind not in _TIFF_INTEGER_TYPES:
-            tags[tag] = ()
-            continue
-        values = f"{order}{min(count, _MAX_TAG_VALUES)}{_TIFF_INTEGER_TYPES[kind]}"
-        inline = count * struct.calcsize(order + _TIFF_INTEGER_TYPES[kind]) <= value_bytes
-        if inline:
-            tags[tag] = struct.unpack_from(values, table, start + value_at)
-        else:
-            (at,) = struct.unpack_from(order + ("I" if value_bytes == 4 else "Q"), table, start + value_at)
-            tags[tag] = struct.unpack(values, read_at(at, struct.calcsize(values)))
-    return tags
-
-
-def _exif_orientation(payload: bytes) -> int:
-    try:
-        return _orientation(_read_ifd(lambda offset, count: payload[offset : offset + count]))
-    except (struct.error, ImageDecodeError):  # damaged metadata does not make the pixels unusable
-        return 1
-
-
-def _orientation(tags: dict[int, tuple[int, ...]]) -> int:
-    value = (tags.get(_TAG_ORIENTATION) or (1,))[0]
-    return value if 1 <= value <= 8 else 1
+def _block_px(tags: dict[int, tuple[int, ...]], width: int, height: int) -> int:
+    """Pixels of a strip or tile, whichever is larger where both are declared."""
+    (rows,) = tags.get(_TAG_ROWS_PER_STRIP, (height,))
+    strip_px = width * min(rows, height)
+    if _TAG_TILE_WIDTH not in tags and _TAG_TILE_HEIGHT not in tags:
+        return strip_px
+    if _TAG_TILE_WIDTH not in tags or _TAG_TILE_HEIGHT not in tags:
+        raise ImageDecodeError("the TIFF declares only one side of its tiles: damaged")
+    tile_px = tags[_TAG_TILE_WIDTH][0] * tags[_TAG_TILE_HEIGHT][0]
+    return max(tile_px, strip_px) if _TAG_ROWS_PER_STRIP in tags else tile_px

@@ -114,7 +114,9 @@ def _open_bytes(data: bytes, source: str, bands: BandChoice, limits: ImageLimits
 def _needs_windows(header: ImageHeader, limits: ImageLimits) -> bool:
     if header.tiff is None:
         return False
-    too_large = header.width_px * header.height_px > limits.max_pixels
+    too_large = (
+        header.width_px * header.height_px > limits.max_pixels or header.decoding_bytes > limits.max_decoded_bytes
+    )
     return too_large or header.tiff.georeferenced or not decodes_tiff(header.tiff)
 
 

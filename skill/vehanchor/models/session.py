@@ -7,23 +7,38 @@ import. What a planner looks at is nobody's business: this module says no, unles
 from __future__ import annotations
 
 import math
+import numbers
 import os
-from typing import TYPE_CHECKING
+import re
+from typing import TYPE_CHECKING, Any
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 import onnxruntime
 
-from vehanchor.errors import InvalidParameterError, ModelContractError, ProviderUnavailableError
+from vehanchor.errors import (
+    InvalidParameterError,
+    ModelContractError,
+    OutOfMemoryError,
+    ProviderUnavailableError,
+    VehAnchorError,
+)
 from vehanchor.models.files import external_locations
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-__all__ = ["DEFAULT_PROVIDERS", "metadata_number", "open_session", "stoppable"]
+    from numpy.typing import NDArray
+
+__all__ = ["DEFAULT_PROVIDERS", "MAX_THREADS", "metadata_number", "open_session", "run_session", "stoppable"]
 
 DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
+
+MAX_THREADS = 256
+"""More are refused: each takes a stack, and no machine that runs these models has more cores for one of them."""
+
+_WANT_OF_MEMORY = re.compile("bad.?alloc|failed to allocate|out of memory", re.IGNORECASE)
 
 
 def stoppable() -> onnxruntime.RunOptions:
@@ -54,7 +69,9 @@ def open_session(
         ModelContractError: ONNX Runtime cannot load it.
         ProviderUnavailableError: an execution provider is not installed.
         InvalidParameterError: bad ``threads``.
+        OutOfMemoryError: there is too little memory for it now.
     """
+    _check_threads(threads)
     available = onnxruntime.get_available_providers()
     missing = [name for name in providers if name not in available]
     if missing:
@@ -62,18 +79,65 @@ def open_session(
             f"ONNX Runtime has no {missing[0]} here; it has {', '.join(available)}. Install the matching "
             "onnxruntime build"
         )
-    if threads is not None and (threads < 1 or threads != int(threads)):
-        raise InvalidParameterError(f"threads is {threads}: use a whole number >= 1, or None for all cores")
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4  # fatal only: a broken file is reported by our own error
     if threads is not None:
-        options.intra_op_num_threads = threads
+        options.intra_op_num_threads = int(threads)
         options.inter_op_num_threads = 1
     by_path = content is None or external_locations(content)
     try:
         return onnxruntime.InferenceSession(str(path) if by_path else content, options, providers=list(providers))
     except Exception as error:  # ONNX Runtime's own exception types are private
-        raise ModelContractError(f"{path} is not an ONNX model that ONNX Runtime can load: {error}") from None
+        raise _as_ours(error, f"{path} is not an ONNX model that ONNX Runtime can load") from None
+
+
+def run_session(
+    session: onnxruntime.InferenceSession,
+    outputs: Sequence[str] | None,
+    feeds: Mapping[str, NDArray[Any]],
+    run_options: onnxruntime.RunOptions | None,
+    described: str,
+) -> list[Any]:
+    """Run a model.
+
+    Args:
+        session: the model.
+        outputs: names of the outputs wanted; None for all.
+        feeds: inputs by name.
+        run_options: whoever sets their ``terminate`` gets what ONNX Runtime then raises.
+        described: what to say of a failure: who fails on what.
+
+    Returns:
+        The outputs, in their order.
+
+    Raises:
+        ModelContractError: the model fails.
+        OutOfMemoryError: there is too little memory for it now.
+    """
+    try:
+        results: list[Any] = session.run(outputs, feeds, run_options)
+    except Exception as error:  # ONNX Runtime's own exception types are private
+        if run_options is not None and run_options.terminate:
+            raise
+        raise _as_ours(error, described) from None
+    return results
+
+
+def _as_ours(error: Exception, described: str) -> VehAnchorError:
+    """What ONNX Runtime raises, as an error of ours."""
+    if isinstance(error, MemoryError) or _WANT_OF_MEMORY.search(str(error)):
+        return OutOfMemoryError(f"{described}: {error}. Try again when less is running, or with smaller tiles")
+    return ModelContractError(f"{described}: {error}")
+
+
+def _check_threads(threads: Any) -> None:
+    if threads is None:
+        return
+    whole = isinstance(threads, numbers.Real) and not isinstance(threads, bool) and float(threads).is_integer()
+    if not whole or not 1 <= threads <= MAX_THREADS:
+        raise InvalidParameterError(
+            f"threads is {threads!r}: use a whole number from 1 to {MAX_THREADS}, or None for all cores"
+        )
 
 
 def metadata_number(metadata: Mapping[str, str], key: str, default: float) -> float:

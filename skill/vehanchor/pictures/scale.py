@@ -12,6 +12,7 @@ import numpy as np
 from vehanchor.detection.boxes import box_corners
 from vehanchor.errors import OutputError
 from vehanchor.imagery.raster import Window
+from vehanchor.output import whole_file
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -135,10 +136,9 @@ def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> Path:
     suffix = target.suffix.lower()
     quality = [] if suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
     _, encoded = cv2.imencode(suffix, np.ascontiguousarray(picture[:, :, ::-1]), quality)
-    try:  # encoded in memory: OpenCV's own writer fails silently, and cannot open every path that Python can
-        target.write_bytes(encoded.tobytes())
-    except OSError as error:
-        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
+    with whole_file(target) as partial:
+        # Encoded in memory: OpenCV's own writer fails silently, and cannot open every path that Python can.
+        partial.write_bytes(encoded.tobytes())
     return target
 
 

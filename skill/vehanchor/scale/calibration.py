@@ -9,17 +9,19 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from vehanchor.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M
 from vehanchor.errors import (
     CalibrationFileError,
     CalibrationMismatchError,
     CalibrationRefusedError,
-    OutputError,
+    InvalidParameterError,
 )
+from vehanchor.output import whole_file
 from vehanchor.scale.confidence import guard_length
 from vehanchor.scale.lengths import WEIGHTED_SMOOTHING, kde_density, kde_mode, scott_bandwidth, vehicle_weights
 
@@ -53,20 +55,23 @@ _MAX_CELLS = 8192
 _MAX_FILE_BYTES = 1 << 20
 _SHORT_SHA = 12
 
+_VehicleLength = Annotated[float, Field(ge=LEAST_VEHICLE_M, le=LARGEST_VEHICLE_M)]
+
 
 class Calibration(BaseModel):
     """A reference length, where it comes from and which detector it is for."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     kind: Literal["vehanchor.calibration.v1"] = Field(
         default="vehanchor.calibration.v1", description="What this file is, and the version of its fields."
     )
-    reference_length_m: float = Field(gt=0, description="L_ref: KDE mode of the vehicles' lengths, metres.")
+    reference_length_m: _VehicleLength = Field(description="L_ref: KDE mode of the vehicles' lengths, metres.")
     reference_length_ci95_low_m: float = Field(gt=0, description="Lower end of its 95 % interval (bootstrap), metres.")
     reference_length_ci95_high_m: float = Field(gt=0, description="Upper end of its 95 % interval, metres.")
     reference_length_sd_m: float = Field(
         ge=0,
+        le=LARGEST_VEHICLE_M,
         description="Standard deviation that an estimate reckons with, metres: of the bootstrap, and of what places of "
         "one region differ by (half of what regions differ by).",
     )
@@ -77,6 +82,19 @@ class Calibration(BaseModel):
     median_gsd_m_per_px: float = Field(gt=0, description="Median over the vehicles of their image's true scale.")
     detector: str | None = Field(description="Name of the detector it is for; null where it fits any (labels alone).")
     detector_sha256: str | None = Field(description="SHA-256 of that detector's file.")
+
+    @model_validator(mode="after")
+    def _interval_holds_its_value(self) -> Self:
+        low, value, high = (
+            self.reference_length_ci95_low_m,
+            self.reference_length_m,
+            self.reference_length_ci95_high_m,
+        )
+        if not low <= value <= high:
+            raise ValueError(f"the 95 % interval {low:g} to {high:g} m does not hold the length {value:g} m")
+        if self.reference_length_sd_m > value:
+            raise ValueError(f"the standard deviation {self.reference_length_sd_m:g} m is more than the length itself")
+        return self
 
     def check_detector(self, name: str, sha256: str) -> None:
         """Refuse a detector that this calibration was not made for: it draws its boxes in another way.
@@ -230,8 +248,8 @@ def calibrate(
         The record, to be kept with ``save_calibration`` or used as ``ScaleOptions(calibration=...)``.
 
     Raises:
-        CalibrationRefusedError: fewer than 100 vehicles; or imagery so coarse that their modal length is below the
-            resolution guard (paper, equation 6), where lengths come out too short.
+        CalibrationRefusedError: fewer than 100 vehicles; or lengths that no vehicles have; or imagery so coarse that
+            their modal length is below the resolution guard (paper, equation 6), where lengths come out too short.
     """
     with_vehicles = [image for image in images if len(image.boxes)]
     n_vehicles = sum(len(image.boxes) for image in with_vehicles)
@@ -242,6 +260,12 @@ def calibrate(
             f"{MIN_VEHICLES} are needed. Add images of the same region with more cars"
         )
     length = reference_length(with_vehicles)
+    spread_m = math.hypot(length.sd_m, region_sd_m / 2)
+    if not LEAST_VEHICLE_M <= length.mode_m <= LARGEST_VEHICLE_M or spread_m > length.mode_m:
+        raise CalibrationRefusedError(
+            f"the vehicles are {length.mode_m:.3g} m long (sd {spread_m:.3g} m), as no fleet is: {LEAST_VEHICLE_M:g} "
+            f"to {LARGEST_VEHICLE_M:g} m. Check the images' scales, and what the labels are of"
+        )
     lengths_px = np.concatenate([image.boxes[:, 2] for image in with_vehicles])
     weights, smoothing = _weights(with_vehicles, lengths_px)
     mode_px = kde_mode(lengths_px, weights, smoothing=smoothing)
@@ -258,7 +282,7 @@ def calibrate(
         reference_length_m=length.mode_m,
         reference_length_ci95_low_m=length.low_m,
         reference_length_ci95_high_m=length.high_m,
-        reference_length_sd_m=math.hypot(length.sd_m, region_sd_m / 2),
+        reference_length_sd_m=spread_m,
         source=source,
         n_vehicles=n_vehicles,
         n_images=len(with_vehicles),
@@ -278,8 +302,9 @@ def load_calibration(path: str | os.PathLike[str]) -> Calibration:
     try:
         with Path(path).open("rb") as handle:
             text = handle.read(_MAX_FILE_BYTES)
-    except OSError as error:
-        raise CalibrationFileError(f"cannot read calibration {str(path)!r}: {error.strerror or error}") from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise CalibrationFileError(f"cannot read calibration {str(path)!r}: {reason}") from None
     try:
         return Calibration.model_validate_json(text)
     except ValidationError as error:
@@ -291,8 +316,17 @@ def load_calibration(path: str | os.PathLike[str]) -> Calibration:
 
 
 def as_calibration(calibration: Calibration | str | os.PathLike[str] | None) -> Calibration | None:
-    """A calibration given as such or as the path of its file; see ``load_calibration``."""
-    return load_calibration(calibration) if isinstance(calibration, (str, os.PathLike)) else calibration
+    """A calibration given as such or as the path of its file; see ``load_calibration``.
+
+    Raises:
+        CalibrationFileError: the file is no calibration.
+        InvalidParameterError: it is neither.
+    """
+    if isinstance(calibration, (str, os.PathLike)):
+        return load_calibration(calibration)
+    if calibration is not None and not isinstance(calibration, Calibration):
+        raise InvalidParameterError(f"calibration is a {type(calibration).__name__}: give a Calibration or a path")
+    return calibration
 
 
 def save_calibration(path: str | os.PathLike[str], calibration: Calibration) -> None:
@@ -301,7 +335,5 @@ def save_calibration(path: str | os.PathLike[str], calibration: Calibration) -> 
     Raises:
         OutputError: the file cannot be written.
     """
-    try:
-        Path(path).write_text(calibration.model_dump_json(indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
+    with whole_file(Path(path)) as partial:
+        partial.write_text(calibration.model_dump_json(indent=2) + "\n", encoding="utf-8")

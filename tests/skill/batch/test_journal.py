@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from vehanchor.batch.journal import Journal, Source, whole_file
+from vehanchor.batch.journal import Journal, Source
 from vehanchor.errors import InvalidParameterError, OutputError
+from vehanchor.output import whole_file
 
 
 def _journal(path: Path | None, settings: dict[str, Any] | None = None, **choices: Any) -> Journal[Any]:

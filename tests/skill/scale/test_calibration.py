@@ -168,6 +168,16 @@ def test_a_calibration_is_what_was_saved(tmp_path: Path) -> None:
         ({"reference_length_m": None}, "reference_length_m"),
         ({"kind": "vehanchor.calibration.v2"}, "kind"),
         ({"surprise": 1}, "surprise"),
+        ({"reference_length_m": True}, "reference_length_m"),
+        ({"reference_length_m": "4.2"}, "reference_length_m"),
+        ({"reference_length_m": 1.9}, "reference_length_m"),
+        ({"reference_length_m": 20.1}, "reference_length_m"),
+        ({"n_vehicles": True}, "n_vehicles"),
+        ({"n_vehicles": 1e3}, "n_vehicles"),
+        ({"reference_length_ci95_low_m": 19.0}, "does not hold the length"),
+        ({"reference_length_ci95_high_m": 0.1}, "does not hold the length"),
+        ({"reference_length_sd_m": 1e308}, "reference_length_sd_m"),
+        ({"reference_length_sd_m": 15.0}, "standard deviation"),
     ],
 )
 def test_a_file_that_is_no_calibration_is_refused_by_its_field(
@@ -177,6 +187,22 @@ def test_a_file_that_is_no_calibration_is_refused_by_its_field(
     with pytest.raises(CalibrationFileError, match=named) as refusal:
         load_calibration(tmp_path / "c.json")
     assert refusal.value.code == "calibration_unreadable"
+
+
+@pytest.mark.parametrize("given", [{"reference_length_m": 4.5}, 4.5, object()])
+def test_what_is_neither_a_calibration_nor_a_path_is_a_wrong_parameter(given: Any) -> None:
+    with pytest.raises(InvalidParameterError, match="give a Calibration"):
+        ScaleOptions.of({"calibration": given})
+
+
+def test_a_path_that_no_file_system_knows_is_no_calibration() -> None:
+    with pytest.raises(CalibrationFileError, match="cannot read"):
+        load_calibration("a\0b")
+
+
+def test_lengths_that_no_vehicle_has_are_refused() -> None:
+    with pytest.raises(CalibrationRefusedError, match="Check the images' scales"):
+        calibrate([SurveyedImage(_boxes(300), 10 * GSD)], source="labels", region_sd_m=0.2)
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"[]", b"{"])

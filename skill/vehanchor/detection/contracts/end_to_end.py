@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["EndToEnd"]
 
 _WIDTH = 7
+_MOST_CLASSES = 1 << 31  # also where the class is no number
 _LEAST_SCORE = 1e-9  # padding has 0
 
 
@@ -36,7 +37,7 @@ class EndToEnd(DetectorContract):
     ) -> Objects:
         """As for every contract."""
         table = outputs[0][0].astype(np.float64)
-        found = table[table[:, 4] >= max(min_score, _LEAST_SCORE)]
+        found = table[(table[:, 4] >= max(min_score, _LEAST_SCORE)) & (np.abs(table[:, 5]) < _MOST_CLASSES)]
         if classes is not None:
             found = found[np.isin(found[:, 5].astype(np.intp), classes)]
         return Objects(found[:, [0, 1, 2, 3, 6]], found[:, 4], found[:, 5].astype(np.intp))

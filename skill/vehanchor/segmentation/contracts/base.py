@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from vehanchor.errors import ModelContractError
+from vehanchor.models.session import run_session
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -163,13 +164,8 @@ class SamContract(ABC):
         """Run with what the graph asks for, in its types; outputs by name."""
         asked = {item.name: feeds[item.name].astype(DTYPES[item.type]) for item in session.get_inputs()}
         names = [output.name for output in session.get_outputs()]
-        try:
-            results = session.run(names, asked, run_options)
-        except Exception as error:  # ONNX Runtime's own exception types are private
-            if run_options is not None and run_options.terminate:
-                raise
-            shapes = ", ".join(f"{name} {list(value.shape)}" for name, value in asked.items())
-            raise ModelContractError(f"the {self.name} segmenter fails on {shapes}: {error}") from None
+        shapes = ", ".join(f"{name} {list(value.shape)}" for name, value in asked.items())
+        results = run_session(session, names, asked, run_options, f"the {self.name} segmenter fails on {shapes}")
         return dict(zip(names, (np.asarray(result) for result in results), strict=True))
 
     def _no_mask_prompt(self) -> dict[str, NDArray[Any]]:

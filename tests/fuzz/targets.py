@@ -1,0 +1,217 @@
+"""What is fuzzed: a door for strangers' bytes, and what may come out of it: an answer, or an error of ours.
+
+A target takes bytes and returns nothing. ``CORPUS`` makes the bytes to begin with, by our own generators.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import cv2
+import numpy as np
+import rasterio
+from rasterio.errors import NotGeoreferencedWarning
+from rasterio.transform import Affine
+
+from tests import bombs
+from vehanchor.detection.card import read_detector_card, read_fleet_card
+from vehanchor.errors import VehAnchorError
+from vehanchor.imagery.header import read_header
+from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.windows import Window
+from vehanchor.models.files import external_locations
+from vehanchor.options import ImageLimits
+from vehanchor.scale.calibration import Calibration, load_calibration
+
+__all__ = ["CORPUS", "FUZZ_LIMITS", "TARGETS"]
+
+FUZZ_LIMITS = ImageLimits(
+    max_bytes=1 << 20, max_pixels=1 << 20, max_windowed_pixels=1 << 22, max_decoded_bytes=64 << 20
+)
+"""Small enough that no input is slow, so that what is slow is a bug."""
+
+_SIDE_PX = 48
+_EXIF = b"Exif\0\0II*\0\x08\0\0\0\1\0\x12\1\3\0\1\0\0\0\6\0\0\0\0\0\0\0"
+
+
+def header(data: bytes) -> None:
+    """Read what an image says of itself."""
+    with contextlib.suppress(VehAnchorError):
+        read_header(lambda offset, count: data[offset : offset + count])
+
+
+def image(data: bytes) -> None:
+    """Open an image and read a window and the whole of it."""
+    try:
+        with warnings.catch_warnings(), open_raster(data, limits=FUZZ_LIMITS) as raster:
+            warnings.simplefilter("ignore")
+            raster.read(Window(0, 0, min(16, raster.width_px), min(16, raster.height_px)))
+            if raster.width_px * raster.height_px <= FUZZ_LIMITS.max_pixels:
+                raster.read()
+    except VehAnchorError:
+        pass
+
+
+def calibration(data: bytes) -> None:
+    """Load a calibration file."""
+    try:
+        with TemporaryDirectory(dir=_memory()) as folder:
+            path = Path(folder, "c.json")
+            path.write_bytes(data)
+            found = load_calibration(path)
+    except VehAnchorError:
+        return
+    assert 2 <= found.reference_length_m <= 20
+    assert found.reference_length_ci95_low_m <= found.reference_length_m <= found.reference_length_ci95_high_m
+
+
+def card(data: bytes) -> None:
+    """Read the cards of a detector and of a fleet network from their metadata."""
+    try:
+        stated = json.loads(data)
+    except (ValueError, RecursionError):
+        return
+    if not isinstance(stated, dict):
+        return
+    metadata = {key: value if isinstance(value, str) else json.dumps(value) for key, value in stated.items()}
+    for read in (read_detector_card, read_fleet_card):
+        with contextlib.suppress(VehAnchorError):
+            read(Path("fuzzed.onnx"), "0" * 64, metadata)
+
+
+def graph(data: bytes) -> None:
+    """Find the files in which an ONNX graph keeps its weights."""
+    external_locations(data + b"location")
+
+
+def _memory() -> str | None:
+    return "/dev/shm" if Path("/dev/shm").is_dir() else None
+
+
+def _images() -> list[bytes]:
+    x = np.linspace(0, 255, _SIDE_PX).astype(np.uint8)
+    rgb = np.dstack(
+        [np.tile(x, (_SIDE_PX, 1)), np.tile(x[:, None], (1, _SIDE_PX)), np.full((_SIDE_PX,) * 2, 90, np.uint8)]
+    )
+    found: list[bytes] = []
+    for suffix, parameters in (
+        (".jpg", []),
+        (".jpg", [cv2.IMWRITE_JPEG_PROGRESSIVE, 1]),
+        (".png", []),
+        (".webp", [cv2.IMWRITE_WEBP_QUALITY, 60]),
+        (".webp", [cv2.IMWRITE_WEBP_QUALITY, 101]),
+        (".bmp", []),
+        (".tif", []),
+    ):
+        found.append(cv2.imencode(suffix, rgb, parameters)[1].tobytes())
+    found.append(found[0][:2] + b"\xff\xe1" + (len(_EXIF) + 2).to_bytes(2, "big") + _EXIF + found[0][2:])
+    found.append(cv2.imencode(".png", rgb.astype(np.uint16) * 200)[1].tobytes())
+    found += [
+        bombs.zero_tiff(_SIDE_PX, dtype, bands, 16) for dtype, bands in (("float64", 4), ("uint16", 3), ("uint8", 1))
+    ]
+    found += [make(200) for make in bombs.HEADER_BOMBS.values()]
+    found += [bombs.tiff_with_two_sizes(), *_geotiffs(rgb)]
+    return found
+
+
+def _geotiffs(rgb: Any) -> list[bytes]:
+    found = []
+    for options in ({}, {"tiled": True, "blockxsize": 16, "blockysize": 16}, {"compress": "jpeg"}, {"nodata": 0}):
+        buffer = io.BytesIO()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.MemoryFile() as memory:
+                with memory.open(
+                    driver="GTiff",
+                    width=_SIDE_PX,
+                    height=_SIDE_PX,
+                    count=3,
+                    dtype="uint8",
+                    crs="EPSG:32631",
+                    transform=Affine(0.25, 0, 500_000, 0, -0.25, 5_000_000),
+                    **options,
+                ) as dataset:
+                    dataset.write(np.moveaxis(rgb, -1, 0))
+                buffer.write(memory.read())
+        found.append(buffer.getvalue())
+    return found
+
+
+def _calibrations() -> list[bytes]:
+    made = Calibration(
+        reference_length_m=4.6,
+        reference_length_ci95_low_m=4.5,
+        reference_length_ci95_high_m=4.7,
+        reference_length_sd_m=0.1,
+        source="detections",
+        n_vehicles=1000,
+        n_images=20,
+        mode_length_px=30.0,
+        median_gsd_m_per_px=0.15,
+        detector="vehicles",
+        detector_sha256="0" * 64,
+    )
+    return [made.model_dump_json().encode(), made.model_dump_json(indent=1).encode()]
+
+
+def _cards() -> list[bytes]:
+    detector = {
+        "names": "{0: 'small vehicle', 1: 'ship'}",
+        "stride": "32",
+        "vehanchor.name": "mine",
+        "vehanchor.reference_length_m": "4.8",
+        "vehanchor.reference_length_sd_m": "0.2",
+        "vehanchor.region_lengths_m": '{"europe": 4.4}',
+        "vehanchor.length_range_px": "9,120",
+        "vehanchor.min_length_px": "12",
+        "vehanchor.min_score": "0.3",
+        "vehanchor.search_scales": "1",
+        "vehanchor.clear_score": "0.8",
+        "vehanchor.aggregation": "weighted_kde",
+        "license": "Apache-2.0",
+    }
+    fleet = {
+        "vehanchor.detector": "mine",
+        "vehanchor.fleet_lengths": '{"log_odds": [-2, 1], "length_m": [4.4, 5.2], "sd_m": 0.2, "neutral_vehicles": 8}',
+    }
+    return [json.dumps(each).encode() for each in (detector, fleet, detector | fleet)]
+
+
+def _graphs() -> list[bytes]:
+    import onnx
+    from onnx import TensorProto, helper
+
+    value = helper.make_tensor_value_info("x", TensorProto.FLOAT, [1])
+    weight = helper.make_tensor("w", TensorProto.FLOAT, [1], [1.0])
+    external = onnx.TensorProto(name="e", data_type=1, dims=[1], data_location=1)
+    entry = external.external_data.add()
+    entry.key, entry.value = "location", "weights.bin"
+    node = helper.make_node("Add", ["x", "w"], ["y"])
+    made = helper.make_model(
+        helper.make_graph([node], "g", [value], [helper.make_tensor_value_info("y", 1, [1])], [weight, external])
+    )
+    return [made.SerializeToString()]
+
+
+TARGETS: dict[str, Callable[[bytes], None]] = {
+    "header": header,
+    "image": image,
+    "calibration": calibration,
+    "card": card,
+    "graph": graph,
+}
+
+CORPUS: dict[str, Callable[[], list[bytes]]] = {
+    "header": _images,
+    "image": _images,
+    "calibration": _calibrations,
+    "card": _cards,
+    "graph": _graphs,
+}

@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.fuzz.drive import Checked, Slow, drive_blindly, mutated
+from tests.fuzz.targets import CORPUS, TARGETS
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_the_corpus_and_its_mutations_give_an_answer_or_an_error_of_ours(name: str, tmp_path: Path) -> None:
+    corpus, random = CORPUS[name](), np.random.default_rng(16)
+    checked = Checked(TARGETS[name], tmp_path)
+    for data in corpus:
+        checked(data)
+        for _ in range(5):
+            checked(mutated(data, corpus, random))
+    assert not any(tmp_path.iterdir())
+
+
+def _fails(data: bytes) -> None:
+    if data:
+        raise ZeroDivisionError
+
+
+def _hangs(data: bytes) -> None:
+    while True:
+        pass
+
+
+def test_what_fails_is_kept_and_the_drive_goes_on(tmp_path: Path) -> None:
+    checked = Checked(_fails, tmp_path)
+    drive_blindly(checked, [b"seed"], 0.2, 1)
+    assert checked.n_failures > 1
+    assert list(tmp_path.iterdir())
+
+
+def test_what_hangs_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.fuzz.drive.HANG_S", 0.02)
+    with pytest.raises(Slow):
+        Checked(_hangs, tmp_path)(b"x")
