@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
+from vehanchor.anchors.agreement import disagreements
 from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.registry import OTHER_ANCHORS
 from vehanchor.anchors.vehicles import VehicleEvidence, Vehicles
@@ -109,7 +110,8 @@ def estimate_gsd(
         **options: the fields of ``vehanchor.options``' groups: ``min_score``, ``nms_iou``, ``search_scales``,
             ``tile_px``, ``stride_px`` (``Search``), ``aggregation``, ``alpha`` (``Lengths``), ``reference_length_m``,
             ``region``, ``calibration`` (``Reference``), ``frame_width_px``, ``frame_height_px`` (``Frame``), ``bands``,
-            ``limits`` (``Reading``).
+            ``limits`` (``Reading``), ``rulers``, ``metadata``, ``known_lengths``, ``height_m``, ``focal_35mm``
+            (``Rulers``).
 
     Returns:
         The record; ``gsd_m_per_px`` is None, never a guess, where no vehicle is found.
@@ -177,6 +179,7 @@ def analyse_raster(
 ) -> ScaleAnalysis:
     """As ``analyse_scale``, of an image that is open already."""
     options.frame.check(raster.width_px, raster.height_px)
+    options.rulers.check(*(options.frame.size or (raster.width_px, raster.height_px)))
     sighting = search(raster, detector, options.search, progress=progress, run_options=run_options)
     view = View(image_facts(raster), sighting, detector.card, options, partial(resolved_share, raster))
     return analyse_sighting(view)
@@ -189,6 +192,7 @@ def image_facts(raster: Raster) -> ImageFacts:
         raster.height_px,
         raster.georeference_gsd_m_per_px,
         tuple(Notice(code=note.code, message=note.message) for note in raster.warnings),
+        raster.camera,
     )
 
 
@@ -199,14 +203,17 @@ def analyse_sighting(view: View) -> ScaleAnalysis:
         InvalidParameterError: the model does not know the region.
         CalibrationMismatchError: the calibration was made for another model.
     """
-    vehicles, others = Vehicles().look(view), tuple(ruler.look(view) for ruler in OTHER_ANCHORS)
+    used = [ruler for ruler in OTHER_ANCHORS if view.options.rulers.uses(ruler.kind)]
+    vehicles, others = Vehicles().look(view), tuple(ruler.look(view) for ruler in used)
     return ScaleAnalysis(conclude(vehicles, others, view), vehicles, others)
 
 
 def conclude(vehicles: VehicleEvidence, others: Iterable[Evidence], view: View) -> GsdEstimate:
     """Conclude from the evidence to the caller's record; nothing else is computed here."""
     image, gsd, interval = view.image, vehicles.gsd_m_per_px, vehicles.interval
+    others = tuple(others)
     warnings = [*image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
+    warnings += disagreements((vehicles, *others))
     if gsd is not None:
         warnings += georeference_notice(image.georeference_gsd_m_per_px, gsd, "the vehicles say")
     confident = vehicles.confidence >= FALLBACK_CONFIDENCE

@@ -1,12 +1,19 @@
-"""The rulers beside vehicles, one line each: every image is measured with all of them."""
+"""The rulers beside vehicles, one line each: every image is measured with all of them that its caller wants."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
+
+from vehanchor.anchors.camera import Camera
+from vehanchor.anchors.known_length import GivenHeight, KnownLengths
 
 if TYPE_CHECKING:
     from vehanchor.anchors.evidence import Anchor
 
 __all__ = ["OTHER_ANCHORS"]
 
-OTHER_ANCHORS: tuple[Anchor, ...] = ()
+OTHER_ANCHORS: tuple[Anchor, ...] = (
+    Camera(),
+    KnownLengths(),
+    GivenHeight(),
+)
