@@ -23,12 +23,13 @@ def disagreements(evidence: Sequence[Evidence]) -> list[Notice]:
     """Warn of every two rulers whose scales are further apart than a fifth.
 
     Args:
-        evidence: of all rulers; those that found nothing disagree with nobody.
+        evidence: of all rulers. One that found nothing, and a witness, whose confidence is always 0, disagree with
+            nobody.
 
     Returns:
         One notice for each pair.
     """
-    found = [each for each in evidence if each.gsd_m_per_px is not None]
+    found = [each for each in evidence if each.gsd_m_per_px is not None and each.confidence > 0]
     return [
         Notice(
             code=NoticeCode.RULERS_DISAGREE,

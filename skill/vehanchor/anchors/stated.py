@@ -11,7 +11,7 @@ import numpy as np
 from vehanchor.anchors.evidence import Evidence
 from vehanchor.notices import NoticeCode
 from vehanchor.records import Notice
-from vehanchor.scale.fusion import GRID, LOG_STEP, flat, floored, mass_within
+from vehanchor.scale.fusion import GRID, LOG_STEP, floored, mass_within
 from vehanchor.scale.lengths import Interval
 
 if TYPE_CHECKING:
@@ -36,13 +36,6 @@ class StatedEvidence(Evidence):
 
     log_sd: float | None = None
     chance_wrong: float = 0.0
-
-    @property
-    def density(self) -> NDArray[np.float64]:
-        """``[g]`` probabilities over ``vehanchor.scale.fusion.GRID``; flat where the ruler found nothing."""
-        if self.gsd_m_per_px is None or self.log_sd is None:
-            return flat()
-        return floored(lognormal(self.gsd_m_per_px, self.log_sd), self.chance_wrong)
 
 
 def lognormal(gsd_m_per_px: float, log_sd: float) -> NDArray[np.float64]:
@@ -97,6 +90,7 @@ def stated(
         n=n,
         confidence=min(1.0, max(0.0, mass_within(density, gsd_m_per_px, _TOLERANCE))),
         notices=(Notice(code=NoticeCode.OTHER_RULER, message=said.replace("{}", words)), *notices),
+        density=density,
         log_sd=log_sd,
         chance_wrong=chance_wrong,
     )

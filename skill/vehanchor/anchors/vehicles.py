@@ -114,7 +114,7 @@ def _working_scale(sighting: Sighting, kept: NDArray[np.bool_]) -> float | None:
     return float(-scales[np.argmax(np.bincount(which, weights=sighting.scores[kept]))])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class VehicleEvidence(Evidence):
     """The paper's skill: the evidence of vehicles with all that it was concluded from.
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,14 @@ import vehanchor
 from tests.analyses import analyse_found, made_card
 from tests.models import blank_image, write_detector
 from tests.skill.anchors.test_camera import MAVIC
-from vehanchor.anchors.evidence import ImageFacts, View
+from vehanchor.anchors.agreement import disagreements
+from vehanchor.anchors.evidence import Evidence, ImageFacts, View
 from vehanchor.anchors.known_length import GivenHeight, KnownLengths
 from vehanchor.detection.sighting import Sighting
 from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.camera_metadata import CameraMetadata
 from vehanchor.options import ScaleOptions
+from vehanchor.scale.lengths import Interval
 
 
 def _view(camera: CameraMetadata | None = None, **options: Any) -> View:
@@ -112,3 +115,10 @@ def test_a_ruler_that_disagrees_with_the_cars_is_told_with_both_scales(metres: f
     assert [notice.code for notice in record.warnings] == ["other_ruler", "rulers_disagree"]
     assert "the vehicles say 0.1, known length says" in record.warnings[-1].message
     assert f"{metres / 100:.2g} m/px" in record.warnings[-1].message
+
+
+def test_a_witness_that_is_never_enough_disagrees_with_nobody() -> None:
+    vehicles = _beside_cars(10.0).vehicles
+    witness = Evidence("scene_scale", 0.3, Interval(0.05, 1.0), 24, 0.0, ())
+    assert disagreements((vehicles, witness)) == []
+    assert len(disagreements((vehicles, replace(witness, confidence=0.5)))) == 1
