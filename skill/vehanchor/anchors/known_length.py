@@ -22,7 +22,7 @@ _END_SD_PX = 1.0  # how well a person hits an end, in pixels of the picture in w
 _LINE_LOG_SD = 0.01  # a line lies on ground that is neither flat nor level, and its metres are rounded
 _LINES_APART_SDS = 3.0
 _HEIGHT_LOG_SD = 0.05  # the caller knows the height above the ground itself
-_CHANCE_WRONG_LINE, _CHANCE_WRONG_HEIGHT = 0.02, 0.05
+_CHANCE_WRONG_LINE, _CHANCE_WRONG_HEIGHT = 0.05, 0.05
 
 
 class KnownLengths:
