@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from vehanchor.anchors.camera import Camera
 from vehanchor.anchors.known_length import GivenHeight, KnownLengths
+from vehanchor.anchors.scene_scale import SceneScale
 
 if TYPE_CHECKING:
     from vehanchor.anchors.evidence import Anchor
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
 __all__ = ["OTHER_ANCHORS"]
 
 OTHER_ANCHORS: tuple[Anchor, ...] = (
+    SceneScale(),
     Camera(),
     KnownLengths(),
     GivenHeight(),

@@ -9,6 +9,7 @@ from vehanchor.errors import ModelNotFoundError
 __all__ = [
     "DEFAULT_DETECTOR",
     "bundled_models",
+    "bundled_scene_scale",
     "bundled_segmenter",
     "fleet_beside",
     "resolve_model",
@@ -18,12 +19,14 @@ __all__ = [
 DEFAULT_DETECTOR = "vehicles"
 _SEGMENTER = "segmenter-encoder.onnx", "segmenter-decoder.onnx"
 _FLEET = "fleet.onnx"  # of the default detector
+_SCENE_SCALE = "scene-scale.onnx"
+_NO_DETECTORS = (*_SEGMENTER, _FLEET, _SCENE_SCALE)
 _BUNDLED = Path(__file__).parent / "bundled"
 
 
 def bundled_models() -> dict[str, Path]:
     """Names of the bundled detectors and their files."""
-    return {path.stem: path for path in sorted(_BUNDLED.glob("*.onnx")) if path.name not in (*_SEGMENTER, _FLEET)}
+    return {path.stem: path for path in sorted(_BUNDLED.glob("*.onnx")) if path.name not in _NO_DETECTORS}
 
 
 def fleet_beside(detector: Path) -> Path | None:
@@ -35,6 +38,12 @@ def fleet_beside(detector: Path) -> Path | None:
     """
     bundled = detector.resolve() == (_BUNDLED / f"{DEFAULT_DETECTOR}.onnx").resolve()
     path = _BUNDLED / _FLEET if bundled else detector.with_name(f"{detector.stem}.fleet.onnx")
+    return path if path.is_file() else None
+
+
+def bundled_scene_scale() -> Path | None:
+    """The file of the network that tells a scene's scale; None where this installation has none."""
+    path = _BUNDLED / _SCENE_SCALE
     return path if path.is_file() else None
 
 
