@@ -58,7 +58,7 @@ class BatchRow(BaseModel):
 
 
 def _columns() -> dict[str, type]:
-    """Columns and their types: the estimate's fields under their own names, its terms as ``confidence_<term>``, the scene's as ``scene_<field>``."""
+    """Columns and their types: an estimate's fields under their own names, ``confidence_<term>``, ``scene_<field>``."""
     estimate = {
         name: _kind(field.annotation) for name, field in GsdEstimate.model_fields.items() if name not in _NESTED
     }
