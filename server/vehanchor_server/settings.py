@@ -16,7 +16,8 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from vehanchor.options import ImageLimits, choice
+from vehanchor.choices import choice
+from vehanchor.options import ImageLimits
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from vehanchor.anchors.agreement import disagreements
+from vehanchor.anchors.scene_scale import SceneScale
 from vehanchor.notices import FLEET_DOUBTS, NoticeCode
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX, UNSURE_CONFIDENCE
 from vehanchor.scale.fusion import fuse, mass_within
@@ -67,7 +69,7 @@ def judge(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judgement:
 
 def _reason(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Reason:
     """The first of: too few pixels, no cars, rulers that disagree, a scene like no other, too few cars."""
-    scene = next((other for other in others if other.interval is not None), None)
+    scene = next((other for other in others if other.kind == SceneScale.kind and other.interval is not None), None)
     lost = scene is not None and scene.interval is not None and scene.interval.high > _LOST_WIDTH * scene.interval.low
     if vehicles.gsd_m_per_px is None:
         coarse = scene is not None and scene.interval is not None and scene.interval.low > GUARD_GSD_M_PER_PX
@@ -75,7 +77,8 @@ def _reason(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Reason:
     codes = {notice.code for notice in vehicles.notices}
     if vehicles.guarded:
         return "too_coarse"
-    if NoticeCode.LENGTHS_DISAGREE in codes or (scene is not None and not _borne_out(vehicles.gsd_m_per_px, scene)):
+    contradicted = scene is not None and not _borne_out(vehicles.gsd_m_per_px, scene)
+    if NoticeCode.LENGTHS_DISAGREE in codes or contradicted or disagreements((vehicles, *others)):
         return "disagree"
     if codes & set(FLEET_DOUBTS):
         return "not_cars"

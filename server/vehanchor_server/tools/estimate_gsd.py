@@ -22,6 +22,7 @@ from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.scale_question import (
     FrameArgument,
+    KnownLengthsArgument,
     ReferenceLengthArgument,
     RegionArgument,
     ScaleQuestion,
@@ -50,11 +51,12 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         region: RegionArgument = None,
         reference_length_m: ReferenceLengthArgument = None,
         frame: FrameArgument = None,
+        known_lengths: KnownLengthsArgument = None,
         include_overlay: Annotated[
             bool, Field(description="Also return a picture with the vehicles that were measured and a scale bar.")
         ] = False,
     ) -> Annotated[CallToolResult, GsdEstimate]:
-        question = ScaleQuestion(region, reference_length_m, frame)
+        question = ScaleQuestion(region, reference_length_m, frame, known_lengths)
         drawn = include_overlay or client_supports_apps(ctx)
         answer = await run_call(
             services, ctx, image, lambda job, source: _estimate(services, job, source, question, drawn)

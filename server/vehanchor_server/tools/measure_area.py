@@ -20,6 +20,7 @@ from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.scale_question import (
     FrameArgument,
+    KnownLengthsArgument,
     ReferenceLengthArgument,
     RegionArgument,
     ScaleQuestion,
@@ -82,11 +83,12 @@ def measure_area_tool(services: Services) -> StrictTool:
         region: RegionArgument = None,
         reference_length_m: ReferenceLengthArgument = None,
         frame: FrameArgument = None,
+        known_lengths: KnownLengthsArgument = None,
         include_overlay: Annotated[
             bool, Field(description="Also return a picture with the object's outline, the vehicles and a scale bar.")
         ] = False,
     ) -> Annotated[CallToolResult, AreaMeasurement]:
-        question = _Question(target, gsd_m_per_px, ScaleQuestion(region, reference_length_m, frame))
+        question = _Question(target, gsd_m_per_px, ScaleQuestion(region, reference_length_m, frame, known_lengths))
         drawn = include_overlay or client_supports_apps(ctx)
         answer = await run_call(
             services, ctx, image, lambda job, source: _measure(services, job, source, question, drawn)

@@ -43,6 +43,7 @@ _VehicleSpread = Annotated[float, Field(ge=0, le=LARGEST_VEHICLE_M)]
 _LengthPx = Annotated[float, Field(gt=0, le=_MAX_LENGTH_PX)]
 _LeastLengthPx = Annotated[float, Field(ge=0, le=_MAX_LENGTH_PX)]
 _Share = Annotated[float, Field(ge=0, le=1)]
+_Weight = Annotated[float, Field(ge=0, le=1000)]
 _ClassIndex = Annotated[int, Field(ge=0)]
 
 
@@ -155,7 +156,7 @@ class SecondLookCard(_Card):
 
     sha256: str
     detector: str
-    weights: tuple[_NotNegative, _NotNegative, float]
+    weights: tuple[_Weight, _Weight, float]
     least_score: _Share
     min_score: _Share
     clear_score: _Share = 0.0
