@@ -39,7 +39,7 @@ def create_services(settings: Settings) -> Services:
         settings=settings,
         models=Models(settings),
         sources=ImageSources(
-            sandbox=Sandbox(settings.roots),
+            sandbox=Sandbox(settings.roots, settings.spelled_roots),
             fetcher=Fetcher(settings.image_hosts, max_bytes, settings.fetch_timeout_s),
             max_bytes=max_bytes,
         ),

@@ -123,6 +123,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         self._check_numbers()
+        object.__setattr__(self, "_spelled", tuple(Path(os.path.abspath(root)) for root in self.roots))  # noqa: PTH100
         object.__setattr__(self, "roots", tuple(_checked_root(root) for root in self.roots))
         object.__setattr__(self, "image_hosts", tuple(host.strip().lower() for host in self.image_hosts))
         for host in self.image_hosts:
@@ -150,6 +151,12 @@ class Settings:
             raise SettingsError(f"oidc_issuer is {self.oidc_issuer!r}: an issuer is an https:// URL")
         if self.oidc_issuer is not None and self.token_file is not None:
             raise SettingsError("token_file and oidc_issuer exclude each other: choose one way to authenticate")
+
+    @property
+    def spelled_roots(self) -> tuple[Path, ...]:
+        """The roots as the operator wrote them, absolute, links in them unresolved."""
+        spelled: tuple[Path, ...] = self.__dict__["_spelled"]
+        return spelled
 
     @property
     def authenticated(self) -> bool:
@@ -206,7 +213,8 @@ class Settings:
 
     def to_json(self) -> str:
         """All options, for ``from_json`` in another process; unlike variables, with nothing that separates values."""
-        return json.dumps({each.name: getattr(self, each.name) for each in fields(self)}, default=str)
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        return json.dumps({**values, "roots": self.spelled_roots}, default=str)
 
     @classmethod
     def from_json(cls, text: str) -> Settings:
