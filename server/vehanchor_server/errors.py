@@ -4,6 +4,7 @@ The library's own codes (``vehanchor.errors``) pass through unchanged. The serve
 
 * CallError (ToolError)
   x ``invalid_arguments``   an argument is missing, unknown, or of the wrong form
+  x ``unknown_tool``        there is no tool of that name
   x ``source_disabled``     this server does not take images of that ``kind``
   x ``path_not_allowed``    the path is not below an allowed root, or its form cannot be trusted
   x ``base64_invalid``      the data is not base64
@@ -20,7 +21,14 @@ from __future__ import annotations
 
 from mcp.server.mcpserver.exceptions import ToolError
 
-__all__ = ["CallError"]
+__all__ = ["CallError", "shortened"]
+
+_SHOWN_CHARS = 80
+
+
+def shortened(name: str) -> str:
+    """A name from a request, short enough to be repeated to its caller: the end of a long one."""
+    return name if len(name) <= _SHOWN_CHARS else f"...{name[-_SHOWN_CHARS:]}"
 
 
 class CallError(ToolError):

@@ -119,6 +119,13 @@ class Settings:
         default=None, metadata=_words("Audience that those JWTs must carry.", panel=_HTTP)
     )
     max_body_mb: float = field(default=32.0, metadata=_words("Largest request, MiB.", panel=_HTTP))
+    body_timeout_s: float = field(default=60.0, metadata=_words("Seconds a request may take to arrive.", panel=_HTTP))
+    max_connections: int = field(
+        default=512, metadata=_words("Connections at once in a process; the next are closed.", panel=_HTTP)
+    )
+    max_connections_per_address: int = field(  # a proxy is one address
+        default=256, metadata=_words("Connections at once from one address.", panel=_HTTP)
+    )
     insecure: bool = field(default=False, metadata=_words("Listen publicly without authentication.", panel=_HTTP))
 
     def __post_init__(self) -> None:

@@ -1,10 +1,10 @@
 """Reading files below the allowed roots, and nothing else.
 
-A path is compared with the roots as it is written: what is not below one is refused without a look at the file system, so
-that the refusal tells nothing. From the root's descriptor downwards every part is then opened by itself, never following
-a symbolic link. A link is read instead, and the walk goes on by what it says: below the directory that it lies in, or
-from a root that it names; one that leads above its root, even to come back, ends the walk unread. What is checked is the
-descriptor that is handed on, so there is no moment at which the two can differ.
+A path is compared with the roots as it is written: what is not below one is refused without a look at the file system,
+so that the refusal tells nothing. From the root's descriptor downwards every part is then opened by itself, never
+following a symbolic link. A link is read instead, and the walk goes on by what it says: below the directory that it
+lies in, or from a root that it names; one that leads above its root, even to come back, ends the walk unread. The
+descriptor that is handed on is the one that was checked, so there is no moment at which the two can differ.
 
 The library gets the open file by the name of its descriptor (``/proc/self/fd/N`` on Linux), which stands for this very
 file whatever happens to its path, and which large TIFFs can be read from by windows. Elsewhere it gets the file object,
@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
-from vehanchor_server.errors import CallError
+from vehanchor_server.errors import CallError, shortened
 from vehanchor_server.images.argument import MAX_PATH_CHARS
 
 if TYPE_CHECKING:
@@ -39,7 +39,6 @@ _DIRECTORY_FLAGS = os.O_RDONLY | _NOFOLLOW | _CLOEXEC | getattr(os, "O_DIRECTORY
 
 
 _MAX_LINKS = 40  # as Linux itself
-_SHOWN_CHARS = 80  # of a name that a caller gave
 
 
 class Sandbox:
@@ -144,8 +143,7 @@ def _refused() -> CallError:
 
 
 def _no_image(named: str) -> CallError:
-    shown = named if len(named) <= _SHOWN_CHARS else f"...{named[-_SHOWN_CHARS:]}"
-    return CallError("image_not_found", f"there is no regular file at {shown!r}. Check the path.")
+    return CallError("image_not_found", f"there is no regular file at {shortened(named)!r}. Check the path.")
 
 
 def _local_path(named: str) -> Path:
@@ -167,7 +165,7 @@ def _local_path(named: str) -> Path:
         raise _refused()
     path = Path(named)
     if not path.is_absolute():
-        raise CallError("path_not_allowed", f"{named[:_SHOWN_CHARS]!r} is not an absolute path. Give the whole path.")
+        raise CallError("path_not_allowed", f"{shortened(named)!r} is not an absolute path. Give the whole path.")
     if ".." in path.parts:
         raise CallError("path_not_allowed", "the path contains '..'. Give the path without it.")
     return path
