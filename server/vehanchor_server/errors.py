@@ -12,6 +12,7 @@ The library's own codes (``vehanchor.errors``) pass through unchanged. The serve
   x ``fetch_failed``        the host did not deliver the image
   x ``busy``                every place is taken: try again
   x ``deadline_exceeded``   the call took longer than the server allows
+  x ``worker_killed``       the process that worked on the image ended: too much memory or time, or a crash; try again
   x ``server_stopping``     the server is shutting down
   x ``model_unavailable``   the operator's model cannot be loaded
   x ``internal_error``      a bug; the details are in the server's log only
@@ -42,3 +43,7 @@ class CallError(ToolError):
     def __init__(self, code: str, message: str) -> None:
         super().__init__(f"{code}: {message}")
         self.code = code
+
+    def __reduce__(self) -> tuple[type[CallError], tuple[str, str]]:
+        """How it comes from a worker process."""
+        return type(self), (self.code, str(self).removeprefix(f"{self.code}: "))

@@ -89,6 +89,13 @@ class Settings:
     max_concurrency: int | None = field(
         default=None, metadata=_words("Calls at once in a process.", panel=_WORK, if_unset="one a CPU, at least 2")
     )
+    workers_isolated: bool = field(
+        default=False,
+        metadata=_words("Decode and compute in processes that are killed at the deadline.", panel=_WORK),
+    )
+    max_worker_mb: float = field(  # of one process, of which there are as many as calls at once
+        default=2048.0, metadata=_words("Data of a worker process, MiB; it ends beyond.", panel=_WORK)
+    )
     deadline_s: float = field(  # below the 60 s at which common clients give up
         default=55.0, metadata=_words("Seconds after which a call ends.", panel=_WORK)
     )
@@ -183,6 +190,11 @@ class Settings:
             max_pixels=round(self.max_megapixels * _MEGAPIXEL),
             max_windowed_pixels=round(self.max_windowed_megapixels * _MEGAPIXEL),
         )
+
+    @property
+    def max_worker_bytes(self) -> int:
+        """Data that a worker process may have."""
+        return round(self.max_worker_mb * _MIB)
 
     @property
     def max_body_bytes(self) -> int:

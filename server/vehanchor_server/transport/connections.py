@@ -57,7 +57,8 @@ class LimitedProtocol(H11Protocol):
         """Take a connection, if it is not one too many."""
         super().connection_made(transport)
         address = self.client[0] if self.client else None
-        alike = sum(1 for other in self.connections if other.client and other.client[0] == address)  # type: ignore[union-attr]
+        addresses = [getattr(other, "client", None) for other in self.connections]
+        alike = sum(1 for other in addresses if other and other[0] == address)
         if len(self.connections) > self._limits.total or (address and alike > self._limits.per_address):
             transport.abort()
             self.connections.discard(self)

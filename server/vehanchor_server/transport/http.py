@@ -60,11 +60,11 @@ def create_app(settings: Settings | None = None) -> Starlette:
         return JSONResponse({"status": "alive"})
 
     async def readyz(_: Request) -> Response:
-        if services.models.ready:
+        if services.ready:
             return JSONResponse({"status": "ready"})
-        return JSONResponse({"status": "loading", "error": services.models.failure}, status_code=503)
+        return JSONResponse({"status": "loading", "error": services.failure}, status_code=503)
 
-    services.models.preload()
+    services.preload()
     security = _transport_security(settings)
     app = server.streamable_http_app(
         streamable_http_path=MCP_PATH,
