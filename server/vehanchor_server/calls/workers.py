@@ -21,7 +21,7 @@ import traceback
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
-from vehanchor_server.calls.capacity import CallStoppedError, Stop
+from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
 from vehanchor_server.errors import CallError
 from vehanchor_server.images.source import OpenedImage, library_errors
@@ -42,7 +42,7 @@ Result = TypeVar("Result")
 _MIB = 1 << 20
 _ENDS_WITHIN_S = 5.0  # a killed process, unless the system is stuck
 _LOOKS_S = 0.05  # how often a thread that waits for a worker to be ready looks whether it still shall
-_OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate memory")
+_OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")  # OpenCV's, C++'s, ONNX's
 _logger = logging.getLogger(__name__)
 
 
@@ -387,17 +387,15 @@ def _outcome(services: Parts, task: Task[Any], connection: Connection) -> tuple[
 
     try:
         return "value", perform(services, task, Job(Stop(), report, enter))
-    except CallError as error:
-        return "refused", error
-    except CallStoppedError:
-        raise AssertionError("workers are killed, not stopped") from None
     except Exception as error:
-        if not (isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY)):
-            return "failed", traceback.format_exc()
-        _logger.warning("a worker ran out of memory", exc_info=True)
-        return "exhausted", CallError(
-            "worker_killed", "the work on the image took more memory than this server allows. Send a smaller image."
-        )
+        if isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):
+            _logger.warning("a worker ran out of memory", exc_info=True)
+            return "exhausted", CallError(
+                "worker_killed", "the work on the image took more memory than this server allows. Send a smaller image."
+            )
+        if isinstance(error, CallError):
+            return "refused", error
+        return "failed", traceback.format_exc()
 
 
 def _end_with_server() -> None:

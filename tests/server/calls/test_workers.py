@@ -164,6 +164,15 @@ def test_memory_is_limited(isolated: Services) -> None:
     assert done(isolated, number) > 0
 
 
+def allocation_refused(services: Services, job: Job, source: Any) -> None:
+    raise CallError("image_undecodable", "the JPEG cannot be decoded: Failed to allocate 300000000 bytes.")
+
+
+def test_memory_that_is_missing_is_not_the_images_fault(isolated: Services) -> None:
+    with pytest.raises(CallError, match=r"worker_killed: .*memory"):
+        done(isolated, allocation_refused)
+
+
 def test_a_bug_comes_with_its_traceback_and_keeps_the_worker(isolated: Services) -> None:
     worker = done(isolated, number)
     with pytest.raises(WorkerFailedError, match="hunter2"):
