@@ -286,8 +286,9 @@ class _Worker:
         return result
 
     def _ended(self) -> CallError:
-        process = self.process
-        _logger.warning("a worker ended during a call: exit code %s", process.exitcode if process else None)
+        if self.process is not None:
+            self.process.join(_ENDS_WITHIN_S)
+            _logger.warning("a worker ended during a call: exit code %s", self.process.exitcode)
         return CallError(
             "worker_killed",
             "the process that worked on the image ended: it took too much memory or time, or crashed. Try again, "

@@ -19,6 +19,7 @@ BACKLOG = (
     128  # accepted at a stroke, before any can be refused: the process must be able to open as many beside its limit
 )
 MAX_HEAD_BYTES = 32 << 10
+_CHANCE_S = 0.2
 _TOO_SLOW = b"HTTP/1.1 408 Request Timeout\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
 
@@ -35,7 +36,7 @@ class ConnectionLimits:
 
     total: int = 512
     per_address: int = 256
-    head_s: float = 10.0
+    head_s: float = 20.0
     body_s: float = 60.0
 
 
@@ -87,12 +88,16 @@ class LimitedProtocol(H11Protocol):
         if self._awaited != part:
             self._arrived()
             self._awaited = part
-            self._timer = self.loop.call_later(seconds, self._too_slow)
+            self._timer = self.loop.call_later(seconds, self._nearly_too_slow)
 
     def _arrived(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
         self._awaited = self._timer = None
+
+    def _nearly_too_slow(self) -> None:
+        """Give bytes a chance that arrived while this process was held up itself."""
+        self._timer = self.loop.call_later(_CHANCE_S, self._too_slow)
 
     def _too_slow(self) -> None:
         if self.transport.is_closing():

@@ -38,6 +38,10 @@ class _RefusedError(Exception):
         self.code = code
 
 
+class _HungUpError(Exception):
+    """The client left in the middle of its body."""
+
+
 @dataclass
 class _Body:
     """Counts of one body so far."""
@@ -111,6 +115,8 @@ class Door:
                 return await receive()
             self._ask_for_place(body, declared)
             message = await receive()
+            if message["type"] == "http.disconnect":
+                raise _HungUpError
             if message["type"] == "http.request":
                 body.add(message.get("body", b""))
                 self._ask_for_place(body, body.n_bytes)
@@ -124,6 +130,8 @@ class Door:
 
         try:
             await self._app(scope, counted, sent)
+        except _HungUpError:
+            pass  # who hung up in the middle of a body needs no answer, and the log no traceback
         except _RefusedError as refused:
             if not answered:
                 await _refusal(refused)(scope, receive, send)

@@ -160,3 +160,15 @@ def test_bodies_beyond_the_places_are_refused_before_they_are_read(base: str) ->
         while client.post(f"{base}/mcp", **request).status_code != 200:  # their places are free again
             assert time.monotonic() < deadline
             time.sleep(0.05)
+
+
+def test_who_hangs_up_in_the_middle_of_a_body_leaves_no_traceback(base: str, caplog: pytest.LogCaptureFixture) -> None:
+    host, port = base.removeprefix("http://").split(":")
+    with socket.create_connection((host, int(port)), timeout=5) as leaving:
+        leaving.sendall(
+            b"POST /mcp HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+            b"Accept: application/json, text/event-stream\r\nContent-Length: 100\r\n\r\n{"
+        )
+        time.sleep(0.2)
+    time.sleep(0.3)
+    assert not [record for record in caplog.records if record.exc_info]
