@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from vehanchor.defaults import Aggregation
 from vehanchor.detection.look import FleetLengths
 from vehanchor.errors import ModelContractError
+from vehanchor.scale.fusion import Votes
 
 __all__ = [
     "LENGTH_RANGE_PX",
@@ -73,6 +74,7 @@ class DetectorCard(_Card):
         fleet_sha256: of the file of that network.
         second_look_sha256: of the file of the network beside the detector that judges its candidates once more, whose
             ``min_score`` and ``clear_score`` then stand here; None without one.
+        votes: what its boxes tell of the scale together; None where that was never fitted, as for foreign models.
     """
 
     name: str
@@ -92,6 +94,16 @@ class DetectorCard(_Card):
     fleet_lengths: FleetLengths | None = None
     fleet_sha256: str | None = None
     second_look_sha256: str | None = None
+    votes: Votes | None = None
+
+    @field_validator("votes")
+    @classmethod
+    def _votes_in_range(cls, value: Votes | None) -> Votes | None:
+        if value is not None and not (
+            value.log_sd > 0 and value.clutter_density > 0 and 0 < value.trust <= 1 and 0 < value.chance_wrong < 1
+        ):
+            raise ValueError("expected log_sd and clutter_density > 0, trust and chance_wrong in 0..1")
+        return value
 
     @field_validator("length_range_px")
     @classmethod
@@ -176,6 +188,10 @@ def _fleet_lengths(text: str) -> FleetLengths:
     return FleetLengths((few, many), (short, long), **stated)
 
 
+def _votes(text: str) -> Votes:
+    return Votes(**{name: float(value) for name, value in json.loads(text).items()})
+
+
 # Field -> the key of the metadata, how its text is read, and what a text that cannot be read should have been.
 _Entry = tuple[str, Callable[[str], Any], str]
 _DETECTOR_ENTRIES: dict[str, _Entry] = {
@@ -192,6 +208,7 @@ _DETECTOR_ENTRIES: dict[str, _Entry] = {
     "clear_score": ("vehanchor.clear_score", float, "a number from 0 to 1"),
     "aggregation": ("vehanchor.aggregation", str, "a name"),
     "stride_px": ("stride", _whole, "a whole number >= 1"),
+    "votes": ("vehanchor.votes", _votes, "a JSON object of the fields of Votes"),
 }
 _SECOND_LOOK_ENTRIES: dict[str, _Entry] = {
     "detector": ("vehanchor.detector", str, "a detector's name"),
