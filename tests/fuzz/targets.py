@@ -190,7 +190,7 @@ def _graphs() -> list[bytes]:
 
     value = helper.make_tensor_value_info("x", TensorProto.FLOAT, [1])
     weight = helper.make_tensor("w", TensorProto.FLOAT, [1], [1.0])
-    external = onnx.TensorProto(name="e", data_type=1, dims=[1], data_location=1)
+    external = onnx.TensorProto(name="e", data_type=1, dims=[1], data_location=TensorProto.EXTERNAL)
     entry = external.external_data.add()
     entry.key, entry.value = "location", "weights.bin"
     node = helper.make_node("Add", ["x", "w"], ["y"])
