@@ -278,7 +278,7 @@ class _Worker:
             stop.check()
             try:
                 self._connection.send(task)
-                result = self._listen(self._connection, turn, report, enter)
+                result: Result = self._listen(self._connection, turn, report, enter)
             except (EOFError, OSError) as error:  # the pipe broke: the process ended
                 self.process.join(_ENDS_WITHIN_S)
                 stop.check()

@@ -36,9 +36,8 @@ async def app(scope: Any, receive: Any, send: Any) -> None:
 def address() -> Iterator[tuple[str, int]]:
     with socket.socket() as listener:
         listener.bind(("0.0.0.0", 0))
-        config = uvicorn.Config(
-            app, http=partial(LimitedProtocol, limits=LIMITS), lifespan="off", log_config=None, backlog=BACKLOG
-        )
+        limited: Any = partial(LimitedProtocol, limits=LIMITS)
+        config = uvicorn.Config(app, http=limited, lifespan="off", log_config=None, backlog=BACKLOG)
         server = uvicorn.Server(config)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
         thread.start()
