@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import onnxruntime
     from numpy.typing import NDArray
 
-    from vehanchor.detection.detector import Detector
+    from vehanchor.detection.detector import Detector, TileSighting
     from vehanchor.imagery.raster import Raster, Window
 
 __all__ = ["SearchLevel", "search", "search_levels"]
@@ -117,9 +117,6 @@ def search(
     card = detector.card
     tile_px, stride_px = _tile_and_stride(detector.fixed_size, chosen)
     min_score = card.min_score if chosen.min_score is None else chosen.min_score
-    least_score = min_score
-    if detector.second_look:  # what the detector alone doubts may turn out to be a car
-        least_score = min(min_score, detector.second_look.card.least_score)
     search_scales = card.search_scales if chosen.search_scales is None else chosen.search_scales
     levels = search_levels(raster.width_px, raster.height_px, card.length_range_px, search_scales=search_scales)
     visits = [
@@ -132,17 +129,11 @@ def search(
         if progress:
             progress(done, len(visits))
         pixels = read_reduced_window(raster, tile, level.factor)
-        seen = detector.detect_tile(pixels, least_score, run_options)
+        seen = _seen(detector, pixels, level, min_score, run_options)
         n_capped += seen.ran_out
-        counted = seen.vehicles.take(level.counts(seen.vehicles.boxes[:, 2]))
-        if detector.second_look:
-            counted = detector.second_look.judged(pixels, counted, run_options)
-            counted = counted.take(counted.scores >= min_score)
-        vehicle_parts.append(_in_image(counted, tile, level, tile_px - stride_px))
+        vehicle_parts.append(_in_image(seen.vehicles, tile, level, tile_px - stride_px))
         scale_parts.append(np.full(len(vehicle_parts[-1]), 1 / level.factor))
-        # The range of lengths is that of vehicles: it says nothing of other objects.
-        others = seen.others.take(seen.others.scores >= min_score)
-        other_parts.append(_in_image(others, tile, level, tile_px - stride_px))
+        other_parts.append(_in_image(seen.others, tile, level, tile_px - stride_px))
     if progress:
         progress(len(visits), len(visits))
     vehicles = Objects.joined(vehicle_parts)
@@ -158,6 +149,25 @@ def search(
         vehicles.classes,
         _merged_by_class(Objects.joined(other_parts), chosen.nms_iou),
     )
+
+
+def _seen(
+    detector: Detector,
+    pixels: NDArray[np.uint8],
+    level: SearchLevel,
+    min_score: float,
+    run_options: onnxruntime.RunOptions | None,
+) -> TileSighting:
+    """One tile's objects that count: vehicles of the level's lengths, after the second look where there is one."""
+    look = detector.second_look
+    # What the detector alone doubts may turn out to be a car.
+    seen = detector.detect_tile(pixels, min(min_score, look.card.least_score) if look else min_score, run_options)
+    vehicles = seen.vehicles.take(level.counts(seen.vehicles.boxes[:, 2]))
+    if look:
+        vehicles = look.judged(pixels, vehicles, run_options)
+        vehicles = vehicles.take(vehicles.scores >= min_score)
+    # The range of lengths is that of vehicles: it says nothing of other objects.
+    return seen._replace(vehicles=vehicles, others=seen.others.take(seen.others.scores >= min_score))
 
 
 def _tile_and_stride(fixed_size: tuple[int, int] | None, options: Search) -> tuple[int, int]:
