@@ -1,7 +1,8 @@
 """Fit how a network's answers combine: ``python -m training.scene_scale.calibrate OUT.json CASES.npz ...``.
 
 The cases (``cases.py``) should be of networks that never saw the sets they are asked about: what the shipped network
-says of a new place is as good as that. Every set counts alike. Fitted is the mean log density at the truth.
+says of a new place is as good as that. Every set counts alike. Fitted are the mean log density at the truth and the
+share of intervals that hold it.
 """
 
 from __future__ import annotations
@@ -29,12 +30,14 @@ from training.scene_scale.density import (
 
 BINS = SceneBins(FIRST_LOG_GSD, LOG_STEP)
 _CHOICES: dict[str, Sequence[float]] = {
-    "temperature": tuple(np.exp(np.linspace(np.log(0.25), np.log(4.0), 23))),
+    "temperature": tuple(np.exp(np.linspace(np.log(0.35), np.log(3.5), 13))),
     "levels": (0.0, 0.25, 0.5, 0.75, 1.0),
-    "reach": (0.0, 0.25, 0.5, 0.75, 1.0, 1.5),
-    "floor": (0.005, 0.01, 0.015, 0.02, 0.03, 0.04),
+    "doubt": (0.0, 0.005, 0.01, 0.015, 0.02, 0.03),
+    "floor": (0.005, 0.01, 0.02),
 }
-_ROUNDS = 3
+_ROUNDS = 2
+_LEAST_COVER, _COVER_WEIGHT = 0.9, 2.0
+_LEAST_CASES = 15  # of a set whose cover counts
 _WITHIN = 1.5
 
 
@@ -48,12 +51,28 @@ def log_score(cases: Sequence[Case], calibration: SceneCalibration) -> float:
     return float(np.mean([np.mean(each) for each in scores.values()]))
 
 
+def least_cover(cases: Sequence[Case], calibration: SceneCalibration) -> float:
+    """The share of images whose interval holds the truth, in the set where it holds least."""
+    held: dict[str, list[bool]] = {}
+    for case in cases:
+        _, low, high = _row(case, calibration)
+        held.setdefault(case.set, []).append(low < 0 < high)
+    return float(min(np.mean(each) for each in held.values() if len(each) >= _LEAST_CASES))
+
+
 def fit(cases: Sequence[Case]) -> SceneCalibration:
-    """The calibration of the highest score, one number after the other, some times over."""
+    """The calibration of the highest score, one number after the other, some times over.
+
+    Where intervals hold in less than ``_LEAST_COVER`` of a set's images, that weighs against it.
+    """
+
+    def worth(option: SceneCalibration) -> float:
+        lacking = max(0.0, _LEAST_COVER - least_cover(cases, option))
+        return log_score(cases, option) - _COVER_WEIGHT * lacking
+
     best = SceneCalibration()
     for _, (name, values) in itertools.product(range(_ROUNDS), _CHOICES.items()):
-        options = [replace(best, **{name: float(value)}) for value in values]
-        best = max(options, key=lambda option: log_score(cases, option))
+        best = max((replace(best, **{name: float(value)}) for value in values), key=worth)
     return best
 
 

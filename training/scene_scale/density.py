@@ -2,9 +2,9 @@
 
 A network tells of a tile of 160 px how many metres a pixel is. An image is looked at on tiles spread over it at its own
 resolution and at 1/2, 1/4 and 1/8: the further view tells houses and roads where the near one sees nothing but grass.
-The log-probabilities of a level's tiles are averaged (tiles that disagree flatten it), shifted by the level's factor,
-averaged over the levels, sharpened or flattened by a temperature, and mixed with a flat floor: the chance of being
-wrong altogether.
+The log-probabilities of a level's tiles are averaged (tiles that disagree flatten it), sharpened or flattened by a
+temperature, mixed with a little doubt, shifted by the level's factor, and averaged over the levels; what comes out is
+mixed with a flat floor, the chance of being wrong altogether.
 
 A bin at either end stands for all that is finer or coarser: beyond them nothing is known, so
 nothing is denied.
@@ -49,16 +49,16 @@ class SceneCalibration:
     """From a network's answers to a density that can be believed (``training/scene_scale/calibrate.py``).
 
     Attributes:
-        temperature: exponent on the levels' weighed geometric mean.
-        levels: the exponent grows with the number of levels to this power: 0 if each says the same, 1 if each says
-            something else.
-        reach: a level's weight grows with its factor to this power, for the further view knows more things.
+        temperature: exponent on the geometric mean of a level's tiles.
+        doubt: share of the flat density in each level's, so that one that is wrong cannot veto the others.
+        levels: exponent on the number of levels: 0 takes their geometric mean, as if each said the same; 1 their
+            product, as if each said something else.
         floor: share of the flat density.
     """
 
     temperature: float = 1.0
+    doubt: float = 0.01
     levels: float = 0.0
-    reach: float = 0.0
     floor: float = 0.02
 
 
@@ -143,10 +143,11 @@ def scene_density(
     total = np.zeros(len(GRID))
     for seen, factor in zip(log_probs, factors, strict=True):
         centres = bins.first + bins.step * np.arange(seen.shape[1])
-        mean = seen.astype(np.float64).mean(axis=0)
-        total += float(factor) ** calibration.reach * np.interp(GRID + np.log(factor), centres, mean)
-    total /= np.sum(np.asarray(factors, np.float64) ** calibration.reach)
-    total *= calibration.temperature * float(len(factors)) ** calibration.levels
+        mean = calibration.temperature * seen.astype(np.float64).mean(axis=0)
+        level = np.exp(mean - mean.max())
+        level = (1 - calibration.doubt) * level / level.sum() + calibration.doubt / len(level)
+        total += np.interp(GRID + np.log(factor), centres, np.log(level))
+    total *= float(len(factors)) ** (calibration.levels - 1)
     density: NDArray[np.float64] = np.exp(total - total.max())
     density *= (1 - calibration.floor) / density.sum()
     return density + calibration.floor / len(GRID)
