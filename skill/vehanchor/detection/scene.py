@@ -44,6 +44,7 @@ __all__ = [
 TILE_PX = 160
 FACTORS = (1, 2, 4, 8)  # by which an image is reduced
 MOST_TILES = 24  # of a level
+_LEAST_PROBABILITY = 1e-12
 _BATCH = 8  # tiles at once: 24 would take three times the memory and no less time
 
 
@@ -68,18 +69,18 @@ class SceneCalibration:
     Attributes:
         first_log_gsd: natural log of metres per pixel of the first bin's centre.
         log_step: from one bin to the next.
-        temperature: exponent on the levels' weighed geometric mean.
-        levels: the exponent grows with the number of levels to this power: 0 if each says the same, 1 if each says
-            something else.
-        reach: a level's weight grows with its factor to this power, for the further view knows more things.
-        floor: chance that it is wrong altogether.
+        temperature: exponent on the mean of a level's tiles.
+        doubt: chance that a level is wrong altogether, so that it cannot veto the others.
+        levels: the exponent on the levels' geometric mean grows with their number to this power: 0 if each says the
+            same, 1 if each says something else.
+        floor: chance that all are wrong.
     """
 
     first_log_gsd: float
     log_step: float
     temperature: float = 1.0
+    doubt: float = 0.0
     levels: float = 0.0
-    reach: float = 0.0
     floor: float = 0.02
 
 
@@ -130,8 +131,8 @@ def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]
 def scene_density(levels: Sequence[SceneLevel], calibration: SceneCalibration) -> NDArray[np.float64]:
     """Combine what was seen at all resolutions into one density.
 
-    The log-probabilities of the levels are shifted by their factors, weighed and added up; the result is mixed with the
-    flat density. Bins at either end stand for all that is finer or coarser.
+    The log-probabilities of the levels, each mixed with some doubt, are shifted by their factors and averaged; the
+    result is mixed with the flat density. Bins at either end stand for all that is finer or coarser.
 
     Args:
         levels: of one image, at least one.
@@ -143,10 +144,10 @@ def scene_density(levels: Sequence[SceneLevel], calibration: SceneCalibration) -
     total = np.zeros(len(GRID))
     for level in levels:
         centres = calibration.first_log_gsd + calibration.log_step * np.arange(len(level.log_probs))
-        weight = float(level.factor) ** calibration.reach
-        total += weight * np.interp(GRID + np.log(level.factor), centres, level.log_probs)
-    total /= sum(float(level.factor) ** calibration.reach for level in levels)
-    total *= calibration.temperature * float(len(levels)) ** calibration.levels
+        seen = np.exp(calibration.temperature * (level.log_probs - level.log_probs.max()))
+        seen = (1 - calibration.doubt) * seen / seen.sum() + calibration.doubt / len(seen)
+        total += np.interp(GRID + np.log(level.factor), centres, np.log(np.maximum(seen, _LEAST_PROBABILITY)))
+    total *= float(len(levels)) ** (calibration.levels - 1)
     density = np.exp(total - total.max())
     return floored(density / density.sum(), calibration.floor)
 
@@ -219,6 +220,6 @@ def _read_calibration(path: Path, metadata: Mapping[str, str]) -> SceneCalibrati
         read = SceneCalibration(first, step, **{name: float(value) for name, value in stated.items()})
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         raise ModelContractError(f"{path}: the metadata vehanchor.scene_* cannot be read: {error}") from None
-    if not (step > 0 and read.temperature > 0 and 0 <= read.floor < 1):
+    if not (step > 0 and read.temperature > 0 and 0 <= read.doubt < 1 and 0 <= read.floor < 1):
         raise ModelContractError(f"{path}: the metadata vehanchor.scene_* has no meaning: {read}")
     return read

@@ -261,11 +261,7 @@ def calibrate(
         )
     length = reference_length(with_vehicles)
     spread_m = math.hypot(length.sd_m, region_sd_m / 2)
-    if not LEAST_VEHICLE_M <= length.mode_m <= LARGEST_VEHICLE_M or spread_m > length.mode_m:
-        raise CalibrationRefusedError(
-            f"the vehicles are {length.mode_m:.3g} m long (sd {spread_m:.3g} m), as no fleet is: {LEAST_VEHICLE_M:g} "
-            f"to {LARGEST_VEHICLE_M:g} m. Check the images' scales, and what the labels are of"
-        )
+    _check_fleet(length.mode_m, spread_m)
     lengths_px = np.concatenate([image.boxes[:, 2] for image in with_vehicles])
     weights, smoothing = _weights(with_vehicles, lengths_px)
     mode_px = kde_mode(lengths_px, weights, smoothing=smoothing)
@@ -291,6 +287,15 @@ def calibrate(
         detector=detector,
         detector_sha256=detector_sha256,
     )
+
+
+def _check_fleet(mode_m: float, spread_m: float) -> None:
+    """Refuse lengths that no fleet has."""
+    if not LEAST_VEHICLE_M <= mode_m <= LARGEST_VEHICLE_M or spread_m > mode_m:
+        raise CalibrationRefusedError(
+            f"the vehicles are {mode_m:.3g} m long (sd {spread_m:.3g} m), as no fleet is: {LEAST_VEHICLE_M:g} "
+            f"to {LARGEST_VEHICLE_M:g} m. Check the images' scales, and what the labels are of"
+        )
 
 
 def load_calibration(path: str | os.PathLike[str]) -> Calibration:
