@@ -118,13 +118,13 @@ def main() -> int:
     failed = []
     for name in asked.families:
         family = FAMILIES[name]
-        costs = []
+        costs: list[Cost] = []
         for size in (family.size, 4 * family.size):
             data = family.make(size)
             costs.append(cost(data, asked.folder))
             shown = f"{costs[-1].seconds:.2f} | {costs[-1].mebibytes:.0f} | {costs[-1].answer}"
             print(f"| {name} | {size} {family.unit} | {len(data) / _MIB:.2f} | {shown} |", flush=True)
-        if grows_too_fast(*costs):
+        if grows_too_fast(costs[0], costs[1]):
             failed.append(name)
     if failed:
         print(f"grows faster than its size: {', '.join(failed)}", file=sys.stderr)

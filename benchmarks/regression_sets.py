@@ -9,25 +9,23 @@ Prints Markdown, kept in RESULTS.md. ``--part`` chooses:
 * ``mistakes``: confidence of 0.5 and more on an image of known scale with an error above 20 %, or without cars.
 
 ``--held-out`` measures ``people`` on the held-out tenth of *train* instead of *val*: thresholds are chosen there.
-``--thresholds`` prints a row for each of several scores instead of the model's own alone.
+``--thresholds`` prints a row for each of several scores instead of the model's own alone. A detector without its second
+look is a copy of its file in another folder.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
-import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
-import onnxruntime
 
 from training.detector.distractors import KINDS, draw_distractors
 from training.detector.places import Place, is_held_out, looked_at, places
-from training.verifier.chips import chip
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
 from vehanchor.estimate import analyse_scale
@@ -43,7 +41,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
-_LEAST_SCORE = 0.05
+_LEAST_SCORE = 0.15
 _THRESHOLDS = (0.2, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8)
 _SURE = 0.5
 _HIGH_ERROR = 0.2
@@ -121,45 +119,11 @@ def false_boxes(image: Sighted) -> int:
 # --- Where the images come from --------------------------------------------------------------------------------------
 
 
-class Eyes:
-    """A detector, with a second look where a run of ``training.verifier`` is given.
-
-    Args:
-        detector: to search with.
-        second_look: the run, with ``verifier.onnx`` and ``combination.json``.
-    """
-
-    def __init__(self, detector: Detector, second_look: Path | None = None) -> None:
-        self.detector = detector
-        self._look = None
-        if second_look:
-            self._look = onnxruntime.InferenceSession(second_look / "verifier.onnx")
-            self._weights = json.loads((second_look / "combination.json").read_text())
-
-    def search(self, image: Path | NDArray[np.uint8]) -> Sighted:
-        """Search an image as a user's is searched, at a low threshold."""
-        with open_raster(image) as raster:
-            found = search(raster, self.detector, Search(min_score=_LEAST_SCORE))
-            area = raster.width_px * raster.height_px / 1e6
-        boxes, scores = found.boxes, found.scores
-        if self._look and len(boxes):
-            chips = np.stack([chip(_rgb(image), box) for box in boxes]).transpose(0, 3, 1, 2)
-            logits = self._look.run(["logit"], {"chips": np.ascontiguousarray(chips, np.float32) / 255})[0]
-            first = np.clip(scores, 1e-4, 1 - 1e-4)
-            total = self._weights["detector"] * np.log(first / (1 - first)) + self._weights["look"] * logits
-            scores = 1 / (1 + np.exp(-total - self._weights["bias"]))
-            order = np.argsort(-scores, kind="stable")
-            boxes, scores = boxes[order], scores[order]
-        return Sighted(boxes, scores, area)
-
-
-def _rgb(image: Path | NDArray[np.uint8]) -> NDArray[np.uint8]:
-    if isinstance(image, np.ndarray):
-        return image
-    pixels = cv2.imread(str(image), cv2.IMREAD_COLOR)
-    if pixels is None:
-        raise FileNotFoundError(image)
-    return np.ascontiguousarray(pixels[:, :, ::-1]).astype(np.uint8)
+def sighted(image: Path | NDArray[np.uint8], detector: Detector) -> Sighted:
+    """Search an image as a user's is searched, at a low threshold."""
+    with open_raster(image) as raster:
+        found = search(raster, detector, Search(min_score=_LEAST_SCORE))
+        return Sighted(found.boxes, found.scores, raster.width_px * raster.height_px / 1e6)
 
 
 def people_images(data: Path, held_out: bool) -> Iterator[tuple[str, Path, Path]]:
@@ -176,37 +140,40 @@ def people_images(data: Path, held_out: bool) -> Iterator[tuple[str, Path, Path]
                 yield f"{row['set']}, val", path, data / "upright" / "labels" / f"{path.stem}.txt"
 
 
-def with_known_cars(place: Place, eyes: Eyes) -> Sighted:
+def with_known_cars(place: Place, detector: Detector) -> Sighted:
     """A place that nobody labelled, cars seen on contact sheets spared."""
     cars = [(x, y) for x, y, kind in looked_at().get(place.path.name, []) if kind in ("car", "ignore")]
     reach = _NEAR_CAR_M / place.gsd_m_per_px
-    return eyes.search(place.path)._replace(spared=np.array(cars).reshape(-1, 2), spared_px=reach)
+    return sighted(place.path, detector)._replace(spared=np.array(cars).reshape(-1, 2), spared_px=reach)
 
 
-def clutter_sets(data: Path, eyes: Eyes) -> Iterator[tuple[str, list[Sighted]]]:
+def clutter_sets(data: Path, detector: Detector) -> Iterator[tuple[str, list[Sighted]]]:
     """The sets without cars, or with known ones."""
     all_places = places(data)
     apart = [place for place in all_places if is_held_out(place)]
-    yield "quays (held-out tenth)", [with_known_cars(p, eyes) for p in apart if p.set == "estonia_port"]
-    yield "quays (train)", [with_known_cars(p, eyes) for p in all_places if p.set == "estonia_port"]
-    yield "harbours (held-out tenth)", [with_known_cars(p, eyes) for p in apart if p.kind == "harbor"]
+    yield "quays (held-out tenth)", [with_known_cars(p, detector) for p in apart if p.set == "estonia_port"]
+    yield "quays (train)", [with_known_cars(p, detector) for p in all_places if p.set == "estonia_port"]
+    yield "harbours (held-out tenth)", [with_known_cars(p, detector) for p in apart if p.kind == "harbor"]
     empty = [
         item.path for item in read_table(data / "gsd" / "table.csv") if item.set == "empty" and item.split == "val"
     ]
-    yield "empty, val", [eyes.search(path) for path in empty]
+    yield "empty, val", [sighted(path, detector) for path in empty]
     trained = {place.path for place in all_places}
     fields = [p for p in sorted((data / "flights" / "seneca").iterdir()) if p.suffix == ".jpg" and p not in trained]
-    yield "fields (seneca, photographs not in train)", [eyes.search(path) for path in fields]
+    yield "fields (seneca, photographs not in train)", [sighted(path, detector) for path in fields]
     for name in KINDS:
-        yield f"rendered {name}, on empty val", [eyes.search(image) for image in rendered(name, empty[:8])]
+        yield f"rendered {name}, on empty val", [sighted(image, detector) for image in rendered(name, empty[:8])]
 
 
 def rendered(kind: str, grounds: list[Path]) -> Iterator[NDArray[np.uint8]]:
     """Striped or gridded things drawn over ground without cars; the same every time."""
     rng = np.random.default_rng(20261121)
     for path in grounds:
-        ground = cv2.resize(_rgb(path), (_RENDERED_SIDE_PX, _RENDERED_SIDE_PX), interpolation=cv2.INTER_CUBIC)
-        drawn, _ = draw_distractors(rng, np.asarray(ground, np.uint8), kind)
+        ground = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        if ground is None:
+            raise FileNotFoundError(path)
+        ground = cv2.resize(ground, (_RENDERED_SIDE_PX, _RENDERED_SIDE_PX), interpolation=cv2.INTER_CUBIC)
+        drawn, _ = draw_distractors(rng, np.ascontiguousarray(ground[:, :, ::-1]).astype(np.uint8), kind)
         for size in _RENDERED_SIZES:
             way = cv2.INTER_AREA if size < 1 else cv2.INTER_CUBIC
             yield np.asarray(cv2.resize(drawn, None, fx=size, fy=size, interpolation=way), np.uint8)
@@ -215,11 +182,11 @@ def rendered(kind: str, grounds: list[Path]) -> Iterator[NDArray[np.uint8]]:
 # --- The tables ------------------------------------------------------------------------------------------------------
 
 
-def people_report(data: Path, eyes: Eyes, thresholds: list[float], held_out: bool) -> list[str]:
+def people_report(data: Path, detector: Detector, thresholds: list[float], held_out: bool) -> list[str]:
     """Precision and recall by set and threshold."""
     by_set: dict[str, list[Sighted]] = {}
     for name, path, labels in people_images(data, held_out):
-        found = eyes.search(path)._replace(labels=read_labels(labels).of_class("small-vehicle"))
+        found = sighted(path, detector)._replace(labels=read_labels(labels).of_class("small-vehicle"))
         by_set.setdefault(name, []).append(found)
     lines = [
         "| people's boxes | score | images | labels | boxes | precision | recall |",
@@ -234,10 +201,10 @@ def people_report(data: Path, eyes: Eyes, thresholds: list[float], held_out: boo
     return lines
 
 
-def clutter_report(data: Path, eyes: Eyes, thresholds: list[float]) -> list[str]:
+def clutter_report(data: Path, detector: Detector, thresholds: list[float]) -> list[str]:
     """False boxes a megapixel by set and threshold."""
     lines = ["| ground | score | images | megapixels | false boxes | a megapixel |", "|---|---|---|---|---|---|"]
-    for name, images in clutter_sets(data, eyes):
+    for name, images in clutter_sets(data, detector):
         area = sum(image.megapixels for image in images)
         for score in thresholds:
             count = sum(false_boxes(image.above(score)) for image in images)
@@ -277,20 +244,18 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--detector")
-    parser.add_argument("--second-look", type=Path, metavar="RUN", help="of training.verifier; not for mistakes")
     parser.add_argument("--part", choices=_PARTS, action="append")
     parser.add_argument("--held-out", action="store_true")
     parser.add_argument("--thresholds", action="store_true")
     options = parser.parse_args()
     detector = Detector(resolve_model(options.detector))
-    eyes = Eyes(detector, options.second_look)
     thresholds = list(_THRESHOLDS) if options.thresholds else [detector.card.min_score]
     print(f"Detector `{detector.card.name}`, sha256 `{detector.card.sha256}`\n")
     for part in options.part or _PARTS:
         if part == "people":
-            lines = people_report(DATA, eyes, thresholds, options.held_out)
+            lines = people_report(DATA, detector, thresholds, options.held_out)
         elif part == "clutter":
-            lines = clutter_report(DATA, eyes, thresholds)
+            lines = clutter_report(DATA, detector, thresholds)
         else:
             lines = mistakes_report(DATA, detector)
         print("\n".join(lines) + "\n", flush=True)

@@ -8,27 +8,29 @@ of threads.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.registry import OTHER_ANCHORS
+from vehanchor.anchors.scene_scale import SceneScale
 from vehanchor.anchors.vehicles import VehicleEvidence, Vehicles
 from vehanchor.detection.detector import Detector, load_detector
+from vehanchor.detection.scene import load_scene_scale
 from vehanchor.detection.search import search
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.raster import open_raster
+from vehanchor.judgement import judge
 from vehanchor.models.zoo import resolve_model
 from vehanchor.notices import NoticeCode
 from vehanchor.options import ScaleOptions
-from vehanchor.records import FrameScale, GsdEstimate, Notice
-from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
+from vehanchor.records import FrameScale, GsdEstimate, Notice, SceneScaleEstimate
 from vehanchor.scale.reference import reference_length
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Sequence
     from typing import Unpack
 
     import numpy as np
@@ -52,7 +54,6 @@ __all__ = [
     "open_detector",
 ]
 
-MAX_INTERVAL_FACTOR = 3.0  # between the ends of an interval; a wider one is never "ok", whatever the confidence
 GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale may differ by this from another before a warning
 
 
@@ -179,6 +180,9 @@ def analyse_raster(
     """As ``analyse_scale``, of an image that is open already."""
     options.frame.check(raster.width_px, raster.height_px)
     sighting = search(raster, detector, options.search, progress=progress, run_options=run_options)
+    network = load_scene_scale() if detector.card.votes else None  # else there is nothing it could be weighed against
+    if network is not None:
+        sighting = replace(sighting, scene=network.look(raster, run_options=run_options))
     view = View(image_facts(raster), sighting, detector.card, options, partial(resolved_share, raster))
     return analyse_sighting(view)
 
@@ -204,22 +208,24 @@ def analyse_sighting(view: View) -> ScaleAnalysis:
     return ScaleAnalysis(conclude(vehicles, others, view), vehicles, others)
 
 
-def conclude(vehicles: VehicleEvidence, others: Iterable[Evidence], view: View) -> GsdEstimate:
-    """Conclude from the evidence to the caller's record; nothing else is computed here."""
-    image, gsd, interval = view.image, vehicles.gsd_m_per_px, vehicles.interval
+def conclude(vehicles: VehicleEvidence, others: Sequence[Evidence], view: View) -> GsdEstimate:
+    """Conclude from the evidence to the caller's record."""
+    image, gsd, judgement = view.image, vehicles.gsd_m_per_px, judge(vehicles, others)
+    interval = judgement.interval
     warnings = [*image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
     if gsd is not None:
         warnings += georeference_notice(image.georeference_gsd_m_per_px, gsd, "the vehicles say")
-    narrow = interval is not None and interval.high <= MAX_INTERVAL_FACTOR * interval.low
-    confident = narrow and vehicles.confidence >= FALLBACK_CONFIDENCE
     return GsdEstimate(
-        status="no_anchor" if gsd is None else "ok" if confident else "low_confidence",
+        status="no_anchor" if gsd is None else "low_confidence" if judgement.reason else "ok",
         gsd_m_per_px=gsd,
-        confidence=vehicles.confidence,
+        confidence=judgement.confidence,
         n_vehicles=vehicles.n,
         mode_length_px=vehicles.mode_length_px,
         gsd_ci95_low_m_per_px=interval and interval.low,
         gsd_ci95_high_m_per_px=interval and interval.high,
+        p_within_20=judgement.p_within_20,
+        reason=judgement.reason,
+        scene_scale=next((_scene_scale(other) for other in others if other.kind == SceneScale.kind), None),
         n_detections=len(view.sighting.boxes),
         working_scale=vehicles.fleet.working_scale,
         aggregation=vehicles.aggregation,
@@ -234,6 +240,15 @@ def conclude(vehicles: VehicleEvidence, others: Iterable[Evidence], view: View) 
         model=view.card.name,
         model_sha256=view.card.sha256,
         warnings=tuple(warnings),
+    )
+
+
+def _scene_scale(evidence: Evidence) -> SceneScaleEstimate | None:
+    if evidence.gsd_m_per_px is None or evidence.interval is None:
+        return None
+    low, high = evidence.interval
+    return SceneScaleEstimate(
+        gsd_m_per_px=evidence.gsd_m_per_px, gsd_ci95_low_m_per_px=low, gsd_ci95_high_m_per_px=high
     )
 
 

@@ -22,12 +22,15 @@ __all__ = [
     "Notice",
     "OutlinePolygon",
     "OutlineRing",
+    "Reason",
     "ReferenceSource",
     "ScaleSource",
+    "SceneScaleEstimate",
     "Status",
 ]
 
 Status = Literal["ok", "low_confidence", "no_anchor"]
+Reason = Literal["too_coarse", "too_few", "not_cars", "disagree", "lost"]
 ScaleSource = Literal["estimated", "given"]
 ReferenceSource = Literal["model", "appearance", "region", "given", "calibration"]
 
@@ -66,6 +69,14 @@ class FrameScale(_Record):
     gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
 
 
+class SceneScaleEstimate(_Record):
+    """What the ground itself tells of the scale: a witness, never enough to act on."""
+
+    gsd_m_per_px: float = Field(gt=0, description="Metres per pixel of the full image: the middle of its interval.")
+    gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its 95 % interval.")
+    gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its 95 % interval.")
+
+
 class GsdEstimate(_Record):
     """Metric scale of an aerial image, the paper's record <GSD, C, N', P_mode> and where it comes from."""
 
@@ -80,6 +91,17 @@ class GsdEstimate(_Record):
     mode_length_px: float | None = Field(description="P_mode: modal vehicle length, pixels; null without an anchor.")
     gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of the 95 % interval of the GSD.")
     gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of the 95 % interval of the GSD.")
+    p_within_20: float | None = Field(
+        ge=0, le=1, description="Chance that the error is below 20 %; null without a scale, or for a foreign detector."
+    )
+    reason: Reason | None = Field(
+        description="Why the scale is not to be used; null where it is. too_coarse: vehicles of too few pixels. "
+        "too_few: not enough of them. not_cars: they may be something else. disagree: sizes, or vehicles and ground. "
+        "lost: the scene is like none that was learned from."
+    )
+    scene_scale: SceneScaleEstimate | None = Field(
+        description="What the ground itself tells, a witness beside the vehicles; null where nothing looked at it."
+    )
     n_detections: int = Field(ge=0, description="N: vehicles detected, before the outlier filter.")
     working_scale: float | None = Field(
         description="Scale of the copy of the image where most of the kept vehicles were found: 1 (full resolution), "

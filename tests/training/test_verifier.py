@@ -14,11 +14,11 @@ pytest.importorskip("onnxruntime")
 import onnxruntime
 import torch
 
-from training.verifier.chips import CHIP_PX, chip
-from training.verifier.combine import Combination, fitted, look
+from training.verifier.combine import fitted, look, settled
 from training.verifier.data import STORED_PX, Candidates, ChipStream, load, middle, save, truth_of
 from training.verifier.network import VerifierNet
 from training.verifier.train import export, logits, report
+from vehanchor.detection.second_look import CHIP_PX, Weights, surroundings
 
 pytestmark = pytest.mark.slow
 
@@ -31,7 +31,7 @@ def test_a_chip_shows_its_candidate_level_and_at_one_length(length: float, angle
     image = np.zeros((500, 500, 3), np.uint8)
     corners = box_corners(box[None])[0]
     cv2.fillPoly(image, [np.round((corners - 0.5) * 256).astype(np.int32)], (255, 255, 255), cv2.LINE_AA, 8)
-    lit = chip(image, box)[:, :, 0] / 255
+    lit = surroundings(image, box)[:, :, 0] / 255
     rows, columns = lit.sum(axis=1), lit.sum(axis=0)
     assert columns.max() == pytest.approx(8, abs=2.6)  # the drawing itself is a pixel wider
     assert rows.max() == pytest.approx(20, abs=2.6)
@@ -42,7 +42,7 @@ def test_a_chip_shows_its_candidate_level_and_at_one_length(length: float, angle
 
 def test_a_chip_at_the_border_repeats_it() -> None:
     image = np.full((60, 60, 3), 80, np.uint8)
-    assert (chip(image, np.array([1.0, 59.0, 30.0, 12.0, 0.3])) == 80).all()
+    assert (surroundings(image, np.array([1.0, 59.0, 30.0, 12.0, 0.3])) == 80).all()
 
 
 def test_a_box_on_a_car_is_a_hit_beside_it_no_lesson_and_elsewhere_a_false_alarm() -> None:
@@ -94,7 +94,9 @@ def test_the_combination_trusts_whoever_knows() -> None:
     found = _candidates()
     rng = np.random.default_rng(0)
     telling = np.where(found.car, 1.5, -1.5) + rng.normal(0, 1, 60)
-    combination = fitted(np.full(60, 0.5) + rng.uniform(-0.1, 0.1, 60), telling, found)
+    combination = fitted(telling, found._replace(scores=np.full(60, 0.5) + rng.uniform(-0.1, 0.1, 60)))
     assert combination.look > 0.5
-    assert Combination(1.0, 0.0, 0.0).score([0.2, 0.9], [5.0, -5.0]).tolist() == pytest.approx([0.2, 0.9])
+    assert Weights(1.0, 0.0, 0.0).score([0.2, 0.9], [5.0, -5.0]).tolist() == pytest.approx([0.2, 0.9])
+    same = settled(combination, telling, found)
+    assert same.detector / same.look == pytest.approx(combination.detector / combination.look)
     assert any("AUC" in line for line in report(found.car, found.sets, telling))

@@ -18,9 +18,9 @@ from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from training.loop import Recipe, Schedule, train
-from training.verifier.chips import CHIP_PX
 from training.verifier.data import ChipStream, load, middle
 from training.verifier.network import Mirrored, VerifierNet
+from vehanchor.detection.second_look import CHIP_PX
 
 _OPSET = 17
 _RATE = 2e-3

@@ -72,6 +72,7 @@ class Evidence:
         n: how many things it was measured on.
         confidence: in 0..1, 0 where it found nothing.
         notices: its doubts, and what else there is to tell.
+        density: probabilities on ``vehanchor.scale.fusion.GRID``; None for nothing that could be multiplied.
     """
 
     kind: str
@@ -80,6 +81,7 @@ class Evidence:
     n: int
     confidence: float
     notices: tuple[Notice, ...]
+    density: NDArray[np.float64] | None = None
 
 
 class Anchor(Protocol):

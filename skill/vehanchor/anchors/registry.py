@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from vehanchor.anchors.scene_scale import SceneScale
+
 if TYPE_CHECKING:
     from vehanchor.anchors.evidence import Anchor
 
 __all__ = ["OTHER_ANCHORS"]
 
-OTHER_ANCHORS: tuple[Anchor, ...] = ()
+OTHER_ANCHORS: tuple[Anchor, ...] = (SceneScale(),)

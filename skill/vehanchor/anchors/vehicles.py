@@ -12,6 +12,7 @@ from vehanchor.anchors.evidence import Evidence
 from vehanchor.notices import NoticeCode
 from vehanchor.records import Notice
 from vehanchor.scale.confidence import composite, confidence_terms, fleet_doubts, guard_length
+from vehanchor.scale.fusion import GRID, vehicle_density
 from vehanchor.scale.lengths import dominant_group, gsd_interval, inlier_mask, modal_length
 from vehanchor.scale.reference import reference_length
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["Fleet", "VehicleEvidence", "Vehicles", "select"]
 
 _LEAST_SCORE = 1e-3  # below it a detection is no evidence, but still one
+_CAR_LENGTH_M = 4.6  # of any fleet, to a fifth
 _DOUBTS: dict[NoticeCode, str] = {
     NoticeCode.LENGTHS_DISAGREE: "Vehicles of two sizes were found, and the evidence for the other size is not much "
     "weaker than for the one that was used. One of them is not cars: the scale may be off by the ratio of the sizes.",
@@ -98,10 +100,18 @@ def select(sighting: Sighting, lengths: Lengths) -> Fleet:
     if sighting.scales is None or len(found) == 0:
         kept, rival_share = inlier_mask(found, lengths.alpha), 0.0
     else:
-        group = dominant_group(found, np.maximum(sighting.scores, _LEAST_SCORE) ** 2)
+        group = dominant_group(found, np.maximum(sighting.scores, _LEAST_SCORE) ** 2 * _scene_weights(sighting))
         kept, rival_share = group.members.copy(), group.rival_share
         kept[kept] = inlier_mask(found[kept], lengths.alpha)
     return Fleet(sighting, kept, rival_share, _working_scale(sighting, kept))
+
+
+def _scene_weights(sighting: Sighting) -> NDArray[np.float64]:
+    """How well the ground bears out that each box is as long as a car; 1 where nobody looked at it."""
+    if sighting.scene is None:
+        return np.ones(len(sighting.boxes))
+    density = sighting.scene.density
+    return np.asarray(np.interp(np.log(_CAR_LENGTH_M / sighting.boxes[:, 2]), GRID, density / density.max()))
 
 
 def _working_scale(sighting: Sighting, kept: NDArray[np.bool_]) -> float | None:
@@ -114,7 +124,7 @@ def _working_scale(sighting: Sighting, kept: NDArray[np.bool_]) -> float | None:
     return float(-scales[np.argmax(np.bincount(which, weights=sighting.scores[kept]))])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class VehicleEvidence(Evidence):
     """The paper's skill: the evidence of vehicles with all that it was concluded from.
 
@@ -177,6 +187,7 @@ class Vehicles:
                 *([_detail_missing(seen_px, resolved, guard_px)] if unresolved else []),
                 *doubts,
             ),
+            density=_density(view.sighting, card, reference),
             fleet=fleet,
             reference=reference,
             mode_length_px=mode_px,
@@ -199,6 +210,13 @@ def _scale(
     weighted = fleet.scores if aggregation == "weighted_kde" else None
     interval = gsd_interval(fleet.lengths, mode_px, reference.length_m, reference.sd_m, scores=weighted)
     return mode_px, aggregation, reference.length_m / mode_px, interval
+
+
+def _density(sighting: Sighting, card: DetectorCard, reference: ReferenceLength) -> NDArray[np.float64] | None:
+    """What all boxes say together, those of other groups included; None where nobody has fitted how they vote."""
+    if card.votes is None:
+        return None
+    return vehicle_density(sighting.boxes[:, 2], sighting.scores, reference.length_m, reference.sd_m, card.votes)
 
 
 def _doubts(fleet: Fleet, card: DetectorCard) -> list[Notice]:

@@ -6,14 +6,19 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict
 
-from vehanchor.records import ConfidenceTerms, GsdEstimate
+from vehanchor.records import ConfidenceTerms, GsdEstimate, SceneScaleEstimate
 
 if TYPE_CHECKING:
     from vehanchor.errors import VehAnchorError
 
 __all__ = ["COLUMNS", "BatchRow"]
 
-_NESTED = ("confidence_terms", "frame", "warnings")  # the only fields of an estimate that are no single value
+_NESTED = (
+    "confidence_terms",
+    "frame",
+    "scene_scale",
+    "warnings",
+)  # the only fields of an estimate that are no single value
 
 
 class BatchRow(BaseModel):
@@ -45,17 +50,21 @@ class BatchRow(BaseModel):
             values.update(self.estimate.model_dump(exclude=set(_NESTED)))
             for name, term in self.estimate.confidence_terms.model_dump().items():
                 values[f"confidence_{name}"] = term
+            if self.estimate.scene_scale is not None:
+                for name, value in self.estimate.scene_scale.model_dump().items():
+                    values[f"scene_{name}"] = value
             values["warning_codes"] = " ".join(notice.code for notice in self.estimate.warnings)
         return {**values, "file": self.file, "error_code": self.error_code, "error": self.error}
 
 
 def _columns() -> dict[str, type]:
-    """Columns and their types: the estimate's fields under their own names, its terms as ``confidence_<term>``."""
+    """Columns and their types: an estimate's fields under their own names, ``confidence_<term>``, ``scene_<field>``."""
     estimate = {
         name: _kind(field.annotation) for name, field in GsdEstimate.model_fields.items() if name not in _NESTED
     }
     terms: dict[str, type] = dict.fromkeys((f"confidence_{name}" for name in ConfidenceTerms.model_fields), float)
-    return {"file": str, **estimate, **terms, "warning_codes": str, "error_code": str, "error": str}
+    scene: dict[str, type] = dict.fromkeys((f"scene_{name}" for name in SceneScaleEstimate.model_fields), float)
+    return {"file": str, **estimate, **terms, **scene, "warning_codes": str, "error_code": str, "error": str}
 
 
 def _kind(annotation: Any) -> type:

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from vehanchor.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, Aggregation
 from vehanchor.detection.look import FleetLengths
 from vehanchor.errors import ModelContractError
+from vehanchor.scale.fusion import Votes
 
 __all__ = [
     "LENGTH_RANGE_PX",
@@ -21,8 +22,10 @@ __all__ = [
     "REFERENCE_LENGTH_SD_M",
     "DetectorCard",
     "FleetCard",
+    "SecondLookCard",
     "read_detector_card",
     "read_fleet_card",
+    "read_second_look_card",
 ]
 
 MIN_SCORE = 0.1  # paper, section III-B
@@ -38,6 +41,7 @@ _MAX_STRIDE_PX = 1024  # a tile: input sides are padded to whole strides
 _VehicleLength = Annotated[float, Field(ge=LEAST_VEHICLE_M, le=LARGEST_VEHICLE_M)]
 _VehicleSpread = Annotated[float, Field(ge=0, le=LARGEST_VEHICLE_M)]
 _LengthPx = Annotated[float, Field(gt=0, le=_MAX_LENGTH_PX)]
+_NotNegative = Annotated[float, Field(ge=0)]
 _LeastLengthPx = Annotated[float, Field(ge=0, le=_MAX_LENGTH_PX)]
 _Share = Annotated[float, Field(ge=0, le=1)]
 _ClassIndex = Annotated[int, Field(ge=0)]
@@ -73,6 +77,9 @@ class DetectorCard(_Card):
         fleet_lengths: how the look of the vehicles moves the reference length; None where no network beside the
             detector can tell fleets apart.
         fleet_sha256: of the file of that network.
+        second_look_sha256: of the file of the network beside the detector that judges its candidates once more, whose
+            ``min_score`` and ``clear_score`` then stand here; None without one.
+        votes: what its boxes tell of the scale together; None where that was never fitted, as for foreign models.
     """
 
     name: str
@@ -91,6 +98,17 @@ class DetectorCard(_Card):
     stride_px: Annotated[int, Field(ge=1, le=_MAX_STRIDE_PX)] = _STRIDE_PX
     fleet_lengths: FleetLengths | None = None
     fleet_sha256: str | None = None
+    second_look_sha256: str | None = None
+    votes: Votes | None = None
+
+    @field_validator("votes")
+    @classmethod
+    def _votes_in_range(cls, value: Votes | None) -> Votes | None:
+        if value is not None and not (
+            value.log_sd > 0 and value.clutter_density > 0 and 0 < value.trust <= 1 and 0 < value.chance_wrong < 1
+        ):
+            raise ValueError("expected log_sd and clutter_density > 0, trust and chance_wrong in 0..1")
+        return value
 
     @field_validator("length_range_px")
     @classmethod
@@ -122,6 +140,26 @@ class FleetCard(_Card):
         if not (LEAST_VEHICLE_M <= min(value.length_m) <= max(value.length_m) <= LARGEST_VEHICLE_M >= value.sd_m):
             raise ValueError(f"expected length_m, {LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m, and sd_m no longer")
         return value
+
+
+class SecondLookCard(_Card):
+    """What the file of a network that judges a detector's candidates once more says of itself.
+
+    Attributes:
+        sha256: of the file.
+        detector: name of the detector with which it was weighed: its numbers hold for no other.
+        weights: of the detector's logit, of its own, and what is added: the logit of the combined score.
+        least_score: candidates are what the detector gives at least this score.
+        min_score: combined scores below it are dropped.
+        clear_score: combined score that the best tenth of the cars of any place reaches; 0 where it is not known.
+    """
+
+    sha256: str
+    detector: str
+    weights: tuple[_NotNegative, _NotNegative, float]
+    least_score: _Share
+    min_score: _Share
+    clear_score: _Share = 0.0
 
 
 def _class_names(text: str) -> dict[int, str]:
@@ -157,6 +195,10 @@ def _fleet_lengths(text: str) -> FleetLengths:
     return FleetLengths((few, many), (short, long), **stated)
 
 
+def _votes(text: str) -> Votes:
+    return Votes(**{name: float(value) for name, value in json.loads(text).items()})
+
+
 # MemoryError and RecursionError: what Python's parsers say of too many brackets.
 _UNREADABLE = (
     ValueError,
@@ -185,6 +227,14 @@ _DETECTOR_ENTRIES: dict[str, _Entry] = {
     "clear_score": ("vehanchor.clear_score", float, "a number from 0 to 1"),
     "aggregation": ("vehanchor.aggregation", str, "a name"),
     "stride_px": ("stride", _whole, "a whole number >= 1"),
+    "votes": ("vehanchor.votes", _votes, "a JSON object of the fields of Votes"),
+}
+_SECOND_LOOK_ENTRIES: dict[str, _Entry] = {
+    "detector": ("vehanchor.detector", str, "a detector's name"),
+    "weights": ("vehanchor.weights", _range, "three numbers, 'detector,look,bias'"),
+    "least_score": ("vehanchor.least_score", float, "a number from 0 to 1"),
+    "min_score": ("vehanchor.min_score", float, "a number from 0 to 1"),
+    "clear_score": ("vehanchor.clear_score", float, "a number from 0 to 1"),
 }
 _FLEET_ENTRIES: dict[str, _Entry] = {
     "detector": ("vehanchor.detector", str, "a detector's name"),
@@ -230,7 +280,11 @@ def _checked(
 
 
 def read_detector_card(
-    path: Path, sha256: str, metadata: Mapping[str, str], fleet: FleetCard | None = None
+    path: Path,
+    sha256: str,
+    metadata: Mapping[str, str],
+    fleet: FleetCard | None = None,
+    second_look: SecondLookCard | None = None,
 ) -> DetectorCard:
     """The card of a detector's file.
 
@@ -239,12 +293,13 @@ def read_detector_card(
         sha256: of the file.
         metadata: of the file.
         fleet: card of the network beside the detector that tells fleets apart.
+        second_look: card of the network beside it that judges its candidates once more.
 
     Returns:
         The card, with the paper's values for what the metadata leaves out.
 
     Raises:
-        ModelContractError: an entry has no meaning; or the network was made for another detector.
+        ModelContractError: an entry has no meaning; or a network beside was made for another detector.
     """
     values: dict[str, Any] = {
         "name": path.stem,
@@ -259,13 +314,17 @@ def read_detector_card(
     }
     regions = {name: values["reference_length_m"] * ratio for name, ratio in _REGION_RATIOS.items()}
     values["region_lengths_m"] = regions | values.get("region_lengths_m", {})
-    if fleet is not None:
-        if fleet.detector != values["name"]:
+    for network, kind in ((fleet, "fleet network"), (second_look, "second look")):
+        if network is not None and network.detector != values["name"]:
             raise ModelContractError(
-                f"the fleet network of {path} was made for the detector {fleet.detector!r}, and this is "
+                f"the {kind} of {path} was made for the detector {network.detector!r}, and this is "
                 f"{values['name']!r}: remove its file, or state this name in its metadata 'vehanchor.detector'"
             )
+    if fleet is not None:
         values |= {"fleet_lengths": fleet.lengths, "fleet_sha256": fleet.sha256}
+    if second_look is not None:
+        values |= {"min_score": second_look.min_score, "clear_score": second_look.clear_score}
+        values |= {"second_look_sha256": second_look.sha256}
     return _checked(DetectorCard, path, metadata, _DETECTOR_ENTRIES, {**values, "sha256": sha256})
 
 
@@ -285,3 +344,21 @@ def read_fleet_card(path: Path, sha256: str, metadata: Mapping[str, str]) -> Fle
     """
     values = _stated(path, metadata, _FLEET_ENTRIES) | {"sha256": sha256}
     return _checked(FleetCard, path, metadata, _FLEET_ENTRIES, values)
+
+
+def read_second_look_card(path: Path, sha256: str, metadata: Mapping[str, str]) -> SecondLookCard:
+    """The card of a network that judges a detector's candidates once more.
+
+    Args:
+        path: of the file.
+        sha256: of the file.
+        metadata: of the file.
+
+    Returns:
+        The card.
+
+    Raises:
+        ModelContractError: an entry is missing, or has no meaning.
+    """
+    values = _stated(path, metadata, _SECOND_LOOK_ENTRIES) | {"sha256": sha256}
+    return _checked(SecondLookCard, path, metadata, _SECOND_LOOK_ENTRIES, values)

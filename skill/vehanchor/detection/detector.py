@@ -17,12 +17,13 @@ from vehanchor.detection.card import read_detector_card
 from vehanchor.detection.classes import vehicle_classes
 from vehanchor.detection.contracts import CONTRACTS, DetectorContract, recognise_contract
 from vehanchor.detection.fleet import FleetNetwork
+from vehanchor.detection.second_look import SecondLook
 from vehanchor.detection.sighting import Objects
 from vehanchor.errors import ModelContractError
 from vehanchor.models.cache import file_cached
 from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
-from vehanchor.models.zoo import fleet_beside
+from vehanchor.models.zoo import fleet_beside, second_look_beside
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -64,6 +65,8 @@ class Detector:
             "vehicle", else a single class whatever its name.
         fleet: file of the network that tells fleets apart; default the one beside the detector, ``<stem>.fleet.onnx``
             (the bundled one for a bundled detector). Without any the look of vehicles is no evidence.
+        second_look: file of the network that judges the candidates once more; default the one beside the detector,
+            ``<stem>.second-look.onnx``. Without any the detector's scores stand.
         threads: CPU threads of the session; None leaves it to ONNX Runtime.
         providers: ONNX Runtime execution providers in order of preference.
 
@@ -71,6 +74,7 @@ class Detector:
         path: the ONNX file.
         card: what it says of itself.
         fleet: the network that tells fleets apart; None without any.
+        second_look: the network that judges candidates once more; None without any. ``search`` asks it.
         fixed_size: height and width of the model's input, pixels; None where they are free.
 
     Raises:
@@ -86,6 +90,7 @@ class Detector:
         *,
         classes: Sequence[str | int] | None = None,
         fleet: str | Path | None = None,
+        second_look: str | Path | None = None,
         threads: int | None = None,
         providers: Sequence[str] = DEFAULT_PROVIDERS,
     ) -> None:
@@ -94,11 +99,14 @@ class Detector:
         self._session = open_session(self.path, content=file.content, threads=threads, providers=providers)
         beside = fleet if fleet is not None else fleet_beside(self.path)
         self.fleet = None if beside is None else FleetNetwork(beside, threads=threads, providers=providers)
+        look = second_look if second_look is not None else second_look_beside(self.path)
+        self.second_look = None if look is None else SecondLook(look, threads=threads, providers=providers)
         self.card = read_detector_card(
             self.path,
             models_sha256(file),
             self._session.get_modelmeta().custom_metadata_map,
             None if self.fleet is None else self.fleet.card,
+            None if self.second_look is None else self.second_look.card,
         )
         self._input = self._checked_input()
         self._dtype = np.float16 if self._input.type == "tensor(float16)" else np.float32
@@ -226,7 +234,7 @@ def _within(found: Objects, width_px: int, height_px: int) -> Objects:
 def load_detector(
     path: str | Path, *, threads: int | None = None, providers: tuple[str, ...] = DEFAULT_PROVIDERS
 ) -> Detector:
-    """Open a detector once, until its file or that of its fleet network changes; see ``Detector``.
+    """Open a detector once, until its file or that of a network beside it changes; see ``Detector``.
 
     Args:
         path: the ONNX file.
@@ -240,9 +248,14 @@ def load_detector(
         ModelError: as ``Detector``.
         InvalidParameterError: bad ``threads``.
     """
-    return _loaded(Path(path), fleet=fleet_beside(Path(path)), threads=threads, providers=providers)
+    file = Path(path)
+    return _loaded(
+        file, fleet=fleet_beside(file), second_look=second_look_beside(file), threads=threads, providers=providers
+    )
 
 
 @file_cached(max_models=4)
-def _loaded(path: Path, *, fleet: Path | None, threads: int | None, providers: tuple[str, ...]) -> Detector:
-    return Detector(path, fleet=fleet, threads=threads, providers=providers)
+def _loaded(
+    path: Path, *, fleet: Path | None, second_look: Path | None, threads: int | None, providers: tuple[str, ...]
+) -> Detector:
+    return Detector(path, fleet=fleet, second_look=second_look, threads=threads, providers=providers)

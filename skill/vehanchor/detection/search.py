@@ -117,6 +117,9 @@ def search(
     card = detector.card
     tile_px, stride_px = _tile_and_stride(detector.fixed_size, chosen)
     min_score = card.min_score if chosen.min_score is None else chosen.min_score
+    least_score = min_score
+    if detector.second_look:  # what the detector alone doubts may turn out to be a car
+        least_score = min(min_score, detector.second_look.card.least_score)
     search_scales = card.search_scales if chosen.search_scales is None else chosen.search_scales
     levels = search_levels(raster.width_px, raster.height_px, card.length_range_px, search_scales=search_scales)
     visits = [
@@ -128,13 +131,18 @@ def search(
     for done, (level, tile) in enumerate(visits):
         if progress:
             progress(done, len(visits))
-        seen = detector.detect_tile(read_reduced_window(raster, tile, level.factor), min_score, run_options)
+        pixels = read_reduced_window(raster, tile, level.factor)
+        seen = detector.detect_tile(pixels, least_score, run_options)
         n_capped += seen.ran_out
         counted = seen.vehicles.take(level.counts(seen.vehicles.boxes[:, 2]))
+        if detector.second_look:
+            counted = detector.second_look.judged(pixels, counted, run_options)
+            counted = counted.take(counted.scores >= min_score)
         vehicle_parts.append(_in_image(counted, tile, level, tile_px - stride_px))
         scale_parts.append(np.full(len(vehicle_parts[-1]), 1 / level.factor))
         # The range of lengths is that of vehicles: it says nothing of other objects.
-        other_parts.append(_in_image(seen.others, tile, level, tile_px - stride_px))
+        others = seen.others.take(seen.others.scores >= min_score)
+        other_parts.append(_in_image(others, tile, level, tile_px - stride_px))
     if progress:
         progress(len(visits), len(visits))
     vehicles = Objects.joined(vehicle_parts)

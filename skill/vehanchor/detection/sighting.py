@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from vehanchor.detection.scene import SceneSighting
+
 __all__ = ["Objects", "Sighting"]
 
 
@@ -63,6 +65,7 @@ class Sighting:
         classes: ``[n]`` int, the index of each vehicle's class; None where no detector named one, as of labels.
         others: objects of the model's other classes, in image pixels, best score first; boxes of one class that
             overlap are merged, those of different classes are not.
+        scene: what the ground itself tells of the scale; None where nobody looked.
     """
 
     boxes: NDArray[np.float64]
@@ -73,3 +76,4 @@ class Sighting:
     fleet_log_odds: NDArray[np.float64] | None = None
     classes: NDArray[np.intp] | None = None
     others: Objects = field(default_factory=Objects.joined)
+    scene: SceneSighting | None = None

@@ -9,21 +9,26 @@ from vehanchor.errors import ModelNotFoundError
 __all__ = [
     "DEFAULT_DETECTOR",
     "bundled_models",
+    "bundled_scene_scale",
     "bundled_segmenter",
     "fleet_beside",
     "resolve_model",
     "resolve_segmenter",
+    "second_look_beside",
 ]
 
 DEFAULT_DETECTOR = "vehicles"
 _SEGMENTER = "segmenter-encoder.onnx", "segmenter-decoder.onnx"
 _FLEET = "fleet.onnx"  # of the default detector
+_SECOND_LOOK = "second-look.onnx"  # of the default detector
+_SCENE_SCALE = "scene-scale.onnx"
+_NO_DETECTORS = (*_SEGMENTER, _FLEET, _SECOND_LOOK, _SCENE_SCALE)
 _BUNDLED = Path(__file__).parent / "bundled"
 
 
 def bundled_models() -> dict[str, Path]:
     """Names of the bundled detectors and their files."""
-    return {path.stem: path for path in sorted(_BUNDLED.glob("*.onnx")) if path.name not in (*_SEGMENTER, _FLEET)}
+    return {path.stem: path for path in sorted(_BUNDLED.glob("*.onnx")) if path.name not in _NO_DETECTORS}
 
 
 def fleet_beside(detector: Path) -> Path | None:
@@ -33,8 +38,28 @@ def fleet_beside(detector: Path) -> Path | None:
         detector: its file. The default detector's network is bundled with it; any other's lies beside it, as
             ``mine.fleet.onnx`` beside ``mine.onnx``.
     """
+    return _beside(detector, _FLEET, "fleet")
+
+
+def second_look_beside(detector: Path) -> Path | None:
+    """The file of the network that judges a detector's candidates once more; None where it has none.
+
+    Args:
+        detector: its file. The default detector's network is bundled with it; any other's lies beside it, as
+            ``mine.second-look.onnx`` beside ``mine.onnx``.
+    """
+    return _beside(detector, _SECOND_LOOK, "second-look")
+
+
+def _beside(detector: Path, bundled_name: str, kind: str) -> Path | None:
     bundled = detector.resolve() == (_BUNDLED / f"{DEFAULT_DETECTOR}.onnx").resolve()
-    path = _BUNDLED / _FLEET if bundled else detector.with_name(f"{detector.stem}.fleet.onnx")
+    path = _BUNDLED / bundled_name if bundled else detector.with_name(f"{detector.stem}.{kind}.onnx")
+    return path if path.is_file() else None
+
+
+def bundled_scene_scale() -> Path | None:
+    """The file of the network that tells a scene's scale; None where this installation has none."""
+    path = _BUNDLED / _SCENE_SCALE
     return path if path.is_file() else None
 
 

@@ -22,6 +22,7 @@ __all__ = [
     "FALLBACK_CONFIDENCE",
     "GUARD_CONFIDENCE",
     "GUARD_GSD_M_PER_PX",
+    "UNSURE_CONFIDENCE",
     "composite",
     "confidence_terms",
     "fleet_doubts",
@@ -31,6 +32,7 @@ __all__ = [
 FALLBACK_CONFIDENCE = 0.5  # paper, section III-E: below it a planner must fall back
 GUARD_GSD_M_PER_PX = 0.3  # paper, GSD_max
 GUARD_CONFIDENCE = 0.3  # paper: C = min(C_raw, 0.3)
+UNSURE_CONFIDENCE = 0.45  # where all rulers together leave more than a tenth to an error of a fifth and more
 DISPUTE_CONFIDENCE = 0.4  # where it is open whether the dominant lengths are those of cars
 _RIVAL_SHARE = 0.35  # of the dominant group's weight in another group of lengths
 _ALIKE_LOG_SPREAD = 0.045  # 99 of 100 fleets of the train split have 0.047 and more; equal things in rows 0.03 to 0.06

@@ -19,17 +19,21 @@ if TYPE_CHECKING:
 __all__ = [
     "GRID",
     "LOG_STEP",
-    "VoteShape",
+    "TOLERANCE",
+    "Fused",
+    "Votes",
     "blurred",
     "credible_interval",
     "flat",
     "floored",
+    "fuse",
     "mass_within",
     "product",
     "vehicle_density",
 ]
 
 LOG_STEP = 0.005
+TOLERANCE = 0.2  # relative error up to which a planner can use a scale
 _FINEST, _COARSEST = 0.003, 3.0  # metres per pixel
 GRID: NDArray[np.float64] = np.arange(np.log(_FINEST), np.log(_COARSEST), LOG_STEP)
 """``[g]`` natural logs of metres per pixel."""
@@ -39,18 +43,57 @@ _KERNEL_REACH_SDS = 6.0
 _LEAST_SHARE, _MOST_SHARE = 1e-3, 0.995
 
 
-class VoteShape(NamedTuple):
-    """How one box votes.
+class Votes(NamedTuple):
+    """How the boxes of one detector vote, fitted by ``training/fusion/fit.py`` on images of known scale.
 
     Attributes:
+        share_at_zero: log odds that a box of score 0 is a car.
+        share_slope: what a score of 1 adds to them.
         log_sd: standard deviation of the log of a car's measured length: of the box and of makes and models together.
         clutter_density: density of false alarms per unit of log length: over how wide a range they are spread.
         trust: exponent on the votes together: boxes of one image err alike, so that n of them say less than n.
+        chance_wrong: weight of the flat density: that none of them are cars.
     """
 
+    share_at_zero: float
+    share_slope: float
     log_sd: float
     clutter_density: float
     trust: float
+    chance_wrong: float
+
+    def car_shares(self, scores: ArrayLike) -> NDArray[np.float64]:
+        """Chance that each box is a car, from its score."""
+        odds = self.share_at_zero + self.share_slope * np.asarray(scores, dtype=np.float64)
+        return np.asarray(1.0 / (1.0 + np.exp(-odds)))
+
+
+class Fused(NamedTuple):
+    """What all rulers together say of a scale that is given out.
+
+    Attributes:
+        interval: that holds the true scale in 95 of 100 images, and the scale given out.
+        p_within_20: chance that the error of the scale given out is below a fifth.
+    """
+
+    interval: Interval
+    p_within_20: float
+
+
+def fuse(gsd_m_per_px: float, *densities: NDArray[np.float64]) -> Fused:
+    """Judge a scale by the product of the rulers' densities.
+
+    Args:
+        gsd_m_per_px: the scale that is given out.
+        *densities: ``[g]`` probabilities each.
+
+    Returns:
+        Its interval, and the chance that it is right.
+    """
+    posterior = product(*densities)
+    low, high = credible_interval(posterior)
+    interval = Interval(min(low, gsd_m_per_px), max(high, gsd_m_per_px))
+    return Fused(interval, mass_within(posterior, gsd_m_per_px, TOLERANCE))
 
 
 def flat() -> NDArray[np.float64]:
@@ -102,19 +145,20 @@ def product(*densities: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def vehicle_density(
-    lengths_px: ArrayLike, car_shares: ArrayLike, reference_length_m: float, shape: VoteShape
+    lengths_px: ArrayLike, scores: ArrayLike, reference_length_m: float, reference_sd_m: float, votes: Votes
 ) -> NDArray[np.float64]:
     """Let every box vote for the scale at which it would be a car, or for none where it is no car.
 
     The likelihood of a scale g is the product over boxes of ``(1 - p) + p N(log length; log(L_ref / g), sd) / u``, with
     p the chance that a box of its score is a car and u the density of clutter, to the power ``trust``. All levels of a
-    search are judged together. What the reference length itself may be off by is not in it (see ``blurred``).
+    search are judged together; what the reference length itself may be off by, they share.
 
     Args:
         lengths_px: ``[n]`` pixels of the full image.
-        car_shares: ``[n]`` chance that each is a car, 0..1.
+        scores: ``[n]`` detection scores.
         reference_length_m: ``L_ref``.
-        shape: of a vote.
+        reference_sd_m: its standard deviation between places, metres.
+        votes: of the detector.
 
     Returns:
         ``[g]`` probabilities; the flat density for no boxes.
@@ -122,22 +166,22 @@ def vehicle_density(
     lengths = np.asarray(lengths_px, dtype=np.float64)
     if len(lengths) == 0:
         return flat()
-    votes = np.log(reference_length_m / lengths)
-    cells = np.rint((votes - GRID[0]) / LOG_STEP).astype(np.intp)
-    shares = np.clip(np.asarray(car_shares, dtype=np.float64), _LEAST_SHARE, _MOST_SHARE)
+    cells = np.rint((np.log(reference_length_m / lengths) - GRID[0]) / LOG_STEP).astype(np.intp)
+    shares = np.clip(votes.car_shares(scores), _LEAST_SHARE, _MOST_SHARE)
     inside = (cells >= 0) & (cells < len(GRID))
     level = np.minimum((shares * _SHARE_LEVELS).astype(np.intp), _SHARE_LEVELS - 1)
-    reach = int(np.ceil(_KERNEL_REACH_SDS * shape.log_sd / LOG_STEP))
-    offsets = np.arange(-reach, reach + 1) * LOG_STEP / shape.log_sd
-    normal = np.exp(-0.5 * offsets**2) / (shape.log_sd * np.sqrt(2 * np.pi))
+    reach = int(np.ceil(_KERNEL_REACH_SDS * votes.log_sd / LOG_STEP))
+    offsets = np.arange(-reach, reach + 1) * LOG_STEP / votes.log_sd
+    normal = np.exp(-0.5 * offsets**2) / (votes.log_sd * np.sqrt(2 * np.pi))
     total = np.zeros(len(GRID))
     for step in np.unique(level[inside]):
         chosen = inside & (level == step)
         share = float(shares[chosen].mean())
-        gain = np.log1p(share / (1 - share) * normal / shape.clutter_density)  # over a scale at which it is no car
+        gain = np.log1p(share / (1 - share) * normal / votes.clutter_density)  # over a scale at which it is no car
         counts = np.bincount(cells[chosen], minlength=len(GRID)).astype(np.float64)
         total += np.convolve(counts, gain)[reach : reach + len(GRID)]
-    return _normalised(np.exp(shape.trust * (total - total.max())))
+    density = _normalised(np.exp(votes.trust * (total - total.max())))
+    return floored(blurred(density, reference_sd_m / reference_length_m), votes.chance_wrong)
 
 
 def credible_interval(density: NDArray[np.float64], probability: float = 0.95) -> Interval:

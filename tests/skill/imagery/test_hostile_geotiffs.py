@@ -30,7 +30,7 @@ def test_want_of_memory_is_not_the_images_fault(monkeypatch: pytest.MonkeyPatch)
 
     def no_memory(*_: object) -> None:
         error = cv2.error("Insufficient memory")
-        error.code, error.err = decoding._NO_MEMORY, "Insufficient memory"  # type: ignore[attr-defined]
+        error.code, error.err = decoding._NO_MEMORY, "Insufficient memory"
         raise error
 
     monkeypatch.setattr(cv2, "imdecode", no_memory)

@@ -8,17 +8,18 @@ from hypothesis import strategies as st
 from vehanchor.scale.fusion import (
     GRID,
     LOG_STEP,
-    VoteShape,
+    Votes,
     blurred,
     credible_interval,
     flat,
     floored,
+    fuse,
     mass_within,
     product,
     vehicle_density,
 )
 
-_VOTE = VoteShape(log_sd=0.12, clutter_density=0.3, trust=1.0)
+_VOTES = Votes(-2.0, 5.0, log_sd=0.12, clutter_density=0.3, trust=1.0, chance_wrong=1e-9)
 
 
 def _normal(gsd: float, log_sd: float) -> np.ndarray:
@@ -32,23 +33,24 @@ def _peak(density: np.ndarray) -> float:
 
 def test_votes_of_many_cars_make_a_narrow_density_at_their_scale() -> None:
     lengths = 30 * np.exp(np.random.default_rng(0).normal(0, 0.1, 40))
-    density = vehicle_density(lengths, np.full(40, 0.9), 4.5, _VOTE)
+    density = vehicle_density(lengths, np.full(40, 0.9), 4.5, 0.0, _VOTES)
     assert _peak(density) == pytest.approx(0.15, rel=0.04)
     low, high = credible_interval(density)
     assert low < 0.15 < high < 1.12 * low
 
 
 def test_the_binned_votes_are_the_product_of_the_boxes_likelihoods() -> None:
-    lengths, shares = np.array([20.0, 22.0, 60.0]), np.array([0.9, 0.3, 0.6])
+    lengths, scores = np.array([20.0, 22.0, 60.0]), np.array([0.9, 0.3, 0.6])
+    shares = _VOTES.car_shares(scores)
     distance = np.log(4.5 / lengths)[:, None] - GRID
     normal = np.exp(-0.5 * (distance / 0.12) ** 2) / (0.12 * np.sqrt(2 * np.pi))
     likelihood = np.prod((1 - shares[:, None]) + shares[:, None] * normal / 0.3, axis=0)
     expected = likelihood / likelihood.sum()
-    np.testing.assert_allclose(vehicle_density(lengths, shares, 4.5, _VOTE), expected, atol=0.03 * expected.max())
+    np.testing.assert_allclose(vehicle_density(lengths, scores, 4.5, 0.0, _VOTES), expected, atol=0.03 * expected.max())
 
 
 def test_no_boxes_say_nothing() -> None:
-    np.testing.assert_array_equal(vehicle_density([], [], 4.5, _VOTE), flat())
+    np.testing.assert_array_equal(vehicle_density([], [], 4.5, 0.3, _VOTES), flat())
 
 
 def test_one_liar_cannot_veto_two_that_agree() -> None:
@@ -80,3 +82,16 @@ def test_the_mass_within_a_tolerance_is_that_of_the_true_scales_it_allows() -> N
     assert mass_within(density, 0.122, 0.2) == pytest.approx(0, abs=1e-9)
     assert mass_within(density, 0.081, 0.2) == pytest.approx(1, abs=1e-9)
     assert mass_within(density, 0.079, 0.2) == pytest.approx(0, abs=1e-9)
+
+
+def test_an_interval_holds_the_scale_that_is_given_out() -> None:
+    fused = fuse(0.2, _normal(0.1, 0.05))
+    assert fused.interval.low < 0.1 < fused.interval.high == 0.2
+    assert fused.p_within_20 < 0.01
+
+
+def test_what_the_reference_length_is_off_by_widens_the_interval_of_any_number_of_cars() -> None:
+    lengths = 30 * np.exp(np.random.default_rng(0).normal(0, 0.1, 400))
+    known, unknown = (fuse(0.15, vehicle_density(lengths, np.full(400, 0.9), 4.5, sd, _VOTES)) for sd in (0.0, 0.45))
+    assert known.interval.high / known.interval.low < 1.1
+    assert unknown.interval.high / unknown.interval.low == pytest.approx(np.exp(2 * 1.96 * 0.1), rel=0.05)

@@ -1,0 +1,225 @@
+"""Looking at the ground: what a small network sees of the scale on tiles of an image.
+
+The network tells of a tile of 160 px how many metres a pixel is. An image is looked at on tiles spread over it at its
+own resolution and at 1/2, 1/4 and 1/8: the further view tells houses and roads where the near one sees nothing but
+grass.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from vehanchor.errors import ModelContractError
+from vehanchor.imagery.tiles import read_reduced_window
+from vehanchor.imagery.windows import Window
+from vehanchor.models.cache import file_cached
+from vehanchor.models.session import open_session, run_session
+from vehanchor.models.zoo import bundled_scene_scale
+from vehanchor.scale.fusion import GRID, floored
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    import onnxruntime
+    from numpy.typing import NDArray
+
+    from vehanchor.imagery.windows import Raster
+
+__all__ = [
+    "TILE_PX",
+    "SceneCalibration",
+    "SceneLevel",
+    "SceneScaleNetwork",
+    "SceneSighting",
+    "load_scene_scale",
+    "scene_density",
+    "tile_windows",
+]
+
+TILE_PX = 160
+FACTORS = (1, 2, 4, 8)  # by which an image is reduced
+MOST_TILES = 24  # of a level
+_BATCH = 8  # tiles at once: 24 would take three times the memory and no less time
+
+
+class SceneLevel(NamedTuple):
+    """What was seen at one resolution.
+
+    Attributes:
+        factor: by which the image was reduced.
+        n_tiles: how many tiles were looked at.
+        log_probs: ``[bins]`` mean of their log-probabilities: tiles that disagree flatten it.
+    """
+
+    factor: int
+    n_tiles: int
+    log_probs: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SceneCalibration:
+    """From a network's answers to a density that can be believed (``training/scene_scale/calibrate.py``).
+
+    Attributes:
+        first_log_gsd: natural log of metres per pixel of the first bin's centre.
+        log_step: from one bin to the next.
+        temperature: exponent on the levels' weighed geometric mean.
+        levels: the exponent grows with the number of levels to this power: 0 if each says the same, 1 if each says
+            something else.
+        reach: a level's weight grows with its factor to this power, for the further view knows more things.
+        floor: chance that it is wrong altogether.
+    """
+
+    first_log_gsd: float
+    log_step: float
+    temperature: float = 1.0
+    levels: float = 0.0
+    reach: float = 0.0
+    floor: float = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSighting:
+    """What was seen of the ground at all resolutions of an image.
+
+    Attributes:
+        levels: finest resolution first.
+        calibration: of the network that saw it.
+    """
+
+    levels: tuple[SceneLevel, ...]
+    calibration: SceneCalibration
+
+    @property
+    def density(self) -> NDArray[np.float64]:
+        """Probabilities on ``vehanchor.scale.fusion.GRID``."""
+        return scene_density(self.levels, self.calibration)
+
+
+def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]]:
+    """Spread tiles evenly over an image, at every resolution that still holds one.
+
+    Args:
+        width_px: of the image.
+        height_px: of the image; where either is less than 160 there is one level of a tile that overlaps it.
+
+    Returns:
+        Factors and the tiles in pixels of the image reduced by them, the finest first.
+    """
+    levels = []
+    for factor in FACTORS:
+        width, height = width_px // factor, height_px // factor
+        if factor > 1 and min(width, height) < TILE_PX:
+            break
+        columns, rows = -(-width // TILE_PX), -(-height // TILE_PX)
+        if columns * rows > MOST_TILES:
+            columns = int(np.clip(round(np.sqrt(MOST_TILES * width / height)), 1, min(columns, MOST_TILES)))
+            rows = min(rows, MOST_TILES // columns)
+        lefts = np.linspace(0, max(0, width - TILE_PX), columns).astype(int)
+        tops = np.linspace(0, max(0, height - TILE_PX), rows).astype(int)
+        tile = min(TILE_PX, width), min(TILE_PX, height)
+        levels.append((factor, [Window(int(left), int(top), *tile) for top in tops for left in lefts]))
+    return levels
+
+
+def scene_density(levels: Sequence[SceneLevel], calibration: SceneCalibration) -> NDArray[np.float64]:
+    """Combine what was seen at all resolutions into one density.
+
+    The log-probabilities of the levels are shifted by their factors, weighed and added up; the result is mixed with the
+    flat density. Bins at either end stand for all that is finer or coarser.
+
+    Args:
+        levels: of one image, at least one.
+        calibration: of the network.
+
+    Returns:
+        Probabilities on ``vehanchor.scale.fusion.GRID``.
+    """
+    total = np.zeros(len(GRID))
+    for level in levels:
+        centres = calibration.first_log_gsd + calibration.log_step * np.arange(len(level.log_probs))
+        weight = float(level.factor) ** calibration.reach
+        total += weight * np.interp(GRID + np.log(level.factor), centres, level.log_probs)
+    total /= sum(float(level.factor) ** calibration.reach for level in levels)
+    total *= calibration.temperature * float(len(levels)) ** calibration.levels
+    density = np.exp(total - total.max())
+    return floored(density / density.sum(), calibration.floor)
+
+
+class SceneScaleNetwork:
+    """The network of scene scale.
+
+    Args:
+        path: ONNX file with an input ``tiles`` ``[n, 3, 160, 160]`` uint8 RGB and an output ``log_probs``
+            ``[n, bins]``, and its calibration in the metadata.
+        threads: CPU threads; None leaves it to ONNX Runtime.
+
+    Raises:
+        ModelContractError: it is another kind of file.
+    """
+
+    def __init__(self, path: Path, *, threads: int | None = None) -> None:
+        self.path = path
+        self._session = open_session(path, threads=threads)
+        names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
+        if names != ["tiles", "log_probs"]:
+            raise ModelContractError(f"{path} has {', '.join(names)}: expected the input tiles, the output log_probs")
+        self.calibration = _read_calibration(path, self._session.get_modelmeta().custom_metadata_map)
+
+    def look(self, raster: Raster, *, run_options: onnxruntime.RunOptions | None = None) -> SceneSighting:
+        """Look at an image on tiles of every resolution.
+
+        Args:
+            raster: the image.
+            run_options: ONNX Runtime's, for a caller that may have to end a run.
+
+        Returns:
+            What was seen.
+        """
+        levels = []
+        for factor, windows in tile_windows(raster.width_px, raster.height_px):
+            tiles = np.stack([_tile(raster, window, factor) for window in windows])
+            described = f"the scene scale network {self.path} fails on {list(tiles.shape)}"
+            seen = [
+                run_session(self._session, None, {"tiles": tiles[start : start + _BATCH]}, run_options, described)[0]
+                for start in range(0, len(tiles), _BATCH)
+            ]
+            levels.append(SceneLevel(factor, len(tiles), np.concatenate(seen).astype(np.float64).mean(axis=0)))
+        return SceneSighting(tuple(levels), self.calibration)
+
+
+def load_scene_scale(*, threads: int | None = None) -> SceneScaleNetwork | None:
+    """Load the bundled network, or the one that is loaded already; None where this installation has none."""
+    path = bundled_scene_scale()
+    return None if path is None else _loaded(path, threads=threads)
+
+
+@file_cached(max_models=2)
+def _loaded(path: Path, *, threads: int | None) -> SceneScaleNetwork:
+    return SceneScaleNetwork(path, threads=threads)
+
+
+def _tile(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
+    """``[3, 160, 160]``; what lies beyond a small image mirrors it."""
+    pixels = read_reduced_window(raster, window, factor)
+    down, right = TILE_PX - pixels.shape[0], TILE_PX - pixels.shape[1]
+    if down or right:
+        pixels = np.pad(pixels, ((0, down), (0, right), (0, 0)), "symmetric")
+    return np.ascontiguousarray(pixels.transpose(2, 0, 1))
+
+
+def _read_calibration(path: Path, metadata: Mapping[str, str]) -> SceneCalibration:
+    try:
+        first, step = (float(number) for number in json.loads(metadata["vehanchor.scene_bins"]))
+        stated = json.loads(metadata["vehanchor.scene_calibration"])
+        read = SceneCalibration(first, step, **{name: float(value) for name, value in stated.items()})
+    except (KeyError, ValueError, TypeError, AttributeError) as error:
+        raise ModelContractError(f"{path}: the metadata vehanchor.scene_* cannot be read: {error}") from None
+    if not (step > 0 and read.temperature > 0 and 0 <= read.floor < 1):
+        raise ModelContractError(f"{path}: the metadata vehanchor.scene_* has no meaning: {read}")
+    return read

@@ -1,0 +1,146 @@
+"""The network beside a detector that takes a second look at each candidate, with its surroundings.
+
+The detector sees a whole tile at once. A candidate's *chip* here is what stands around it, turned along its axis and
+brought to one length; a small network reads from it the logit that it is a car, and both opinions become one score.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+
+from vehanchor.detection.card import read_second_look_card
+from vehanchor.detection.sighting import Objects
+from vehanchor.errors import ModelContractError
+from vehanchor.models.files import models_sha256, read_model
+from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import onnxruntime
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["CHIP_LENGTH_PX", "CHIP_PX", "SecondLook", "surroundings"]
+
+CHIP_PX = 48  # rows and columns
+CHIP_LENGTH_PX = 20.0  # the candidate's own length on its chip, along the columns: 0.7 lengths of surroundings each way
+_SHARPNESS = 1.5  # of the chip's resolution: the image is averaged down to it before it is sampled
+_INPUT, _OUTPUT = "chips", "logit"
+_BATCH = 64  # chips at a time: a car park has a thousand candidates
+_MARGIN = 1e-4  # scores of 0 and 1 have no logit
+
+
+def surroundings(
+    pixels: NDArray[np.uint8], box: ArrayLike, side_px: int = CHIP_PX, length_px: float = CHIP_LENGTH_PX
+) -> NDArray[np.uint8]:
+    """Cut a candidate with what stands around it.
+
+    Args:
+        pixels: ``[h, w, 3]`` uint8 RGB.
+        box: ``(x, y, length, width, angle)`` in their pixels and radians; the width is not used.
+        side_px: rows and columns of the chip.
+        length_px: the candidate's length on the chip.
+
+    Returns:
+        ``[side, side, 3]`` uint8: the box's middle in the chip's middle, its axis along the columns. What lies outside
+        the pixels repeats their border.
+    """
+    x, y, length, _, angle = np.asarray(box, dtype=np.float64)
+    step = length / length_px  # pixels to one of the chip
+    reach = 0.75 * side_px * step + 2  # beyond the corners of the turned chip
+    height, width = pixels.shape[:2]
+    left, right = int(np.clip(x - reach, 0, width - 1)), int(np.clip(x + reach + 1, 1, width))
+    top, bottom = int(np.clip(y - reach, 0, height - 1)), int(np.clip(y + reach + 1, 1, height))
+    part = pixels[top : max(bottom, top + 1), left : max(right, left + 1)]
+    new_width = max(1, round(part.shape[1] * min(1.0, _SHARPNESS / step)))
+    new_height = max(1, round(part.shape[0] * min(1.0, _SHARPNESS / step)))
+    ratio = np.array([new_width / part.shape[1], new_height / part.shape[0]])
+    if (new_height, new_width) != part.shape[:2]:
+        part = np.asarray(cv2.resize(part, (new_width, new_height), interpolation=cv2.INTER_AREA), np.uint8)
+    turn = step * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])  # chip -> pixels
+    origin = np.array([x - left, y - top]) - turn @ [side_px / 2, side_px / 2]
+    matrix = np.column_stack([turn * ratio[:, None], origin * ratio])
+    matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5  # continuous coordinates have pixel centres at +0.5
+    cut = cv2.warpAffine(
+        part,
+        matrix,
+        (side_px, side_px),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    return np.asarray(cut, np.uint8)
+
+
+class Weights(NamedTuple):
+    """How the two opinions become one: weights of the detector's logit and of the second look's, and what is added."""
+
+    detector: float
+    look: float
+    bias: float
+
+    def score(self, scores: ArrayLike, logits: ArrayLike) -> NDArray[np.float64]:
+        """Combined scores ``[n]`` in [0, 1] of the detector's scores and the second look's logits."""
+        first = np.clip(np.asarray(scores, np.float64), _MARGIN, 1 - _MARGIN)
+        total = self.detector * np.log(first / (1 - first)) + self.look * np.asarray(logits, np.float64) + self.bias
+        return np.asarray(1 / (1 + np.exp(-np.clip(total, -50, 50))))
+
+
+class SecondLook:
+    """A network from chips of candidates to the logit of a car: ``chips [n, 3, 48, 48]`` to ``logit [n]``.
+
+    Args:
+        path: the ONNX file.
+        threads: CPU threads; None leaves it to ONNX Runtime.
+        providers: ONNX Runtime execution providers in order of preference.
+
+    Attributes:
+        path: the ONNX file.
+        card: what it says of itself.
+
+    Raises:
+        ModelNotFoundError: there is no such file.
+        ModelContractError: it is no such network, or does not say for which detector and how to weigh it.
+        ProviderUnavailableError: an execution provider is not installed.
+    """
+
+    def __init__(
+        self, path: str | Path, *, threads: int | None = None, providers: Sequence[str] = DEFAULT_PROVIDERS
+    ) -> None:
+        self.path = Path(path)
+        file = read_model(self.path)
+        self._session = open_session(self.path, content=file.content, threads=threads, providers=providers)
+        inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
+        names = [each.name for each in (*inputs, *outputs)]
+        if names != [_INPUT, _OUTPUT] or inputs[0].shape[1:] != [3, CHIP_PX, CHIP_PX]:
+            raise ModelContractError(
+                f"{self.path} has {', '.join(names)}: expected {_INPUT} [n, 3, {CHIP_PX}, {CHIP_PX}] and "
+                f"{_OUTPUT} [n], as training/verifier writes them"
+            )
+        metadata = self._session.get_modelmeta().custom_metadata_map
+        self.card = read_second_look_card(self.path, models_sha256(file), metadata)
+
+    def judged(
+        self, pixels: NDArray[np.uint8], found: Objects, run_options: onnxruntime.RunOptions | None = None
+    ) -> Objects:
+        """The same objects with the scores that both opinions make together.
+
+        Args:
+            pixels: ``[h, w, 3]`` uint8 RGB, the tile in which they were found.
+            found: candidates, in its pixels.
+            run_options: see ``Detector.detect_tile``.
+        """
+        logits = [np.zeros(0)]
+        for start in range(0, len(found), _BATCH):
+            chips = np.stack([surroundings(pixels, box) for box in found.boxes[start : start + _BATCH]])
+            batch = np.ascontiguousarray(chips.transpose(0, 3, 1, 2), dtype=np.float32) / np.float32(255)
+            described = f"the second look {self.path} fails on {list(batch.shape)}"
+            logit = np.asarray(run_session(self._session, [_OUTPUT], {_INPUT: batch}, run_options, described)[0])
+            if logit.shape != (len(chips),) or not np.isfinite(logit).all():
+                raise ModelContractError(f"the second look {self.path} does not give one number for each candidate")
+            logits.append(logit)
+        scores = Weights(*self.card.weights).score(found.scores, np.concatenate(logits))
+        return Objects(found.boxes, scores, found.classes)

@@ -1,0 +1,86 @@
+"""The judgement of a scale: how far it may be used, by what all rulers say, and why not further."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from vehanchor.notices import FLEET_DOUBTS, NoticeCode
+from vehanchor.scale.confidence import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX, UNSURE_CONFIDENCE
+from vehanchor.scale.fusion import fuse, mass_within
+from vehanchor.scale.lengths import MIN_KDE_VEHICLES
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from vehanchor.anchors.evidence import Evidence
+    from vehanchor.anchors.vehicles import VehicleEvidence
+    from vehanchor.records import Reason
+    from vehanchor.scale.lengths import Interval
+
+__all__ = ["Judgement", "judge"]
+
+LEAST_P_WITHIN_20 = 0.9  # below it a scale is not to be used
+_WIDEST_USABLE = 2.0  # high over low of an interval: beyond it a scale is not to be used
+_WIDEST_UNFITTED = 3.0  # the same for detectors whose boxes nobody has fitted
+_LOST_WIDTH = 5.0  # high over low of the scene's own interval: it was never shown the like
+_SCENE_REACH, _SCENE_AGREES = 0.4, 0.1  # the ground bears a scale out where it holds a tenth within +-40 %
+
+
+class Judgement(NamedTuple):
+    """How far a scale may be used.
+
+    Attributes:
+        interval: that holds the true scale in 95 of 100 images; None without a scale.
+        p_within_20: chance that the error is below a fifth; None where nobody has fitted how the detector's boxes vote.
+        confidence: the paper's, capped where the chance is below 0.9 or the interval spans more than a factor of 2.
+        reason: why the scale is not to be used; None where it is.
+    """
+
+    interval: Interval | None
+    p_within_20: float | None
+    confidence: float
+    reason: Reason | None
+
+
+def judge(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judgement:
+    """Judge the vehicles' scale by the product of all rulers' densities.
+
+    Args:
+        vehicles: their evidence.
+        others: that of the other rulers.
+
+    Returns:
+        The judgement; without a fitted density the vehicles' own interval and confidence stand.
+    """
+    gsd, interval, p_within_20 = vehicles.gsd_m_per_px, vehicles.interval, None
+    confidence = vehicles.confidence
+    if gsd is not None and vehicles.density is not None:
+        densities = [other.density for other in others if other.density is not None]
+        interval, p_within_20 = fuse(gsd, vehicles.density, *densities)
+        if p_within_20 < LEAST_P_WITHIN_20 or interval.high > _WIDEST_USABLE * interval.low:
+            confidence = min(confidence, UNSURE_CONFIDENCE)
+    elif interval is not None and interval.high > _WIDEST_UNFITTED * interval.low:
+        confidence = min(confidence, UNSURE_CONFIDENCE)
+    usable = gsd is not None and confidence >= FALLBACK_CONFIDENCE
+    return Judgement(interval, p_within_20, confidence, None if usable else _reason(vehicles, others))
+
+
+def _reason(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Reason:
+    """The first of: too few pixels, no cars, rulers that disagree, a scene like no other, too few cars."""
+    scene = next((other for other in others if other.interval is not None), None)
+    lost = scene is not None and scene.interval is not None and scene.interval.high > _LOST_WIDTH * scene.interval.low
+    if vehicles.gsd_m_per_px is None:
+        coarse = scene is not None and scene.interval is not None and scene.interval.low > GUARD_GSD_M_PER_PX
+        return "too_coarse" if coarse else "lost" if lost else "too_few"
+    codes = {notice.code for notice in vehicles.notices}
+    if vehicles.guarded:
+        return "too_coarse"
+    if NoticeCode.LENGTHS_DISAGREE in codes or (scene is not None and not _borne_out(vehicles.gsd_m_per_px, scene)):
+        return "disagree"
+    if codes & set(FLEET_DOUBTS):
+        return "not_cars"
+    return "lost" if lost and vehicles.n < MIN_KDE_VEHICLES else "too_few"
+
+
+def _borne_out(gsd_m_per_px: float, scene: Evidence) -> bool:
+    return scene.density is None or mass_within(scene.density, gsd_m_per_px, _SCENE_REACH) >= _SCENE_AGREES

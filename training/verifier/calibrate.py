@@ -1,0 +1,37 @@
+"""The clear score with a second look: ``python -m training.verifier.calibrate``, for ``combine --clear-score``.
+
+As in ``training.detector.calibrate``: what the clearest tenth of the cars reaches in 98 of 100 images of *train* with
+many cars, by the bundled detector and the second look beside it (or ``--detector FILE`` and the one beside that).
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from training.detector.calibrate import clear_score
+from vehanchor.detection.detector import Detector
+from vehanchor.estimate import analyse_scale
+from vehanchor.models.zoo import resolve_model
+from vehanchor_evaluation.gsd import read_table
+
+_MANY_CARS = 20
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--detector")
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    options = parser.parse_args()
+    detector = Detector(resolve_model(options.detector))
+    analyses = [
+        analyse_scale(item.path, detector=detector)
+        for item in read_table(options.data / "gsd" / "table.csv")
+        if item.split == "train" and (item.labelled_vehicles or 0) >= _MANY_CARS
+    ]
+    print(f"{clear_score(analyses) - 0.005:.2f} from {len(analyses)} images")
+
+
+if __name__ == "__main__":
+    main()
