@@ -152,7 +152,6 @@ def clutter_sets(data: Path, detector: Detector) -> Iterator[tuple[str, list[Sig
     all_places = places(data)
     apart = [place for place in all_places if is_held_out(place)]
     yield "quays (held-out tenth)", [with_known_cars(p, detector) for p in apart if p.set == "estonia_port"]
-    yield "quays (train)", [with_known_cars(p, detector) for p in all_places if p.set == "estonia_port"]
     yield "harbours (held-out tenth)", [with_known_cars(p, detector) for p in apart if p.kind == "harbor"]
     empty = [
         item.path for item in read_table(data / "gsd" / "table.csv") if item.set == "empty" and item.split == "val"

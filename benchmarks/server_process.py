@@ -112,11 +112,18 @@ def http_server(*flags: str) -> Iterator[HttpServer]:
 
 
 def child_processes(pid: int) -> list[int]:
-    """The children of a process that serve (Linux); multiprocessing's resource tracker is not one of them."""
-    children = [int(text) for text in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    return [child for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
+    """The children of a process that serve or work (Linux); multiprocessing's resource tracker is not one of them."""
+    found = []
+    for thread in Path(f"/proc/{pid}/task").iterdir():
+        for child in (thread / "children").read_text().split():
+            with contextlib.suppress(OSError):  # it has just ended
+                if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+                    found.append(int(child))
+    return found
 
 
 def resident_mib(pid: int) -> float:
-    """Memory of a process, MiB (Linux)."""
+    """Memory of a process, MiB (Linux); 0 of one that has ended."""
+    if not Path(f"/proc/{pid}").exists():
+        return 0.0
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE_BYTES / (1 << 20)

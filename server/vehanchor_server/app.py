@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib.metadata import version
+from typing import Any
 
 from mcp.server import MCPServer
 from mcp.server.auth.provider import TokenVerifier
 from mcp.server.auth.settings import AuthSettings
 from mcp.server.caching import CacheableMethod, CacheHint
+from mcp.server.mcpserver import Context
+from mcp.types import CallToolResult, InputRequiredResult
 
 from vehanchor_server.app_page import app_extension
+from vehanchor_server.errors import CallError, shortened
 from vehanchor_server.services import Services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.registry import create_tools
@@ -34,7 +38,7 @@ def create_server(
         token_verifier: checks their tokens.
     """
     tools = create_tools(services)
-    return MCPServer(
+    return _Server(
         "vehanchor",
         title="VehAnchor",
         description="Metric scale and areas from aerial images without metadata: cars as the ruler.",
@@ -47,6 +51,23 @@ def create_server(
         auth=auth,
         token_verifier=token_verifier,
     )
+
+
+class _Server(MCPServer[object]):
+    """The SDK's server, which does not repeat a name of any length to who sent it."""
+
+    async def call_tool(
+        self, name: str, arguments: dict[str, Any], context: Context[object, Any] | None = None
+    ) -> CallToolResult | InputRequiredResult:
+        """Call a tool.
+
+        Raises:
+            CallError: the call failed, or there is no such tool.
+        """
+        known = [tool.name for tool in self._tool_manager.list_tools()]
+        if name not in known:
+            raise CallError("unknown_tool", f"there is no tool {shortened(name)!r}. There is: {', '.join(known)}.")
+        return await super().call_tool(name, arguments, context)
 
 
 def _instructions(tools: Sequence[StrictTool], settings: Settings) -> str:

@@ -14,7 +14,7 @@ import typer
 from vehanchor_server.settings import Settings, SettingsError
 
 if TYPE_CHECKING:
-    from vehanchor.options import Choice
+    from vehanchor.choices import Choice
 
 __all__ = ["schemas", "serve"]
 

@@ -43,6 +43,7 @@ class InProcessTools:
         contract = create_tools(services)
         self.anthropic_tools = [anthropic_definition(tool) for tool in contract]
         self.openai_tools = [_below_function(openai_definition(tool)) for tool in contract]
+        self._services = services
         self._server = create_server(services)
         self._stack = ExitStack()
 
@@ -53,6 +54,7 @@ class InProcessTools:
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
+        self._services.close()
 
     def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
         """Call a tool.

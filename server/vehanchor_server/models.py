@@ -100,7 +100,7 @@ class Models:
 
     def preload(self, delay_s: float = 0.0) -> None:
         """Load in the background after a while; a failure is logged, and met again by the first call."""
-        timer = threading.Timer(delay_s, self._load_all)
+        timer = threading.Timer(delay_s, self.load_all)
         timer.name, timer.daemon = "vehanchor-preload", True
         timer.start()
 
@@ -128,7 +128,8 @@ class Models:
         """
         return self._segmenter.get()
 
-    def _load_all(self) -> None:
+    def load_all(self) -> None:
+        """Load what the settings name, and what else a first call would wait for; a failure is logged."""
         for load in (self.detector, self.calibration, self.segmenter):
             with contextlib.suppress(CallError):  # logged where it was raised
                 load()

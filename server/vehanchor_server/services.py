@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from functools import partial
 
 from vehanchor_server.calls.capacity import Capacity
+from vehanchor_server.calls.workers import WorkerLimits, WorkerPool
 from vehanchor_server.images.fetch import Fetcher
 from vehanchor_server.images.sandbox import Sandbox
 from vehanchor_server.images.source import ImageSources
@@ -24,26 +26,66 @@ class Services:
         models: the operator's models.
         sources: where images come from.
         capacity: how much runs at once.
+        workers: the processes that work; None where this one does.
     """
 
     settings: Settings
     models: Models
     sources: ImageSources
     capacity: Capacity
+    workers: WorkerPool | None = None
+
+    @property
+    def ready(self) -> bool:
+        """Whether a call can start at once."""
+        return self.models.ready if self.workers is None else self.workers.ready
+
+    @property
+    def failure(self) -> str | None:
+        """The code of the error that loading the models ended with, None without one."""
+        return self.models.failure if self.workers is None else self.workers.failure
+
+    def preload(self, delay_s: float = 0.0) -> None:
+        """Load the models in the background, after a while, wherever they run."""
+        if self.workers is None:
+            self.models.preload(delay_s)
+        else:
+            self.workers.start(delay_s)
+
+    def close(self) -> None:
+        """Accept no more calls, and stop those that run."""
+        self.capacity.close()
+        if self.workers is not None:
+            self.workers.close()
 
 
 def create_services(settings: Settings) -> Services:
-    """Make the parts of a server; nothing is loaded yet."""
+    """Make the parts of a server; nothing is loaded or started yet."""
+    n_calls = settings.max_concurrency or _default_concurrency()
+    workers = None
+    if settings.workers_isolated:
+        limits = WorkerLimits(settings.max_worker_bytes, (os.cpu_count() or 1) * settings.deadline_s)
+        workers = WorkerPool(partial(_working_services, settings), n_calls, limits)
+    return _services(settings, n_calls, workers)
+
+
+def _working_services(settings: Settings) -> Services:
+    """The parts of a worker, which has no workers itself."""
+    return _services(settings, 1, None)
+
+
+def _services(settings: Settings, n_calls: int, workers: WorkerPool | None) -> Services:
     max_bytes = settings.image_limits.max_bytes
     return Services(
         settings=settings,
         models=Models(settings),
         sources=ImageSources(
-            sandbox=Sandbox(settings.roots),
+            sandbox=Sandbox(settings.roots, settings.spelled_roots),
             fetcher=Fetcher(settings.image_hosts, max_bytes, settings.fetch_timeout_s),
             max_bytes=max_bytes,
         ),
-        capacity=Capacity(settings.max_concurrency or _default_concurrency(), settings.deadline_s),
+        capacity=Capacity(n_calls, settings.deadline_s),
+        workers=workers,
     )
 
 

@@ -16,7 +16,8 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from vehanchor.options import ImageLimits, choice
+from vehanchor.choices import choice
+from vehanchor.options import ImageLimits
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -89,6 +90,13 @@ class Settings:
     max_concurrency: int | None = field(
         default=None, metadata=_words("Calls at once in a process.", panel=_WORK, if_unset="one a CPU, at least 2")
     )
+    workers_isolated: bool = field(
+        default=False,
+        metadata=_words("Decode and compute in processes that are killed at the deadline.", panel=_WORK),
+    )
+    max_worker_mb: float = field(  # of one process, of which there are as many as calls at once
+        default=2048.0, metadata=_words("Data of a worker process, MiB; it ends beyond.", panel=_WORK)
+    )
     deadline_s: float = field(  # below the 60 s at which common clients give up
         default=55.0, metadata=_words("Seconds after which a call ends.", panel=_WORK)
     )
@@ -119,10 +127,18 @@ class Settings:
         default=None, metadata=_words("Audience that those JWTs must carry.", panel=_HTTP)
     )
     max_body_mb: float = field(default=32.0, metadata=_words("Largest request, MiB.", panel=_HTTP))
+    body_timeout_s: float = field(default=60.0, metadata=_words("Seconds a request may take to arrive.", panel=_HTTP))
+    max_connections: int = field(
+        default=512, metadata=_words("Connections at once in a process; the next are closed.", panel=_HTTP)
+    )
+    max_connections_per_address: int = field(  # a proxy is one address
+        default=256, metadata=_words("Connections at once from one address.", panel=_HTTP)
+    )
     insecure: bool = field(default=False, metadata=_words("Listen publicly without authentication.", panel=_HTTP))
 
     def __post_init__(self) -> None:
         self._check_numbers()
+        object.__setattr__(self, "_spelled", tuple(Path(os.path.abspath(root)) for root in self.roots))  # noqa: PTH100
         object.__setattr__(self, "roots", tuple(_checked_root(root) for root in self.roots))
         object.__setattr__(self, "image_hosts", tuple(host.strip().lower() for host in self.image_hosts))
         for host in self.image_hosts:
@@ -152,6 +168,12 @@ class Settings:
             raise SettingsError("token_file and oidc_issuer exclude each other: choose one way to authenticate")
 
     @property
+    def spelled_roots(self) -> tuple[Path, ...]:
+        """The roots as the operator wrote them, absolute, links in them unresolved."""
+        spelled: tuple[Path, ...] = self.__dict__["_spelled"]
+        return spelled
+
+    @property
     def authenticated(self) -> bool:
         """Whether HTTP callers must show a token."""
         return self.token_file is not None or self.oidc_issuer is not None
@@ -169,6 +191,11 @@ class Settings:
             max_pixels=round(self.max_megapixels * _MEGAPIXEL),
             max_windowed_pixels=round(self.max_windowed_megapixels * _MEGAPIXEL),
         )
+
+    @property
+    def max_worker_bytes(self) -> int:
+        """Data that a worker process may have."""
+        return round(self.max_worker_mb * _MIB)
 
     @property
     def max_body_bytes(self) -> int:
@@ -206,7 +233,8 @@ class Settings:
 
     def to_json(self) -> str:
         """All options, for ``from_json`` in another process; unlike variables, with nothing that separates values."""
-        return json.dumps({each.name: getattr(self, each.name) for each in fields(self)}, default=str)
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        return json.dumps({**values, "roots": self.spelled_roots}, default=str)
 
     @classmethod
     def from_json(cls, text: str) -> Settings:

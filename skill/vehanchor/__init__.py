@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.detector import Detector
     from vehanchor.estimate import ScaleAnalysis, analyse_scale, estimate_gsd
     from vehanchor.measure import AreaAnalysis, analyse_area, measure_area
-    from vehanchor.options import Frame, ImageLimits, Lengths, Reading, Reference, ScaleOptions, Search
+    from vehanchor.options import Frame, ImageLimits, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
     from vehanchor.records import AreaMeasurement, GsdEstimate
     from vehanchor.scale.calibration import Calibration, load_calibration
     from vehanchor.segmentation.segmenter import Segmenter
@@ -30,7 +30,7 @@ _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing un
     "detection.detector": ("Detector",),
     "estimate": ("ScaleAnalysis", "analyse_scale", "estimate_gsd"),
     "measure": ("AreaAnalysis", "analyse_area", "measure_area"),
-    "options": ("Frame", "ImageLimits", "Lengths", "Reading", "Reference", "ScaleOptions", "Search"),
+    "options": ("Frame", "ImageLimits", "Lengths", "Reading", "Reference", "Rulers", "ScaleOptions", "Search"),
     "records": ("AreaMeasurement", "GsdEstimate"),
     "scale.calibration": ("Calibration", "load_calibration"),
     "segmentation.segmenter": ("Segmenter",),
@@ -50,6 +50,7 @@ __all__ = [
     "Lengths",
     "Reading",
     "Reference",
+    "Rulers",
     "ScaleAnalysis",
     "ScaleOptions",
     "Search",

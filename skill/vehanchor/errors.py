@@ -3,6 +3,7 @@
 * VehAnchorError
   x InvalidParameterError (ValueError)   ``invalid_parameter``  an option without meaning: negative, NaN, unknown
     - PromptError                        ``invalid_prompt``     a box or point that names nothing in the image
+    - KnownLengthError                   ``invalid_known_length``  a line too short to measure by, or outside
   x FrameError (ValueError)              ``frame_mismatch``     the frame has another aspect ratio than the image
   x ImageError (ValueError)
     - ImageNotFoundError                 ``image_not_found``    no file there, or it is a directory
@@ -39,6 +40,7 @@ __all__ = [
     "ImageNotFoundError",
     "ImageTooLargeError",
     "InvalidParameterError",
+    "KnownLengthError",
     "MissingExtraError",
     "ModelContractError",
     "ModelError",
@@ -68,6 +70,12 @@ class PromptError(InvalidParameterError):
     """The box or points cannot name an object: outside the image, reversed, empty, not finite, none or both given."""
 
     code = "invalid_prompt"
+
+
+class KnownLengthError(InvalidParameterError):
+    """The line of known length cannot be measured by: under five pixels, outside the image, or of no length."""
+
+    code = "invalid_known_length"
 
 
 class FrameError(VehAnchorError, ValueError):

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from vehanchor.anchors.agreement import disagreements
 from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.registry import OTHER_ANCHORS
 from vehanchor.anchors.scene_scale import SceneScale
@@ -111,7 +112,8 @@ def estimate_gsd(
         **options: the fields of ``vehanchor.options``' groups: ``min_score``, ``nms_iou``, ``search_scales``,
             ``tile_px``, ``stride_px`` (``Search``), ``aggregation``, ``alpha`` (``Lengths``), ``reference_length_m``,
             ``region``, ``calibration`` (``Reference``), ``frame_width_px``, ``frame_height_px`` (``Frame``), ``bands``,
-            ``limits`` (``Reading``).
+            ``limits`` (``Reading``), ``rulers``, ``metadata``, ``known_lengths``, ``height_m``, ``focal_35mm``
+            (``Rulers``).
 
     Returns:
         The record; ``gsd_m_per_px`` is None, never a guess, where no vehicle is found.
@@ -179,8 +181,10 @@ def analyse_raster(
 ) -> ScaleAnalysis:
     """As ``analyse_scale``, of an image that is open already."""
     options.frame.check(raster.width_px, raster.height_px)
+    options.rulers.check(*(options.frame.size or (raster.width_px, raster.height_px)))
     sighting = search(raster, detector, options.search, progress=progress, run_options=run_options)
-    network = load_scene_scale() if detector.card.votes else None  # else there is nothing it could be weighed against
+    weighed = detector.card.votes and options.rulers.uses(SceneScale.kind)
+    network = load_scene_scale() if weighed else None  # else there is nothing it could be weighed against
     if network is not None:
         sighting = replace(sighting, scene=network.look(raster, run_options=run_options))
     view = View(image_facts(raster), sighting, detector.card, options, partial(resolved_share, raster))
@@ -194,6 +198,7 @@ def image_facts(raster: Raster) -> ImageFacts:
         raster.height_px,
         raster.georeference_gsd_m_per_px,
         tuple(Notice(code=note.code, message=note.message) for note in raster.warnings),
+        raster.camera,
     )
 
 
@@ -204,7 +209,8 @@ def analyse_sighting(view: View) -> ScaleAnalysis:
         InvalidParameterError: the model does not know the region.
         CalibrationMismatchError: the calibration was made for another model.
     """
-    vehicles, others = Vehicles().look(view), tuple(ruler.look(view) for ruler in OTHER_ANCHORS)
+    used = [ruler for ruler in OTHER_ANCHORS if view.options.rulers.uses(ruler.kind)]
+    vehicles, others = Vehicles().look(view), tuple(ruler.look(view) for ruler in used)
     return ScaleAnalysis(conclude(vehicles, others, view), vehicles, others)
 
 
@@ -213,6 +219,7 @@ def conclude(vehicles: VehicleEvidence, others: Sequence[Evidence], view: View) 
     image, gsd, judgement = view.image, vehicles.gsd_m_per_px, judge(vehicles, others)
     interval = judgement.interval
     warnings = [*image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
+    warnings += disagreements((vehicles, *others))
     if gsd is not None:
         warnings += georeference_notice(image.georeference_gsd_m_per_px, gsd, "the vehicles say")
     return GsdEstimate(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from vehanchor.anchors.agreement import disagreements
+from vehanchor.anchors.scene_scale import SceneScale
 from vehanchor.notices import FLEET_DOUBTS, NoticeCode
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX, UNSURE_CONFIDENCE
 from vehanchor.scale.fusion import fuse, mass_within
@@ -21,7 +23,7 @@ __all__ = ["Judgement", "judge"]
 
 LEAST_P_WITHIN_20 = 0.9  # below it a scale is not to be used
 _WIDEST_USABLE = 2.0  # high over low of an interval: beyond it a scale is not to be used
-_WIDEST_UNFITTED = 3.0  # the same for detectors whose boxes nobody has fitted
+_WIDEST_OF_ANY = 3.0  # the same where no chance of being right is known, as with foreign detectors
 _LOST_WIDTH = 5.0  # high over low of the scene's own interval: it was never shown the like
 _SCENE_REACH, _SCENE_AGREES = 0.4, 0.1  # the ground bears a scale out where it holds a tenth within +-40 %
 
@@ -59,7 +61,7 @@ def judge(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judgement:
         interval, p_within_20 = fuse(gsd, vehicles.density, *densities)
         if p_within_20 < LEAST_P_WITHIN_20 or interval.high > _WIDEST_USABLE * interval.low:
             confidence = min(confidence, UNSURE_CONFIDENCE)
-    elif interval is not None and interval.high > _WIDEST_UNFITTED * interval.low:
+    if interval is not None and interval.high > _WIDEST_OF_ANY * interval.low:
         confidence = min(confidence, UNSURE_CONFIDENCE)
     usable = gsd is not None and confidence >= FALLBACK_CONFIDENCE
     return Judgement(interval, p_within_20, confidence, None if usable else _reason(vehicles, others))
@@ -67,7 +69,7 @@ def judge(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judgement:
 
 def _reason(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Reason:
     """The first of: too few pixels, no cars, rulers that disagree, a scene like no other, too few cars."""
-    scene = next((other for other in others if other.interval is not None), None)
+    scene = next((other for other in others if other.kind == SceneScale.kind and other.interval is not None), None)
     lost = scene is not None and scene.interval is not None and scene.interval.high > _LOST_WIDTH * scene.interval.low
     if vehicles.gsd_m_per_px is None:
         coarse = scene is not None and scene.interval is not None and scene.interval.low > GUARD_GSD_M_PER_PX
@@ -75,7 +77,8 @@ def _reason(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Reason:
     codes = {notice.code for notice in vehicles.notices}
     if vehicles.guarded:
         return "too_coarse"
-    if NoticeCode.LENGTHS_DISAGREE in codes or (scene is not None and not _borne_out(vehicles.gsd_m_per_px, scene)):
+    contradicted = scene is not None and not _borne_out(vehicles.gsd_m_per_px, scene)
+    if NoticeCode.LENGTHS_DISAGREE in codes or contradicted or disagreements((vehicles, *others)):
         return "disagree"
     if codes & set(FLEET_DOUBTS):
         return "not_cars"

@@ -23,6 +23,14 @@ class NoticeCode(StrEnum):
     SCORES_UNCLEAR = "scores_unclear"
     LOOKS_ALIKE = "looks_alike"
     LOOKS_UNLIKE_CARS = "looks_unlike_cars"
+    # of the rulers beside vehicles
+    OTHER_RULER = "other_ruler"
+    RULERS_DISAGREE = "rulers_disagree"
+    CAMERA_TILTED = "camera_tilted"
+    CAMERA_CROPPED = "camera_cropped"
+    CAMERA_UNUSABLE = "camera_unusable"
+    KNOWN_LENGTHS_DISAGREE = "known_lengths_disagree"
+    FOCAL_LENGTH_MISSING = "focal_length_missing"
     # of the mask
     MASK_EMPTY = "mask_empty"
     MASK_SCORE_LOW = "mask_score_low"

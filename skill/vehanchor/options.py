@@ -2,91 +2,39 @@
 
 A field is declared once: its type and default here, its words for the command line in the metadata that ``choice``
 makes, from which ``vehanchor.cli.declared`` builds the option. Where None is a default, the model's own choice holds.
-
-Numbers are checked at the door: any real number that is no bool will do, numpy's too, and comes out as Python's.
 """
 
 from __future__ import annotations
 
-import math
-import numbers
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, get_args
+from typing import TYPE_CHECKING, Any, TypedDict, get_args
 
+from vehanchor.choices import choice, positive, settle, share, whole
 from vehanchor.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, NMS_IOU, OUTLIER_ALPHA, Aggregation
 from vehanchor.errors import FrameError, InvalidParameterError
+from vehanchor.ruler_options import KnownLength, RulerName, Rulers
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from vehanchor.scale.calibration import Calibration
 
 __all__ = [
-    "Choice",
     "Frame",
     "ImageLimits",
+    "KnownLength",
     "Lengths",
     "OptionKeywords",
     "Reading",
     "Reference",
+    "RulerName",
+    "Rulers",
     "ScaleOptions",
     "Search",
-    "choice",
 ]
 
 _MIB = 1 << 20
-
-
-class Choice(NamedTuple):
-    """How the command line names and explains a field.
-
-    Attributes:
-        help: one sentence, for ``--help``.
-        metavar: what stands for the value.
-        flag: the option's name; empty for the field's own name without its unit.
-    """
-
-    help: str
-    metavar: str = ""
-    flag: str = ""
-
-
-def choice(help_text: str, *, metavar: str = "", flag: str = "") -> dict[str, Choice]:
-    """Metadata of a dataclass field that the command line offers, too."""
-    return {"choice": Choice(help_text, metavar, flag)}
-
-
-def _settle(group: Any, name: str, value: Any) -> None:
-    """Set a field of a frozen group while it is being made."""
-    object.__setattr__(group, name, value)
-
-
-def _number(name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
-        raise InvalidParameterError(f"{name} is {value!r}: use a finite number")
-    return float(value)
-
-
-def _positive(name: str, value: Any) -> float:
-    number = _number(name, value)
-    if number <= 0:
-        raise InvalidParameterError(f"{name} is {number:g}: use a finite number > 0")
-    return number
-
-
-def _share(name: str, value: Any) -> float:
-    number = _number(name, value)
-    if not 0 <= number <= 1:
-        raise InvalidParameterError(f"{name} is {number:g}: it lies in 0..1")
-    return number
-
-
-def _whole(name: str, value: Any) -> int:
-    number = _number(name, value)
-    if number < 1 or number != int(number):
-        raise InvalidParameterError(f"{name} is {number:g}: use a whole number >= 1")
-    return int(number)
 
 
 @dataclass(frozen=True)
@@ -111,7 +59,7 @@ class ImageLimits:
 
     def __post_init__(self) -> None:
         for each in fields(self):
-            _settle(self, each.name, _whole(each.name, getattr(self, each.name)))
+            settle(self, each.name, whole(each.name, getattr(self, each.name)))
 
 
 @dataclass(frozen=True)
@@ -153,13 +101,13 @@ class Search:
 
     def __post_init__(self) -> None:
         if self.min_score is not None:
-            _settle(self, "min_score", _share("min_score", self.min_score))
-        _settle(self, "nms_iou", _share("nms_iou", self.nms_iou))
+            settle(self, "min_score", share("min_score", self.min_score))
+        settle(self, "nms_iou", share("nms_iou", self.nms_iou))
         if self.search_scales is not None and not isinstance(self.search_scales, bool):
             raise InvalidParameterError(f"search_scales is {self.search_scales!r}: use True, False or None")
         for name in ("tile_px", "stride_px"):
             if getattr(self, name) is not None:
-                _settle(self, name, _whole(name, getattr(self, name)))
+                settle(self, name, whole(name, getattr(self, name)))
 
 
 @dataclass(frozen=True)
@@ -193,10 +141,10 @@ class Lengths:
                 f"aggregation is {self.aggregation!r}: use one of {', '.join(get_args(Aggregation))}"
             )
         if self.alpha is not None:
-            alpha = _positive("alpha", self.alpha)
+            alpha = positive("alpha", self.alpha)
             if alpha < 1:
                 raise InvalidParameterError(f"alpha is {alpha:g}: below 1 it drops typical vehicles; use 1 or more")
-            _settle(self, "alpha", alpha)
+            settle(self, "alpha", alpha)
 
 
 @dataclass(frozen=True)
@@ -230,16 +178,16 @@ class Reference:
         if len(given) > 1:
             raise InvalidParameterError(f"give {' or '.join(given)}, not both: each sets the reference length")
         if self.reference_length_m is not None:
-            length = _positive("reference_length_m", self.reference_length_m)
+            length = positive("reference_length_m", self.reference_length_m)
             if not LEAST_VEHICLE_M <= length <= LARGEST_VEHICLE_M:
                 raise InvalidParameterError(
                     f"reference_length_m is {length:g}: a vehicle has {LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m"
                 )
-            _settle(self, "reference_length_m", length)
+            settle(self, "reference_length_m", length)
         if self.calibration is not None:
             from vehanchor.scale.calibration import as_calibration
 
-            _settle(self, "calibration", as_calibration(self.calibration))
+            settle(self, "calibration", as_calibration(self.calibration))
 
 
 @dataclass(frozen=True)
@@ -262,7 +210,7 @@ class Frame:
             raise InvalidParameterError("a frame needs both frame_width_px and frame_height_px")
         for name in ("width_px", "height_px"):
             if getattr(self, name) is not None:
-                _settle(self, name, _whole(f"frame_{name}", getattr(self, name)))
+                settle(self, name, whole(f"frame_{name}", getattr(self, name)))
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -311,7 +259,7 @@ class Reading:
                 first, second, third = self.bands
             except (TypeError, ValueError):
                 raise InvalidParameterError(f"bands is {self.bands!r}: give three, from 1") from None
-            _settle(self, "bands", tuple(_whole("bands", band) for band in (first, second, third)))
+            settle(self, "bands", tuple(whole("bands", band) for band in (first, second, third)))
 
 
 class OptionKeywords(TypedDict, total=False):
@@ -331,6 +279,11 @@ class OptionKeywords(TypedDict, total=False):
     frame_height_px: int | None
     bands: tuple[int, int, int] | None
     limits: ImageLimits
+    rulers: Sequence[RulerName] | None
+    metadata: bool
+    known_lengths: Sequence[tuple[float, float, float, float, float]]
+    height_m: float | None
+    focal_35mm: float | None
 
 
 @dataclass(frozen=True)
@@ -343,6 +296,7 @@ class ScaleOptions:
         reference: where the reference length comes from.
         frame: the caller's resized copy.
         reading: how the image is read.
+        rulers: what the scale is held against beside the vehicles.
     """
 
     search: Search = Search()
@@ -350,6 +304,7 @@ class ScaleOptions:
     reference: Reference = Reference()
     frame: Frame = Frame()
     reading: Reading = Reading()
+    rulers: Rulers = field(default_factory=Rulers)
 
     @classmethod
     def of(cls, keywords: Mapping[str, Any]) -> ScaleOptions:
@@ -375,4 +330,5 @@ _GROUPS: dict[str, tuple[type[Any], str]] = {
     "reference": (Reference, ""),
     "frame": (Frame, "frame_"),
     "reading": (Reading, ""),
+    "rulers": (Rulers, ""),
 }

@@ -21,6 +21,7 @@ from vehanchor.defaults import OUTLIER_ALPHA
 from vehanchor.detection.sighting import Objects, Sighting
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.estimate import ScaleAnalysis, analyse_raster, analyse_sighting, image_facts
+from vehanchor.imagery.camera_metadata import CameraMetadata
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.raster import open_raster
 from vehanchor.options import Lengths, ScaleOptions
@@ -129,6 +130,7 @@ def _record(searched: SearchedImage) -> dict[str, Any]:
         "height_px": image.height_px,
         "georeference_gsd_m_per_px": image.georeference_gsd_m_per_px,
         "notices": [notice.model_dump(mode="json") for notice in image.notices],
+        "camera": None if image.camera is None else asdict(image.camera),
         "resolved": list(searched.resolved.items()),
     }
 
@@ -154,6 +156,7 @@ def _searched(record: dict[str, Any]) -> SearchedImage:
             record["height_px"],
             record["georeference_gsd_m_per_px"],
             tuple(Notice(**notice) for notice in record["notices"]),
+            CameraMetadata(**record["camera"]) if record.get("camera") else None,
         ),
         dict(record["resolved"]),
     )

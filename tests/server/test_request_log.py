@@ -12,7 +12,7 @@ from mcp import Client
 from mcp.server import MCPServer
 
 from tests.server.conversation import by_path
-from vehanchor_server.request_log import JsonFormatter, configure_logging
+from vehanchor_server.request_log import JsonFormatter, RepeatLimit, configure_logging
 
 
 def lines_of(caplog: pytest.LogCaptureFixture) -> list[dict[str, Any]]:
@@ -76,3 +76,19 @@ def test_logs_go_to_stderr_only(capsys: pytest.CaptureFixture[str]) -> None:
     captured = capsys.readouterr()
     assert captured.out == ""
     assert json.loads(captured.err)["message"] == "hello"
+
+
+def test_a_line_that_is_repeated_is_shown_a_few_times_and_then_counted() -> None:
+    limit = RepeatLimit(n_lines=3, period_s=10)
+
+    def passes(name: str, created: float, line: int = 1) -> logging.LogRecord | None:
+        record = logging.LogRecord(name, logging.WARNING, __file__, line, "Invalid Host header: %s", (created,), None)
+        record.created = created
+        return record if limit.filter(record) else None
+
+    assert sum(passes("mcp", 100 + i / 100) is not None for i in range(50)) == 3
+    assert passes("mcp", 101, line=2) is not None  # another place in the code
+    assert all(passes("vehanchor_server.calls", 101) for _ in range(50))  # one a call
+    later = passes("mcp", 111)
+    assert later is not None
+    assert json.loads(JsonFormatter().format(later))["not_shown_before"] == 47

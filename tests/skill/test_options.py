@@ -10,13 +10,15 @@ import pytest
 import vehanchor
 from vehanchor.cli.declared import Chosen, scale_command
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options import Frame, Lengths, OptionKeywords, Reading, Reference, ScaleOptions, Search
+from vehanchor.options import Frame, Lengths, OptionKeywords, Reading, Reference, Rulers, ScaleOptions, Search
 
 _IMAGE = np.zeros((64, 64, 3), np.uint8)
 
 
 def test_the_verbs_keywords_are_the_groups_fields() -> None:
-    names = [field.name for group in (Search, Lengths, Reference, Reading) for field in dataclasses.fields(group)]
+    names = [
+        field.name for group in (Search, Lengths, Reference, Reading, Rulers) for field in dataclasses.fields(group)
+    ]
     names += [f"frame_{field.name}" for field in dataclasses.fields(Frame)]
     assert sorted(OptionKeywords.__annotations__) == sorted(names)
 
@@ -47,12 +49,26 @@ def test_the_verbs_keywords_are_the_groups_fields() -> None:
         {"bands": (1, 2)},
         {"bands": (0, 1, 2)},
         {"scale": 3},
+        {"rulers": "vehicles"},
+        {"rulers": ("vehicles", "yardstick")},
+        {"rulers": ("camera",)},
+        {"metadata": 1},
+        {"known_lengths": [(0, 0, 1, 0, 5)]},
+        {"known_lengths": [(0, 0, 30, 0, 0)]},
+        {"known_lengths": [(0, 0, 30, 0, float("inf"))]},
+        {"known_lengths": [(0, 0, 30, 0)]},
+        {"known_lengths": "0 0 30 0 5"},
+        {"height_m": 0},
+        {"height_m": -40},
+        {"height_m": 1e6},
+        {"focal_35mm": 24},
+        {"focal_35mm": 0, "height_m": 40},
     ],
 )
 def test_a_value_without_meaning_is_refused_before_any_work(keywords: dict[str, Any]) -> None:
     with pytest.raises(InvalidParameterError) as refused:
         vehanchor.estimate_gsd(_IMAGE, detector="nowhere.onnx", **keywords)
-    assert next(iter(keywords)).removeprefix("frame_") in str(refused.value)
+    assert next(iter(keywords)).removeprefix("frame_").rstrip("s").replace("known_length", "") in str(refused.value)
 
 
 def test_numbers_of_any_library_come_out_as_pythons() -> None:
@@ -79,6 +95,6 @@ def test_a_command_gets_every_field_of_every_group_and_its_own_options_first() -
         raise NotImplementedError
 
     names = list(scale_command(without=("bands",))(shown).__annotations__)
-    fields = {field.name for group in (Search, Lengths, Reference) for field in dataclasses.fields(group)}
+    fields = {field.name for group in (Search, Lengths, Reference, Rulers) for field in dataclasses.fields(group)}
     assert names[0] == "image"
     assert fields | {"detector", "classes", "threads", "providers", "frame"} == set(names[1:])

@@ -17,13 +17,14 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from training.detector.export import LICENCE, write_metadata
-from training.verifier.data import LEAST_SCORE, Candidates, load, middle
+from training.verifier.data import Candidates, load, middle
 from vehanchor.detection.second_look import Weights
 
 _CHANCE = 0.65  # a missed car costs less than a false one
 _RIDGE = 1e-3
 _ITERATIONS = 30
 _MIN_SCORE = 0.5
+_LEAST_SCORE = 0.25  # of the detector: of 1,693 hits on the held-out tenth none has less, but 44 % of the candidates
 
 
 def _logit(chance: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -95,7 +96,7 @@ def main() -> None:
         "license": LICENCE,
         "vehanchor.detector": options.detector,
         "vehanchor.weights": ",".join(f"{value:.4f}" for value in weights),
-        "vehanchor.least_score": f"{LEAST_SCORE:g}",
+        "vehanchor.least_score": f"{_LEAST_SCORE:g}",
         "vehanchor.min_score": f"{_MIN_SCORE:g}",
         "vehanchor.clear_score": f"{options.clear_score:g}",
     }

@@ -20,7 +20,7 @@ from vehanchor.detection.second_look import CHIP_LENGTH_PX, CHIP_PX, surrounding
 STORED_PX = 72  # room for jitter and turns around a chip of 48
 _CAR_PX = (15.0, 28.0)  # sizes at which an image is searched
 _MAX_ENLARGEMENT = 2.2
-LEAST_SCORE = 0.15
+_LEAST_SCORE = 0.15
 _MOST_FALSE = 40  # of an image at one size, at random: a harbour has hundreds
 _NEAR, _AT = 0.6, 0.25  # of a label's length: beyond one, within the other
 _LENGTH_RATIO = 1.35
@@ -80,7 +80,7 @@ def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
                 continue
             way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
             scaled = np.asarray(cv2.resize(sample.image, None, fx=factor, fy=factor, interpolation=way), np.uint8)
-            found = detector.detect_tile(scaled, LEAST_SCORE).vehicles
+            found = detector.detect_tile(scaled, _LEAST_SCORE).vehicles
             kept = oriented_nms(found.boxes, found.scores)
             boxes, score = found.boxes[kept], found.scores[kept]
             truth = truth_of(boxes, sample.boxes * (factor, factor, factor, factor, 1), sample.ignore * factor)

@@ -1,18 +1,21 @@
-"""One call of a tool that looks at an image: a place, the image, the work in a thread, progress from start to end."""
+"""One call of a tool that looks at an image: a place, the image, the work in a thread or process, its progress."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from vehanchor_server.calls.job import PERCENT_DONE, Job
-from vehanchor_server.images.source import OpenedImage, library_errors
+import anyio.from_thread
+
+from vehanchor_server.calls.job import PERCENT_DONE, Job, Stages
+from vehanchor_server.calls.workers import Task, perform
 
 if TYPE_CHECKING:
     from mcp.server.mcpserver import Context
 
     from vehanchor_server.calls.capacity import Stop
     from vehanchor_server.images.argument import AnyImage
+    from vehanchor_server.images.source import OpenedImage
     from vehanchor_server.services import Services
 
 __all__ = ["run_call"]
@@ -21,7 +24,7 @@ Result = TypeVar("Result")
 
 
 async def run_call(
-    services: Services, ctx: Context[Any, Any], image: AnyImage, work: Callable[[Job, OpenedImage], Result]
+    services: Services, ctx: Context[Any, Any], image: AnyImage, work: Callable[[Services, Job, OpenedImage], Result]
 ) -> Result:
     """Run the work of a call, if there is a place for it.
 
@@ -29,7 +32,8 @@ async def run_call(
         services: of the server.
         ctx: of the call.
         image: the caller's argument.
-        work: done in a worker thread; the library's errors that it raises are passed on to the caller.
+        work: done in a worker process, or in a thread where the server has none; a function of a module, or a
+            ``functools.partial`` of one. The library's errors that it raises are passed on to the caller.
 
     Raises:
         CallError: the call was refused, failed for a reason that its caller can act on, or took too long.
@@ -39,13 +43,16 @@ async def run_call(
         await ctx.report_progress(0, PERCENT_DONE, "reading the image")
         fetched = await services.sources.fetched(image)
 
+        task = Task(work, image, fetched)
+
+        def report(percent: float, message: str) -> None:
+            anyio.from_thread.run(ctx.report_progress, percent, PERCENT_DONE, message)
+
         def in_thread() -> Result:
-            with (
-                services.sources.open(image, fetched) as source,
-                Job(ctx, stop) as job,
-                library_errors(source),
-            ):
-                return work(job, source)
+            with Stages() as stages:
+                if services.workers is not None:
+                    return services.workers.run(task, stop, report, stages.enter)
+                return perform(services, task, Job(stop, report, stages.enter))
 
         result = await services.capacity.in_thread(stop, in_thread)
         await ctx.report_progress(PERCENT_DONE, PERCENT_DONE, "done")

@@ -3,40 +3,31 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import anyio.from_thread
 from opentelemetry import trace
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from types import TracebackType
 
     import onnxruntime
-    from mcp.server.mcpserver import Context
 
     from vehanchor_server.calls.capacity import Stop
 
-__all__ = ["PERCENT_DONE", "PERCENT_READ", "PERCENT_SEARCHED", "Job"]
+__all__ = ["PERCENT_DONE", "PERCENT_READ", "PERCENT_SEARCHED", "Job", "Stages"]
 
 PERCENT_READ, PERCENT_SEARCHED, PERCENT_DONE = 10, 95, 100
 _tracer = trace.get_tracer("vehanchor_server")
 
 
-class Job:
-    """One call's work as it reports on itself; a context manager that ends the last stage.
+class Stages:
+    """The stages of a call as spans; a context manager that ends the last one."""
 
-    Args:
-        ctx: of the call.
-        stop: asks the work to end.
-    """
-
-    def __init__(self, ctx: Context[Any, Any], stop: Stop) -> None:
-        self.stop = stop
-        self._ctx = ctx
-        self._reported = -1
+    def __init__(self) -> None:
         self._span: trace.Span | None = None
 
-    def __enter__(self) -> Job:
+    def __enter__(self) -> Stages:
         return self
 
     def __exit__(
@@ -44,7 +35,33 @@ class Job:
     ) -> None:
         if self._span is not None and isinstance(error, Exception):
             self._span.set_status(trace.StatusCode.ERROR, type(error).__name__)
-        self._end_stage()
+        self._end()
+
+    def enter(self, stage: str) -> None:
+        """Begin a stage, and end the one before."""
+        self._end()
+        self._span = _tracer.start_span(f"vehanchor.{stage}")
+
+    def _end(self) -> None:
+        if self._span is not None:
+            self._span.end()
+            self._span = None
+
+
+class Job:
+    """One call's work as it reports on itself.
+
+    Args:
+        stop: asks the work to end.
+        report: gets percent and words.
+        entered: gets the name of each stage as it begins.
+    """
+
+    def __init__(self, stop: Stop, report: Callable[[float, str], None], entered: Callable[[str], None]) -> None:
+        self.stop = stop
+        self._report = report
+        self._entered = entered
+        self._reported = -1
 
     @cached_property
     def run_options(self) -> onnxruntime.RunOptions:
@@ -62,8 +79,7 @@ class Job:
             CallStoppedError: the call was asked to end.
         """
         self.stop.check()
-        self._end_stage()
-        self._span = _tracer.start_span(f"vehanchor.{stage}")
+        self._entered(stage)
 
     def segmenting(self) -> None:
         """Begin the search for the object's mask; its report takes the place of the first one of ``searched``.
@@ -91,11 +107,3 @@ class Job:
             self._report(percent, f"searched {done} of {total} tiles")
         if done == total:
             self.enter("scale")
-
-    def _report(self, percent: float, message: str) -> None:
-        anyio.from_thread.run(self._ctx.report_progress, percent, PERCENT_DONE, message)
-
-    def _end_stage(self) -> None:
-        if self._span is not None:
-            self._span.end()
-            self._span = None

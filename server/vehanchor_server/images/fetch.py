@@ -17,7 +17,7 @@ from urllib.parse import SplitResult, urljoin, urlsplit
 import anyio
 import httpcore2 as httpcore
 
-from vehanchor_server.errors import CallError
+from vehanchor_server.errors import CallError, shortened
 
 if TYPE_CHECKING:
     import ssl
@@ -27,7 +27,19 @@ __all__ = ["Fetcher", "is_public_address", "resolve_host"]
 MAX_REDIRECTS = 3
 _REDIRECTS = (301, 302, 303, 307, 308)
 _HTTPS_PORT = 443
-_NAT64 = ipaddress.ip_network("64:ff9b::/96")  # an IPv4 address inside an IPv6 one: routed to wherever that one is
+_NOT_PUBLIC = tuple(
+    map(
+        ipaddress.ip_network,
+        (
+            "64:ff9b::/96",  # NAT64, an IPv4 address inside an IPv6 one: routed to wherever that one is
+            "fec0::/10",  # site-local, deprecated; as private as its successor
+            "3fff::/20",  # documentation, RFC 9637
+            "192.0.0.0/24",  # protocol assignments, RFC 6890: some Pythons except parts of it
+            "192.88.99.0/24",  # 6to4 relays, deprecated
+            "168.63.129.16/32",  # Azure's own services, on every machine there
+        ),
+    )
+)
 _HEADERS = ((b"Accept", b"image/*, */*;q=0.5"), (b"Accept-Encoding", b"identity"), (b"User-Agent", b"vehanchor"))
 
 
@@ -43,8 +55,10 @@ def is_public_address(address: str) -> bool:
     if isinstance(ip, ipaddress.IPv6Address):
         if ip.ipv4_mapped is not None:
             return is_public_address(str(ip.ipv4_mapped))
-        if ip.sixtofour is not None or ip.teredo is not None or ip in _NAT64:
+        if ip.sixtofour is not None or ip.teredo is not None:
             return False
+    if any(ip in network for network in _NOT_PUBLIC if network.version == ip.version):
+        return False
     return ip.is_global and not (ip.is_multicast or ip.is_reserved or ip.is_unspecified)
 
 
@@ -92,7 +106,7 @@ class Fetcher:
                     answer = await self._request(pool, self._checked(url))
                     if isinstance(answer, bytes):
                         return answer
-                    url = urljoin(url, answer)
+                    url = _redirected(url, answer)
             raise CallError("fetch_failed", f"more than {MAX_REDIRECTS} redirects. Give the image's final address.")
         raise CallError("fetch_failed", f"the image did not arrive within {self.timeout_s:g} s. Try again, or send it.")
 
@@ -108,7 +122,9 @@ class Fetcher:
         if not (url.isascii() and url.isprintable()) or " " in url:
             raise CallError("url_not_allowed", "the URL contains characters that must be percent-encoded. Encode them.")
         if f"{host}:{port}" not in self.hosts and not (port == _HTTPS_PORT and host in self.hosts):
-            raise CallError("url_not_allowed", f"host {host!r} is not allowed. Allowed here: {', '.join(self.hosts)}.")
+            raise CallError(
+                "url_not_allowed", f"host {shortened(host)!r} is not allowed. Allowed here: {', '.join(self.hosts)}."
+            )
         return parts
 
     async def _request(self, pool: httpcore.AsyncConnectionPool, parts: SplitResult) -> bytes | str:
@@ -138,6 +154,18 @@ class Fetcher:
         return bytes(body)
 
 
+def _redirected(url: str, location: str) -> str:
+    """Where a redirect leads.
+
+    Raises:
+        CallError: it leads nowhere that can be read.
+    """
+    try:
+        return urljoin(url, location)
+    except ValueError:
+        raise CallError("fetch_failed", "the host's redirect cannot be read. Give the image's final address.") from None
+
+
 class _PinnedBackend(httpcore.AnyIOBackend):
     """Connects to the checked address of a host."""
 
@@ -152,8 +180,13 @@ class _PinnedBackend(httpcore.AnyIOBackend):
         local_address: str | None = None,
         socket_options: Iterable[Any] | None = None,
     ) -> httpcore.AsyncNetworkStream:
-        addresses = await self._fetcher.resolve(host, port)
+        try:
+            addresses = await self._fetcher.resolve(host, port)
+        except UnicodeError:  # a label that is empty, too long, or no name at all
+            addresses = []
         if not addresses or not all(map(self._fetcher.is_public, addresses)):
             # One private address among public ones is refused as well: no host that serves images has such a mixture.
-            raise CallError("url_not_allowed", f"host {host!r} does not resolve to public addresses. Use another URL.")
+            raise CallError(
+                "url_not_allowed", f"host {shortened(host)!r} does not resolve to public addresses. Use another URL."
+            )
         return await super().connect_tcp(addresses[0], port, timeout, local_address, socket_options)

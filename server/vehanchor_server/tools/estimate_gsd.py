@@ -5,6 +5,7 @@ The library is imported by the call: OpenCV and ONNX Runtime would make the serv
 
 # Annotations are evaluated here on purpose: the SDK reads the result's schema from them.
 
+from functools import partial
 from typing import Annotated, Any
 
 from mcp.server.apps import client_supports_apps
@@ -22,6 +23,7 @@ from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.scale_question import (
     FrameArgument,
+    KnownLengthsArgument,
     ReferenceLengthArgument,
     RegionArgument,
     ScaleQuestion,
@@ -50,15 +52,14 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         region: RegionArgument = None,
         reference_length_m: ReferenceLengthArgument = None,
         frame: FrameArgument = None,
+        known_lengths: KnownLengthsArgument = None,
         include_overlay: Annotated[
             bool, Field(description="Also return a picture with the vehicles that were measured and a scale bar.")
         ] = False,
     ) -> Annotated[CallToolResult, GsdEstimate]:
-        question = ScaleQuestion(region, reference_length_m, frame)
+        question = ScaleQuestion(region, reference_length_m, frame, known_lengths)
         drawn = include_overlay or client_supports_apps(ctx)
-        answer = await run_call(
-            services, ctx, image, lambda job, source: _estimate(services, job, source, question, drawn)
-        )
+        answer = await run_call(services, ctx, image, partial(_estimate, question=question, drawn=drawn))
         return answer.to_result(describe_estimate(answer.record), include_overlay=include_overlay)
 
     return StrictTool.read_only(
@@ -69,7 +70,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
 def _estimate(
     services: Services, job: Job, source: OpenedImage, question: ScaleQuestion, drawn: bool
 ) -> Answer[GsdEstimate]:
-    """Search the image for vehicles and measure them; in a worker thread.
+    """Search the image for vehicles and measure them; in a worker's process or thread.
 
     Raises:
         VehAnchorError: the library refused.

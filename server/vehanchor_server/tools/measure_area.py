@@ -3,6 +3,7 @@
 # Annotations are evaluated here on purpose: the SDK reads the result's schema from them.
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 from mcp.server.apps import client_supports_apps
@@ -20,6 +21,7 @@ from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.scale_question import (
     FrameArgument,
+    KnownLengthsArgument,
     ReferenceLengthArgument,
     RegionArgument,
     ScaleQuestion,
@@ -82,15 +84,14 @@ def measure_area_tool(services: Services) -> StrictTool:
         region: RegionArgument = None,
         reference_length_m: ReferenceLengthArgument = None,
         frame: FrameArgument = None,
+        known_lengths: KnownLengthsArgument = None,
         include_overlay: Annotated[
             bool, Field(description="Also return a picture with the object's outline, the vehicles and a scale bar.")
         ] = False,
     ) -> Annotated[CallToolResult, AreaMeasurement]:
-        question = _Question(target, gsd_m_per_px, ScaleQuestion(region, reference_length_m, frame))
+        question = _Question(target, gsd_m_per_px, ScaleQuestion(region, reference_length_m, frame, known_lengths))
         drawn = include_overlay or client_supports_apps(ctx)
-        answer = await run_call(
-            services, ctx, image, lambda job, source: _measure(services, job, source, question, drawn)
-        )
+        answer = await run_call(services, ctx, image, partial(_measure, question=question, drawn=drawn))
         return answer.to_result(describe_area(answer.record), include_overlay=include_overlay)
 
     return StrictTool.read_only(
@@ -101,7 +102,7 @@ def measure_area_tool(services: Services) -> StrictTool:
 def _measure(
     services: Services, job: Job, source: OpenedImage, question: _Question, drawn: bool
 ) -> Answer[AreaMeasurement]:
-    """Segment the object and measure it; in a worker thread.
+    """Segment the object and measure it; in a worker's process or thread.
 
     Raises:
         VehAnchorError: the library refused.

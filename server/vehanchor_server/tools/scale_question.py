@@ -7,14 +7,22 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import Field
 
-from vehanchor.options import Frame, Reading, Reference, ScaleOptions, Search
+from vehanchor.options import Frame, KnownLength, Reading, Reference, Rulers, ScaleOptions, Search
 from vehanchor_server.frozen import FrozenModel
 
 if TYPE_CHECKING:
     from vehanchor_server.models import Models
     from vehanchor_server.settings import Settings
 
-__all__ = ["FrameArgument", "FrameSize", "ReferenceLengthArgument", "RegionArgument", "ScaleQuestion"]
+__all__ = [
+    "FrameArgument",
+    "FrameSize",
+    "KnownLengthsArgument",
+    "KnownLine",
+    "ReferenceLengthArgument",
+    "RegionArgument",
+    "ScaleQuestion",
+]
 
 
 class FrameSize(FrozenModel):
@@ -22,6 +30,16 @@ class FrameSize(FrozenModel):
 
     width_px: int = Field(gt=0, le=1_000_000, description="Width of that copy, pixels.")
     height_px: int = Field(gt=0, le=1_000_000, description="Height of that copy, pixels.")
+
+
+class KnownLine(FrozenModel):
+    """A straight line on the ground and its length."""
+
+    x1: float = Field(allow_inf_nan=False, description="One end, pixels from the left.")
+    y1: float = Field(allow_inf_nan=False, description="One end, pixels from the top.")
+    x2: float = Field(allow_inf_nan=False, description="The other end.")
+    y2: float = Field(allow_inf_nan=False, description="The other end.")
+    metres: float = Field(gt=0, le=100_000, allow_inf_nan=False, description="Metres between them.")
 
 
 RegionArgument: TypeAlias = Annotated[
@@ -43,6 +61,14 @@ ReferenceLengthArgument: TypeAlias = Annotated[
 FrameArgument: TypeAlias = Annotated[
     FrameSize | None, Field(description="Size of the resized copy that you see; its aspect ratio is the image's.")
 ]
+KnownLengthsArgument: TypeAlias = Annotated[
+    tuple[KnownLine, ...] | None,
+    Field(
+        max_length=16,
+        description="Lines of known length, in pixels of the image, or of frame where that is given: they are held "
+        "against the vehicles.",
+    ),
+]
 
 
 @dataclass(frozen=True)
@@ -53,11 +79,13 @@ class ScaleQuestion:
         region: where the image was taken.
         reference_length_m: the length of cars there.
         frame: the copy that the caller sees.
+        known_lengths: lines that the caller has measured.
     """
 
     region: str | None = None
     reference_length_m: float | None = None
     frame: FrameSize | None = None
+    known_lengths: tuple[KnownLine, ...] | None = None
 
     def options(self, settings: Settings, models: Models | None) -> ScaleOptions:
         """The method's options: thresholds, limits and calibration by the operator, the rest by the caller.
@@ -82,4 +110,9 @@ class ScaleQuestion:
             ),
             frame=Frame(self.frame.width_px, self.frame.height_px) if self.frame else Frame(),
             reading=Reading(limits=settings.image_limits),
+            rulers=Rulers(
+                known_lengths=tuple(
+                    KnownLength(line.x1, line.y1, line.x2, line.y2, line.metres) for line in self.known_lengths or ()
+                )
+            ),
         )

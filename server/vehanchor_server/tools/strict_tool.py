@@ -13,7 +13,7 @@ from mcp.server.mcpserver.tools import Tool
 from mcp.types import CallToolResult, ToolAnnotations
 from pydantic import ValidationError
 
-from vehanchor_server.errors import CallError
+from vehanchor_server.errors import CallError, shortened
 from vehanchor_server.request_log import log_call
 from vehanchor_server.tools.portable_schema import portable_schema
 
@@ -24,8 +24,11 @@ _IN_WORDS = {  # pydantic's own words for these help a programmer, not a model
     "missing": "it is required",
     "model_attributes_type": 'give an object, such as {"kind": "path", "path": "/data/photo.jpg"} for an image',
     "model_type": "give an object",
+    "union_tag_invalid": "kind is none of 'path', 'base64', 'url'",
     "union_tag_not_found": "kind is missing: it says where the image is, path, base64 or url",
 }
+MAX_VALUES = 1000  # in a call's arguments; the largest that means anything, 32 points, has some 120
+_SHOWN_CHARS = 200  # of a complaint
 _MAX_COMPLAINTS = 3  # one wrong argument often breaks several rules; a model needs the first
 
 
@@ -67,6 +70,8 @@ class StrictTool(Tool):
         started = time.perf_counter()
         status, result = "cancelled", None
         try:
+            if _more_values_than(arguments, MAX_VALUES):
+                raise ToolError("too many values") from _too_many()
             result = await super().run(arguments, context, convert_result)
             status = "ok"
             return result
@@ -87,13 +92,32 @@ class StrictTool(Tool):
             log_call(self.name, status, time.perf_counter() - started, record)
 
 
+def _too_many() -> CallError:
+    return CallError(
+        "invalid_arguments", f"more than {MAX_VALUES} values. Correct the arguments by the tool's input schema."
+    )
+
+
+def _more_values_than(arguments: Any, limit: int) -> bool:
+    """Whether a JSON value holds more values than a limit, counted no further: each fault costs pydantic a record."""
+    pending, n = [arguments], 0
+    while pending:
+        value = pending.pop()
+        if isinstance(value, dict | list):
+            n += len(value)
+            if n > limit:
+                return True
+            pending.extend(value.values() if isinstance(value, dict) else value)
+    return False
+
+
 def _complaints(error: ValidationError) -> str:
     """The arguments' faults, without the values: an image in base64 is no help to anyone."""
     found = error.errors(include_url=False, include_context=False, include_input=False)
     lines = []
     for complaint in found[:_MAX_COMPLAINTS]:
         # pydantic names the chosen form of a union after the argument: image.path.path, target.box.box.x_min
-        place = ".".join(str(part) for part, _ in groupby(complaint["loc"])) or "arguments"
-        lines.append(f"{place}: {_IN_WORDS.get(complaint['type'], complaint['msg'])}")
+        place = ".".join(shortened(str(part)) for part, _ in groupby(complaint["loc"])) or "arguments"
+        lines.append(f"{place}: {_IN_WORDS.get(complaint['type'], complaint['msg'])[:_SHOWN_CHARS]}")
     more = f" (and {len(found) - _MAX_COMPLAINTS} more)" if len(found) > _MAX_COMPLAINTS else ""
     return "; ".join(lines) + more + ". Correct the arguments by the tool's input schema."

@@ -130,16 +130,17 @@ class OidcVerifier(TokenVerifier):
                 leeway=_LEEWAY_S,
                 options={"require": ["exp", "iss", "aud"]},
             )
-        except jwt.PyJWTError as error:
+            scopes = _scopes(claims.get("scope", claims.get("scp", "")))
+            expires_at = int(claims["exp"]) + _LEEWAY_S
+        except (jwt.PyJWTError, ValueError, TypeError, OverflowError) as error:
             _logger.info("bearer token refused: %s", type(error).__name__)
             return None
-        scope = claims.get("scope", claims.get("scp", ""))
         subject = claims.get("sub")
         return AccessToken(
             token=token,
             client_id=str(claims.get("azp") or claims.get("client_id") or subject or "unknown"),
-            scopes=scope.split() if isinstance(scope, str) else [str(part) for part in scope],
-            expires_at=int(claims["exp"]) + _LEEWAY_S,
+            scopes=scopes,
+            expires_at=expires_at,
             subject=None if subject is None else str(subject),
             claims=claims,
         )
@@ -169,3 +170,16 @@ class OidcVerifier(TokenVerifier):
             self._keys = {key.key_id: key for key in found if key.public_key_use in (None, "sig")}
         except (httpx.HTTPError, jwt.PyJWTError, KeyError, ValueError, OSError) as error:
             _logger.error("the keys of %s cannot be fetched: %s", self._issuer, error)
+
+
+def _scopes(claim: object) -> list[str]:
+    """The scopes of a claim, which issuers write as one string or as a list of them.
+
+    Raises:
+        ValueError: it is neither.
+    """
+    if isinstance(claim, str):
+        return claim.split()
+    if isinstance(claim, list) and all(isinstance(part, str) for part in claim):
+        return claim
+    raise ValueError("scope is neither a string nor a list of strings")

@@ -7,6 +7,7 @@ in ``VEHANCHOR_*`` variables.
 from __future__ import annotations
 
 import os
+from functools import partial
 
 import uvicorn
 from mcp.server.auth.settings import AuthSettings
@@ -21,6 +22,9 @@ from vehanchor_server.request_log import configure_logging
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.auth import token_verifier
+from vehanchor_server.transport.connections import BACKLOG, MAX_HEAD_BYTES, ConnectionLimits, LimitedProtocol
+from vehanchor_server.transport.door import Door
+from vehanchor_server.transport.supervisor import end_with_supervisor
 
 __all__ = ["MCP_PATH", "create_app", "serve_http"]
 
@@ -29,6 +33,7 @@ _SETTINGS_OF_WORKERS = "VEHANCHOR_SETTINGS_OF_WORKERS"  # one variable: a list i
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 _SHUTDOWN_S = 5  # what a call may still take when the server is told to stop
 _KEEP_ALIVE_S = 30
+_SPARE_BODIES = 2  # beside one a call: a call's place is free a little before its body is
 
 
 def create_app(settings: Settings | None = None) -> Starlette:
@@ -43,6 +48,7 @@ def create_app(settings: Settings | None = None) -> Starlette:
     """
     if settings is None:
         configure_logging()
+        end_with_supervisor()
         handed_down = os.environ.get(_SETTINGS_OF_WORKERS)
         settings = Settings.from_json(handed_down) if handed_down else Settings.from_environment()
     settings.check_exposure()
@@ -54,16 +60,24 @@ def create_app(settings: Settings | None = None) -> Starlette:
         return JSONResponse({"status": "alive"})
 
     async def readyz(_: Request) -> Response:
-        if services.models.ready:
+        if services.ready:
             return JSONResponse({"status": "ready"})
-        return JSONResponse({"status": "loading", "error": services.models.failure}, status_code=503)
+        return JSONResponse({"status": "loading", "error": services.failure}, status_code=503)
 
-    services.models.preload()
+    services.preload()
+    security = _transport_security(settings)
     app = server.streamable_http_app(
         streamable_http_path=MCP_PATH,
         stateless_http=True,
         max_request_body_size=settings.max_body_bytes,
-        transport_security=_transport_security(settings),
+        transport_security=security,
+    )
+    app.add_middleware(
+        Door,
+        path=MCP_PATH,
+        hosts=security.allowed_hosts,
+        origins=security.allowed_origins,
+        max_large_bodies=services.capacity.max_concurrency + _SPARE_BODIES,
     )
     app.router.routes += [Route("/healthz", healthz), Route("/readyz", readyz)]  # open to probes, which have no token
     return app
@@ -89,6 +103,9 @@ def serve_http(settings: Settings) -> None:
             host=settings.host,
             port=settings.port,
             workers=settings.workers,
+            http=partial(LimitedProtocol, limits=_connection_limits(settings)),  # type: ignore[arg-type] # as it is called
+            backlog=BACKLOG,
+            h11_max_incomplete_event_size=MAX_HEAD_BYTES,
             log_config=None,
             access_log=False,
             server_header=False,
@@ -97,6 +114,14 @@ def serve_http(settings: Settings) -> None:
         )
     finally:
         del os.environ[_SETTINGS_OF_WORKERS]
+
+
+def _connection_limits(settings: Settings) -> ConnectionLimits:
+    return ConnectionLimits(
+        total=settings.max_connections,
+        per_address=settings.max_connections_per_address,
+        body_s=settings.body_timeout_s,
+    )
 
 
 def _auth(settings: Settings) -> AuthSettings:

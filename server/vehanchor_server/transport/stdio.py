@@ -31,7 +31,7 @@ def serve_stdio(settings: Settings) -> None:
     """
     configure_logging()
     services = create_services(settings)
-    services.models.preload(PRELOAD_DELAY_S)
+    services.preload(PRELOAD_DELAY_S)
     anyio.run(_serve, services)
     _leave()
 
@@ -41,14 +41,14 @@ async def _serve(services: Services) -> None:
         if sys.platform != "win32":
             group.start_soon(_leave_on_signal, services)
         await create_server(services).run_stdio_async()
-        services.capacity.close()
+        services.close()
         group.cancel_scope.cancel()
 
 
 async def _leave_on_signal(services: Services) -> None:
     with anyio.open_signal_receiver(signal.SIGTERM, signal.SIGINT) as signals:
         async for _ in signals:
-            services.capacity.close()
+            services.close()
             with anyio.move_on_after(_GRACE_S):
                 while services.capacity.running:
                     await anyio.sleep(0.01)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.sighting import Sighting
+    from vehanchor.imagery.camera_metadata import CameraMetadata
     from vehanchor.options import ScaleOptions
     from vehanchor.records import Notice
     from vehanchor.scale.lengths import Interval
@@ -33,12 +34,14 @@ class ImageFacts(NamedTuple):
         height_px: rows.
         georeference_gsd_m_per_px: the scale that the file itself carries; None where it has none.
         notices: what there was to tell when it was read.
+        camera: what the file says of its camera; None where it says nothing.
     """
 
     width_px: int
     height_px: int
     georeference_gsd_m_per_px: float | None = None
     notices: tuple[Notice, ...] = ()
+    camera: CameraMetadata | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from vehanchor.cli.spaced import SpacedCommand
 from vehanchor.cli.terminal import BAD_INPUT, INTERRUPTED, UNFORESEEN
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class _Commands(TyperGroup):
             return None
         if not isinstance(loaded, typer.Typer):
             single = typer.Typer(add_completion=False, pretty_exceptions_enable=False, context_settings=_SETTINGS)
-            single.command(cmd_name, context_settings=_SETTINGS)(loaded)
+            single.command(cmd_name, cls=SpacedCommand, context_settings=_SETTINGS)(loaded)
             loaded = single
         command = typer.main.get_command(loaded)
         command.name = cmd_name

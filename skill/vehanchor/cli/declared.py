@@ -4,7 +4,7 @@
     def estimate(images: ..., chosen: Chosen) -> None:
         options, detector = chosen.options(), chosen.open_detector()
 
-``estimate`` then has the options of ``Search``, ``Lengths``, ``Reference``, ``Frame``, ``Reading`` and
+``estimate`` then has the options of ``Search``, ``Lengths``, ``Reference``, ``Frame``, ``Reading``, ``Rulers`` and
 ``DetectorChoice`` beside its own. They are checked when ``options`` and ``open_detector`` are called, where the command
 can tell its user.
 """
@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from vehanchor.errors import InvalidParameterError
-from vehanchor.options import Choice, Lengths, Reading, Reference, ScaleOptions, Search, choice
+from vehanchor.choices import Choice, choice
+from vehanchor.errors import InvalidParameterError, KnownLengthError
+from vehanchor.options import KnownLength, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
@@ -97,6 +98,7 @@ _GROUPS: tuple[tuple[type[Any], str], ...] = (
     (Search, "Search"),
     (Lengths, "Lengths"),
     (Reading, "Reading the image"),
+    (Rulers, "Other rulers"),
 )
 _FRAME = inspect.Parameter(
     "frame",
@@ -137,6 +139,10 @@ class Chosen:
             keywords["alpha"] = _alpha(keywords["alpha"])
         if isinstance(keywords.get("aggregation"), StrEnum):
             keywords["aggregation"] = keywords["aggregation"].value
+        if keywords.get("rulers") is not None:
+            keywords["rulers"] = tuple(name.strip() for name in keywords["rulers"].split(","))
+        if "known_lengths" in keywords:
+            keywords["known_lengths"] = [_known_length(text) for text in keywords["known_lengths"] or ()]
         return ScaleOptions.of({**keywords, "frame_width_px": width, "frame_height_px": height})
 
     @property
@@ -204,6 +210,10 @@ def _parameter(name: str, kind: Any, declared: Any, panel: str) -> inspect.Param
         kind = typing.cast("type", StrEnum(name.title(), words)) | None
     if name == "alpha":  # a number or a word
         kind, default = str, str(default)
+    elif name == "rulers":  # words with commas
+        kind = str | None
+    elif name == "known_lengths":  # each of them joined to one text (see ``vehanchor.cli.spaced``)
+        kind, default = list[str] | None, None
     flags = f"--{flag}/--no-{flag}" if bare is bool else f"--{flag}"
     option = typer.Option(flags, help=stated.help, rich_help_panel=panel, **more)
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option])
@@ -223,6 +233,13 @@ def _without_unit(name: str) -> str:
         if name.endswith(unit):
             return name.removesuffix(unit)
     return name
+
+
+def _known_length(text: str) -> tuple[float, ...]:
+    try:
+        return KnownLength(*(float(part) for part in text.split()))
+    except (TypeError, ValueError):
+        raise KnownLengthError(f"--known-length is {text!r}: use five numbers, X1 Y1 X2 Y2 METRES") from None
 
 
 def _alpha(text: Any) -> float | None:

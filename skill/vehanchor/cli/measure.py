@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from typer.core import TyperCommand
 
 from vehanchor.cli.declared import Chosen, DetectorChoice, scale_command
+from vehanchor.cli.spaced import SpacedCommand
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
     exit_on_error,
@@ -31,22 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["measure"]
 
-_POINT_OPTIONS = ("--point", "--negative")
 _SHORT_SHA = 12
-
-
-class _PointsCommand(TyperCommand):
-    """A command whose point options take two numbers each time: Typer has no repeatable option of several values."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Join both numbers of each point before the rest is parsed."""
-        joined: list[str] = []
-        rest = list(args)
-        while rest:
-            joined.append(rest.pop(0))
-            if joined[-1] in _POINT_OPTIONS and len(rest) >= 2:
-                joined.append(f"{rest.pop(0)} {rest.pop(0)}")
-        return super().parse_args(ctx, joined)
 
 
 @scale_command()
@@ -111,7 +96,7 @@ def _measure(
 
 
 measure = typer.Typer(add_completion=False)
-measure.command("measure", cls=_PointsCommand)(_measure)
+measure.command("measure", cls=SpacedCommand)(_measure)
 
 
 def _points(on: Sequence[str] | None, beside: Sequence[str] | None) -> list[tuple[float, float, bool]] | None:

@@ -44,6 +44,7 @@ _LengthPx = Annotated[float, Field(gt=0, le=_MAX_LENGTH_PX)]
 _NotNegative = Annotated[float, Field(ge=0)]
 _LeastLengthPx = Annotated[float, Field(ge=0, le=_MAX_LENGTH_PX)]
 _Share = Annotated[float, Field(ge=0, le=1)]
+_Weight = Annotated[float, Field(ge=0, le=1000)]
 _ClassIndex = Annotated[int, Field(ge=0)]
 
 
@@ -156,7 +157,7 @@ class SecondLookCard(_Card):
 
     sha256: str
     detector: str
-    weights: tuple[_NotNegative, _NotNegative, float]
+    weights: tuple[_Weight, _Weight, float]
     least_score: _Share
     min_score: _Share
     clear_score: _Share = 0.0

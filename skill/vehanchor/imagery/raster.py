@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from vehanchor.errors import ImageDecodeError, ImageNotFoundError, ImageTooLargeError, InvalidParameterError
 from vehanchor.imagery.arrays import ArrayRaster
+from vehanchor.imagery.camera_metadata import read_camera
 from vehanchor.imagery.datasets import Dataset, is_dataset, open_dataset, open_tiff
 from vehanchor.imagery.decoding import decode, decodes_tiff
 from vehanchor.imagery.header import is_tiff
@@ -93,7 +94,9 @@ def _open_path(path: str, bands: BandChoice, limits: ImageLimits) -> Raster:
         if is_tiff(read_at(0, 4)):
             header = read_checked_header(read_at, limits)
             if n_bytes > limits.max_bytes or _needs_windows(header, limits):
-                return open_tiff(str(Path(path).absolute()), path, header, bands, limits)
+                raster = open_tiff(str(Path(path).absolute()), path, header, bands, limits)
+                raster.camera = read_camera(read_at)
+                return raster
         check_bytes(n_bytes, limits)
         data = read_at(0, n_bytes)
     return _open_bytes(data, path, bands, limits)
@@ -103,12 +106,20 @@ def _open_bytes(data: bytes, source: str, bands: BandChoice, limits: ImageLimits
     check_bytes(len(data), limits)
     if not data:
         raise ImageDecodeError(f"the image ({source}) is empty: 0 bytes")
-    header = read_checked_header(lambda offset, count: data[offset : offset + count], limits)
+
+    def read_at(offset: int, count: int) -> bytes:
+        return data[offset : offset + count]
+
+    raster: Raster
+    header = read_checked_header(read_at, limits)
     if _needs_windows(header, limits):
-        return open_tiff(data, source, header, bands, limits)
-    pixels = decode(data, source, header)
-    orientation = 1 if header.tiff else header.orientation  # OpenCV has turned a TIFF already
-    return ArrayRaster(pixels, source, bands, bgr=True, orientation=orientation)
+        raster = open_tiff(data, source, header, bands, limits)
+    else:
+        pixels = decode(data, source, header)
+        orientation = 1 if header.tiff else header.orientation  # OpenCV has turned a TIFF already
+        raster = ArrayRaster(pixels, source, bands, bgr=True, orientation=orientation)
+    raster.camera = read_camera(read_at)
+    return raster
 
 
 def _needs_windows(header: ImageHeader, limits: ImageLimits) -> bool:

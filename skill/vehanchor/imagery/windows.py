@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from vehanchor.imagery.camera_metadata import CameraMetadata
+
 __all__ = ["Raster", "RasterNote", "StoredPixels", "Window", "oriented", "outer_sides", "stored_window"]
 
 # EXIF orientation -> (rows and columns swap, then flip up-down, flip left-right) that shows the stored image upright.
@@ -64,7 +66,10 @@ class Raster(ABC):
         source: the path as given, or "bytes", "file", "array", "dataset".
         georeference_gsd_m_per_px: the scale that the file itself carries, None without one.
         warnings: what its user should know.
+        camera: what the file says of its camera; None where it says nothing, and for what is no file.
     """
+
+    camera: CameraMetadata | None = None
 
     def __init__(
         self,

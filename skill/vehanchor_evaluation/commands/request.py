@@ -44,8 +44,8 @@ def measuring_command(
 
     Args:
         request: the dataclass.
-        without: options of the method that make no sense for this command; a frame, which belongs to one image, never
-            does.
+        without: options of the method that make no sense for this command; a frame and known lengths, which
+            belong to one image, never do.
 
     Returns:
         A decorator for a function of the request and what was chosen for the method.
@@ -58,7 +58,7 @@ def measuring_command(
 
         chosen = inspect.Parameter("chosen", inspect.Parameter.KEYWORD_ONLY, annotation=Chosen)
         declared = _declared(run, command, [*_parameters(request), chosen])
-        return scale_command(without={"frame", *without})(declared)
+        return scale_command(without={"frame", "known_lengths", *without})(declared)
 
     return decorate
 

@@ -116,14 +116,14 @@ async def test_paths_that_lead_elsewhere_are_refused(
 async def test_a_file_swapped_for_a_link_between_check_and_opening_is_refused(
     walled: MCPServer[object], root: Path, outside: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original = sandbox_module._open_below
+    original = sandbox_module._open_part
 
-    def swapped(within: Path, path: Path) -> int:
-        path.unlink()
-        path.symlink_to(outside)
-        return original(within, path)
+    def swapped(part: str, flags: int, directory: int) -> int:
+        (root / "a.png").unlink()
+        (root / "a.png").symlink_to(outside)
+        return original(part, flags, directory)
 
-    monkeypatch.setattr(sandbox_module, "_open_below", swapped)
+    monkeypatch.setattr(sandbox_module, "_open_part", swapped)
     (result, _) = await called(walled, by_path(root / "a.png")["image"])
     assert error_of(result) == "path_not_allowed"
 

@@ -278,3 +278,25 @@ async def test_failures_of_the_host_are_told(fetcher: Fetcher, web_server: WebSe
     assert (await refusal(replace(fetcher, resolve=unknown), web_server.url())).code == "fetch_failed"
     closed = replace(fetcher, hosts=("images.test:1",))
     assert (await refusal(closed, "https://images.test:1/a.png")).code == "fetch_failed"
+
+
+@pytest.mark.parametrize("location", ["https://[", "https://[::1", "//[x"])
+async def test_a_redirect_that_cannot_be_read_is_told(fetcher: Fetcher, web_server: WebServer, location: str) -> None:
+    assert (await refusal(fetcher, web_server.url(f"/to/{location}"))).code == "fetch_failed"
+
+
+async def test_a_name_that_the_resolver_cannot_encode_is_no_host(fetcher: Fetcher, web_server: WebServer) -> None:
+    async def resolve(host: str, port: int) -> list[str]:
+        raise UnicodeError("label too long")
+
+    assert (await refusal(replace(fetcher, resolve=resolve), web_server.url())).code == "url_not_allowed"
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["fec0::1", "feff::1", "3fff::1", "3fff:fff::1", "192.0.0.9", "192.0.0.170", "192.88.99.1", "168.63.129.16"],
+)
+def test_ranges_that_only_look_public_are_not(address: str) -> None:
+    assert not is_public_address(address)
+    assert is_public_address("168.63.129.17")
+    assert is_public_address("2606:2800:220:1::1")

@@ -13,6 +13,7 @@ import pytest
 from vehanchor_server.errors import CallError
 from vehanchor_server.images import sandbox as sandbox_module
 from vehanchor_server.images.sandbox import Sandbox
+from vehanchor_server.settings import Settings
 
 SECRET = b"outside the root"
 
@@ -105,14 +106,14 @@ def test_loops_of_links_are_refused(root: Path) -> None:
 def test_a_file_replaced_by_a_link_between_check_and_opening_is_refused(
     root: Path, outside: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original = sandbox_module._open_below
+    original = sandbox_module._open_part
 
-    def swapped(within: Path, path: Path) -> int:
-        path.unlink()
-        path.symlink_to(outside / "secret.png")
-        return original(within, path)
+    def swapped(part: str, flags: int, directory: int) -> int:
+        (root / "a.png").unlink()
+        (root / "a.png").symlink_to(outside / "secret.png")
+        return original(part, flags, directory)
 
-    monkeypatch.setattr(sandbox_module, "_open_below", swapped)
+    monkeypatch.setattr(sandbox_module, "_open_part", swapped)
     assert refusal(root, str(root / "a.png")).code == "path_not_allowed"
 
 
@@ -120,28 +121,30 @@ def test_a_directory_replaced_by_a_link_between_check_and_opening_is_refused(
     root: Path, outside: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (root / "deep" / "secret.png").write_bytes(b"decoy")
-    original = sandbox_module._open_below
+    original = sandbox_module._open_part
 
-    def swapped(within: Path, path: Path) -> int:
-        path.parent.rename(path.parent.with_name("moved"))
-        path.parent.symlink_to(outside, target_is_directory=True)
-        return original(within, path)
+    def swapped(part: str, flags: int, directory: int) -> int:
+        if part == "deep":
+            (root / "deep").rename(root / "moved")
+            (root / "deep").symlink_to(outside, target_is_directory=True)
+        return original(part, flags, directory)
 
-    monkeypatch.setattr(sandbox_module, "_open_below", swapped)
-    assert refusal(root, str(root / "deep" / "secret.png")).code == "path_not_allowed"
+    monkeypatch.setattr(sandbox_module, "_open_part", swapped)
+    refused = refusal(root, str(root / "deep" / "secret.png"))
+    assert refused.code in ("path_not_allowed", "image_not_found")  # Linux calls the link no directory
 
 
 def test_a_file_replaced_by_a_fifo_between_check_and_opening_neither_blocks_nor_is_read(
     root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original = sandbox_module._open_below
+    original = sandbox_module._open_part
 
-    def swapped(within: Path, path: Path) -> int:
-        path.unlink()
-        os.mkfifo(path)
-        return original(within, path)
+    def swapped(part: str, flags: int, directory: int) -> int:
+        (root / "a.png").unlink()
+        os.mkfifo(root / "a.png")
+        return original(part, flags, directory)
 
-    monkeypatch.setattr(sandbox_module, "_open_below", swapped)
+    monkeypatch.setattr(sandbox_module, "_open_part", swapped)
     assert refusal(root, str(root / "a.png")).code == "image_not_found"
 
 
@@ -190,6 +193,70 @@ def test_the_process_own_links_do_not_lead_back_in(root: Path) -> None:
         assert refusal(root, f"/proc/self/fd/{descriptor}/etc/passwd").code == "path_not_allowed"
     finally:
         os.close(descriptor)
+
+
+def test_a_way_back_into_the_root_from_outside_tells_nothing_of_what_it_passes(root: Path, tmp_path: Path) -> None:
+    """Processes could be counted by it: /proc/PID/root led back into the root for those that were there."""
+    (tmp_path / "back").symlink_to(root, target_is_directory=True)
+    refusals = {
+        str(refusal(root, named))
+        for named in (
+            f"/proc/{os.getpid()}/root{root}/a.png",
+            f"/proc/{os.getpid()}/root{root}/missing.png",
+            f"/proc/self/root{root}/a.png",
+            f"/proc/999999999/root{root}/a.png",
+            f"{tmp_path}/back/a.png",
+            f"{tmp_path}/no/a.png",
+        )
+    }
+    assert len(refusals) == 1
+    assert refusals.pop().startswith("path_not_allowed")
+
+
+def test_links_that_leave_the_root_to_come_back_tell_nothing_of_what_they_pass(root: Path, tmp_path: Path) -> None:
+    (tmp_path / "back").symlink_to(root, target_is_directory=True)
+    targets = (
+        f"/proc/{os.getpid()}/root{root}/a.png",
+        f"/proc/999999999/root{root}/a.png",
+        f"{tmp_path}/back/a.png",
+        "../back/a.png",
+        "../no/a.png",
+        "deep/../../root/a.png",
+    )
+    for i, target in enumerate(targets):
+        (root / f"link{i}.png").symlink_to(target)
+    assert len({str(refusal(root, str(root / f"link{i}.png"))) for i in range(len(targets))}) == 1
+
+
+def test_a_root_may_be_named_as_the_operator_wrote_it(root: Path, tmp_path: Path) -> None:
+    spelled = tmp_path / "spelled"
+    spelled.symlink_to(root, target_is_directory=True)
+    settings = Settings.from_json(Settings(roots=(spelled,)).to_json())
+    assert settings.roots == (root,)
+    for name in (spelled, root):
+        with Sandbox(settings.roots, settings.spelled_roots).open(str(name / "a.png")) as opened:
+            assert content(opened) == b"inside"
+
+
+def test_links_may_climb_inside_the_root_and_lead_to_another(root: Path, outside: Path) -> None:
+    (root / "deep" / "up.png").symlink_to("../a.png")
+    (root / "deep" / "round.png").symlink_to("../deep/./../a.png")
+    (root / "other.png").symlink_to(outside / "secret.png")
+    assert read(root, str(root / "deep" / "up.png")) == b"inside"
+    assert read(root, str(root / "deep" / "round.png")) == b"inside"
+    with Sandbox([root, outside]).open(str(root / "other.png")) as opened:
+        assert content(opened) == SECRET
+
+
+@pytest.mark.parametrize("named", ["file://[", "file://[::1", "FILE://[x]y/a.png", "file:///a.png["])
+def test_urls_that_cannot_be_split_are_refused(root: Path, named: str) -> None:
+    assert refusal(root, named).code == "path_not_allowed"
+
+
+def test_a_long_name_is_shortened_before_it_is_told(root: Path) -> None:
+    error = refusal(root, f"{root}/{'a/' * 1000}a.png")
+    assert error.code == "image_not_found"
+    assert len(str(error)) < 200
 
 
 def test_percent_encoding_is_decoded_once_and_then_judged(root: Path) -> None:

@@ -78,6 +78,21 @@ async def test_arguments_reach_the_library(server: MCPServer[object], images: Pa
     assert by_region.structured_content["reference_length_m"] == pytest.approx(4.5)
 
 
+async def test_lines_of_known_length_are_read_in_the_callers_frame_and_held_against_the_vehicles(
+    server: MCPServer[object], images: Path
+) -> None:
+    line = {"x1": 10, "y1": 10, "x2": 110, "y2": 10, "metres": 200}
+    arguments = {**by_path(images / "cars.png"), "frame": {"width_px": 320, "height_px": 256}, "known_lengths": [line]}
+    async with Client(server) as client:
+        heard = await client.call_tool("estimate_gsd", arguments)
+        refused = await client.call_tool("estimate_gsd", {**arguments, "known_lengths": [{**line, "x2": 11}]})
+    assert "The given line says 1 m/px" in text_of(heard)  # 2 m/px of the frame, which is half as large
+    assert heard.structured_content is not None
+    assert "rulers_disagree" in [warning["code"] for warning in heard.structured_content["warnings"]]
+    assert refused.is_error
+    assert "invalid_known_length" in text_of(refused)
+
+
 async def test_the_operators_calibration_is_the_ruler_of_callers_who_name_none(
     settings: Settings, images: Path, tmp_path: Path
 ) -> None:

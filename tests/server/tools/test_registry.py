@@ -38,15 +38,16 @@ def image_size_tool(services: Services) -> StrictTool:
     """What the module of a new tool holds."""
 
     async def image_size(image: ImageArgument, ctx: Context[Any, Any]) -> Annotated[CallToolResult, Size]:
-        def work(job: Job, source: OpenedImage) -> Answer[Size]:
-            job.enter("decode")
-            with open_raster(source, limits=services.settings.image_limits) as raster:
-                return Answer(Size(width_px=raster.width_px, height_px=raster.height_px))
-
-        answer = await run_call(services, ctx, image, work)
+        answer = await run_call(services, ctx, image, _image_size)
         return answer.to_result(f"{answer.record.width_px} px wide.", include_overlay=False)
 
     return StrictTool.read_only(image_size, title="Tell an image's size", description="Tells the size of an image.")
+
+
+def _image_size(services: Services, job: Job, source: OpenedImage) -> Answer[Size]:
+    job.enter("decode")
+    with open_raster(source, limits=services.settings.image_limits) as raster:
+        return Answer(Size(width_px=raster.width_px, height_px=raster.height_px))
 
 
 async def test_the_contract_names_every_hint(server: MCPServer[object], era: str) -> None:

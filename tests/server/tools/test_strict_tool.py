@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -57,3 +58,27 @@ async def test_a_bug_is_told_without_its_details_and_logged_with_them(
     assert error_of(result) == "internal_error"
     assert "hunter2" not in text_of(result)
     assert "hunter2" in caplog.text
+
+
+@pytest.mark.parametrize("deep", [False, True])
+async def test_more_values_than_any_call_has_are_told_without_looking_at_each(
+    server: MCPServer[object], deep: bool
+) -> None:
+    many = {f"a{i}": 0 for i in range(100_000)}
+    started = time.monotonic()
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", {"image": many} if deep else many)
+    assert text_of(result).startswith("invalid_arguments: more than 1000 values.")
+    assert time.monotonic() - started < 2
+
+
+async def test_long_names_are_shortened_before_they_are_told(server: MCPServer[object]) -> None:
+    long = "n" * 100_000
+    async with Client(server) as client:
+        for arguments in ({long: 1}, {"image": {"kind": long}}, {"image": {"kind": "path", "path": "/a", long: 1}}):
+            result = await client.call_tool("estimate_gsd", arguments)
+            assert error_of(result) == "invalid_arguments"
+            assert len(text_of(result)) < 700
+        result = await client.call_tool(long, {})
+    assert error_of(result) == "unknown_tool"
+    assert len(text_of(result)) < 300

@@ -127,6 +127,10 @@ async def test_the_issuers_tokens_are_accepted(issuer: Issuer) -> None:
         {"exp": 1_000_000_000},
         {"exp": None},
         {"nbf": 4_000_000_000},
+        {"scope": 7},
+        {"scope": {"gsd": True}},
+        {"scp": [["gsd"]]},
+        {"exp": 1e400},
     ],
 )
 async def test_claims_that_do_not_fit_are_refused(issuer: Issuer, claims: dict[str, Any]) -> None:

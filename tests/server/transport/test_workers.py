@@ -130,3 +130,14 @@ def test_sigterm_ends_all_of_them_cleanly(serving: HttpServer) -> None:
     while any(Path(f"/proc/{pid}").exists() for pid in workers) and time.monotonic() < deadline:
         time.sleep(0.02)
     assert not [pid for pid in workers if Path(f"/proc/{pid}").exists()]
+
+
+def test_killing_the_supervisor_ends_its_workers(serving: HttpServer) -> None:
+    workers = child_processes(serving.pid)
+    assert len(workers) == 2
+    os.kill(serving.pid, signal.SIGKILL)
+    serving.process.wait(5)
+    deadline = time.monotonic() + 8
+    while any(Path(f"/proc/{pid}").exists() for pid in workers) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not [pid for pid in workers if Path(f"/proc/{pid}").exists()]

@@ -482,3 +482,32 @@ def test_every_error_of_the_library_has_a_code_of_its_own() -> None:
     for kind in kinds:
         kinds.extend(kind.__subclasses__())
     assert len({kind.code for kind in kinds}) == len(set(kinds))
+
+
+def test_lines_of_known_length_are_given_again_and_again_and_heard(run: Any) -> None:
+    lines = ["--known-length", 0, 0, 300, 0, 90, "--known-length", 10, 10, 10, 210, 60]
+    result = _estimate(run, "--json", "cars.png", *lines)
+    assert result.exit_code == 0, result.output
+    codes = [warning["code"] for warning in json.loads(result.stdout)["warnings"]]
+    assert codes[-2:] == ["other_ruler", "rulers_disagree"]
+    said = _estimate(run, "--json", "cars.png", *lines, "--rulers", "vehicles,camera")
+    assert "other_ruler" not in said.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "code"),
+    [
+        (["--known-length", 0, 0, 1, 0, 5], "invalid_known_length"),
+        (["--known-length", 0, 0, 30, 0, "five"], "invalid_known_length"),
+        (["--known-length", 0, 0, 9000, 0, 500], "invalid_known_length"),
+        (["--height", 0], "invalid_parameter"),
+        (["--height", 40, "--focal-35mm", 0], "invalid_parameter"),
+        (["--focal-35mm", 24], "invalid_parameter"),
+        (["--rulers", "vehicles,yardstick"], "invalid_parameter"),
+        (["--rulers", "camera"], "invalid_parameter"),
+    ],
+)
+def test_a_ruler_without_meaning_is_refused_by_its_code(run: Any, options: list[object], code: str) -> None:
+    result = _estimate(run, "cars.png", *options)
+    assert result.exit_code == 2
+    assert f"error[{code}]" in result.stderr

@@ -1,0 +1,424 @@
+"""Processes in which images are decoded and models run, so that whatever an image does can be ended.
+
+Each has its models loaded and waits for a call; a thread of the server sends it one and passes on what it reports. At
+the deadline, and when nobody waits any more, it is killed, and the next one is started at once. Its memory and
+processor time are limited by the system besides. The processes and their pipes are those of the standard library's
+``multiprocessing``. No pool was found that fits: ``anyio.to_process`` kills, but has no way for progress and swallows
+what a worker logs; ``concurrent.futures`` and ``loky`` break the whole pool with one killed worker; ``pebble`` is under
+the LGPL.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import multiprocessing
+import os
+import queue
+import signal
+import threading
+import traceback
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+
+from vehanchor_server.calls.capacity import Stop
+from vehanchor_server.calls.job import Job
+from vehanchor_server.errors import CallError
+from vehanchor_server.images.source import OpenedImage, library_errors
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from multiprocessing.connection import Connection
+    from multiprocessing.process import BaseProcess
+
+    from vehanchor_server.images.argument import AnyImage
+    from vehanchor_server.images.source import ImageSources
+    from vehanchor_server.models import Models
+
+__all__ = ["Task", "WorkerFailedError", "WorkerLimits", "WorkerPool", "perform"]
+
+Result = TypeVar("Result")
+
+_MIB = 1 << 20
+_ENDS_WITHIN_S = 5.0  # a killed process, unless the system is stuck
+_LOOKS_S = 0.05  # how often a thread that waits for a worker to be ready looks whether it still shall
+_OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")  # OpenCV's, C++'s, ONNX's
+_logger = logging.getLogger(__name__)
+
+
+class Parts(Protocol):
+    """The parts of a server that work needs: its ``Services``, which hold the workers as well."""
+
+    @property
+    def sources(self) -> ImageSources:
+        """Where images come from."""
+
+    @property
+    def models(self) -> Models:
+        """The operator's models."""
+
+
+class WorkerFailedError(Exception):
+    """A bug in a worker; its message is the traceback there."""
+
+
+@dataclass(frozen=True)
+class Task(Generic[Result]):
+    """One call's work, as it is sent to a worker.
+
+    Attributes:
+        work: does it with the ``Services`` of the process that it runs in; a function of a module, or a
+            ``functools.partial`` of one.
+        image: the caller's argument.
+        fetched: its bytes, if it is a URL.
+    """
+
+    work: Callable[[Any, Job, OpenedImage], Result]
+    image: AnyImage
+    fetched: bytes | None
+
+
+@dataclass(frozen=True)
+class WorkerLimits:
+    """What one worker may use.
+
+    Attributes:
+        memory_bytes: of data.
+        cpu_s: processor time of a call.
+    """
+
+    memory_bytes: int
+    cpu_s: float
+
+
+def perform(services: Parts, task: Task[Result], job: Job) -> Result:
+    """Open the image and do the work, in this process and thread.
+
+    Raises:
+        CallError: the work failed for a reason that its caller can act on.
+    """
+    with services.sources.open(task.image, task.fetched) as source, library_errors(source):
+        return task.work(services, job, source)
+
+
+class WorkerPool:
+    """The workers of a server, one for each call that may run at once.
+
+    Args:
+        make_services: makes a worker's parts; a function of a module, or a ``functools.partial`` of one.
+        n_workers: how many.
+        limits: what each may use.
+    """
+
+    def __init__(self, make_services: Callable[[], Parts], n_workers: int, limits: WorkerLimits) -> None:
+        self._make_services = make_services
+        self._limits = limits
+        self._workers = [_Worker(self) for _ in range(n_workers)]
+        self._idle: queue.SimpleQueue[_Worker] = queue.SimpleQueue()
+        for worker in self._workers:
+            self._idle.put(worker)
+        self._closed = False
+
+    @property
+    def ready(self) -> bool:
+        """Whether a call can start at once."""
+        for worker in self._workers:
+            worker.look()
+        return any(worker.loaded and worker.failure is None for worker in self._workers)
+
+    @property
+    def failure(self) -> str | None:
+        """The code of the error that loading the models ended with, None without one."""
+        return next((worker.failure for worker in self._workers if worker.failure), None)
+
+    @property
+    def processes(self) -> list[int]:
+        """The processes' numbers."""
+        return [worker.process.pid for worker in self._workers if worker.process and worker.process.pid]
+
+    def start(self, delay_s: float = 0.0) -> None:
+        """Start all that do not run, in the background, after a while."""
+
+        def start_all() -> None:
+            for worker in self._workers:
+                if not self._closed:
+                    worker.start()
+
+        timer = threading.Timer(delay_s, start_all)
+        timer.name, timer.daemon = "vehanchor-workers", True
+        timer.start()
+
+    def run(
+        self,
+        task: Task[Result],
+        stop: Stop,
+        report: Callable[[float, str], None],
+        enter: Callable[[str], None],
+    ) -> Result:
+        """Have a task done by a worker; blocks, and is called in a thread.
+
+        Args:
+            task: the task.
+            stop: kills the worker when it is requested.
+            report: gets the progress.
+            enter: gets the stages.
+
+        Raises:
+            CallError: ``worker_killed``, or why the work failed.
+            CallStoppedError: the stop was requested.
+            WorkerFailedError: a bug.
+        """
+        worker = self._idle.get()  # there is one: as many calls as workers are admitted
+        try:
+            return worker.run(task, stop, report, enter)
+        finally:
+            if not self._closed:
+                worker.renew()
+            self._idle.put(worker)
+
+    def close(self) -> None:
+        """End all workers."""
+        self._closed = True
+        for worker in self._workers:
+            worker.kill()
+
+
+class _Worker:
+    """One process, and the next after it."""
+
+    def __init__(self, pool: WorkerPool) -> None:
+        self._pool = pool
+        self._lock = threading.RLock()
+        self._connection: Connection | None = None
+        self.process: BaseProcess | None = None
+        self.loaded = False
+        self.failure: str | None = None
+
+    def start(self) -> None:
+        """Start a process, if none runs."""
+        with self._lock:
+            if self.process is not None and self.process.is_alive():
+                return
+            self._reap()
+            context = multiprocessing.get_context("spawn")
+            ours, theirs = context.Pipe()
+            process = context.Process(
+                target=_serve, args=(theirs, self._pool._make_services, self._pool._limits), name="vehanchor-worker"
+            )
+            process.daemon = True
+            process.start()
+            theirs.close()
+            self.process, self._connection = process, ours
+
+    def kill(self) -> None:
+        """Kill the process."""
+        process = self.process
+        if process is not None:
+            process.kill()
+
+    def renew(self) -> None:
+        """Start the next process after one that ended; one that never loaded is not started again before a call."""
+        if self.process is not None and not self.process.is_alive() and self.loaded:
+            self.start()
+
+    def look(self) -> None:
+        """See whether the models are loaded by now; never blocks."""
+        if not self.loaded and self._lock.acquire(blocking=False):
+            try:
+                with contextlib.suppress(EOFError):
+                    self._receive_loaded(0)
+            finally:
+                self._lock.release()
+
+    def await_loaded(self, stop: Stop) -> None:
+        """Wait until the models are loaded.
+
+        Raises:
+            CallStoppedError: the stop was requested; the process goes on loading.
+            EOFError: the process ended.
+        """
+        while not self.loaded:
+            stop.check()
+            with self._lock:
+                self._receive_loaded(_LOOKS_S)
+
+    def _receive_loaded(self, wait_s: float) -> None:
+        if self.loaded or self._connection is None:
+            return
+        try:
+            if self._connection.poll(wait_s):
+                _, self.failure = self._connection.recv()
+                self.loaded = True
+        except (EOFError, OSError):
+            self.failure = "worker_killed"
+            raise EOFError from None
+
+    def run(
+        self,
+        task: Task[Result],
+        stop: Stop,
+        report: Callable[[float, str], None],
+        enter: Callable[[str], None],
+    ) -> Result:
+        """Have a task done.
+
+        Raises:
+            CallError: the process ended, or the work failed.
+            CallStoppedError: the stop was requested.
+            WorkerFailedError: a bug.
+        """
+        self.start()
+        try:
+            self.await_loaded(stop)
+        except EOFError:
+            raise self._ended() from None
+        assert self.process is not None
+        assert self._connection is not None
+        with _KilledOnRequest(self.process, stop) as turn:
+            stop.check()
+            try:
+                self._connection.send(task)
+                result = self._listen(self._connection, turn, report, enter)
+            except (EOFError, OSError) as error:  # the pipe broke: the process ended
+                self.process.join(_ENDS_WITHIN_S)
+                stop.check()
+                raise self._ended() from error
+        return result
+
+    def _ended(self) -> CallError:
+        if self.process is not None:
+            self.process.join(_ENDS_WITHIN_S)
+            _logger.warning("a worker ended during a call: exit code %s", self.process.exitcode)
+        return CallError(
+            "worker_killed",
+            "the process that worked on the image ended: it took too much memory or time, or crashed. Try again, "
+            "or send another image.",
+        )
+
+    def _listen(
+        self,
+        connection: Connection,
+        turn: _KilledOnRequest,
+        report: Callable[[float, str], None],
+        enter: Callable[[str], None],
+    ) -> Any:
+        while True:
+            kind, *values = connection.recv()
+            if kind == "report":
+                report(*values)
+            elif kind == "enter":
+                enter(*values)
+            else:
+                turn.over = kind != "exhausted"
+                if kind == "value":
+                    return values[0]
+                raise values[0] if kind in ("refused", "exhausted") else WorkerFailedError(values[0])
+
+    def _reap(self) -> None:
+        """Forget the process that ended."""
+        if self.process is not None:
+            self.process.join()
+            self.process.close()
+        if self._connection is not None:
+            self._connection.close()
+        self.process = self._connection = None
+        self.loaded = False
+
+
+class _KilledOnRequest:
+    """One call's turn with a process: a context manager in which a stop request kills it, and after which none does.
+
+    A turn that ends before its call is over leaves a process that nobody knows the state of: it is killed, too.
+
+    Attributes:
+        over: whether the process has answered, and waits for the next call.
+    """
+
+    def __init__(self, process: BaseProcess, stop: Stop) -> None:
+        self._process = process
+        self._lock = threading.Lock()
+        self._has_turn = True
+        self._killed = False
+        self.over = False
+        stop.on_request(self._kill)
+
+    def __enter__(self) -> _KilledOnRequest:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if not self.over:
+            self._kill()
+        with self._lock:
+            self._has_turn = False
+        if self._killed:
+            self._process.join(_ENDS_WITHIN_S)
+
+    def _kill(self) -> None:
+        with self._lock:
+            if self._has_turn:
+                self._killed = True
+                self._process.kill()
+
+
+def _serve(connection: Connection, make_services: Callable[[], Parts], limits: WorkerLimits) -> None:
+    """Load the models and do tasks until the server is gone; the main function of a worker."""
+    from vehanchor_server.request_log import configure_logging
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # from the keyboard it comes to all, and the server ends its workers
+    os.dup2(2, 1)  # stdout belongs to the server's protocol
+    configure_logging()
+    threading.Thread(target=_end_with_server, name="vehanchor-server", daemon=True).start()
+    _limit_memory(limits.memory_bytes)
+    services = make_services()
+    services.models.load_all()
+    connection.send(("loaded", services.models.failure))
+    with contextlib.suppress(EOFError):
+        while True:
+            task = connection.recv()
+            _limit_cpu(limits.cpu_s)
+            connection.send(_outcome(services, task, connection))
+
+
+def _outcome(services: Parts, task: Task[Any], connection: Connection) -> tuple[Any, ...]:
+    def enter(stage: str) -> None:
+        connection.send(("enter", stage))
+
+    def report(percent: float, message: str) -> None:
+        connection.send(("report", percent, message))
+
+    try:
+        return "value", perform(services, task, Job(Stop(), report, enter))
+    except Exception as error:
+        if isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):
+            _logger.warning("a worker ran out of memory", exc_info=True)
+            return "exhausted", CallError(
+                "worker_killed", "the work on the image took more memory than this server allows. Send a smaller image."
+            )
+        if isinstance(error, CallError):
+            return "refused", error
+        return "failed", traceback.format_exc()
+
+
+def _end_with_server() -> None:
+    """End this process when the server's does, also in the middle of a call."""
+    server = multiprocessing.parent_process()
+    assert server is not None
+    server.join()
+    os._exit(1)
+
+
+def _limit_memory(n_bytes: int) -> None:
+    """Limit this process's data; not on Windows, which has no such limit, nor where the system refuses one."""
+    with contextlib.suppress(ImportError, OSError, ValueError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_DATA, (n_bytes, n_bytes))
+
+
+def _limit_cpu(seconds: float) -> None:
+    """Limit the processor time that this process may still take; the system kills it when it is used up."""
+    with contextlib.suppress(ImportError, OSError, ValueError):
+        import resource
+
+        used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
+        resource.setrlimit(resource.RLIMIT_CPU, (int(used + seconds) + 1, resource.RLIM_INFINITY))

@@ -1,0 +1,114 @@
+"""The caller as a ruler: lines on the ground whose length is known, or the camera's height above the ground."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from vehanchor.anchors.camera import equivalent_lens, lens
+from vehanchor.anchors.stated import on_grid, says_nothing, stated
+from vehanchor.errors import KnownLengthError
+from vehanchor.notices import NoticeCode
+from vehanchor.records import Notice
+
+if TYPE_CHECKING:
+    from vehanchor.anchors.camera import Lens
+    from vehanchor.anchors.evidence import View
+    from vehanchor.anchors.stated import StatedEvidence
+
+__all__ = ["GivenHeight", "KnownLengths"]
+
+_END_SD_PX = 1.0  # how well a person hits an end, in pixels of the picture in which it was drawn
+_LINE_LOG_SD = 0.01  # a line lies on ground that is neither flat nor level, and its metres are rounded
+_LINES_APART_SDS = 3.0
+_HEIGHT_LOG_SD = 0.05  # the caller knows the height above the ground itself
+_CHANCE_WRONG_LINE, _CHANCE_WRONG_HEIGHT = 0.05, 0.05
+
+
+class KnownLengths:
+    """Lines that the caller has measured on the ground."""
+
+    kind = "known_length"
+
+    def look(self, view: View) -> StatedEvidence:
+        """Weigh the lines by how many pixels each has.
+
+        Raises:
+            KnownLengthError: they would make a scale that no picture has.
+        """
+        lines = view.options.rulers.known_lengths
+        if not lines:
+            return says_nothing(self.kind)
+        frame = view.options.frame.size or (view.image.width_px, view.image.height_px)
+        across, down = view.image.width_px / frame[0], view.image.height_px / frame[1]
+        logs, log_sds = [], []
+        for line in lines:
+            length_px = math.hypot((line.x2 - line.x1) * across, (line.y2 - line.y1) * down)
+            if not on_grid(line.metres / length_px):
+                raise KnownLengthError(
+                    f"a line of {line.metres:g} m over {length_px:.0f} px would make {line.metres / length_px:.3g} "
+                    "m/px: give metres, and pixels of the image or of the frame that you name"
+                )
+            logs.append(math.log(line.metres / length_px))
+            log_sds.append(math.hypot(math.sqrt(2) * _END_SD_PX / line.length_px, _LINE_LOG_SD))
+        weights = [1 / sd**2 for sd in log_sds]
+        mean = sum(weight * log for weight, log in zip(weights, logs, strict=True)) / sum(weights)
+        off_sds = [abs(log - mean) / sd for log, sd in zip(logs, log_sds, strict=True)]
+        log_sd = max(1.0, *off_sds) / math.sqrt(sum(weights))
+        scales = sorted(math.exp(log) for log in logs)
+        apart = max(off_sds) > _LINES_APART_SDS
+        said = f"The {len(lines)} given lines say {{}}." if len(lines) > 1 else "The given line says {}."
+        return stated(
+            self.kind,
+            math.exp(mean),
+            log_sd,
+            _CHANCE_WRONG_LINE,
+            said,
+            n=len(lines),
+            notices=[_lines_disagree(scales[0], scales[-1])] if apart else (),
+        )
+
+
+class GivenHeight:
+    """The height above the ground that the caller gives, with a focal length of its own or the file's."""
+
+    kind = "height"
+
+    def look(self, view: View) -> StatedEvidence:
+        """Measure by the given height, as of a picture taken straight down."""
+        chosen, image = view.options.rulers, view.image
+        if chosen.height_m is None:
+            return says_nothing(self.kind)
+        seen: Lens | None = None
+        if chosen.focal_35mm is not None:
+            seen = equivalent_lens(image.width_px, image.height_px, chosen.focal_35mm)
+        elif chosen.metadata and image.camera is not None:
+            seen = lens(image, image.camera)
+        if seen is None:
+            return says_nothing(self.kind, _FOCAL_LENGTH_MISSING)
+        gsd = chosen.height_m / seen.pixels
+        said = f"The given height says {{}}: {chosen.height_m:g} m and {seen.source}."
+        if not on_grid(gsd):
+            return says_nothing(
+                self.kind,
+                Notice(
+                    code=NoticeCode.CAMERA_UNUSABLE,
+                    message=f"The given height is no ruler: {chosen.height_m:g} m and {seen.source} would make "
+                    f"{gsd:.3g} m/px.",
+                ),
+            )
+        return stated(self.kind, gsd, math.hypot(_HEIGHT_LOG_SD, seen.log_sd), _CHANCE_WRONG_HEIGHT, said)
+
+
+_FOCAL_LENGTH_MISSING = Notice(
+    code=NoticeCode.FOCAL_LENGTH_MISSING,
+    message="A height was given, but no focal length, and the file has none that holds for it: give focal_35mm, too.",
+)
+
+
+def _lines_disagree(finest: float, coarsest: float) -> Notice:
+    return Notice(
+        code=NoticeCode.KNOWN_LENGTHS_DISAGREE,
+        message=f"The given lines say from {finest:.4g} to {coarsest:.4g} m/px, further apart than pixels explain: one "
+        "of them is wrong, or the camera looked aslant.",
+    )

@@ -1,0 +1,232 @@
+"""Calls in processes of their own: the same answers, and whatever happens there, the server answers."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import anyio
+import numpy as np
+import pytest
+from mcp import Client
+from mcp.server import MCPServer
+
+from tests.sam_models import SamFiles
+from tests.server.calls.slow_models import weighed_down
+from tests.server.conftest import POOL_BOX
+from tests.server.conversation import by_path, error_of, text_of
+from vehanchor_server.app import create_server
+from vehanchor_server.calls.capacity import CallStoppedError, Stop
+from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.workers import Task, WorkerFailedError
+from vehanchor_server.errors import CallError
+from vehanchor_server.images.argument import Base64Image
+from vehanchor_server.services import Services, create_services
+from vehanchor_server.settings import Settings
+
+pytestmark = [pytest.mark.anyio, pytest.mark.slow]
+
+READY_S = 60
+IMAGE = Base64Image(kind="base64", data="AAAA")
+
+
+def ready(services: Services) -> Services:
+    services.preload()
+    deadline = time.monotonic() + READY_S
+    while not services.ready and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert services.ready
+    return services
+
+
+@pytest.fixture(scope="module")
+def isolated(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Iterator[Services]:
+    settings = Settings(
+        roots=(images,),
+        detector=str(detector_path),
+        segmenter=segmenter_paths,
+        threads=1,
+        max_concurrency=1,
+        workers_isolated=True,
+        max_worker_mb=1500,
+    )
+    services = ready(create_services(settings))
+    yield services
+    services.close()
+
+
+@pytest.fixture
+def isolated_server(isolated: Services) -> MCPServer[object]:
+    return create_server(isolated)
+
+
+def done(services: Services, work: Any, stop: Stop | None = None) -> Any:
+    """The work's value, from a worker."""
+    assert services.workers is not None
+    task: Task[Any] = Task(work, IMAGE, None)
+    return services.workers.run(task, stop or Stop(), lambda *_: None, lambda *_: None)
+
+
+def number(services: Services, job: Job, source: Any) -> int:
+    return os.getpid()
+
+
+def crash(services: Services, job: Job, source: Any) -> None:
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def fill(services: Services, job: Job, source: Any) -> float:
+    return float(np.ones(1 << 29).sum())  # 4 GiB
+
+
+def spin(services: Services, job: Job, source: Any) -> None:
+    while True:
+        pass
+
+
+def bug(services: Services, job: Job, source: Any) -> None:
+    raise KeyError("hunter2")
+
+
+async def test_answers_are_those_of_one_process(
+    isolated_server: MCPServer[object], server: MCPServer[object], images: Path
+) -> None:
+    reports: list[Any] = []
+
+    async def on_progress(progress: float, total: float | None, message: str | None) -> None:
+        reports.append((progress, message))
+
+    for tool, arguments in (
+        ("estimate_gsd", {**by_path(images / "cars.png"), "include_overlay": True}),
+        ("measure_area", {**by_path(images / "pool.png"), "target": {"box": POOL_BOX}}),
+        ("estimate_gsd", by_path(images / "notes.txt")),
+        ("estimate_gsd", by_path("/etc/passwd")),
+        ("estimate_gsd", {**by_path(images / "cars.png"), "region": "atlantis"}),
+    ):
+        answers, progress = [], []
+        for each in (isolated_server, server):
+            reports.clear()
+            async with Client(each) as client:
+                answers.append(await client.call_tool(tool, arguments, progress_callback=on_progress))
+            progress.append(list(reports))
+        assert answers[0].structured_content == answers[1].structured_content
+        assert answers[0].content == answers[1].content
+        assert progress[0] == progress[1]
+
+
+def test_a_crash_is_told_and_the_next_call_works(isolated: Services) -> None:
+    before = done(isolated, number)
+    with pytest.raises(CallError, match="worker_killed"):
+        done(isolated, crash)
+    assert done(isolated, number) != before
+
+
+def test_a_worker_is_replaced_before_the_next_call(isolated: Services) -> None:
+    assert isolated.workers is not None
+    with pytest.raises(CallError, match="worker_killed"):
+        done(isolated, crash)
+    (successor,) = isolated.workers.processes
+    ready(isolated)
+    assert done(isolated, number) == successor
+
+
+def test_a_stop_kills_and_says_so(isolated: Services) -> None:
+    stop = Stop()
+    before = done(isolated, number)
+    started = time.monotonic()
+    with anyio.from_thread.start_blocking_portal() as portal:
+        future = portal.start_task_soon(anyio.to_thread.run_sync, partial(done, isolated, spin, stop))
+        time.sleep(0.3)
+        stop.request()
+        with pytest.raises(CallStoppedError):
+            future.result(5)
+    assert time.monotonic() - started < 1.5
+    assert not Path(f"/proc/{before}").exists()
+    assert done(isolated, number) != before
+
+
+def test_a_stop_after_the_call_harms_no_other(isolated: Services) -> None:
+    stop = Stop()
+    worker = done(isolated, number, stop)
+    stop.request()
+    assert done(isolated, number) == worker
+
+
+def test_memory_is_limited(isolated: Services) -> None:
+    with pytest.raises(CallError, match=r"worker_killed: .*memory"):
+        done(isolated, fill)
+    assert done(isolated, number) > 0
+
+
+def allocation_refused(services: Services, job: Job, source: Any) -> None:
+    raise CallError("image_undecodable", "the JPEG cannot be decoded: Failed to allocate 300000000 bytes.")
+
+
+def test_memory_that_is_missing_is_not_the_images_fault(isolated: Services) -> None:
+    with pytest.raises(CallError, match=r"worker_killed: .*memory"):
+        done(isolated, allocation_refused)
+
+
+def test_a_bug_comes_with_its_traceback_and_keeps_the_worker(isolated: Services) -> None:
+    worker = done(isolated, number)
+    with pytest.raises(WorkerFailedError, match="hunter2"):
+        done(isolated, bug)
+    assert done(isolated, number) == worker
+
+
+async def test_the_deadline_is_kept_by_a_worker_that_does_not_listen(
+    images: Path, detector_path: Path, tmp_path: Path
+) -> None:
+    settings = Settings(
+        roots=(images,),
+        detector=str(weighed_down(detector_path, tmp_path / "slow.onnx")),
+        threads=1,
+        max_concurrency=1,
+        deadline_s=1.0,
+        workers_isolated=True,
+    )
+    services = ready(create_services(settings))
+    try:
+        async with Client(create_server(services)) as client:
+            started = time.monotonic()
+            result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
+            assert error_of(result) == "deadline_exceeded"
+            assert 1.0 <= time.monotonic() - started < 1.5
+            assert services.capacity.running == 0
+            await anyio.to_thread.run_sync(ready, services)
+            result = await client.call_tool("estimate_gsd", by_path(images / "notes.txt"))
+            assert error_of(result) == "image_undecodable", text_of(result)
+    finally:
+        services.close()
+
+
+async def test_a_model_that_cannot_be_loaded_is_the_operators_business(images: Path) -> None:
+    services = create_services(
+        Settings(roots=(images,), detector="/nowhere.onnx", workers_isolated=True, max_concurrency=1)
+    )
+    try:
+        async with Client(create_server(services)) as client:
+            result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
+        assert error_of(result) == "model_unavailable"
+        assert not services.ready
+        assert services.failure == "model_not_found"
+    finally:
+        services.close()
+
+
+def test_closing_leaves_no_process(settings: Settings) -> None:
+    services = ready(create_services(replace(settings, workers_isolated=True, max_concurrency=2)))
+    assert services.workers is not None
+    processes = services.workers.processes
+    assert len(processes) == 2
+    services.close()
+    deadline = time.monotonic() + 5
+    while any(Path(f"/proc/{pid}/maps").read_bytes() for pid in processes if Path(f"/proc/{pid}").exists()):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)

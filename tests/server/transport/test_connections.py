@@ -1,0 +1,155 @@
+"""Connections that say nothing, or half of what they have to."""
+
+from __future__ import annotations
+
+import contextlib
+import resource
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import pytest
+import uvicorn
+
+from benchmarks.server_process import SERVE
+from vehanchor_server.transport.connections import BACKLOG, ConnectionLimits, LimitedProtocol
+
+LIMITS = ConnectionLimits(total=8, per_address=6, head_s=0.5, body_s=0.8)
+
+
+async def app(scope: Any, receive: Any, send: Any) -> None:
+    if scope["type"] != "http":
+        return
+    while (await receive()).get("more_body"):
+        pass
+    await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"2")]})
+    await send({"type": "http.response.body", "body": b"ok"})
+
+
+@pytest.fixture
+def address() -> Iterator[tuple[str, int]]:
+    with socket.socket() as listener:
+        listener.bind(("0.0.0.0", 0))
+        config = uvicorn.Config(
+            app, http=partial(LimitedProtocol, limits=LIMITS), lifespan="off", log_config=None, backlog=BACKLOG
+        )
+        server = uvicorn.Server(config)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+        thread.start()
+        while not server.started:
+            time.sleep(0.01)
+        yield "127.0.0.1", listener.getsockname()[1]
+        server.should_exit = True
+        thread.join(10)
+
+
+def closed_after_s(connection: socket.socket) -> float:
+    """When the server hung up, whatever it said before."""
+    started = time.monotonic()
+    connection.settimeout(5)
+    with contextlib.suppress(ConnectionResetError):
+        while connection.recv(4096):
+            pass
+    return time.monotonic() - started
+
+
+def answered(address: tuple[str, int]) -> bool:
+    with urllib.request.urlopen(f"http://{address[0]}:{address[1]}/", timeout=5) as answer:
+        return bool(answer.read() == b"ok")
+
+
+def test_who_says_nothing_is_hung_up_on(address: tuple[str, int]) -> None:
+    with socket.create_connection(address) as silent:
+        assert 0.3 < closed_after_s(silent) < 1.5
+
+
+@pytest.mark.parametrize(
+    "begun",
+    [
+        b"GET / HTTP/1.1\r\nHost: a\r\n",
+        b"POST / HTTP/1.1\r\nHost: a\r\nContent-Length: 9999\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: a\r\n\r\nGET / HTTP/1.1\r\n",  # a second request, half of it
+    ],
+)
+def test_a_trickle_does_not_keep_a_connection_open(address: tuple[str, int], begun: bytes) -> None:
+    with socket.create_connection(address) as slow:
+        slow.sendall(begun)
+        started = time.monotonic()
+        with contextlib.suppress(OSError):
+            while time.monotonic() - started < 4:
+                slow.sendall(b"x")
+                time.sleep(0.1)
+        assert time.monotonic() - started < 3
+    assert answered(address)
+
+
+def test_a_connection_may_wait_between_requests(address: tuple[str, int]) -> None:
+    with socket.create_connection(address, timeout=5) as client:
+        for _ in range(2):
+            client.sendall(b"GET / HTTP/1.1\r\nHost: a\r\n\r\n")
+            assert client.recv(4096).startswith(b"HTTP/1.1 200")
+            time.sleep(1.0)  # longer than a head may take
+
+
+def test_an_address_has_so_many_connections_and_no_more(address: tuple[str, int]) -> None:
+    with contextlib.ExitStack() as stack:
+        idle = [stack.enter_context(socket.create_connection(address)) for _ in range(LIMITS.per_address)]
+        time.sleep(0.1)
+        extra = stack.enter_context(socket.create_connection(address))
+        assert closed_after_s(extra) < 0.2
+        other = stack.enter_context(socket.socket())
+        other.bind(("127.0.0.2", 0))
+        other.settimeout(5)
+        other.connect(address)
+        other.sendall(b"GET / HTTP/1.1\r\nHost: a\r\n\r\n")
+        assert other.recv(4096).startswith(b"HTTP/1.1 200")
+        assert len(idle) == LIMITS.per_address
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="sets the limit on open files of a child")
+def test_more_idle_sockets_than_open_files_leave_the_server_answering_and_its_log_small() -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    with subprocess.Popen(
+        [*SERVE, "--http", "--port", str(port), "--max-connections-per-address", "400"],
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (1024, 1024)),
+    ) as server:
+        url = f"http://127.0.0.1:{port}/healthz"
+        try:
+            deadline = time.monotonic() + 60
+            while True:
+                with contextlib.suppress(OSError), urllib.request.urlopen(url, timeout=5):
+                    break
+                assert time.monotonic() < deadline
+                time.sleep(0.1)
+            with contextlib.ExitStack() as stack:
+                sockets = []
+                for i in range(1100):
+                    one = stack.enter_context(socket.socket())
+                    one.bind((f"127.0.0.{2 + i % 4}", 0))
+                    one.setblocking(False)
+                    one.connect_ex(("127.0.0.1", port))
+                    sockets.append(one)
+                ok = 0
+                until = time.monotonic() + 24  # idle ones are hung up on after 20 s
+                while time.monotonic() < until:
+                    with contextlib.suppress(OSError), urllib.request.urlopen(url, timeout=1):
+                        ok += 1
+                    time.sleep(0.1)
+                with urllib.request.urlopen(url, timeout=2) as answer:
+                    assert answer.status == 200
+                assert ok > 0
+        finally:
+            server.terminate()
+            assert server.stderr is not None
+            log = server.stderr.read()
+        assert len(log) < 100_000

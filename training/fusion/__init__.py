@@ -1,0 +1,1 @@
+"""Fitting how the boxes of a detector vote for a scale."""
