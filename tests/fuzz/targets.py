@@ -21,7 +21,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 
 from tests import bombs
-from vehanchor.detection.card import read_detector_card, read_fleet_card
+from vehanchor.detection.card import read_detector_card, read_fleet_card, read_second_look_card
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.header import read_header
 from vehanchor.imagery.raster import open_raster
@@ -81,7 +81,7 @@ def card(data: bytes) -> None:
     if not isinstance(stated, dict):
         return
     metadata = {key: value if isinstance(value, str) else json.dumps(value) for key, value in stated.items()}
-    for read in (read_detector_card, read_fleet_card):
+    for read in (read_detector_card, read_fleet_card, read_second_look_card):
         with contextlib.suppress(VehAnchorError):
             read(Path("fuzzed.onnx"), "0" * 64, metadata)
 
@@ -190,7 +190,7 @@ def _graphs() -> list[bytes]:
 
     value = helper.make_tensor_value_info("x", TensorProto.FLOAT, [1])
     weight = helper.make_tensor("w", TensorProto.FLOAT, [1], [1.0])
-    external = onnx.TensorProto(name="e", data_type=1, dims=[1], data_location=TensorProto.EXTERNAL)
+    external = onnx.TensorProto(name="e", data_type=1, dims=[1], data_location="EXTERNAL")
     entry = external.external_data.add()
     entry.key, entry.value = "location", "weights.bin"
     node = helper.make_node("Add", ["x", "w"], ["y"])

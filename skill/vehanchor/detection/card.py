@@ -41,6 +41,7 @@ _MAX_STRIDE_PX = 1024  # a tile: input sides are padded to whole strides
 _VehicleLength = Annotated[float, Field(ge=LEAST_VEHICLE_M, le=LARGEST_VEHICLE_M)]
 _VehicleSpread = Annotated[float, Field(ge=0, le=LARGEST_VEHICLE_M)]
 _LengthPx = Annotated[float, Field(gt=0, le=_MAX_LENGTH_PX)]
+_NotNegative = Annotated[float, Field(ge=0)]
 _LeastLengthPx = Annotated[float, Field(ge=0, le=_MAX_LENGTH_PX)]
 _Share = Annotated[float, Field(ge=0, le=1)]
 _Weight = Annotated[float, Field(ge=0, le=1000)]

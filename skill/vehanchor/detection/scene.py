@@ -18,7 +18,7 @@ from vehanchor.errors import ModelContractError
 from vehanchor.imagery.tiles import read_reduced_window
 from vehanchor.imagery.windows import Window
 from vehanchor.models.cache import file_cached
-from vehanchor.models.session import open_session
+from vehanchor.models.session import open_session, run_session
 from vehanchor.models.zoo import bundled_scene_scale
 from vehanchor.scale.fusion import GRID, floored
 
@@ -185,8 +185,9 @@ class SceneScaleNetwork:
         levels = []
         for factor, windows in tile_windows(raster.width_px, raster.height_px):
             tiles = np.stack([_tile(raster, window, factor) for window in windows])
+            described = f"the scene scale network {self.path} fails on {list(tiles.shape)}"
             seen = [
-                self._session.run(None, {"tiles": tiles[start : start + _BATCH]}, run_options)[0]
+                run_session(self._session, None, {"tiles": tiles[start : start + _BATCH]}, run_options, described)[0]
                 for start in range(0, len(tiles), _BATCH)
             ]
             levels.append(SceneLevel(factor, len(tiles), np.concatenate(seen).astype(np.float64).mean(axis=0)))

@@ -16,7 +16,7 @@ from vehanchor.detection.card import read_second_look_card
 from vehanchor.detection.sighting import Objects
 from vehanchor.errors import ModelContractError
 from vehanchor.models.files import models_sha256, read_model
-from vehanchor.models.session import DEFAULT_PROVIDERS, open_session
+from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -137,6 +137,10 @@ class SecondLook:
         for start in range(0, len(found), _BATCH):
             chips = np.stack([surroundings(pixels, box) for box in found.boxes[start : start + _BATCH]])
             batch = np.ascontiguousarray(chips.transpose(0, 3, 1, 2), dtype=np.float32) / np.float32(255)
-            logits.append(self._session.run([_OUTPUT], {_INPUT: batch}, run_options)[0])
+            described = f"the second look {self.path} fails on {list(batch.shape)}"
+            logit = np.asarray(run_session(self._session, [_OUTPUT], {_INPUT: batch}, run_options, described)[0])
+            if logit.shape != (len(chips),) or not np.isfinite(logit).all():
+                raise ModelContractError(f"the second look {self.path} does not give one number for each candidate")
+            logits.append(logit)
         scores = Weights(*self.card.weights).score(found.scores, np.concatenate(logits))
         return Objects(found.boxes, scores, found.classes)

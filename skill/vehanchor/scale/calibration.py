@@ -225,6 +225,28 @@ def _resampled_modes(
     return np.asarray((edges[:-1] + edges[1:])[np.argmax(density, axis=1)] / 2)
 
 
+def _with_vehicles(images: Sequence[SurveyedImage], source: str) -> list[SurveyedImage]:
+    """The images with a vehicle, where there are vehicles enough."""
+    with_vehicles = [image for image in images if len(image.boxes)]
+    n_vehicles = sum(len(image.boxes) for image in with_vehicles)
+    if n_vehicles < MIN_VEHICLES:
+        found = "labelled" if source == "labels" else "found"
+        raise CalibrationRefusedError(
+            f"{n_vehicles} vehicles {found} in {len(images)} images are too few for a reference length: at least "
+            f"{MIN_VEHICLES} are needed. Add images of the same region with more cars"
+        )
+    return with_vehicles
+
+
+def _check_lengths(mode_m: float, spread_m: float) -> None:
+    """Refuse lengths that no fleet has."""
+    if not LEAST_VEHICLE_M <= mode_m <= LARGEST_VEHICLE_M or spread_m > mode_m:
+        raise CalibrationRefusedError(
+            f"the vehicles are {mode_m:.3g} m long (sd {spread_m:.3g} m), as no fleet is: {LEAST_VEHICLE_M:g} "
+            f"to {LARGEST_VEHICLE_M:g} m. Check the images' scales, and what the labels are of"
+        )
+
+
 def calibrate(
     images: Sequence[SurveyedImage],
     *,
@@ -251,17 +273,10 @@ def calibrate(
         CalibrationRefusedError: fewer than 100 vehicles; or lengths that no vehicles have; or imagery so coarse that
             their modal length is below the resolution guard (paper, equation 6), where lengths come out too short.
     """
-    with_vehicles = [image for image in images if len(image.boxes)]
-    n_vehicles = sum(len(image.boxes) for image in with_vehicles)
-    if n_vehicles < MIN_VEHICLES:
-        found = "labelled" if source == "labels" else "found"
-        raise CalibrationRefusedError(
-            f"{n_vehicles} vehicles {found} in {len(images)} images are too few for a reference length: at least "
-            f"{MIN_VEHICLES} are needed. Add images of the same region with more cars"
-        )
+    with_vehicles = _with_vehicles(images, source)
     length = reference_length(with_vehicles)
     spread_m = math.hypot(length.sd_m, region_sd_m / 2)
-    _check_fleet(length.mode_m, spread_m)
+    _check_lengths(length.mode_m, spread_m)
     lengths_px = np.concatenate([image.boxes[:, 2] for image in with_vehicles])
     weights, smoothing = _weights(with_vehicles, lengths_px)
     mode_px = kde_mode(lengths_px, weights, smoothing=smoothing)
@@ -280,22 +295,13 @@ def calibrate(
         reference_length_ci95_high_m=length.high_m,
         reference_length_sd_m=spread_m,
         source=source,
-        n_vehicles=n_vehicles,
+        n_vehicles=len(lengths_px),
         n_images=len(with_vehicles),
         mode_length_px=mode_px,
         median_gsd_m_per_px=median_gsd,
         detector=detector,
         detector_sha256=detector_sha256,
     )
-
-
-def _check_fleet(mode_m: float, spread_m: float) -> None:
-    """Refuse lengths that no fleet has."""
-    if not LEAST_VEHICLE_M <= mode_m <= LARGEST_VEHICLE_M or spread_m > mode_m:
-        raise CalibrationRefusedError(
-            f"the vehicles are {mode_m:.3g} m long (sd {spread_m:.3g} m), as no fleet is: {LEAST_VEHICLE_M:g} "
-            f"to {LARGEST_VEHICLE_M:g} m. Check the images' scales, and what the labels are of"
-        )
 
 
 def load_calibration(path: str | os.PathLike[str]) -> Calibration:
