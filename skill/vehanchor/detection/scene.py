@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -96,7 +97,7 @@ class SceneSighting:
     levels: tuple[SceneLevel, ...]
     calibration: SceneCalibration
 
-    @property
+    @cached_property  # the weights of the boxes and the ruler both ask
     def density(self) -> NDArray[np.float64]:
         """Probabilities on ``vehanchor.scale.fusion.GRID``."""
         return scene_density(self.levels, self.calibration)
