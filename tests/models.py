@@ -208,16 +208,16 @@ def write_fleet_network(
     detector: Path,
     lengths: FleetLengths,
     *,
-    output: str = "log_odds",
+    outputs: tuple[str, str] = ("log_odds", "log_length"),
     metadata: Mapping[str, str | None] | None = None,
 ) -> Path:
-    """Write the network beside a detector that tells fleets apart: its log odds are high for vehicles brighter than the
+    """Write the network beside a detector that tells fleets apart: both answers are high for vehicles brighter than the
     ground.
 
     Args:
         detector: file of the detector, which its metadata names by the stem.
-        lengths: what the log odds mean.
-        output: name of the network's output.
+        lengths: what the answers mean.
+        outputs: names of the network's outputs.
         metadata: entries to add or replace; None as a value removes one.
 
     Returns:
@@ -228,12 +228,13 @@ def write_fleet_network(
     pattern[:, :, rows // 2 - 3 : rows // 2 + 3, columns // 2 - 8 : columns // 2 + 8] = 1.0
     graph = Graph()
     weighted = graph.add("Mul", ["chips", graph.constant(pattern / np.abs(pattern).sum() * 4)])
-    graph.add("ReduceSum", [weighted, graph.constant([1, 2, 3], np.int64)], output=output, keepdims=0)
+    graph.add("ReduceSum", [weighted, graph.constant([1, 2, 3], np.int64)], output=outputs[0], keepdims=0)
+    graph.add("Identity", [outputs[0]], output=outputs[1])
     return save_model(
         detector.with_name(f"{detector.stem}.fleet.onnx"),
         graph.nodes,
         [helper.make_tensor_value_info("chips", TensorProto.FLOAT, ["n", 1, rows, columns])],
-        [helper.make_tensor_value_info(output, TensorProto.FLOAT, ["n"])],
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n"]) for name in outputs],
         graph.constants,
         {
             "vehanchor.detector": detector.stem,

@@ -18,6 +18,7 @@ from vehanchor.anchors.vehicles import select
 from vehanchor.batch.journal import Journal, Source
 from vehanchor.batch.pool import finished_in_threads
 from vehanchor.defaults import OUTLIER_ALPHA
+from vehanchor.detection.look import FleetLook
 from vehanchor.detection.sighting import Objects, Sighting
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.estimate import ScaleAnalysis, analyse_raster, analyse_sighting, image_facts
@@ -121,7 +122,7 @@ def _record(searched: SearchedImage) -> dict[str, Any]:
         "n_tiles": found.n_tiles,
         "n_capped_tiles": found.n_capped_tiles,
         "scales": None if found.scales is None else found.scales.tolist(),
-        "fleet_log_odds": None if found.fleet_log_odds is None else found.fleet_log_odds.tolist(),
+        "fleet": None if found.fleet is None else [values.tolist() for values in found.fleet],
         "classes": None if found.classes is None else found.classes.tolist(),
         "other_boxes": found.others.boxes.tolist(),
         "other_scores": found.others.scores.tolist(),
@@ -143,7 +144,7 @@ def _searched(record: dict[str, Any]) -> SearchedImage:
             record["n_tiles"],
             record["n_capped_tiles"],
             None if record["scales"] is None else np.array(record["scales"], dtype=np.float64),
-            None if record["fleet_log_odds"] is None else np.array(record["fleet_log_odds"], dtype=np.float64),
+            None if record["fleet"] is None else FleetLook(*np.array(record["fleet"], dtype=np.float64)),
             None if record["classes"] is None else np.array(record["classes"], dtype=np.intp),
             Objects(
                 np.array(record["other_boxes"], dtype=np.float64).reshape(-1, 5),

@@ -165,6 +165,6 @@ def test_a_log_keeps_all_that_was_seen(tmp_path: Path) -> None:
     for kept, seen in ((again.detections, found), (again.detections.others, found.others)):
         for name in ("boxes", "scores", "classes"):
             np.testing.assert_array_equal(getattr(kept, name), getattr(seen, name))
-    assert found.fleet_log_odds is not None
-    np.testing.assert_array_equal(again.detections.fleet_log_odds, found.fleet_log_odds)
+    assert found.fleet is not None
+    np.testing.assert_array_equal(again.detections.fleet, found.fleet)
     assert _log(tmp_path / "log.jsonl", model).get(("a.png",)) is None  # of another fleet network: none

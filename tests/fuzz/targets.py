@@ -179,7 +179,9 @@ def _cards() -> list[bytes]:
     }
     fleet = {
         "vehanchor.detector": "mine",
-        "vehanchor.fleet_lengths": '{"log_odds": [-2, 1], "length_m": [4.4, 5.2], "sd_m": 0.2, "neutral_vehicles": 8}',
+        "vehanchor.fleet_lengths": json.dumps(
+            {"log_lengths": [1.4, 1.6], "length_m": [4.4, 5.2], "sd_m": 0.2, "neutral_vehicles": 8}
+        ),
     }
     return [json.dumps(each).encode() for each in (detector, fleet, detector | fleet)]
 

@@ -15,6 +15,7 @@ from tests.analyses import analyse_found
 from tests.models import write_detector
 from tests.yards import YARDS, Yard, paint_yard
 from vehanchor.detection.detector import Detector
+from vehanchor.detection.look import FleetLook
 from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import estimate_gsd
 from vehanchor.models.zoo import resolve_model
@@ -146,7 +147,7 @@ def test_things_that_do_not_look_like_a_fleet_of_cars_are_never_sure(
     boxes = np.column_stack([np.arange(n) * 99, lengths * 0, lengths, lengths / 2.2, lengths * 0])
 
     def estimate(scales: NDArray[np.float64] | None) -> Any:
-        found = Sighting(boxes, np.full(n, 0.9), scales=scales, fleet_log_odds=odds)
+        found = Sighting(boxes, np.full(n, 0.9), scales=scales, fleet=FleetLook(odds, np.zeros(n)))
         return analyse_found(found, searching.card, ScaleOptions(), image_width_px=4000, image_height_px=40).estimate
 
     searched = estimate(np.ones(n))

@@ -12,7 +12,7 @@ import pytest
 torch = pytest.importorskip("torch")
 onnxruntime = pytest.importorskip("onnxruntime")
 
-from training.fleet.calibrate import FleetCase, log_errors, mean_error  # noqa: E402 - PyTorch may be missing
+from training.fleet.calibrate import FleetCase, lengths_for, log_errors, mean_error  # noqa: E402 - PyTorch may be missing
 from training.fleet.data import (  # noqa: E402
     N_FOLDS,
     NORTH_AMERICA,
@@ -23,20 +23,21 @@ from training.fleet.data import (  # noqa: E402
     vehicle_at_length,
 )
 from training.fleet.export import export_fleet  # noqa: E402
-from training.fleet.train import ChipStream, export, report, trained  # noqa: E402
+from training.fleet.network import FleetNet  # noqa: E402
+from training.fleet.train import ChipStream, export, losses, report, trained  # noqa: E402
 from vehanchor.detection.fleet import FleetNetwork  # noqa: E402
 from vehanchor.detection.look import CHIP_SHAPE, FleetLengths  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
 
-def _vehicle(set_name: str, *, hood: float, file: str = "a.png") -> Vehicle:
+def _vehicle(set_name: str, *, hood: float, file: str = "a.png", length_m: float | None = None) -> Vehicle:
     """A bright car whose dark windscreen begins ``hood`` of its length behind the front."""
     image = np.full((110, 110, 3), 70, np.uint8)
     cv2.rectangle(image, (35, 47), (74, 62), (200, 200, 200), -1)
     screen = round(75 - 40 * hood)
     cv2.rectangle(image, (screen - 6, 48), (screen, 61), (30, 30, 30), -1)
-    return Vehicle(set_name, file, image, np.array([55.0, 55, 40, 16, 0.0]))
+    return Vehicle(set_name, file, image, np.array([55.0, 55, 40, 16, 0.0]), length_m)
 
 
 def test_a_random_chip_still_shows_the_vehicle() -> None:
@@ -64,25 +65,34 @@ def test_half_of_the_stream_is_north_american_whatever_the_sets_sizes() -> None:
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter
 def test_a_network_learns_a_longer_hood_and_its_file_says_the_same(tmp_path: Path) -> None:
-    vehicles = [_vehicle(NORTH_AMERICA, hood=0.34), _vehicle("cannes", hood=0.12)]
+    vehicles = [_vehicle(NORTH_AMERICA, hood=0.34, length_m=5.1), _vehicle("cannes", hood=0.12, length_m=4.1)]
     network = trained(vehicles, steps=60, seed=0)
     export(network, tmp_path / "fleet.onnx")
     chips = np.stack([vehicle_at_length(v, 16.0) for v in vehicles])[:, None]
     session = onnxruntime.InferenceSession(tmp_path / "fleet.onnx")
-    odds = session.run(["log_odds"], {"chips": chips})[0]
-    assert odds.shape == (2,)
+    odds, lengths = session.run(None, {"chips": chips})
+    assert odds.shape == lengths.shape == (2,)
     assert odds[0] > odds[1] + 1
-    mirrored = session.run(["log_odds"], {"chips": np.ascontiguousarray(chips[..., ::-1, ::-1])})[0]
-    np.testing.assert_allclose(mirrored, odds, atol=1e-4)
+    assert lengths[0] > lengths[1] + 0.05
+    mirrored = session.run(None, {"chips": np.ascontiguousarray(chips[..., ::-1, ::-1])})
+    np.testing.assert_allclose(mirrored, [odds, lengths], atol=1e-4)
     lines = report(network, [v._replace(file=f"{k}.png") for v in vehicles for k in (0, 0, 0, 1, 1, 1)])
     assert len(lines) == 1 + 2 * 4  # two sets at four lengths
     assert "   2 " in lines[1]  # images
 
 
+def test_vehicles_of_unknown_length_teach_no_length() -> None:
+    network = FleetNet()
+    chips, american = torch.zeros(2, 1, *CHIP_SHAPE), torch.tensor([0.0, 1.0])
+    parts = losses(network, (chips, american, torch.full((2,), torch.nan)), torch.device("cpu"))
+    assert float(parts["length"]) == 0
+    assert float(parts["entropy"]) > 0
+
+
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter
-def test_the_networks_file_says_what_its_log_odds_mean_and_for_which_detector(tmp_path: Path) -> None:
+def test_the_networks_file_says_what_its_answers_mean_and_for_which_detector(tmp_path: Path) -> None:
     export(trained([_vehicle(NORTH_AMERICA, hood=0.3), _vehicle("cannes", hood=0.2)], 2, 0), tmp_path / "fleet.onnx")
-    lengths = FleetLengths((-1.0, 0.5), (4.3, 5.1), 0.3, 1.0)
+    lengths = FleetLengths((1.4, 1.6), (4.3, 5.1), 0.3, 1.0)
     (tmp_path / "fleet_lengths.json").write_text(json.dumps(lengths._asdict()))
     export_fleet(tmp_path, tmp_path / "mine.fleet.onnx", "mine")
     card = FleetNetwork(tmp_path / "mine.fleet.onnx").card
@@ -114,3 +124,9 @@ def test_vehicles_are_those_of_the_train_split(real_data: Path) -> None:
         assert 0 <= vehicle.box[0] <= width
         assert 0 <= vehicle.box[1] <= height
         assert vehicle.box[2] <= 41
+
+
+def test_the_middle_of_the_lengths_leaves_the_sets_without_a_bias() -> None:
+    cases = [FleetCase("a", np.full(5, np.log(4.2)), 4.0)] * 9 + [FleetCase("b", np.full(5, np.log(4.8)), 5.0)]
+    errors = log_errors(cases, lengths_for(1.0, 1e-9, cases))
+    assert np.median(errors[:9]) == pytest.approx(-np.median(errors[9:]), abs=0.01)

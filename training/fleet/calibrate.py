@@ -1,9 +1,9 @@
-"""From log odds to a reference length: ``python -m training.fleet.calibrate MODEL.onnx``, MODEL the exported detector.
+"""From the lengths that vehicles seem to have to a reference length: ``python -m training.fleet.calibrate MODEL.onnx``.
 
-Writes ``RUN/fleet_lengths.json``, which ``training.fleet.export`` puts into the network's file. Of a
-few settings it takes the one with the smallest mean error on the train images, every set counting alike. North
-America's images are judged by the network of the fold that has not learned from them, the others by the network that
-has never seen their set: as images of a new camera will be.
+MODEL is the exported detector. Writes ``RUN/fleet_lengths.json``, which ``training.fleet.export`` puts into the file of
+the network. Of a few settings it takes the one with the smallest mean error on the train images, every set counting
+alike, each judged by the network of the fold that has not learned from it. How far that holds elsewhere tell those
+that have never seen an image's set: what is left between places with them is the standard deviation.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from training.detector.calibrate import REGION_OF_SET
-from training.fleet.data import N_FOLDS, NORTH_AMERICA, fold_of
+from training.fleet.data import MEASURED, N_FOLDS, fold_of
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.look import MAX_CHIPS, FleetLengths, vehicle_chips
 from vehanchor.estimate import analyse_scale
@@ -27,26 +26,31 @@ from vehanchor.imagery.raster import open_raster
 from vehanchor_evaluation.gsd import KnownScaleImage, read_table
 
 _LABELLED = 5  # cars of an image that counts
-_LOG_ODDS = np.arange(-2.0, 3.01, 0.25)
+_RANGE_M = (3.6, 5.3)  # of fleets' modal lengths
+_GAINS = (0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0)  # of the log of the reference length by that of the seeming length
 _NEUTRAL_VEHICLES = (1.0, 2.0, 4.0)
 _MANY_CARS = 20  # in such an image next to all of the error is the fleet's
 
 
 class FleetCase(NamedTuple):
-    """An image's vehicles: log odds from a network that has not seen it or its set, and their true modal length."""
+    """An image's vehicles: the log lengths that they seem to have, and their true modal length in metres."""
 
     set: str
-    log_odds: NDArray[np.float64]  # [n]
+    log_lengths: NDArray[np.float64]  # [n]
     length_m: float
 
 
-def collect(images: list[KnownScaleImage], detector: Detector, run: Path) -> list[FleetCase]:
-    """The train images with at least five labelled cars and a scale."""
-    names = [f"fold-{fold}" for fold in range(N_FOLDS)] + [f"without-{n}" for n in REGION_OF_SET if n != NORTH_AMERICA]
+def collect(images: list[KnownScaleImage], detector: Detector, run: Path) -> tuple[list[FleetCase], list[FleetCase]]:
+    """The train images with at least five labelled cars and a scale.
+
+    Returns:
+        As seen by a network that has learned from other images of their set, and by one that has never seen the set.
+    """
+    names = [f"fold-{fold}" for fold in range(N_FOLDS)] + [f"without-{name}" for name in MEASURED]
     networks = {name: onnxruntime.InferenceSession(run / f"{name}.onnx") for name in names}
-    cases = []
+    known, unseen = [], []
     for image in images:
-        if image.split != "train" or image.set not in REGION_OF_SET or (image.labelled_vehicles or 0) < _LABELLED:
+        if image.split != "train" or image.set not in MEASURED or (image.labelled_vehicles or 0) < _LABELLED:
             continue
         analysis = analyse_scale(image.path, detector=detector)
         if analysis.estimate.mode_length_px is None:
@@ -54,18 +58,33 @@ def collect(images: list[KnownScaleImage], detector: Detector, run: Path) -> lis
         boxes = analysis.detections.boxes[analysis.kept][:MAX_CHIPS]
         with open_raster(image.path) as raster:
             chips = vehicle_chips(raster, boxes)
-        judge = f"without-{image.set}"
-        if image.set == NORTH_AMERICA:
-            judge = f"fold-{fold_of(image.path.name, image.set)}"
-        odds = networks[judge].run(["log_odds"], {"chips": chips})[0]
         length = analysis.estimate.mode_length_px * image.gsd_m_per_px
-        cases.append(FleetCase(image.set, np.asarray(odds, dtype=np.float64), length))
-    return cases
+        for cases, judge in (
+            (known, f"fold-{fold_of(image.path.name, image.set)}"),
+            (unseen, f"without-{image.set}"),
+        ):
+            seen = networks[judge].run(["log_length"], {"chips": chips})[0]
+            cases.append(FleetCase(image.set, np.asarray(seen, dtype=np.float64), length))
+    return known, unseen
+
+
+def lengths_for(gain: float, neutral: float, cases: list[FleetCase]) -> FleetLengths:
+    """The lengths of a gain, their middle such that the sets' median errors have no mean; ends where fleets end.
+
+    The reference length is linear between the ends, as their logs are to a hundredth.
+    """
+    errors = {
+        name: np.median([np.log(case.length_m) - gain * case.log_lengths.mean() for case in cases if case.set == name])
+        for name in {case.set for case in cases}
+    }
+    offset = float(np.mean(list(errors.values())))
+    low, high = ((np.log(end) - offset) / gain for end in _RANGE_M)
+    return FleetLengths((round(float(low), 4), round(float(high), 4)), _RANGE_M, 0.0, neutral)
 
 
 def log_errors(cases: list[FleetCase], lengths: FleetLengths) -> NDArray[np.float64]:
     """Log of the reference length over the true modal length, ``[n]``."""
-    return np.array([np.log(lengths.reference_length(case.log_odds) / case.length_m) for case in cases])
+    return np.array([np.log(lengths.reference_length(case.log_lengths) / case.length_m) for case in cases])
 
 
 def mean_error(cases: list[FleetCase], errors: NDArray[np.float64]) -> float:
@@ -80,32 +99,32 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("model", type=Path)
     parser.add_argument("--run", type=Path, default=Path("runs/fleet"))
-    parser.add_argument("--table", type=Path, default=Path("../shared/data/gsd/table.csv"))
+    parser.add_argument(
+        "--tables", type=Path, nargs="+", default=[Path("../shared/data/gsd", n) for n in ("table.csv", "upright.csv")]
+    )
     options = parser.parse_args()
     detector = Detector(options.model)
-    cases = collect(read_table(options.table), detector, options.run)
-    regions = detector.card.region_lengths_m
-    others = [np.log(regions[region]) for name, region in REGION_OF_SET.items() if name != NORTH_AMERICA]
-    ends = (round(float(np.exp(np.mean(others))), 4), regions[REGION_OF_SET[NORTH_AMERICA]])
+    images = [image for table in options.tables for image in read_table(table)]
+    known, unseen = collect(images, detector, options.run)
     ranked = []
-    for low, high, neutral in itertools.product(_LOG_ODDS, _LOG_ODDS, _NEUTRAL_VEHICLES):
-        if low < high:
-            lengths = FleetLengths((float(low), float(high)), ends, 0.0, neutral)
-            ranked.append((mean_error(cases, log_errors(cases, lengths)), lengths))
-    ranked.sort(key=lambda pair: pair[0])
-    for error, lengths in ranked[:5]:
-        print(f"{error:.4f} {lengths}")
-    best = ranked[0][1]
-    rest = log_errors([case for case in cases if len(case.log_odds) >= _MANY_CARS], best)
-    best = best._replace(sd_m=round(float(np.std(rest) * np.mean(ends)), 4))
+    for gain, neutral in itertools.product(_GAINS, _NEUTRAL_VEHICLES):
+        lengths = lengths_for(gain, neutral, known)
+        ranked.append((mean_error(known, log_errors(known, lengths)), gain, lengths))
+    ranked.sort(key=lambda trial: trial[0])
+    for error, gain, lengths in ranked[:5]:
+        print(f"{error:.4f} gain {gain} {lengths}")
+    best = ranked[0][2]
+    rest = log_errors([case for case in unseen if len(case.log_lengths) >= _MANY_CARS], best)
+    spread = float(np.sqrt(np.mean(np.square(rest))))
+    best = best._replace(sd_m=round(spread * detector.card.reference_length_m, 4))
     fixed = best._replace(length_m=(detector.card.reference_length_m,) * 2)
-    for name, choice in (("one length", fixed), ("by fleet", best)):
+    for name, cases, choice in (("one length", known, fixed), ("set known", known, best), ("set unseen", unseen, best)):
         wrong = np.abs(np.expm1(log_errors(cases, choice)))
         print(f"{name}: {len(cases)} images, median error {np.median(wrong):.4f}, mean {wrong.mean():.4f}")
-    for name in REGION_OF_SET:
-        means, logs = np.array([(c.log_odds.mean(), np.log(c.length_m)) for c in cases if c.set == name]).T
-        within = np.corrcoef(means, logs)[0, 1]
-        print(f"{name}: mean log odds {np.mean(means):+.2f}, correlation with the length within the set {within:+.2f}")
+    for name in MEASURED:
+        for kind, cases in (("known", known), ("unseen", unseen)):
+            errors = log_errors([case for case in cases if case.set == name], best)
+            print(f"{name} {kind}: {len(errors)} images, median log error {np.median(errors):+.3f}")
     out = options.run / "fleet_lengths.json"
     out.write_text(json.dumps(best._asdict(), indent=2) + "\n")
     print(out.read_text())

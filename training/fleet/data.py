@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
-from training.detector.data import group_of
+from training.detector.data import group_of, read_corrections
+from training.detector.places import is_held_out, places
+from training.detector.scenery import SCENERY
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.look import CHIP_LENGTH_PX, chip
 from vehanchor_evaluation.dota import read_labels
@@ -19,13 +21,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 NORTH_AMERICA = "ucm"  # the one set of the train split from there
-OTHERS = ("cannes", "saopaulo", "jekhor")
+OTHERS = ("cannes", "saopaulo", "jekhor", "estonia")
+MEASURED = ("ucm", "cannes", "saopaulo", "estonia")  # of known scale, so that a car's length in metres is known, too
 _STORED_LENGTH_PX = 40.0
 _LENGTHS_PX = (11.0, 18.0)  # all are shown at lengths that the coarsest set has, or sharpness would tell the set
 _REACH = 2.0  # of a length, around a vehicle's centre
 _PER_IMAGE = 25
 _FRAMES = 4  # one frame of a video in so many
-N_FOLDS = 4
+N_FOLDS = 2
 
 
 class Vehicle(NamedTuple):
@@ -35,35 +38,55 @@ class Vehicle(NamedTuple):
     file: str
     pixels: NDArray[np.uint8]  # [h, w, 3]
     box: NDArray[np.float64]  # [5], in these pixels
+    length_m: float | None = None  # None where the scale is not known
 
 
 def fold_of(file: str, set_name: str) -> int:
-    """The quarter of the images that this one is of, by a checksum of its group."""
+    """The part of the images that this one is of, by a checksum of its group."""
     return zlib.crc32(f"fold {group_of(file, set_name)}".encode()) % N_FOLDS
 
 
-def load_vehicles(vehicles: Path) -> list[Vehicle]:
-    """Up to 25 vehicles of each image of the train split."""
+def load_vehicles(data: Path) -> list[Vehicle]:
+    """Up to 25 vehicles of each train image of ``shared/data``; Estonia's are people's boxes, turned by a detector."""
     rng = np.random.default_rng(0)
     out = []
-    with (vehicles / "index.csv").open(newline="") as handle:
+    with (data / "vehicles" / "index.csv").open(newline="") as handle:
         rows = list(csv.DictReader(handle))
     for k, row in enumerate(rows):
         if row["split"] != "train" or row["set"] not in (NORTH_AMERICA, *OTHERS):
             continue
         if row["set"] == "jekhor" and k % _FRAMES:
             continue
-        labels = boxes_from_corners(
-            read_labels(vehicles / "labels" / f"{Path(row['file']).stem}.txt").of_class("small-vehicle")
-        )
-        image = cv2.imread(str(vehicles / row["file"]))
-        if image is None:
-            raise FileNotFoundError(row["file"])
-        inside = ((labels[:, :2] >= 0) & (labels[:, :2] < image.shape[1::-1])).all(axis=1)
-        labels = labels[inside]
-        for box in labels[rng.permutation(len(labels))[:_PER_IMAGE]]:
-            out.append(Vehicle(row["set"], row["file"], *_surroundings(np.asarray(image, np.uint8), box)))
+        text = data / "vehicles" / "labels" / f"{Path(row['file']).stem}.txt"
+        labels = boxes_from_corners(read_labels(text).of_class("small-vehicle"))
+        gsd = float(row["gsd_m_per_px"]) if row["set"] in MEASURED else None
+        out += _vehicles(rng, data / "vehicles" / row["file"], row["set"], row["file"], labels, gsd)
+    turned = read_corrections(SCENERY)
+    for place in places(data):
+        if place.set in OTHERS and not is_held_out(place):
+            cars = [known.box for known in turned.get(place.path.name, []) if known.kind == "car"]
+            labels = np.asarray(cars, np.float64).reshape(-1, 5)
+            out += _vehicles(rng, place.path, place.set, place.path.name, labels, place.gsd_m_per_px)
     return out
+
+
+def _vehicles(
+    rng: np.random.Generator, path: Path, set_name: str, file: str, boxes: NDArray[np.float64], gsd: float | None
+) -> list[Vehicle]:
+    image = cv2.imread(str(path))
+    if image is None:
+        raise FileNotFoundError(path)
+    boxes = boxes[((boxes[:, :2] >= 0) & (boxes[:, :2] < image.shape[1::-1])).all(axis=1)]
+    chosen = boxes[rng.permutation(len(boxes))[:_PER_IMAGE]]
+    return [
+        Vehicle(
+            set_name,
+            file,
+            *_surroundings(np.asarray(image, np.uint8), box),
+            None if gsd is None else float(box[2]) * gsd,
+        )
+        for box in chosen
+    ]
 
 
 def _surroundings(image: NDArray[np.uint8], box: NDArray[np.float64]) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:

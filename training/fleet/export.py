@@ -1,6 +1,6 @@
-"""Write the network that tells fleets apart: ``python -m training.fleet.export RUN OUT.onnx --detector vehicles``.
+"""Write the network that tells fleets' lengths: ``python -m training.fleet.export RUN OUT.onnx --detector vehicles``.
 
-What its log odds mean was measured with one detector's boxes: the file states which, and that detector alone takes it.
+What its answers mean was measured with one detector's boxes: the file states which, and that detector alone takes it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def export_fleet(run: Path, out: Path, detector: str) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(run / "fleet.onnx", out)
     metadata = {
-        "description": "VehAnchor network that tells North America's fleet of cars from others",
+        "description": "VehAnchor network that tells the length of a fleet of cars by their look",
         "author": "VehAnchor",
         "license": LICENCE,
         "vehanchor.detector": detector,

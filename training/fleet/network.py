@@ -1,17 +1,19 @@
-"""From a vehicle's chip to the log odds that it is of North America's fleet."""
+"""From a vehicle's chip to the log odds that it is of North America's fleet, and to the log of its length in metres."""
 
 from __future__ import annotations
 
+import math
 from typing import cast
 
 import torch
 from torch import Tensor, nn
 
 _LAYERS = ((1, 24, 1), (24, 32, 2), (32, 48, 1), (48, 64, 2), (64, 64, 1))  # inputs, outputs, stride
+_MIDDLE_LOG_M, _SPREAD_LOG_M = math.log(4.55), 0.1  # about those of cars of all fleets
 
 
 class FleetNet(nn.Module):
-    """Five 3 x 3 convolutions and a mean over the chip; input ``[b, 1, 16, 24]``, output ``[b]``."""
+    """Five 3 x 3 convolutions and a mean over the chip; input ``[b, 1, 16, 24]``, outputs ``[b]`` each."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -25,11 +27,12 @@ class FleetNet(nn.Module):
                 for inputs, outputs, stride in _LAYERS
             )
         )
-        self.head = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Dropout(0.3), nn.Linear(_LAYERS[-1][1], 1))
+        self.head = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Dropout(0.3), nn.Linear(_LAYERS[-1][1], 2))
 
-    def forward(self, chips: Tensor) -> Tensor:
-        """Log odds."""
-        return cast("Tensor", self.head(self.body(chips))).squeeze(1)
+    def forward(self, chips: Tensor) -> tuple[Tensor, Tensor]:
+        """Log odds, and log lengths."""
+        odds, length = cast("Tensor", self.head(self.body(chips))).unbind(dim=1)
+        return odds, _MIDDLE_LOG_M + _SPREAD_LOG_M * length
 
 
 class Mirrored(nn.Module):
@@ -39,7 +42,8 @@ class Mirrored(nn.Module):
         super().__init__()
         self.network = network
 
-    def forward(self, chips: Tensor) -> Tensor:
-        """Log odds."""
-        views = (chips, chips.flip(2), chips.flip(3), chips.flip(2, 3))
-        return torch.stack([self.network(view) for view in views]).mean(dim=0)
+    def forward(self, chips: Tensor) -> tuple[Tensor, Tensor]:
+        """Log odds, and log lengths."""
+        views = [self.network(view) for view in (chips, chips.flip(2), chips.flip(3), chips.flip(2, 3))]
+        odds, lengths = (torch.stack(answers).mean(dim=0) for answers in zip(*views, strict=True))
+        return odds, lengths

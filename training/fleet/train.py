@@ -1,27 +1,28 @@
-"""Train the networks that tell fleets apart: ``python -m training.fleet.train``; 25 minutes on two CPU cores.
+"""Train the networks that tell a fleet's length: ``python -m training.fleet.train``; 25 minutes on two CPU cores.
 
 ``RUN/fleet.onnx`` is the one to ship. The others are for ``calibrate.py``, which wants opinions from networks that have
-not seen what they judge: ``fold-0.onnx`` to ``fold-3.onnx`` learn from three quarters of the images each, and
-``without-SET.onnx`` from all sets but one: what they say of it, a new camera gets. ``--beside 0.8`` is a control: it
+not seen what they judge: ``fold-0.onnx`` and ``fold-1.onnx`` learn from half of the images each, and
+``without-SET.onnx`` from all sets but one: what they say of it, a new place gets. ``--beside 0.8`` is a control: it
 looks at the ground beside the vehicles, and tells what cameras and places alone give away.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import binary_cross_entropy_with_logits
+from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 
 from training.detector.data import is_dev
 from training.fleet.data import (
+    MEASURED,
     N_FOLDS,
     NORTH_AMERICA,
-    OTHERS,
     Vehicle,
     beside,
     fold_of,
@@ -40,6 +41,8 @@ _BATCH = 64
 _STEPS = 4000
 _RATE = 2e-3
 _WARM_UP_STEPS = 400
+_BETA = 0.05  # of a log length: beyond it an error counts linearly, for some labels are wrong
+_LENGTH_WEIGHT = 8.0  # brings both losses to the same size
 _REPORT_LENGTHS_PX = (12.0, 16.0, 24.0, 40.0)
 _LEAST_VEHICLES = 3  # of an image in the report
 _OPSET = 17
@@ -57,20 +60,25 @@ class ChipStream:
             self.by_set.setdefault(vehicle.set, []).append(vehicle)
         self.seed = seed
 
-    def __getitem__(self, index: int) -> tuple[Tensor, Tensor]:
-        """A chip ``[1, 16, 24]`` and whether it is North American, 0 or 1."""
+    def __getitem__(self, index: int) -> tuple[Tensor, Tensor, Tensor]:
+        """A chip ``[1, 16, 24]``, whether it is North American, 0 or 1, and the log of its length in metres or NaN."""
         rng = np.random.default_rng((self.seed, index))
         others = [name for name in self.by_set if name != NORTH_AMERICA]
-        american = rng.random() < 0.5
+        american = rng.random() < 0.5 and NORTH_AMERICA in self.by_set
         among = self.by_set[NORTH_AMERICA if american else others[rng.integers(len(others))]]
-        cut = random_chip(among[rng.integers(len(among))], rng)
-        return torch.from_numpy(cut)[None], torch.tensor(float(american))
+        vehicle = among[rng.integers(len(among))]
+        length = math.nan if vehicle.length_m is None else math.log(vehicle.length_m)
+        cut = random_chip(vehicle, rng)
+        return torch.from_numpy(cut)[None], torch.tensor(float(american)), torch.tensor(length)
 
 
-def losses(network: nn.Module, batch: tuple[Tensor, Tensor], device: torch.device) -> Mapping[str, Tensor]:
-    """Cross-entropy of the log odds."""
-    chips, american = (part.to(device) for part in batch)
-    return {"entropy": binary_cross_entropy_with_logits(network(chips), american)}
+def losses(network: nn.Module, batch: tuple[Tensor, Tensor, Tensor], device: torch.device) -> Mapping[str, Tensor]:
+    """Cross-entropy of the log odds, and smooth L1 of the log lengths that are known."""
+    chips, american, lengths = (part.to(device) for part in batch)
+    odds, seen = network(chips)
+    known = lengths.isfinite()
+    wrong = smooth_l1_loss(seen[known], lengths[known], beta=_BETA) if known.any() else seen.sum() * 0
+    return {"entropy": binary_cross_entropy_with_logits(odds, american), "length": _LENGTH_WEIGHT * wrong}
 
 
 def trained(vehicles: list[Vehicle], steps: int, seed: int, run: Path | None = None) -> FleetNet:
@@ -82,14 +90,14 @@ def trained(vehicles: list[Vehicle], steps: int, seed: int, run: Path | None = N
 
 
 def export(network: FleetNet, out: Path) -> None:
-    """Write a network as ONNX: ``chips`` ``[n, 1, 16, 24]`` to ``log_odds`` ``[n]``, the mean over mirror images."""
+    """Write a network as ONNX, the mean over mirror images: ``chips`` to ``log_odds`` and ``log_length`` ``[n]``."""
     torch.onnx.export(
         Mirrored(network).eval(),
         (torch.zeros(2, 1, *CHIP_SHAPE),),
         str(out),
         input_names=["chips"],
-        output_names=["log_odds"],
-        dynamic_axes={"chips": {0: "n"}, "log_odds": {0: "n"}},
+        output_names=["log_odds", "log_length"],
+        dynamic_axes={"chips": {0: "n"}, "log_odds": {0: "n"}, "log_length": {0: "n"}},
         opset_version=_OPSET,
         dynamo=False,
     )
@@ -109,7 +117,7 @@ def report(network: FleetNet, vehicles: list[Vehicle]) -> list[str]:
                 if vehicle.set == name and vehicle.box[2] > 0.85 * length:
                     cut = torch.from_numpy(vehicle_at_length(vehicle, length))[None, None]
                     with torch.no_grad():
-                        odds.setdefault(vehicle.file, []).append(float(Mirrored(network)(cut)))
+                        odds.setdefault(vehicle.file, []).append(float(Mirrored(network)(cut)[0]))
             means = np.array([np.mean(each) for each in odds.values() if len(each) >= _LEAST_VEHICLES])
             if len(means):
                 american = american if len(american) else means
@@ -124,7 +132,7 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--run", type=Path, default=Path("runs/fleet"))
-    parser.add_argument("--data", type=Path, default=Path("../shared/data/vehicles"))
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--steps", type=int, default=_STEPS)
     parser.add_argument("--beside", type=float, default=0.0, metavar="LENGTHS")
     parser.add_argument("--seed", type=int, default=0)
@@ -137,7 +145,7 @@ def main() -> None:
     if not options.beside:
         for fold in range(N_FOLDS):
             parts[f"fold-{fold}"] = [v for v in vehicles if fold_of(v.file, v.set) != fold], []
-        for name in OTHERS:
+        for name in MEASURED:
             parts[f"without-{name}"] = [v for v in learned if v.set != name], [v for v in vehicles if v.set == name]
     american = [vehicle for vehicle in dev if vehicle.set == NORTH_AMERICA]
     for name, (known, unseen) in parts.items():

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from vehanchor.anchors.evidence import View
     from vehanchor.defaults import Aggregation
     from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.look import FleetLook
     from vehanchor.detection.sighting import Sighting
     from vehanchor.options import Lengths, ScaleOptions
     from vehanchor.records import ConfidenceTerms
@@ -78,12 +79,12 @@ class Fleet:
         return np.asarray(self.sighting.scores[self.kept])
 
     @property
-    def log_odds(self) -> NDArray[np.float64] | None:
-        """``[k]`` log odds of those that were looked at (see ``vehanchor.detection.look``); None without any."""
-        odds = self.sighting.fleet_log_odds
-        if odds is None or not self.kept[: len(odds)].any():
+    def look(self) -> FleetLook | None:
+        """What the look of those tells that were looked at; None without any."""
+        look = self.sighting.fleet
+        if look is None or not self.kept[: len(look.log_odds)].any():
             return None
-        return odds[self.kept[: len(odds)]]
+        return look.take(self.kept[: len(look.log_odds)])
 
 
 def select(sighting: Sighting, lengths: Lengths) -> Fleet:
@@ -162,7 +163,7 @@ class Vehicles:
             CalibrationMismatchError: the calibration was made for another model.
         """
         fleet, card = select(view.sighting, view.options.lengths), view.card
-        reference = reference_length(card, view.options.reference, fleet.log_odds)
+        reference = reference_length(card, view.options.reference, fleet.look)
         mode_px, aggregation, gsd, interval = _scale(fleet, card, view.options, reference)
         guard_px = guard_length(reference.length_m, card.min_length_px)
         resolved = view.resolved_share(fleet.centres, fleet.working_scale or 1.0)
@@ -228,7 +229,7 @@ def _doubts(fleet: Fleet, card: DetectorCard) -> list[Notice]:
         fleet.scores,
         rival_share=fleet.rival_share,
         clear_score=card.clear_score,
-        fleet_log_odds=fleet.log_odds,
+        fleet_log_odds=None if fleet.look is None else fleet.look.log_odds,
     )
     return [Notice(code=doubt, message=_DOUBTS[doubt]) for doubt in doubts]
 

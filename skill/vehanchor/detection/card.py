@@ -125,7 +125,7 @@ class FleetCard(_Card):
     Attributes:
         sha256: of the file.
         detector: name of the detector for which its numbers were measured: they hold for no other.
-        lengths: how its log odds become a reference length.
+        lengths: how what it says of vehicles becomes a reference length.
     """
 
     sha256: str
@@ -135,9 +135,9 @@ class FleetCard(_Card):
     @field_validator("lengths")
     @classmethod
     def _in_order(cls, value: FleetLengths) -> FleetLengths:
-        few, many = value.log_odds
-        if not (few < many and value.neutral_vehicles > 0 and value.sd_m >= 0):
-            raise ValueError("expected rising log_odds, length_m and neutral_vehicles > 0, and sd_m >= 0")
+        short, long = value.log_lengths
+        if not (short < long and value.neutral_vehicles > 0 and value.sd_m >= 0):
+            raise ValueError("expected rising log_lengths, length_m and neutral_vehicles > 0, and sd_m >= 0")
         if not (LEAST_VEHICLE_M <= min(value.length_m) <= max(value.length_m) <= LARGEST_VEHICLE_M >= value.sd_m):
             raise ValueError(f"expected length_m, {LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m, and sd_m no longer")
         return value
@@ -192,8 +192,8 @@ def _region_lengths(text: str) -> dict[str, Any]:
 
 def _fleet_lengths(text: str) -> FleetLengths:
     stated: dict[str, Any] = dict(json.loads(text).items())
-    (few, many), (short, long) = stated.pop("log_odds"), stated.pop("length_m")
-    return FleetLengths((few, many), (short, long), **stated)
+    (low, high), (short, long) = stated.pop("log_lengths"), stated.pop("length_m")
+    return FleetLengths((low, high), (short, long), **stated)
 
 
 def _votes(text: str) -> Votes:
@@ -242,7 +242,7 @@ _FLEET_ENTRIES: dict[str, _Entry] = {
     "lengths": (
         "vehanchor.fleet_lengths",
         _fleet_lengths,
-        "a JSON object of log_odds, length_m, sd_m and neutral_vehicles",
+        "a JSON object of log_lengths, length_m, sd_m and neutral_vehicles",
     ),
 }
 

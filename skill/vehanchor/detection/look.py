@@ -1,8 +1,9 @@
-"""Which fleet vehicles belong to: North American cars are longer than others, and built otherwise.
+"""How long a fleet's vehicles are by their look: North American cars are longer than others, and built otherwise.
 
 A vehicle's *chip* is what is left of it without its scale: its pixels turned along its axis, brought to a length of 16
-px, blurred alike, in one channel, standardised. A small network reads from a chip the log odds that the vehicle is of
-North America's fleet; their mean over an image moves the reference length between what was measured for the fleets.
+px, blurred alike, in one channel, standardised. A small network reads from a chip the log of the vehicle's length in
+metres, whose mean over an image moves the reference length, and the log odds that it is of North America's fleet, whose
+spread tells cars of many makes from equal things.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster
 
-__all__ = ["CHIP_LENGTH_PX", "CHIP_SHAPE", "MAX_CHIPS", "FleetLengths", "chip", "vehicle_chips"]
+__all__ = ["CHIP_LENGTH_PX", "CHIP_SHAPE", "MAX_CHIPS", "FleetLengths", "FleetLook", "chip", "vehicle_chips"]
 
 CHIP_LENGTH_PX = 16  # a car of 5 m at 0.3 m/px, the coarsest that the guard lets pass
 CHIP_SHAPE = (16, 24)  # rows and columns: the vehicle and a quarter of its length around it
@@ -32,34 +33,51 @@ _CONTRAST_FLOOR = 8.0  # grey levels; below it there is nothing to see
 _REACH = 1.15  # of a length, from a vehicle's centre to the farthest pixel that a chip needs, blur included
 
 
-class FleetLengths(NamedTuple):
-    """How the mean log odds of an image's vehicles become a reference length.
+class FleetLook(NamedTuple):
+    """What the look of vehicles tells of their fleet.
 
     Attributes:
-        log_odds: the two values between which the reference length changes linearly; it is constant beyond.
-        length_m: reference lengths there, metres.
-        sd_m: standard deviation of what is left between places, metres.
-        neutral_vehicles: how many vehicles of the middle log odds are added to every image: one car says little.
+        log_odds: ``[n]`` float64 that each is of North America's fleet.
+        log_lengths: ``[n]`` float64, log of the length in metres that each seems to have.
     """
 
-    log_odds: tuple[float, float]
+    log_odds: NDArray[np.float64]
+    log_lengths: NDArray[np.float64]
+
+    def take(self, kept: NDArray[np.bool_]) -> FleetLook:
+        """Those of a mask ``[n]``."""
+        return FleetLook(self.log_odds[kept], self.log_lengths[kept])
+
+
+class FleetLengths(NamedTuple):
+    """How the lengths that an image's vehicles seem to have become a reference length.
+
+    Attributes:
+        log_lengths: the two mean log lengths between which the reference length changes linearly; it is constant
+            beyond.
+        length_m: reference lengths there, metres.
+        sd_m: standard deviation of what is left between places, metres.
+        neutral_vehicles: how many vehicles of the middle length are added to every image: one car says little.
+    """
+
+    log_lengths: tuple[float, float]
     length_m: tuple[float, float]
     sd_m: float
     neutral_vehicles: float
 
-    def reference_length(self, vehicle_log_odds: ArrayLike) -> float:
+    def reference_length(self, vehicle_log_lengths: ArrayLike) -> float:
         """Reference length of a fleet.
 
         Args:
-            vehicle_log_odds: ``[n]`` of its vehicles, n >= 0.
+            vehicle_log_lengths: ``[n]`` of its vehicles, n >= 0.
 
         Returns:
             Metres.
         """
-        values = np.asarray(vehicle_log_odds, dtype=np.float64)
+        values = np.asarray(vehicle_log_lengths, dtype=np.float64)
         neutral = self.neutral_vehicles
-        mean = (values.sum() + neutral * sum(self.log_odds) / 2) / (len(values) + neutral)
-        return float(np.interp(mean, self.log_odds, self.length_m))
+        mean = (values.sum() + neutral * sum(self.log_lengths) / 2) / (len(values) + neutral)
+        return float(np.interp(mean, self.log_lengths, self.length_m))
 
 
 def chip(pixels: NDArray[np.uint8], box: ArrayLike) -> NDArray[np.float32]:

@@ -145,7 +145,7 @@ def search(
         len(visits),
         n_capped,
         np.concatenate(scale_parts)[kept] if search_scales else None,
-        detector.fleet.log_odds(raster, vehicles.boxes) if detector.fleet else None,
+        detector.fleet.look(raster, vehicles.boxes) if detector.fleet else None,
         vehicles.classes,
         _merged_by_class(Objects.joined(other_parts), chosen.nms_iou),
     )

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from vehanchor.detection.look import FleetLook
     from vehanchor.detection.scene import SceneSighting
 
 __all__ = ["Objects", "Sighting"]
@@ -60,8 +61,8 @@ class Sighting:
         n_capped_tiles: tiles in which an end-to-end model had no row left, so that vehicles may be missing.
         scales: ``[n]`` float64, the scale of the image in which each was found: 1, 0.5, 0.25 or 0.125; None stands
             for a search at full resolution alone.
-        fleet_log_odds: ``[m]`` float64 of the first m = min(n, 100) vehicles, see ``vehanchor.detection.fleet``; None
-            where no network beside the model can tell.
+        fleet: what the look of the first m = min(n, 100) vehicles tells; None where no network beside the model can
+            tell.
         classes: ``[n]`` int, the index of each vehicle's class; None where no detector named one, as of labels.
         others: objects of the model's other classes, in image pixels, best score first; boxes of one class that
             overlap are merged, those of different classes are not.
@@ -73,7 +74,7 @@ class Sighting:
     n_tiles: int = 1
     n_capped_tiles: int = 0
     scales: NDArray[np.float64] | None = None
-    fleet_log_odds: NDArray[np.float64] | None = None
+    fleet: FleetLook | None = None
     classes: NDArray[np.intp] | None = None
     others: Objects = field(default_factory=Objects.joined)
     scene: SceneSighting | None = None

@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from vehanchor.errors import InvalidParameterError
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.look import FleetLook
     from vehanchor.options import Reference
     from vehanchor.records import ReferenceSource
 
@@ -31,9 +29,7 @@ class ReferenceLength(NamedTuple):
     source: ReferenceSource
 
 
-def reference_length(
-    card: DetectorCard, given: Reference, fleet_log_odds: NDArray[np.float64] | None
-) -> ReferenceLength:
+def reference_length(card: DetectorCard, given: Reference, look: FleetLook | None) -> ReferenceLength:
     """Choose the caller's reference length, else what the look of the vehicles says of their fleet, else the model's.
 
     A caller who names the length or the region has settled most of what differs between regions: half of it remains.
@@ -41,7 +37,7 @@ def reference_length(
     Args:
         card: of the model that found the vehicles.
         given: what the caller knows.
-        fleet_log_odds: ``[n]`` of the vehicles (see ``vehanchor.detection.look``); None without any.
+        look: what the vehicles look like; None without any.
 
     Returns:
         The length, its spread and its source.
@@ -63,7 +59,7 @@ def reference_length(
                 "or give reference_length_m"
             )
         return ReferenceLength(card.region_lengths_m[given.region], card.reference_length_sd_m / 2, "region")
-    if card.fleet_lengths is not None and fleet_log_odds is not None:
+    if card.fleet_lengths is not None and look is not None:
         fleets = card.fleet_lengths
-        return ReferenceLength(fleets.reference_length(fleet_log_odds), fleets.sd_m, "appearance")
+        return ReferenceLength(fleets.reference_length(look.log_lengths), fleets.sd_m, "appearance")
     return ReferenceLength(card.reference_length_m, card.reference_length_sd_m, "model")

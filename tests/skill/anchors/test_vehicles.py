@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from tests.analyses import made_card
 from vehanchor.anchors.evidence import Evidence, ImageFacts, View
 from vehanchor.anchors.vehicles import Vehicles, select
+from vehanchor.detection.look import FleetLook
 from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import analyse_sighting
 from vehanchor.options import Lengths, ScaleOptions
@@ -26,7 +27,7 @@ def test_the_fleet_is_what_the_outlier_filter_leaves() -> None:
     fleet = select(_view(_LENGTHS).sighting, Lengths())
     assert fleet.kept.tolist() == [True] * 5 + [False]
     assert fleet.lengths.tolist() == _LENGTHS[:5]
-    assert (fleet.working_scale, fleet.log_odds) == (1.0, None)
+    assert (fleet.working_scale, fleet.look) == (1.0, None)
 
 
 def test_vehicles_say_the_reference_length_over_their_modal_length() -> None:
@@ -61,7 +62,8 @@ def test_a_ruler_in_the_registry_is_heard(monkeypatch: pytest.MonkeyPatch) -> No
 def test_the_look_of_the_kept_vehicles_is_what_was_asked_of_them() -> None:
     odds: NDArray[np.float64] = np.array([1.0, 2.0, 3.0])
     view = _view(_LENGTHS)
-    found = Sighting(view.sighting.boxes[::-1], view.sighting.scores, fleet_log_odds=odds)
+    found = Sighting(view.sighting.boxes[::-1], view.sighting.scores, fleet=FleetLook(odds, odds / 2))
     fleet = select(found, Lengths())
-    assert fleet.log_odds is not None
-    assert fleet.log_odds.tolist() == [2.0, 3.0]  # the longest comes first and is dropped
+    assert fleet.look is not None
+    assert fleet.look.log_odds.tolist() == [2.0, 3.0]  # the longest comes first and is dropped
+    assert fleet.look.log_lengths.tolist() == [1.0, 1.5]

@@ -129,8 +129,8 @@ def test_a_fleet_network_made_for_another_detector_is_refused() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"log_odds": [1.0, -1.0]},
-        {"log_odds": [0.0, float("nan")]},
+        {"log_lengths": [1.0, -1.0]},
+        {"log_lengths": [0.0, float("nan")]},
         {"length_m": [4.0]},
         {"length_m": [0.0, 5.0]},
         {"sd_m": "wide"},

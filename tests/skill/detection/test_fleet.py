@@ -88,8 +88,8 @@ def test_no_more_than_a_hundred_vehicles_are_asked(model: Detector) -> None:
     with open_raster(image) as raster:
         found = search(raster, model)
     assert len(found.boxes) == 140
-    assert found.fleet_log_odds is not None
-    assert len(found.fleet_log_odds) == MAX_CHIPS
+    assert found.fleet is not None
+    assert len(found.fleet.log_odds) == MAX_CHIPS
     assert analyse_scale(image, detector=model).estimate.reference_source == "appearance"
 
 
@@ -97,7 +97,7 @@ def test_a_detector_without_such_a_network_cannot_tell(tmp_path: Path) -> None:
     detector = Detector(write_detector(tmp_path / "foreign.onnx"))
     assert (detector.fleet, detector.card.fleet_lengths, detector.card.fleet_sha256) == (None, None, None)
     with open_raster(_car_park([40] * 6)) as raster:
-        assert search(raster, detector).fleet_log_odds is None
+        assert search(raster, detector).fleet is None
     assert analyse_scale(_car_park([40] * 6), detector=detector).estimate.reference_source == "model"
 
 
@@ -136,8 +136,8 @@ def test_a_network_without_its_numbers_or_for_another_detector_is_refused(tmp_pa
 
 
 def test_a_network_of_another_contract_is_refused(tmp_path: Path) -> None:
-    network = write_fleet_network(tmp_path / "m.onnx", _LENGTHS, output="fleet")
-    with pytest.raises(ModelContractError, match=r"chips, fleet: expected.*log_odds"):
+    network = write_fleet_network(tmp_path / "m.onnx", _LENGTHS, outputs=("fleet", "log_length"))
+    with pytest.raises(ModelContractError, match=r"chips, fleet, log_length: expected.*log_odds"):
         FleetNetwork(network)
     with pytest.raises(ModelContractError, match="image, logits"):
         FleetNetwork(write_other_model(tmp_path / "classifier.onnx"))
