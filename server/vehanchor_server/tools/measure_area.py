@@ -26,7 +26,7 @@ from vehanchor_server.tools.scale_question import (
     RegionArgument,
     ScaleQuestion,
 )
-from vehanchor_server.tools.sentences import POLICY, interval, rounded, scale_doubt, vehicles, warnings
+from vehanchor_server.tools.sentences import POLICY, interval, rounded, scale_doubt, sources, warnings
 from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import AnyTarget, BoxTarget, TargetArgument
 
@@ -182,6 +182,6 @@ def _scale_origin(area: AreaMeasurement) -> str:
     """Where the scale comes from."""
     assert area.gsd_m_per_px is not None
     scale = f"scale {rounded(area.gsd_m_per_px)} m/px"
-    if area.confidence is None or area.n_vehicles is None:
+    if area.confidence is None or area.scale is None:
         return f"{scale} as given"
-    return f"{scale}, confidence {area.confidence:.2f} from {vehicles(area.n_vehicles)}"
+    return f"{scale}, confidence {area.confidence:.2f} from {sources(area.scale)}"
