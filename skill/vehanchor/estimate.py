@@ -21,12 +21,13 @@ from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene import load_scene_scale
 from vehanchor.detection.search import search
 from vehanchor.imagery.detail import resolved_share
+from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.raster import open_raster
 from vehanchor.judgement import judge
 from vehanchor.models.zoo import resolve_model
 from vehanchor.notices import NoticeCode
 from vehanchor.options import ScaleOptions
-from vehanchor.records import FrameScale, GsdEstimate, Notice, SceneScaleEstimate
+from vehanchor.records import FrameScale, GsdEstimate, KnownScale, Notice, SceneScaleEstimate
 from vehanchor.scale.reference import reference_length
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ __all__ = [
     "open_detector",
 ]
 
+_MODEL_DIGITS = 12
 GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale may differ by this from another before a warning
 
 
@@ -181,13 +183,14 @@ def analyse_raster(
 ) -> ScaleAnalysis:
     """As ``analyse_scale``, of an image that is open already."""
     options.frame.check(raster.width_px, raster.height_px)
-    options.rulers.check(*(options.frame.size or (raster.width_px, raster.height_px)))
+    options = options.in_pixels(raster.width_px, raster.height_px)
     sighting = search(raster, detector, options.search, progress=progress, run_options=run_options)
     weighed = detector.card.votes and options.rulers.uses(SceneScale.kind)
     network = load_scene_scale() if weighed else None  # else there is nothing it could be weighed against
     if network is not None:
         sighting = replace(sighting, scene=network.look(raster, run_options=run_options))
-    view = View(image_facts(raster), sighting, detector.card, options, partial(resolved_share, raster))
+    facts = image_facts(raster)._replace(image_id=image_id(raster))
+    view = View(facts, sighting, detector.card, options, partial(resolved_share, raster))
     return analyse_sighting(view)
 
 
@@ -244,9 +247,26 @@ def conclude(vehicles: VehicleEvidence, others: Sequence[Evidence], view: View) 
         image_height_px=image.height_px,
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
         frame=_frame_scale(view.options.frame, image.width_px, gsd, interval),
+        scale=_known_scale(view, gsd, interval, judgement.confidence),
         model=view.card.name,
         model_sha256=view.card.sha256,
         warnings=tuple(warnings),
+    )
+
+
+def _known_scale(
+    view: View, gsd: float | None, interval: tuple[float, float] | None, confidence: float
+) -> KnownScale | None:
+    """The scale as it can be given back; None where there is none, or where nobody looked at the image's pixels."""
+    if gsd is None or interval is None or not view.image.image_id:
+        return None
+    return KnownScale(
+        gsd_m_per_px=gsd,
+        gsd_ci95_low_m_per_px=min(interval[0], gsd),
+        gsd_ci95_high_m_per_px=max(interval[1], gsd),
+        confidence=confidence,
+        image_id=view.image.image_id,
+        model_id=view.card.sha256[:_MODEL_DIGITS],
     )
 
 

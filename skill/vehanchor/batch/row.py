@@ -16,6 +16,7 @@ __all__ = ["COLUMNS", "BatchRow"]
 _NESTED = (
     "confidence_terms",
     "frame",
+    "scale",
     "scene_scale",
     "warnings",
 )  # the only fields of an estimate that are no single value
