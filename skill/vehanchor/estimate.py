@@ -53,6 +53,7 @@ __all__ = [
     "estimate_gsd",
     "georeference_notice",
     "image_facts",
+    "image_notices",
     "open_detector",
 ]
 
@@ -189,8 +190,7 @@ def analyse_raster(
     network = load_scene_scale() if weighed else None  # else there is nothing it could be weighed against
     if network is not None:
         sighting = replace(sighting, scene=network.look(raster, run_options=run_options))
-    facts = image_facts(raster)._replace(image_id=image_id(raster))
-    view = View(facts, sighting, detector.card, options, partial(resolved_share, raster))
+    view = View(image_facts(raster), sighting, detector.card, options, partial(resolved_share, raster))
     return analyse_sighting(view)
 
 
@@ -200,9 +200,15 @@ def image_facts(raster: Raster) -> ImageFacts:
         raster.width_px,
         raster.height_px,
         raster.georeference_gsd_m_per_px,
-        tuple(Notice(code=note.code, message=note.message) for note in raster.warnings),
+        image_notices(raster),
         raster.camera,
+        image_id(raster),
     )
+
+
+def image_notices(raster: Raster) -> tuple[Notice, ...]:
+    """What there was to tell when an image was read."""
+    return tuple(Notice(code=note.code, message=note.message) for note in raster.warnings)
 
 
 def analyse_sighting(view: View) -> ScaleAnalysis:

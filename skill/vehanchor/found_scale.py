@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError
-from vehanchor.estimate import analyse_raster, georeference_notice, image_facts, open_detector
+from vehanchor.estimate import analyse_raster, georeference_notice, image_notices, open_detector
 from vehanchor.imagery.identity import image_id
 from vehanchor.records import GsdEstimate, KnownScale
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
@@ -139,7 +139,7 @@ def find_scale(
         found = analysis.estimate
         log_sd = _log_sd(found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px)
         return FoundScale(found.gsd_m_per_px, log_sd, found.confidence, "estimated", analysis, found.warnings)
-    told = image_facts(raster).notices
+    told = image_notices(raster)
     own = raster.georeference_gsd_m_per_px
     if isinstance(scale, KnownScale):
         seen = image_id(raster)
