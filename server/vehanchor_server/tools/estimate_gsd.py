@@ -28,7 +28,7 @@ from vehanchor_server.tools.scale_question import (
     RegionArgument,
     ScaleQuestion,
 )
-from vehanchor_server.tools.sentences import POLICY, interval, rounded, scale_doubt, vehicles, warnings
+from vehanchor_server.tools.sentences import POLICY, interval, not_to_be_used, rounded, vehicles, warnings
 from vehanchor_server.tools.strict_tool import StrictTool
 
 __all__ = ["describe_estimate", "estimate_gsd_tool"]
@@ -113,4 +113,4 @@ def _scale_in_words(estimate: GsdEstimate) -> str:
     scale += f", confidence {estimate.confidence:.2f} from {vehicles(estimate.n_vehicles)}: "
     if estimate.status == "ok":
         return scale + "safe to use."
-    return scale + f"do not rely on it ({scale_doubt(estimate)}); fall back to another anchor."
+    return scale + not_to_be_used(estimate)

@@ -26,7 +26,7 @@ from vehanchor_server.tools.scale_question import (
     RegionArgument,
     ScaleQuestion,
 )
-from vehanchor_server.tools.sentences import POLICY, interval, rounded, scale_doubt, vehicles, warnings
+from vehanchor_server.tools.sentences import POLICY, interval, not_to_be_used, rounded, vehicles, warnings
 from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import AnyTarget, BoxTarget, TargetArgument
 
@@ -174,7 +174,7 @@ def _area_in_words(area: AreaMeasurement) -> str:
     if area.status == "ok":
         return size + ("as good as the given scale." if area.scale is None else "safe to use.")
     if area.scale is not None and area.scale.status != "ok":
-        return size + f"do not rely on it ({scale_doubt(area.scale)}); fall back to another anchor."
+        return size + not_to_be_used(area.scale)
     return size + "do not rely on it (the segmenter doubts its mask); look at the overlay, or draw another box."
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from vehanchor.advice import ADVICE
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from vehanchor.records import GsdEstimate, Notice
 
-__all__ = ["POLICY", "interval", "rounded", "scale_doubt", "vehicles", "warnings"]
+__all__ = ["POLICY", "interval", "not_to_be_used", "rounded", "vehicles", "warnings"]
 
 POLICY = (
     "Rule for planners: use the scale where confidence >= 0.5. Below 0.5 do not act on it: fall back to another anchor "
@@ -38,12 +40,9 @@ def warnings(notices: Iterable[Notice]) -> list[str]:
     return [f"Warning {notice.code}: {notice.message}" for notice in notices]
 
 
-def scale_doubt(estimate: GsdEstimate) -> str:
-    """The reason why a scale's confidence is low."""
-    from vehanchor.notices import FLEET_DOUBTS
-
-    if estimate.resolution_guard:
-        return "vehicles show too little detail to be measured well"
-    if any(notice.code in FLEET_DOUBTS for notice in estimate.warnings):
-        return "the vehicles may not be cars"
-    return "too little evidence"
+def not_to_be_used(estimate: GsdEstimate) -> str:
+    """Why a scale is not to be used and what would help; nothing where it may be."""
+    if estimate.reason is None:
+        return ""
+    why, helps = ADVICE[estimate.reason]
+    return f"do not rely on it ({why}); {helps}, or fall back to another anchor."

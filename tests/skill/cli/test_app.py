@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -362,12 +363,15 @@ def test_the_progress_bar_goes_to_a_terminal_and_leaves_stdout_alone(folder: Pat
         env={**os.environ, "TERM": "xterm", "COLUMNS": "100"},
     )
     os.close(child)
-    shown = os.read(terminal, 1 << 20).decode()
+    shown = b""
+    with contextlib.suppress(OSError):  # what Linux says at the end of a terminal whose other side is closed
+        while part := os.read(terminal, 1 << 16):
+            shown += part
     os.close(terminal)
     assert done.returncode == 2
     assert [json.loads(line)["source"] for line in done.stdout.splitlines()] == ["cars.png", "text.png"]
-    assert "1/2 cars.png" in shown
-    assert "error[image_undecodable]" in shown
+    assert b"1/2 cars.png" in shown
+    assert b"error[image_undecodable]" in shown
 
 
 # --- models
