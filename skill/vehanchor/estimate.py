@@ -24,12 +24,13 @@ from vehanchor.detection.scene import load_scene_scale
 from vehanchor.detection.search import search
 from vehanchor.detection.sighting import Sighting
 from vehanchor.imagery.detail import resolved_share
+from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.raster import open_raster
 from vehanchor.judgement import judge
 from vehanchor.models.zoo import resolve_model
 from vehanchor.notices import NoticeCode
 from vehanchor.options import ScaleOptions
-from vehanchor.records import FrameScale, GsdEstimate, Notice, RulerScale, SceneScaleEstimate
+from vehanchor.records import FrameScale, GsdEstimate, KnownScale, Notice, RulerScale, SceneScaleEstimate
 from vehanchor.scale.reference import reference_length
 
 if TYPE_CHECKING:
@@ -54,10 +55,12 @@ __all__ = [
     "estimate_gsd",
     "georeference_notice",
     "image_facts",
+    "image_notices",
     "open_detector",
 ]
 
 _NOT_SEARCHED = Sighting(np.zeros((0, 5)), np.zeros(0))
+_MODEL_DIGITS = 12
 GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale may differ by this from another before a warning
 
 
@@ -189,7 +192,7 @@ def analyse_raster(
 ) -> ScaleAnalysis:
     """As ``analyse_scale``, of an image that is open already."""
     options.frame.check(raster.width_px, raster.height_px)
-    options.rulers.check(*(options.frame.size or (raster.width_px, raster.height_px)))
+    options = options.in_pixels(raster.width_px, raster.height_px)
     sighting = _NOT_SEARCHED
     if options.rulers.searches:
         sighting = search(raster, detector, options.search, progress=progress, run_options=run_options)
@@ -207,9 +210,15 @@ def image_facts(raster: Raster) -> ImageFacts:
         raster.width_px,
         raster.height_px,
         raster.georeference_gsd_m_per_px,
-        tuple(Notice(code=note.code, message=note.message) for note in raster.warnings),
+        image_notices(raster),
         raster.camera,
+        image_id(raster),
     )
+
+
+def image_notices(raster: Raster) -> tuple[Notice, ...]:
+    """What there was to tell when an image was read."""
+    return tuple(Notice(code=note.code, message=note.message) for note in raster.warnings)
 
 
 def analyse_sighting(view: View) -> ScaleAnalysis:
@@ -259,6 +268,7 @@ def conclude(vehicles: VehicleEvidence, others: Sequence[Evidence], view: View) 
         image_height_px=image.height_px,
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
         frame=_frame_scale(view.options.frame, image.width_px, gsd, interval),
+        scale=_known_scale(view, gsd, interval, judgement.confidence),
         model=view.card.name,
         model_sha256=view.card.sha256,
         warnings=tuple(warnings),
@@ -277,6 +287,22 @@ def _ruler_scale(share: RulerShare) -> RulerScale:
             "agrees": share.agrees,
             "says": share.says,
         }
+    )
+
+
+def _known_scale(
+    view: View, gsd: float | None, interval: tuple[float, float] | None, confidence: float
+) -> KnownScale | None:
+    """The scale as it can be given back; None where there is none, or where nobody looked at the image's pixels."""
+    if gsd is None or interval is None or not view.image.image_id:
+        return None
+    return KnownScale(
+        gsd_m_per_px=gsd,
+        gsd_ci95_low_m_per_px=min(interval[0], gsd),
+        gsd_ci95_high_m_per_px=max(interval[1], gsd),
+        confidence=confidence,
+        image_id=view.image.image_id,
+        model_id=view.card.sha256[:_MODEL_DIGITS],
     )
 
 

@@ -16,10 +16,12 @@ __all__ = [
     "AreaMeasurement",
     "BoundingBox",
     "ConfidenceTerms",
+    "DistanceMeasurement",
     "FrameArea",
     "FrameScale",
     "GsdEstimate",
     "ImagePoint",
+    "KnownScale",
     "Notice",
     "OutlinePolygon",
     "OutlineRing",
@@ -33,7 +35,7 @@ __all__ = [
 
 Status = Literal["ok", "low_confidence", "no_anchor"]
 Reason = Literal["too_coarse", "too_few", "not_cars", "disagree", "lost", "imprecise"]
-ScaleSource = Literal["estimated", "given"]
+ScaleSource = Literal["estimated", "given", "reused"]
 ReferenceSource = Literal["model", "appearance", "region", "given", "calibration"]
 
 
@@ -92,6 +94,17 @@ class RulerScale(_Record):
     )
     agrees: bool = Field(description="Whether it agrees with the scale that is given out.")
     says: str | None = Field(description="What it was measured by, in a sentence; null where numbers say it all.")
+
+
+class KnownScale(_Record):
+    """A scale to be given back for the next measurement in the same image, which then needs no search."""
+
+    gsd_m_per_px: float = Field(gt=0, description="Metres per pixel of the full image.")
+    gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its 95 % interval.")
+    gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its 95 % interval.")
+    confidence: float = Field(ge=0, le=1, description="Composite confidence C.")
+    image_id: str = Field(max_length=64, description="Checksum of the image's pixels: it holds for no other image.")
+    model_id: str = Field(max_length=64, description="First digits of the checksum of the detector.")
 
 
 class GsdEstimate(_Record):
@@ -154,6 +167,11 @@ class GsdEstimate(_Record):
         description="Scale that the file itself carries (geotransform), for comparison; never used for the estimate."
     )
     frame: FrameScale | None = Field(description="The scale in the caller's resized copy, where one was named.")
+    scale: KnownScale | None = Field(
+        default=None,
+        description="The scale in six fields: give it back as scale to measure in the same image without another "
+        "search; null without an anchor.",
+    )
     model: str = Field(description="Name of the detector.")
     model_sha256: str = Field(description="SHA-256 of the detector's file.")
     warnings: tuple[Notice, ...] = Field(description="What else to know about this result.")
@@ -213,9 +231,12 @@ class AreaMeasurement(_Record):
     gsd_m_per_px: float | None = Field(
         description="Ground sampling distance, metres per pixel of the full image; null without an anchor."
     )
-    n_vehicles: int | None = Field(ge=0, description="N': vehicles behind the scale; null for a given scale.")
+    n_vehicles: int | None = Field(ge=0, description="N': vehicles behind the scale; null for a given one.")
     mode_length_px: float | None = Field(description="P_mode: modal vehicle length, pixels; null without an estimate.")
-    scale_source: ScaleSource = Field(description="estimated: by the rulers in scale. given: the caller's own scale.")
+    scale_source: ScaleSource = Field(
+        description="estimated: by the rulers in scale. given: the caller's own scale. reused: an earlier estimate of "
+        "this image, given back."
+    )
     mask_area_px: int = Field(ge=0, description="N_px: pixels of the mask in the full image.")
     mask_score: float = Field(ge=0, le=1, description="The segmenter's own estimate of the mask's overlap (IoU).")
     perimeter_m: float | None = Field(description="Length of the mask's outline with its holes, metres.")
@@ -237,7 +258,41 @@ class AreaMeasurement(_Record):
     image_width_px: int = Field(gt=0, description="Width of the full image, pixels.")
     image_height_px: int = Field(gt=0, description="Height of the full image, pixels.")
     frame: FrameArea | None = Field(description="The object in the caller's resized copy, where one was named.")
-    scale: GsdEstimate | None = Field(description="The whole estimate of the scale; null for a given scale.")
+    scale: GsdEstimate | None = Field(
+        description="The whole estimate of the scale; null for one that was given or given back."
+    )
     segmenter: str = Field(description="Name of the segmenter.")
     segmenter_sha256: str = Field(description="SHA-256 of the segmenter's encoder file followed by its decoder file.")
+    warnings: tuple[Notice, ...] = Field(description="What else to know about this result, the scale's included.")
+
+
+class DistanceMeasurement(_Record):
+    """Length of a line on the ground: its pixels times the scale, and where that comes from."""
+
+    status: Status = Field(
+        description="ok. low_confidence: the scale's confidence is below 0.5. no_anchor: no scale, so pixels only."
+    )
+    distance_m: float | None = Field(description="length_px times GSD, metres; null without a scale.")
+    distance_ci95_low_m: float | None = Field(
+        description="Lower end of its 95 % interval: the scale, and a pixel at each point, together."
+    )
+    distance_ci95_high_m: float | None = Field(description="Upper end of its 95 % interval.")
+    confidence: float | None = Field(
+        ge=0, le=1, description="The scale's composite confidence C in 0..1; null for a scale that the caller gave."
+    )
+    gsd_m_per_px: float | None = Field(
+        description="Ground sampling distance, metres per pixel of the full image; null without an anchor."
+    )
+    n_vehicles: int | None = Field(ge=0, description="N': vehicles behind the scale; null for a given one.")
+    scale_source: ScaleSource = Field(
+        description="estimated: from the vehicles. given: the caller's own scale. reused: an earlier estimate of this "
+        "image, given back."
+    )
+    length_px: float = Field(gt=0, description="Length of the line, pixels of the full image.")
+    path: tuple[ImagePoint, ...] = Field(description="Its points in order, pixels of the full image.")
+    image_width_px: int = Field(gt=0, description="Width of the full image, pixels.")
+    image_height_px: int = Field(gt=0, description="Height of the full image, pixels.")
+    scale: GsdEstimate | None = Field(
+        description="The whole estimate of the scale; null for one that was given or given back."
+    )
     warnings: tuple[Notice, ...] = Field(description="What else to know about this result, the scale's included.")

@@ -59,7 +59,7 @@ class Rulers:
         focal_35mm: focal length of a 35 mm camera with the same view, millimetres; None takes the file's.
 
     Raises:
-        KnownLengthError: a line is shorter than five pixels, or no line.
+        KnownLengthError: what is given is no line.
         InvalidParameterError: a number has no meaning, or a ruler is not known.
     """
 
@@ -115,16 +115,29 @@ class Rulers:
         """Whether the detector is needed."""
         return any(self.uses(kind) for kind in SEARCHED)
 
+    def check_lengths(self) -> None:
+        """Refuse lines too short to measure by.
+
+        Raises:
+            KnownLengthError: one is shorter than five pixels.
+        """
+        for line in self.known_lengths:
+            if line.length_px < _MIN_LINE_PX:
+                raise KnownLengthError(
+                    f"the line of known length is {line.length_px:.1f} px long: use one of {_MIN_LINE_PX:g} px or more"
+                )
+
     def check(self, width_px: int, height_px: int) -> None:
-        """Refuse lines that leave the picture in which they were drawn.
+        """Refuse lines that leave the picture in which they were drawn, or are too short in it.
 
         Args:
             width_px: of the image, or of the frame where one is named.
             height_px: of that picture.
 
         Raises:
-            KnownLengthError: an end lies outside.
+            KnownLengthError: an end lies outside, or a line is shorter than five pixels.
         """
+        self.check_lengths()
         for line in self.known_lengths:
             if not all(0 <= x <= width_px for x in (line.x1, line.x2)) or not all(
                 0 <= y <= height_px for y in (line.y1, line.y2)
@@ -154,10 +167,6 @@ def _lines(lines: Any) -> tuple[KnownLength, ...]:
         except (TypeError, ValueError) as error:
             raise KnownLengthError(f"the known length {line!r} is no x1, y1, x2, y2, metres: {error}") from None
         known = KnownLength(x1, y1, x2, y2, metres)
-        if known.length_px < _MIN_LINE_PX:
-            raise KnownLengthError(
-                f"the line of known length is {known.length_px:.1f} px long: use one of {_MIN_LINE_PX:g} px or more"
-            )
         if not 0 < metres <= _MAX_LINE_M:
             raise KnownLengthError(f"the line's length is {metres:g} m: use metres > 0 and up to {_MAX_LINE_M:g}")
         checked.append(known)

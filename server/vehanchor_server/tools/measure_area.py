@@ -117,7 +117,7 @@ def _measure(
     """
     from vehanchor.estimate import open_detector
     from vehanchor.imagery.raster import open_raster
-    from vehanchor.measure import analyse_object
+    from vehanchor.measure import analyse_objects
     from vehanchor.pictures.area import draw_area
     from vehanchor_server.app_page.panel import length_histogram
     from vehanchor_server.calls.overlay import overlay_jpeg
@@ -131,8 +131,8 @@ def _measure(
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         job.segmenting()
-        analysis = analyse_object(
-            raster, prompt, segmenter, scale, options, progress=job.searched, run_options=job.run_options
+        (analysis,) = analyse_objects(
+            raster, [prompt], segmenter, scale, options, progress=job.searched, run_options=job.run_options
         )
         overlay = None
         if drawn:

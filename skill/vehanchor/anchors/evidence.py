@@ -36,6 +36,7 @@ class ImageFacts(NamedTuple):
         georeference_gsd_m_per_px: the scale that the file itself carries; None where it has none.
         notices: what there was to tell when it was read.
         camera: what the file says of its camera; None where it says nothing.
+        image_id: checksum of the pixels; empty where nobody summed them up.
     """
 
     width_px: int
@@ -43,6 +44,7 @@ class ImageFacts(NamedTuple):
     georeference_gsd_m_per_px: float | None = None
     notices: tuple[Notice, ...] = ()
     camera: CameraMetadata | None = None
+    image_id: str = ""
 
 
 @dataclass(frozen=True, eq=False)

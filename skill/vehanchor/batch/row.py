@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["COLUMNS", "BatchRow"]
 
 # The only fields of an estimate that are no single value.
-_NESTED = ("confidence_terms", "frame", "scene_scale", "rulers", "warnings")
+_NESTED = ("confidence_terms", "frame", "rulers", "scale", "scene_scale", "warnings")
 
 
 class BatchRow(BaseModel):
