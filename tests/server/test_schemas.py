@@ -19,7 +19,7 @@ from vehanchor_server.schemas import schema_files, write_schemas
 from vehanchor_server.tools.portable_schema import portable_schema
 
 PUBLISHED = Path(__file__).parents[2] / "schemas"
-TOOLS = ("estimate_gsd", "measure_area", "measure_distance")
+TOOLS = ("estimate_gsd", "measure_area", "measure_distance", "view_image")
 BOX = {"target": {"box": POOL_BOX}}
 LINE = {"lines": [{"points": [{"x": 9, "y": 9}, {"x": 99, "y": 9}]}]}
 

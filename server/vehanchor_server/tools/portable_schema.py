@@ -76,6 +76,8 @@ _MANY = 3  # an object of more fields is explained as a whole
 
 def _listed(node: dict[str, Any], *, said: bool = True) -> dict[str, Any]:
     options = [option for option in node.get("anyOf", ()) if option != {"type": "null"}]
+    if len(options) == 1 and "anyOf" in options[0]:
+        return _listed({**node, **options[0]}, said=said)
     if len(options) > 1 and all("kind" in option.get("properties", {}) for option in options):
         options = [_of_all_kinds(options)]
     if len(options) == 1:

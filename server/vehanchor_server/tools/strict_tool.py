@@ -78,7 +78,8 @@ class StrictTool(Tool):
         arguments.model_rebuild(force=True)
         tool.full_parameters = portable_schema(arguments.model_json_schema(by_alias=True))
         tool.parameters = listed_schema(tool.full_parameters, unlisted)
-        tool.parameters["required"] = [*tool.parameters.get("required", ()), *required]
+        if required:
+            tool.parameters["required"] = [*tool.parameters.get("required", ()), *required]
         if tool.fn_metadata.output_schema is not None:
             tool.record_schema = portable_schema(tool.fn_metadata.output_schema)
             tool.fn_metadata.output_schema = _answered(tool.record_schema, answered)

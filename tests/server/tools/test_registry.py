@@ -57,7 +57,7 @@ async def test_the_contract_names_every_hint(server: MCPServer[object], era: str
     async with Client(server, mode=era) as client:
         listed = (await client.list_tools()).tools
         instructions = client.instructions
-    assert [tool.name for tool in listed] == ["estimate_gsd", "measure_area", "measure_distance"]
+    assert [tool.name for tool in listed] == ["estimate_gsd", "measure_area", "measure_distance", "view_image"]
     for tool in listed:
         assert tool.title
         assert tool.description
@@ -91,4 +91,4 @@ async def test_a_new_tool_needs_its_module_and_a_line_in_the_registry(
     assert set(files) - set(published) == {"image_size.input.json", "image_size.output.json"}
     for provider in ("anthropic", "openai"):
         names = [tool["name"] for tool in json.loads(files[f"{provider}.json"])]
-        assert names == ["estimate_gsd", "measure_area", "measure_distance", "image_size"]
+        assert names == ["estimate_gsd", "measure_area", "measure_distance", "view_image", "image_size"]
