@@ -33,6 +33,7 @@ WHAT_HELPS = {  # by the record's reason
     "not_cars": "another anchor is needed here",
     "disagree": "another anchor is needed here",
     "lost": "fly on to streets or houses, and look again",
+    "imprecise": "take in cars, or give a known length",
 }
 
 log = logging.getLogger("planner")

@@ -325,7 +325,7 @@ class ScaleOptions:
         reference: where the reference length comes from.
         frame: the caller's resized copy.
         reading: how the image is read.
-        rulers: what the scale is held against beside the vehicles.
+        rulers: what the scale is taken from.
     """
 
     search: Search = Search()

@@ -26,7 +26,7 @@ def distracted_crops(images: Sequence[TrainImage], count: int, seed: int = 0) ->
     rng = np.random.default_rng(seed)
     out = []
     for _ in range(count):
-        crop = distracted(rng, draw_crop(rng, images[rng.integers(len(images))]))
+        crop = distracted(rng, draw_crop(rng, images[int(rng.integers(len(images)))]))
         out.append(TrainImage("distracted", crop.image, crop.boxes, crop.ignore, np.zeros((0, 2)), _CAR_PX))
     return out
 

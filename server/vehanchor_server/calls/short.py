@@ -26,6 +26,7 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
         "mode_length_px",
         "p_within_20",
         "reason",
+        "scale_source",
         "image_width_px",
         "image_height_px",
         "frame",

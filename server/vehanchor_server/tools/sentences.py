@@ -20,14 +20,16 @@ __all__ = [
     "numbered",
     "rounded",
     "scale_origin",
+    "sources",
     "vehicles",
     "warnings",
+    "what_rulers_say",
 ]
 
 POLICY = (
     "Rule for planners: use the scale where confidence >= 0.5. Below 0.5 do not act on it: fall back to another anchor "
-    "(known altitude, visual odometry, an object of known size). Confidence 0 means that no vehicle was found and "
-    "there is no estimate: gsd_m_per_px is null, never a guess."
+    "(known altitude, visual odometry, an object of known size). Confidence 0 means that no vehicle and no other ruler "
+    "was found and there is no estimate: gsd_m_per_px is null, never a guess."
 )
 """Said once, by the tool that measures the scale."""
 
@@ -36,6 +38,14 @@ OBEY = (
     "earlier answer about this image back, and nothing is searched again."
 )
 """What the tools that use a scale say of it."""
+
+
+_RULERS = {
+    "scene_scale": "the look of the ground",
+    "camera": "the camera's metadata",
+    "known_length": "known length",
+    "height": "the given height",
+}
 
 
 def rounded(value: float) -> str:
@@ -51,6 +61,20 @@ def interval(low: float | None, high: float | None) -> str:
 def vehicles(number: int) -> str:
     """So many vehicles."""
     return f"{number} vehicle{'' if number == 1 else 's'}"
+
+
+def sources(estimate: GsdEstimate) -> str:
+    """What a scale was measured by: the rulers that agree with it, the one that leads first; a witness is left out."""
+    agreeing = [ruler for ruler in estimate.rulers if ruler.agrees and ruler.kind != "scene_scale"]
+    names = {"vehicles": vehicles(estimate.n_vehicles), **_RULERS}
+    by_weight = sorted(agreeing, key=lambda ruler: -ruler.weight)
+    words = [names.get(ruler.kind, ruler.kind.replace("_", " ")) for ruler in by_weight]
+    return " and ".join(words) or vehicles(estimate.n_vehicles)
+
+
+def what_rulers_say(estimate: GsdEstimate) -> list[str]:
+    """One sentence for each ruler that has one."""
+    return [ruler.says for ruler in estimate.rulers if ruler.says is not None]
 
 
 def warnings(notices: Iterable[Notice], detail: Detail = "full") -> list[str]:
@@ -84,6 +108,6 @@ def scale_origin(measured: AreaMeasurement | DistanceMeasurement) -> str:
     scale = f"scale {rounded(measured.gsd_m_per_px)} m/px"
     if measured.confidence is None:
         return f"{scale} as given"
-    if measured.n_vehicles is None:
+    if measured.scale is None:
         return f"{scale} given back, confidence {measured.confidence:.2f}"
-    return f"{scale}, confidence {measured.confidence:.2f} from {vehicles(measured.n_vehicles)}"
+    return f"{scale}, confidence {measured.confidence:.2f} from {sources(measured.scale)}"

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["GridPicture", "draw_grid"]
 
-_LINES = 8  # about so many along the longer side
+_LINES = 11  # about so many along the longer side
 _LIGHT = 0.35  # how much of a line's white lies over the image
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _TEXT_SHARE = 95  # of the longer side, one of the capitals' heights

@@ -155,4 +155,4 @@ async def test_a_part_of_a_large_image_is_read_alone(tmp_path: Path) -> None:
     whole, part = await asked(server, image), await asked(server, image, part=POOL_BOX)
     assert seen_in(whole)["picture_width_px"] == 1024
     assert "give that as frame" in text_of(whole)
-    assert seen_in(part)["grid_px"] == 20
+    assert seen_in(part)["grid_px"] == 10
