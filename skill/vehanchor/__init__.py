@@ -20,18 +20,20 @@ from vehanchor.errors import VehAnchorError
 if TYPE_CHECKING:
     from vehanchor.detection.detector import Detector
     from vehanchor.estimate import ScaleAnalysis, analyse_scale, estimate_gsd
+    from vehanchor.flight.estimate import estimate_flight
     from vehanchor.measure import AreaAnalysis, analyse_area, measure_area
     from vehanchor.options import Frame, ImageLimits, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
-    from vehanchor.records import AreaMeasurement, GsdEstimate
+    from vehanchor.records import AreaMeasurement, FlightEstimate, GsdEstimate
     from vehanchor.scale.calibration import Calibration, load_calibration
     from vehanchor.segmentation.segmenter import Segmenter
 
 _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
     "detection.detector": ("Detector",),
     "estimate": ("ScaleAnalysis", "analyse_scale", "estimate_gsd"),
+    "flight.estimate": ("estimate_flight",),
     "measure": ("AreaAnalysis", "analyse_area", "measure_area"),
     "options": ("Frame", "ImageLimits", "Lengths", "Reading", "Reference", "Rulers", "ScaleOptions", "Search"),
-    "records": ("AreaMeasurement", "GsdEstimate"),
+    "records": ("AreaMeasurement", "FlightEstimate", "GsdEstimate"),
     "scale.calibration": ("Calibration", "load_calibration"),
     "segmentation.segmenter": ("Segmenter",),
 }
@@ -44,6 +46,7 @@ __all__ = [
     "AreaMeasurement",
     "Calibration",
     "Detector",
+    "FlightEstimate",
     "Frame",
     "GsdEstimate",
     "ImageLimits",
@@ -59,6 +62,7 @@ __all__ = [
     "__version__",
     "analyse_area",
     "analyse_scale",
+    "estimate_flight",
     "estimate_gsd",
     "load_calibration",
     "measure_area",

@@ -1,0 +1,215 @@
+"""The scales of a flight: every photograph looked at once, then all of the evidence together."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from vehanchor.batch.journal import Journal, Key, Source
+from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
+from vehanchor.estimate import analyse_raster, image_facts, open_detector
+from vehanchor.flight.concluding import Failure, chief_member, conclude_flight
+from vehanchor.flight.islands import single_island
+from vehanchor.flight.photograph import Look, Photograph
+from vehanchor.flight.stored import from_json, to_json
+from vehanchor.imagery.raster import open_raster
+from vehanchor.options import ScaleOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+    from typing import Unpack
+
+    from vehanchor.detection.detector import Detector
+    from vehanchor.imagery.raster import ImageSource
+    from vehanchor.options import OptionKeywords
+    from vehanchor.records import FlightEstimate
+
+__all__ = ["Taken", "analyse_flight", "estimate_flight", "look_at_flight", "name_photographs"]
+
+
+class Taken(NamedTuple):
+    """A photograph of a flight before it is looked at.
+
+    Attributes:
+        name: in the record.
+        image: as in ``estimate_gsd``.
+    """
+
+    name: str
+    image: ImageSource
+
+
+def estimate_flight(
+    images: Iterable[ImageSource | Taken],
+    *,
+    same_scale: bool = False,
+    detector: Detector | str | os.PathLike[str] | None = None,
+    threads: int | None = None,
+    journal: str | os.PathLike[str] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Unpack[OptionKeywords],
+) -> FlightEstimate:
+    """Estimate the scales of many photographs of one flight by the evidence of all of them.
+
+    Only one photograph is held in memory at a time. One that cannot be read has its error in the record.
+
+    Args:
+        images: the photographs, in the order in which they were taken, each as in ``estimate_gsd``; a ``Taken`` gives
+            one a name, which else is its path or its number.
+        same_scale: they are all of one scale, as those of a survey at one height: their evidence is one.
+        detector: as in ``estimate_gsd``.
+        threads: CPU threads for the models.
+        journal: file that keeps what was found in each photograph, so that the same call after an interruption goes on
+            where it stopped; removed at the end. Only photographs given as paths are kept.
+        progress: called with (photographs looked at, photographs in all).
+        **options: as in ``estimate_gsd``, without a frame and without lines of known length, which belong to one
+            photograph.
+
+    Returns:
+        The record; a photograph without evidence of its own, and that nothing ties to others, has no scale.
+
+    Raises:
+        ImageError: there is no photograph, or none that can be used.
+        ModelError: the detector cannot be used.
+        InvalidParameterError: an option has no meaning, or the journal is one of other options.
+        OutputError: the journal cannot be written.
+        CalibrationError: the calibration cannot be read, or was made for another detector.
+    """
+    return analyse_flight(
+        images,
+        ScaleOptions.of(options),
+        same_scale=same_scale,
+        detector=detector,
+        threads=threads,
+        journal=journal,
+        progress=progress,
+    )
+
+
+def analyse_flight(
+    images: Iterable[ImageSource | Taken],
+    options: ScaleOptions | None = None,
+    *,
+    same_scale: bool = False,
+    detector: Detector | str | os.PathLike[str] | None = None,
+    threads: int | None = None,
+    journal: str | os.PathLike[str] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> FlightEstimate:
+    """As ``estimate_flight``, with its options in groups; None for the defaults."""
+    chosen = options or ScaleOptions()
+    _check(chosen)
+    model = open_detector(detector, chosen, threads=threads)
+    taken = name_photographs(images)
+    kept = _open_journal(None if journal is None else Path(journal), model, chosen)
+    looks = look_at_flight(taken, model, chosen, journal=kept, progress=progress)
+    members = [place for place, look in enumerate(looks) if isinstance(look, Photograph)]
+    if same_scale:
+        chief = chief_member([look for look in looks if isinstance(look, Photograph)])
+        islands = [single_island(members, chief)]
+    else:
+        islands = [single_island([place], 0) for place in members]
+    record = conclude_flight(looks, islands, model.card, same_scale=same_scale)
+    if kept is not None:
+        kept.remove()
+    return record
+
+
+def name_photographs(images: Iterable[ImageSource | Taken]) -> list[Taken]:
+    """Name photographs: a path by itself, anything else by its number from 1.
+
+    Raises:
+        InvalidParameterError: two are of one name.
+        ImageError: there are none.
+    """
+    taken = []
+    for number, image in enumerate(images, start=1):
+        if isinstance(image, Taken):
+            taken.append(image)
+        elif isinstance(image, str | os.PathLike):
+            name = os.fspath(image)
+            taken.append(Taken(str(name).encode("utf-8", "backslashreplace").decode(), image))
+        else:
+            taken.append(Taken(f"#{number}", image))
+    if not taken:
+        raise ImageError("no photograph given: name at least one")
+    seen: set[str] = set()
+    for name, _ in taken:
+        if name in seen:
+            raise InvalidParameterError(f"the photograph {name!r} is given twice: give each once")
+        seen.add(name)
+    return taken
+
+
+def look_at_flight(
+    taken: Sequence[Taken],
+    detector: Detector,
+    options: ScaleOptions,
+    *,
+    journal: Journal[Look] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Photograph | Failure]:
+    """Look at every photograph, one after the other.
+
+    Args:
+        taken: the photographs.
+        detector: finds the vehicles.
+        options: every choice of the method.
+        journal: what was found before; takes what is found now, at once.
+        progress: called with (photographs looked at, photographs in all).
+
+    Returns:
+        Each photograph with what it says by itself, or why it cannot be used.
+
+    Raises:
+        ImageError: none can be used.
+    """
+    tell = progress or (lambda _done, _total: None)
+    found: list[Photograph | Failure] = []
+    for done, (name, image) in enumerate(taken):
+        tell(done, len(taken))
+        key = _key(name, image)
+        known = journal.get(key) if journal is not None and key is not None else None
+        try:
+            look = known or _look(image, detector, options)
+        except VehAnchorError as error:
+            found.append(Failure(name, error))
+            continue
+        if known is None and journal is not None and key is not None and key == _key(name, image):
+            journal.add(key, look)
+        found.append(Photograph.of(name, look, detector.card, options))
+    tell(len(taken), len(taken))
+    failures = [each for each in found if isinstance(each, Failure)]
+    if len(failures) == len(found):
+        raise failures[0].error
+    return found
+
+
+def _look(image: ImageSource, detector: Detector, options: ScaleOptions) -> Look:
+    with open_raster(image, bands=options.reading.bands, limits=options.reading.limits) as raster:
+        analysis = analyse_raster(raster, detector, options)
+        return Look(image_facts(raster), analysis.detections, analysis.resolved)
+
+
+def _check(options: ScaleOptions) -> None:
+    if options.frame.size is not None:
+        raise InvalidParameterError("a frame belongs to one image: a flight has none")
+    if options.rulers.known_lengths:
+        raise InvalidParameterError("a line of known length belongs to one image: estimate that image by itself")
+
+
+def _key(name: str, image: Any) -> Key | None:
+    return (name, *Source.of(image)) if isinstance(image, str | os.PathLike) else None
+
+
+def _open_journal(path: Path | None, detector: Detector, options: ScaleOptions) -> Journal[Look] | None:
+    if path is None:
+        return None
+    choices = asdict(options)
+    del choices["frame"]
+    settings = {"vehanchor": version("vehanchor"), "model_sha256": detector.card.sha256, "flight": 1, **choices}
+    remedy = "move the file away, or name another"
+    return Journal(path, settings, dump=to_json, load=from_json, sole=True, remedy=remedy)

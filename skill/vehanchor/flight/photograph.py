@@ -1,0 +1,60 @@
+"""One photograph of a flight: what is kept of it when its pixels are gone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from vehanchor.anchors.evidence import ImageFacts, View
+from vehanchor.detection.sighting import Sighting
+from vehanchor.estimate import analyse_sighting
+
+if TYPE_CHECKING:
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.options import ScaleOptions
+
+__all__ = ["Look", "Photograph", "fixed_view"]
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """The findings in one photograph, as a journal keeps them.
+
+    Attributes:
+        image: facts of the file.
+        sighting: what was found in it.
+        resolved: share of the pixels' resolution at which there is detail around its vehicles.
+    """
+
+    image: ImageFacts
+    sighting: Sighting
+    resolved: float
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """A photograph with what it says by itself.
+
+    Attributes:
+        name: as the caller named it.
+        view: all that rulers were shown, without its pixels.
+        analysis: what they said.
+    """
+
+    name: str
+    view: View
+    analysis: ScaleAnalysis
+
+    @classmethod
+    def of(cls, name: str, look: Look, card: DetectorCard, options: ScaleOptions) -> Photograph:
+        """Lead the findings through the second half of the skill."""
+        view = fixed_view(look.image, look.sighting, card, options, look.resolved)
+        return cls(name, view, analyse_sighting(view))
+
+
+def fixed_view(
+    image: ImageFacts, sighting: Sighting, card: DetectorCard, options: ScaleOptions, resolved: float
+) -> View:
+    """A view of which the detail is known already, so that no pixel is needed."""
+    return View(image, sighting, card, options, lambda _centres, _scale: resolved)
