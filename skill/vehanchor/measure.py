@@ -56,9 +56,23 @@ if TYPE_CHECKING:
 
     SegmenterSource: TypeAlias = Segmenter | tuple[str | os.PathLike[str], str | os.PathLike[str]]
 
-__all__ = ["AreaAnalysis", "analyse_area", "measure_area"]
+__all__ = ["AreaAnalysis", "GivenScale", "analyse_area", "measure_area"]
 
 _Z95 = 1.959963984540054
+
+
+class GivenScale(NamedTuple):
+    """A scale that is known from elsewhere, with how sure it is.
+
+    Attributes:
+        gsd_m_per_px: metres per pixel of the full image.
+        interval: that holds it in 95 of 100 cases; None for one that is exact.
+        confidence: 0..1; None where nobody says.
+    """
+
+    gsd_m_per_px: float
+    interval: Interval | None = None
+    confidence: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +97,7 @@ def measure_area(
     *,
     box: Box | None = None,
     points: Sequence[Point] | None = None,
-    gsd_m_per_px: float | None = None,
+    gsd_m_per_px: float | GivenScale | None = None,
     segmenter: SegmenterSource | None = None,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
@@ -98,7 +112,8 @@ def measure_area(
         image: as in ``estimate_gsd``.
         box: x1, y1, x2, y2 around the object. Either a box or points.
         points: x, y and, optionally, whether the point is on the object (the default) or beside it.
-        gsd_m_per_px: the scale, metres per pixel of the full image, where it is known: then no detector runs.
+        gsd_m_per_px: the scale, metres per pixel of the full image, where it is known: then no detector runs. A
+            ``GivenScale`` has its interval and confidence, too, as a photograph of a flight has.
         segmenter: encoder and decoder paths, or a loaded ``Segmenter``; default the bundled one.
         detector: as in ``estimate_gsd``.
         threads: CPU threads for the models; None leaves it to ONNX Runtime. Ignored for loaded ones.
@@ -135,7 +150,7 @@ def analyse_area(
     *,
     box: Box | None = None,
     points: Sequence[Point] | None = None,
-    gsd_m_per_px: float | None = None,
+    gsd_m_per_px: float | GivenScale | None = None,
     segmenter: SegmenterSource | None = None,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
@@ -164,10 +179,11 @@ def analyse_area(
     """
     chosen = options or ScaleOptions()
     prompt = read_prompt(box, points)
-    if gsd_m_per_px is not None and not (math.isfinite(gsd_m_per_px) and gsd_m_per_px > 0):
-        raise InvalidParameterError(f"gsd_m_per_px is {gsd_m_per_px}: use a finite number > 0")
+    given = gsd_m_per_px if gsd_m_per_px is None or isinstance(gsd_m_per_px, GivenScale) else GivenScale(gsd_m_per_px)
+    if given is not None and not (math.isfinite(given.gsd_m_per_px) and given.gsd_m_per_px > 0):
+        raise InvalidParameterError(f"gsd_m_per_px is {given.gsd_m_per_px}: use a finite number > 0")
     segmenting = _open_segmenter(segmenter, threads)
-    scale = gsd_m_per_px or open_detector(detector, chosen, threads=threads)
+    scale = given or open_detector(detector, chosen, threads=threads)
     with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits) as raster:
         return analyse_object(raster, prompt, segmenting, scale, chosen, progress=progress, run_options=run_options)
 
@@ -176,7 +192,7 @@ def analyse_object(
     raster: Raster,
     prompt: Prompt,
     segmenter: Segmenter,
-    scale: Detector | float,
+    scale: Detector | GivenScale | float,
     options: ScaleOptions,
     *,
     progress: Callable[[int, int], None] | None = None,
@@ -203,13 +219,13 @@ def analyse_object(
     prompt = prompt_in_image(prompt, options.frame, raster.width_px, raster.height_px)
     # The mask first: it is the quicker of the two to find out that the prompt cannot be read.
     found = segmenter.segment(raster, prompt, limits=options.reading.limits, run_options=run_options)
-    known_gsd = estimated = None
+    given = estimated = None
     if isinstance(scale, Detector):
         estimated = analyse_raster(raster, scale, options, progress=progress, run_options=run_options)
     else:
-        known_gsd = scale
+        given = scale if isinstance(scale, GivenScale) else GivenScale(scale)
     estimate = None if estimated is None else estimated.estimate
-    measurement = _conclude(raster, found, prompt, segmenter.card, options, estimate, known_gsd)
+    measurement = _conclude(raster, found, prompt, segmenter.card, options, estimate, given)
     return AreaAnalysis(measurement, found, prompt, estimated)
 
 
@@ -234,16 +250,17 @@ def _conclude(
     card: SegmenterCard,
     options: ScaleOptions,
     estimate: GsdEstimate | None,
-    given_gsd: float | None,
+    given: GivenScale | None,
 ) -> AreaMeasurement:
     """Mask and scale to record."""
     mask, left, top = found.mask, found.window.x_px, found.window.y_px
     bounds, circle = mask_bounds(mask), inscribed_circle(mask)
     n_px = int(mask.sum())
-    gsd = given_gsd if estimate is None else estimate.gsd_m_per_px
+    scale = given or _estimated(estimate)
+    gsd = None if scale is None else scale.gsd_m_per_px
     scale_log_sd = 0.0
-    if estimate is not None and estimate.gsd_ci95_low_m_per_px and estimate.gsd_ci95_high_m_per_px:
-        scale_log_sd = math.log(estimate.gsd_ci95_high_m_per_px / estimate.gsd_ci95_low_m_per_px) / (2 * _Z95)
+    if scale is not None and scale.interval is not None:
+        scale_log_sd = math.log(scale.interval.high / scale.interval.low) / (2 * _Z95)
 
     outline_px, (length_px, width_px) = perimeter(mask), rotated_extents(mask)
     own_gsd = raster.georeference_gsd_m_per_px
@@ -253,11 +270,11 @@ def _conclude(
         size = _size(n_px, outline_px, circle.diameter, measured, scale_log_sd, card.mask_area_log_sd)
     box = None if bounds is None else _moved_box((bounds.x1, bounds.y1, bounds.x2, bounds.y2), left, top)
     return AreaMeasurement(
-        status=_status(gsd, estimate, found.score, card, n_px),
+        status=_status(scale, found.score, card, n_px),
         area_m2=size.area_m2,
         area_ci95_low_m2=size.area_interval and size.area_interval.low,
         area_ci95_high_m2=size.area_interval and size.area_interval.high,
-        confidence=None if estimate is None else estimate.confidence,
+        confidence=given.confidence if given else estimate and estimate.confidence,
         gsd_m_per_px=gsd,
         n_vehicles=None if estimate is None else estimate.n_vehicles,
         mode_length_px=None if estimate is None else estimate.mode_length_px,
@@ -281,7 +298,7 @@ def _conclude(
         segmenter_sha256=card.sha256,
         warnings=(
             *(image_facts(raster).notices if estimate is None else estimate.warnings),
-            *([] if given_gsd is None else georeference_notice(own_gsd, given_gsd, "the one given is")),
+            *([] if given is None else georeference_notice(own_gsd, given.gsd_m_per_px, "the one given is")),
             *mask_notices(raster, found, prompt, card, width_px),
         ),
     )
@@ -310,10 +327,18 @@ def _size(
     )
 
 
-def _status(gsd: float | None, estimate: GsdEstimate | None, score: float, card: SegmenterCard, n_px: int) -> Status:
-    if gsd is None:
+def _estimated(estimate: GsdEstimate | None) -> GivenScale | None:
+    """The scale of an estimate; None where it has none."""
+    if estimate is None or estimate.gsd_m_per_px is None:
+        return None
+    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
+    return GivenScale(estimate.gsd_m_per_px, Interval(low, high) if low and high else None, estimate.confidence)
+
+
+def _status(scale: GivenScale | None, score: float, card: SegmenterCard, n_px: int) -> Status:
+    if scale is None:
         return "no_anchor"
-    doubtful = estimate is not None and estimate.confidence < FALLBACK_CONFIDENCE
+    doubtful = scale.confidence is not None and scale.confidence < FALLBACK_CONFIDENCE
     return "low_confidence" if doubtful or score < card.min_score or n_px == 0 else "ok"
 
 

@@ -183,7 +183,7 @@ class AreaMeasurement(_Record):
     area_ci95_low_m2: float | None = Field(description="Lower end of its 95 % interval: scale and mask together.")
     area_ci95_high_m2: float | None = Field(description="Upper end of its 95 % interval.")
     confidence: float | None = Field(
-        ge=0, le=1, description="The scale's composite confidence C in 0..1; null for a scale that the caller gave."
+        ge=0, le=1, description="The scale's composite confidence C in 0..1; null for a scale given without one."
     )
     gsd_m_per_px: float | None = Field(
         description="Ground sampling distance, metres per pixel of the full image; null without an anchor."

@@ -25,7 +25,7 @@ from vehanchor.errors import InvalidParameterError, OutputError, PromptError, Ve
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from vehanchor.measure import AreaAnalysis
+    from vehanchor.measure import AreaAnalysis, GivenScale
     from vehanchor.options import ScaleOptions
     from vehanchor.records import AreaMeasurement
 
@@ -54,6 +54,10 @@ def _measure(
         float | None,
         typer.Option(metavar="M/PX", help="The scale, metres per pixel of the full image: then no car is needed."),
     ] = None,
+    scale: Annotated[
+        Path | None,
+        typer.Option(metavar="FLIGHT.json", help="Take the scale that 'vehanchor flight --out' found for this image."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
     overlay: Annotated[
         str | None,
@@ -78,10 +82,10 @@ def _measure(
     with exit_on_error():
         try:
             outputs = _outputs(image, overlay, mask)
-            options = chosen.options()
+            options, given = chosen.options(), _given(image, gsd, scale)
             with tile_progress(1, lines_on_terminal=as_json) as step:
                 analysis = _analyse(
-                    image, options, box, _points(point, negative), gsd, segmenter, chosen.detector, step(0, image)
+                    image, options, box, _points(point, negative), given, segmenter, chosen.detector, step(0, image)
                 )
         except VehAnchorError as error:
             if as_json:
@@ -112,6 +116,23 @@ def _points(on: Sequence[str] | None, beside: Sequence[str] | None) -> list[tupl
     return points or None
 
 
+def _given(image: str, gsd: float | None, flight: Path | None) -> GivenScale | None:
+    """The scale that is known: by itself, or of this photograph in a flight."""
+    from vehanchor.measure import GivenScale
+
+    if flight is None:
+        return None if gsd is None else GivenScale(gsd)
+    if gsd is not None:
+        raise InvalidParameterError("give --gsd or --scale, not both: each sets the scale")
+    from vehanchor.flight.written import photograph_in, read_record
+    from vehanchor.scale.lengths import Interval
+
+    found = photograph_in(read_record(flight), image)
+    assert found.gsd_m_per_px is not None  # or it would have been refused
+    low, high = found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px
+    return GivenScale(found.gsd_m_per_px, Interval(low, high) if low and high else None, found.confidence)
+
+
 def _outputs(image: str, overlay: str | None, mask: str | None) -> tuple[Path | None, Path | None]:
     """Where the pictures go, checked before the work: folder, suffix, no file for two purposes."""
     chosen = [None if name is None else Path(name) for name in (overlay, mask)]
@@ -136,7 +157,7 @@ def _analyse(
     options: ScaleOptions,
     box: tuple[float, float, float, float] | None,
     points: list[tuple[float, float, bool]] | None,
-    gsd: float | None,
+    given: GivenScale | None,
     segmenter: tuple[str, str] | None,
     detector: DetectorChoice,
     progress: Callable[[int, int], None] | None,
@@ -148,9 +169,9 @@ def _analyse(
         options,
         box=box,
         points=points,
-        gsd_m_per_px=gsd,
+        gsd_m_per_px=given,
         segmenter=segmenter,
-        detector=detector.open() if gsd is None else None,
+        detector=detector.open() if given is None else None,
         threads=detector.threads,
         progress=progress,
     )

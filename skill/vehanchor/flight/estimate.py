@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import os
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from vehanchor.batch.journal import Journal, Key, Source
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
 from vehanchor.estimate import analyse_raster, image_facts, open_detector
 from vehanchor.flight.concluding import Failure, chief_member, conclude_flight
+from vehanchor.flight.features import find_features
 from vehanchor.flight.islands import single_island
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.stored import from_json, to_json
+from vehanchor.flight.tying import tie
 from vehanchor.imagery.raster import open_raster
 from vehanchor.options import ScaleOptions
 
@@ -22,7 +26,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from typing import Unpack
 
+    from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
+    from vehanchor.flight.features import Features
     from vehanchor.imagery.raster import ImageSource
     from vehanchor.options import OptionKeywords
     from vehanchor.records import FlightEstimate
@@ -105,17 +111,22 @@ def analyse_flight(
     model = open_detector(detector, chosen, threads=threads)
     taken = name_photographs(images)
     kept = _open_journal(None if journal is None else Path(journal), model, chosen)
-    looks = look_at_flight(taken, model, chosen, journal=kept, progress=progress)
-    members = [place for place, look in enumerate(looks) if isinstance(look, Photograph)]
-    if same_scale:
-        chief = chief_member([look for look in looks if isinstance(look, Photograph)])
-        islands = [single_island(members, chief)]
-    else:
-        islands = [single_island([place], 0) for place in members]
-    record = conclude_flight(looks, islands, model.card, same_scale=same_scale)
+    looks = look_at_flight(taken, model, chosen, featured=not same_scale, journal=kept, progress=progress)
+    record = conclude(looks, model.card, same_scale=same_scale)
     if kept is not None:
         kept.remove()
     return record
+
+
+def conclude(looks: Sequence[Photograph | Failure], card: DetectorCard, *, same_scale: bool) -> FlightEstimate:
+    """Conclude from photographs that were looked at, with their features unless they are of one scale."""
+    places = [place for place, look in enumerate(looks) if isinstance(look, Photograph)]
+    members = [look for look in looks if isinstance(look, Photograph)]
+    if same_scale:
+        return conclude_flight(looks, [single_island(places, chief_member(members))], card, same_scale=True)
+    tied = tie(members, [each.features for each in members if each.features is not None])
+    islands = [replace(island, members=np.asarray(places)[island.members]) for island in tied.islands]
+    return conclude_flight(looks, islands, card, same_scale=False, links=tied.links)
 
 
 def name_photographs(images: Iterable[ImageSource | Taken]) -> list[Taken]:
@@ -149,6 +160,7 @@ def look_at_flight(
     detector: Detector,
     options: ScaleOptions,
     *,
+    featured: bool = False,
     journal: Journal[Look] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Photograph | Failure]:
@@ -158,6 +170,7 @@ def look_at_flight(
         taken: the photographs.
         detector: finds the vehicles.
         options: every choice of the method.
+        featured: whether features are wanted, by which photographs find those that overlap.
         journal: what was found before; takes what is found now, at once.
         progress: called with (photographs looked at, photographs in all).
 
@@ -174,13 +187,13 @@ def look_at_flight(
         key = _key(name, image)
         known = journal.get(key) if journal is not None and key is not None else None
         try:
-            look = known or _look(image, detector, options)
+            look, features = _look(image, detector, options, known, featured=featured)
         except VehAnchorError as error:
             found.append(Failure(name, error))
             continue
         if known is None and journal is not None and key is not None and key == _key(name, image):
             journal.add(key, look)
-        found.append(Photograph.of(name, look, detector.card, options))
+        found.append(Photograph.of(name, look, detector.card, options, features))
     tell(len(taken), len(taken))
     failures = [each for each in found if isinstance(each, Failure)]
     if len(failures) == len(found):
@@ -188,10 +201,18 @@ def look_at_flight(
     return found
 
 
-def _look(image: ImageSource, detector: Detector, options: ScaleOptions) -> Look:
+def _look(
+    image: ImageSource, detector: Detector, options: ScaleOptions, known: Look | None, *, featured: bool
+) -> tuple[Look, Features | None]:
+    """Look at one photograph; where that is known already, only at its features, which are quickly found again."""
+    if known is not None and not featured:
+        return known, None
     with open_raster(image, bands=options.reading.bands, limits=options.reading.limits) as raster:
+        features = find_features(raster) if featured else None
+        if known is not None:
+            return known, features
         analysis = analyse_raster(raster, detector, options)
-        return Look(image_facts(raster), analysis.detections, analysis.resolved)
+        return Look(image_facts(raster), analysis.detections, analysis.resolved), features
 
 
 def _check(options: ScaleOptions) -> None:

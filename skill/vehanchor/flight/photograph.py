@@ -12,6 +12,7 @@ from vehanchor.estimate import analyse_sighting
 if TYPE_CHECKING:
     from vehanchor.detection.card import DetectorCard
     from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.flight.features import Features
     from vehanchor.options import ScaleOptions
 
 __all__ = ["Look", "Photograph", "fixed_view"]
@@ -40,17 +41,21 @@ class Photograph:
         name: as the caller named it.
         view: all that rulers were shown, without its pixels.
         analysis: what they said.
+        features: by which it finds those that overlap; None where nobody asked.
     """
 
     name: str
     view: View
     analysis: ScaleAnalysis
+    features: Features | None = None
 
     @classmethod
-    def of(cls, name: str, look: Look, card: DetectorCard, options: ScaleOptions) -> Photograph:
+    def of(
+        cls, name: str, look: Look, card: DetectorCard, options: ScaleOptions, features: Features | None = None
+    ) -> Photograph:
         """Lead the findings through the second half of the skill."""
         view = fixed_view(look.image, look.sighting, card, options, look.resolved)
-        return cls(name, view, analyse_sighting(view))
+        return cls(name, view, analyse_sighting(view), features)
 
 
 def fixed_view(
