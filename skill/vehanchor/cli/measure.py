@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
 from vehanchor.cli.declared import Chosen, DetectorChoice, scale_command
+from vehanchor.cli.given_scale import GivenGsd, ScaleFile, read_scale
 from vehanchor.cli.spaced import SpacedCommand
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
@@ -25,13 +26,22 @@ from vehanchor.errors import InvalidParameterError, OutputError, PromptError, Ve
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from vehanchor.measure import AreaAnalysis, GivenScale
+    from vehanchor.measure import AreaAnalysis
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import AreaMeasurement
+    from vehanchor.records import AreaMeasurement, KnownScale
 
 __all__ = ["measure"]
 
 _SHORT_SHA = 12
+
+SegmenterFiles: TypeAlias = Annotated[
+    tuple[str, str] | None,
+    typer.Option(
+        metavar="ENCODER DECODER",
+        help="ONNX files of a promptable segmenter: SAM, MobileSAM, SAM 2, SAM 3 tracker, EfficientSAM. Default: "
+        "the bundled.",
+    ),
+]
 
 
 @scale_command()
@@ -50,14 +60,8 @@ def _measure(
     negative: Annotated[
         list[str] | None, typer.Option(metavar="X Y", help="A point beside the object; may be repeated.")
     ] = None,
-    gsd: Annotated[
-        float | None,
-        typer.Option(metavar="M/PX", help="The scale, metres per pixel of the full image: then no car is needed."),
-    ] = None,
-    scale: Annotated[
-        Path | None,
-        typer.Option(metavar="FLIGHT.json", help="Take the scale that 'vehanchor flight --out' found for this image."),
-    ] = None,
+    gsd: GivenGsd = None,
+    scale: ScaleFile = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
     overlay: Annotated[
         str | None,
@@ -67,14 +71,7 @@ def _measure(
         str | None,
         typer.Option(metavar="OUT.png", help="Write the object's mask, white on black, as large as the image."),
     ] = None,
-    segmenter: Annotated[
-        tuple[str, str] | None,
-        typer.Option(
-            metavar="ENCODER DECODER",
-            help="ONNX files of a promptable segmenter: SAM, MobileSAM, SAM 2, SAM 3 tracker, EfficientSAM. Default: "
-            "the bundled.",
-        ),
-    ] = None,
+    segmenter: SegmenterFiles = None,
     *,
     chosen: Chosen,
 ) -> None:
@@ -82,10 +79,18 @@ def _measure(
     with exit_on_error():
         try:
             outputs = _outputs(image, overlay, mask)
-            options, given = chosen.options(), _given(image, gsd, scale)
+            options, known = chosen.options(), read_scale(scale, image)
             with tile_progress(1, lines_on_terminal=as_json) as step:
                 analysis = _analyse(
-                    image, options, box, _points(point, negative), given, segmenter, chosen.detector, step(0, image)
+                    image,
+                    options,
+                    box,
+                    _points(point, negative),
+                    gsd,
+                    known,
+                    segmenter,
+                    chosen.detector,
+                    step(0, image),
                 )
         except VehAnchorError as error:
             if as_json:
@@ -116,23 +121,6 @@ def _points(on: Sequence[str] | None, beside: Sequence[str] | None) -> list[tupl
     return points or None
 
 
-def _given(image: str, gsd: float | None, flight: Path | None) -> GivenScale | None:
-    """The scale that is known: by itself, or of this photograph in a flight."""
-    from vehanchor.measure import GivenScale
-
-    if flight is None:
-        return None if gsd is None else GivenScale(gsd)
-    if gsd is not None:
-        raise InvalidParameterError("give --gsd or --scale, not both: each sets the scale")
-    from vehanchor.flight.written import photograph_in, read_record
-    from vehanchor.scale.lengths import Interval
-
-    found = photograph_in(read_record(flight), image)
-    assert found.gsd_m_per_px is not None  # or it would have been refused
-    low, high = found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px
-    return GivenScale(found.gsd_m_per_px, Interval(low, high) if low and high else None, found.confidence)
-
-
 def _outputs(image: str, overlay: str | None, mask: str | None) -> tuple[Path | None, Path | None]:
     """Where the pictures go, checked before the work: folder, suffix, no file for two purposes."""
     chosen = [None if name is None else Path(name) for name in (overlay, mask)]
@@ -157,7 +145,8 @@ def _analyse(
     options: ScaleOptions,
     box: tuple[float, float, float, float] | None,
     points: list[tuple[float, float, bool]] | None,
-    given: GivenScale | None,
+    gsd: float | None,
+    known: KnownScale | None,
     segmenter: tuple[str, str] | None,
     detector: DetectorChoice,
     progress: Callable[[int, int], None] | None,
@@ -169,9 +158,10 @@ def _analyse(
         options,
         box=box,
         points=points,
-        gsd_m_per_px=given,
+        gsd_m_per_px=gsd,
+        scale=known,
         segmenter=segmenter,
-        detector=detector.open() if given is None else None,
+        detector=detector.open() if gsd is None and known is None else None,
         threads=detector.threads,
         progress=progress,
     )
@@ -212,7 +202,7 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
         ]
     facts.append(("mask", f"{record.mask_area_px} px, score {record.mask_score:.2f}"))
     if record.scale is None:
-        facts.append(("scale", f"{record.gsd_m_per_px:.4g} m/px, given"))
+        facts.append(("scale", f"{record.gsd_m_per_px:.4g} m/px, {record.scale_source}"))
     else:
         scale = record.scale
         facts += [

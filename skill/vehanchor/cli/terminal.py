@@ -18,7 +18,7 @@ from vehanchor.errors import VehAnchorError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from vehanchor.records import AreaMeasurement, FlightEstimate, GsdEstimate
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate
 
 __all__ = [
     "BAD_INPUT",
@@ -156,7 +156,7 @@ STATUS_TEXTS = {
 }
 
 
-def print_warnings(record: GsdEstimate | AreaMeasurement | FlightEstimate, about: str) -> None:
+def print_warnings(record: GsdEstimate | AreaMeasurement | DistanceMeasurement | FlightEstimate, about: str) -> None:
     """The warnings of a record, one a line, to stderr."""
     prefix = f"{about}: " if about else ""
     for notice in record.warnings:

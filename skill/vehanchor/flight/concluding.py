@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from vehanchor.estimate import model_id
 from vehanchor.flight.pooling import pool
-from vehanchor.records import FlightAnchor, FlightEstimate, FlightIsland, FlightPhotograph
+from vehanchor.records import FlightAnchor, FlightEstimate, FlightIsland, FlightPhotograph, KnownScale
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE, UNSURE_CONFIDENCE
 
 if TYPE_CHECKING:
@@ -127,6 +128,7 @@ def _failed(failure: Failure) -> FlightPhotograph:
         confidence=None,
         island=None,
         anchors=(),
+        scale=None,
         own=None,
         error_code=failure.error.code,
         error=str(failure.error),
@@ -163,9 +165,26 @@ def _photograph(
         confidence=confidence,
         island=number,
         anchors=anchors,
+        scale=_given_back(photograph, gsd, low, high, confidence),
         own=photograph.analysis.estimate,
         error_code=None,
         error=None,
+    )
+
+
+def _given_back(
+    photograph: Photograph, gsd: float | None, low: float | None, high: float | None, confidence: float
+) -> KnownScale | None:
+    image_id = photograph.view.image.image_id
+    if gsd is None or low is None or high is None or not image_id:
+        return None
+    return KnownScale(
+        gsd_m_per_px=gsd,
+        gsd_ci95_low_m_per_px=low,
+        gsd_ci95_high_m_per_px=high,
+        confidence=confidence,
+        image_id=image_id,
+        model_id=model_id(photograph.view.card),
     )
 
 

@@ -212,7 +212,7 @@ def _look(
         if known is not None:
             return known, features
         analysis = analyse_raster(raster, detector, options)
-        return Look(image_facts(raster), analysis.detections, analysis.resolved), features
+        return Look.of(image_facts(raster), analysis.detections, analysis), features
 
 
 def _check(options: ScaleOptions) -> None:

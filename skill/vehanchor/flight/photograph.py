@@ -10,6 +10,7 @@ from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import analyse_sighting
 
 if TYPE_CHECKING:
+    from vehanchor.anchors.evidence import Evidence
     from vehanchor.detection.card import DetectorCard
     from vehanchor.estimate import ScaleAnalysis
     from vehanchor.flight.features import Features
@@ -26,11 +27,18 @@ class Look:
         image: facts of the file.
         sighting: what was found in it.
         resolved: share of the pixels' resolution at which there is detail around its vehicles.
+        others: evidence of the rulers beside vehicles, some of which look at pixels.
     """
 
     image: ImageFacts
     sighting: Sighting
     resolved: float
+    others: tuple[Evidence, ...] | None = None
+
+    @classmethod
+    def of(cls, image: ImageFacts, sighting: Sighting, analysis: ScaleAnalysis) -> Look:
+        """The findings that an analysis was made from."""
+        return cls(image, sighting, analysis.resolved, analysis.others)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +63,7 @@ class Photograph:
     ) -> Photograph:
         """Lead the findings through the second half of the skill."""
         view = fixed_view(look.image, look.sighting, card, options, look.resolved)
-        return cls(name, view, analyse_sighting(view), features)
+        return cls(name, view, analyse_sighting(view, look.others), features)
 
 
 def fixed_view(

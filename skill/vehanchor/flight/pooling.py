@@ -15,10 +15,9 @@ import numpy as np
 
 from vehanchor.anchors.evidence import Evidence
 from vehanchor.anchors.scene_scale import SceneScale
-from vehanchor.anchors.vehicles import Vehicles
 from vehanchor.detection.scene import SceneSighting
 from vehanchor.detection.sighting import Objects, Sighting
-from vehanchor.estimate import ScaleAnalysis, conclude
+from vehanchor.estimate import analyse_sighting
 from vehanchor.flight.photograph import fixed_view
 from vehanchor.records import Notice
 from vehanchor.scale.fusion import GRID, TOLERANCE, credible_interval, mass_within
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.anchors.evidence import ImageFacts
+    from vehanchor.estimate import ScaleAnalysis
     from vehanchor.flight.photograph import Photograph
 
 __all__ = ["combined_density", "pool", "pooled_sighting", "shifted"]
@@ -78,9 +78,7 @@ def pool(
     sighting = pooled_sighting([member.view.sighting for member in members], offsets)
     resolved = _resolved(members)
     view = fixed_view(_facts(members, reference), sighting, chief.card, chief.options, resolved)
-    vehicles = Vehicles().look(view)
-    others = [*_pooled_others(members, offsets), *added]
-    return ScaleAnalysis(conclude(vehicles, others, view), vehicles, tuple(others))
+    return analyse_sighting(view, (*_pooled_others(members, offsets), *added))
 
 
 def pooled_sighting(sightings: Sequence[Sighting], offsets: ArrayLike) -> Sighting:

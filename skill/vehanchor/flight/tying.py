@@ -12,7 +12,7 @@ from vehanchor.flight.islands import Island
 from vehanchor.flight.layout import Seam, lay_out
 from vehanchor.flight.matching import match
 from vehanchor.flight.pairs import candidate_pairs
-from vehanchor.flight.positions import baseline, places_of, positions_evidence
+from vehanchor.flight.positions import POSITIONS, baseline, places_of, positions_evidence
 from vehanchor.records import FlightLink
 
 if TYPE_CHECKING:
@@ -63,7 +63,8 @@ def tie(
     Returns:
         Islands, overlaps and where the photographs lie.
     """
-    places = places_of([each.view.image for each in photographs])
+    rulers = photographs[0].view.options.rulers
+    places = places_of([each.view.image for each in photographs]) if rulers.uses(POSITIONS) else None
     pairs = candidate_pairs(features, places)
     found: list[tuple[int, int, Match]] = []
     for done, (first, second) in enumerate(pairs):

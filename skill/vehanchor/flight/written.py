@@ -77,6 +77,6 @@ def photograph_in(record: FlightEstimate, image: str | os.PathLike[str]) -> Flig
     if len(named) != 1:
         found = "not there" if not named else f"there {len(named)} times"
         raise InvalidParameterError(f"{str(image)!r} is {found} in the flight: name a photograph of it by its path")
-    if named[0].gsd_m_per_px is None:
+    if named[0].scale is None:
         raise InvalidParameterError(f"the flight has no scale for {str(image)!r} ({named[0].status}): give --gsd")
     return named[0]

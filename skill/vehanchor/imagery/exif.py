@@ -116,7 +116,8 @@ def _degrees(raw: bytes, _kind: int, order: str) -> ExifValue | None:
     parts = struct.unpack(order + "6I", raw)
     if not parts[1] or not all(parts[k + 1] or not parts[k] for k in (2, 4)):
         return None
-    return sum(parts[2 * k] / (parts[2 * k + 1] or 1) / 60.0**k for k in range(3))
+    degrees: float = sum(parts[2 * k] / (parts[2 * k + 1] or 1) / 60.0**k for k in range(3))
+    return degrees
 
 
 def _value(raw: bytes, kind: int, order: str) -> ExifValue | None:

@@ -60,3 +60,19 @@ def test_an_output_that_cannot_be_written_is_told_before_the_work(run: Any, out:
     done = run("flight", ".", "--out", out)
     assert done.exit_code == 2
     assert "output_unwritable" in done.stderr
+
+
+def test_the_scale_of_a_photograph_without_cars_is_given_back(run: Any, tmp_path: Path) -> None:
+    assert run("flight", ".", "--same-scale", "--out", "flight.json").exit_code == 0
+    scale = json.loads((tmp_path / "flight.json").read_text())["gsd_m_per_px"]
+    line = ["--point", "100", "100", "--point", "200", "100"]
+    done = run("distance", "2.png", *line, "--scale", "flight.json", "--json")
+    assert done.exit_code == 0, done.output
+    record = json.loads(done.stdout)
+    assert record["distance_m"] == pytest.approx(100 * scale)
+    assert record["scale_source"] == "reused"
+    assert record["distance_ci95_low_m"] < 0.97 * record["distance_m"]
+    (tmp_path / "2.png").rename(tmp_path / "other.png")
+    refused = run("distance", "other.png", *line, "--scale", "flight.json")
+    assert refused.exit_code == 2
+    assert "not there in the flight" in refused.stderr
