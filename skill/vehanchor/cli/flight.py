@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,14 +22,19 @@ from vehanchor.cli.terminal import (
     printable,
     scale_text,
 )
+from vehanchor.errors import InvalidParameterError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from rich.table import Table
 
+    from vehanchor.flight.taken import Taken
     from vehanchor.records import FlightEstimate, FlightPhotograph
 
 __all__ = ["flight"]
 
+_EVERY_S = 2.0
 _MOST_NAMED = 3  # links that were dropped, in the table
 
 
@@ -38,7 +44,7 @@ def flight(
         list[str],
         typer.Argument(
             metavar="PHOTOS",
-            help="Photographs of one flight, directories of them, patterns such as 'flight/*.jpg'.",
+            help="Photographs of one flight, directories of them, patterns such as 'flight/*.jpg'; or a video.",
             show_default=False,
         ),
     ],
@@ -56,37 +62,40 @@ def flight(
             help="Write the record, for 'measure --scale'. Interrupted, the same command goes on where it stopped.",
         ),
     ] = None,
+    page: Annotated[
+        Path | None,
+        typer.Option("--report", metavar="OUT.html", help="Write a page with the track, the islands and all scales."),
+    ] = None,
+    every: Annotated[
+        float, typer.Option(metavar="S", help="Of a video: seconds from one photograph to the next.")
+    ] = _EVERY_S,
     *,
     chosen: Chosen,
 ) -> None:
     """Estimate the scales of the photographs of one flight by the evidence of all of them."""
     with exit_on_error():
-        from vehanchor.batch.files import find_images
         from vehanchor.flight.estimate import analyse_flight
+        from vehanchor.flight.report import check_report_path, write_report
         from vehanchor.flight.written import check_record_path, write_record
 
         options = chosen.options()
-        journal = None
-        if out is not None:
-            check_record_path(out)
-            journal = out.with_name(out.name + ".journal")
-        images = find_images(inputs, leave_out=() if out is None else (out,))
-        with image_progress() as progress:
-            try:
-                record = analyse_flight(
-                    images,
-                    options,
-                    same_scale=same_scale,
-                    detector=chosen.open_detector(),
-                    journal=journal,
-                    progress=progress,
-                )
-            except KeyboardInterrupt:
-                if journal is not None:
-                    print("interrupted: what was found is kept; the same command goes on from there", file=sys.stderr)
-                raise typer.Exit(INTERRUPTED) from None
+        journal = None if out is None else check_record_path(out).with_name(out.name + ".journal")
+        if page is not None:
+            check_report_path(page)
+        images = _images(inputs, every, () if out is None else (out,))
+        with image_progress() as progress, _kept(journal):
+            record = analyse_flight(
+                images,
+                options,
+                same_scale=same_scale,
+                detector=chosen.open_detector(),
+                journal=journal,
+                progress=progress,
+            )
         if out is not None:
             write_record(out, record)
+        if page is not None:
+            write_report(page, record)
         if as_json:
             print_json(record.model_dump(mode="json"))
         else:
@@ -94,6 +103,29 @@ def flight(
             if not same_scale:
                 print_table(_photographs_table(record.photographs))
             print_warnings(record, "")
+
+
+def _images(inputs: list[str], every_s: float, leave_out: tuple[Path, ...]) -> Sequence[str] | Iterator[Taken]:
+    """Files, or the frames of one video."""
+    from vehanchor.batch.files import find_images
+    from vehanchor.flight.video import is_video, sample_video
+
+    if not any(is_video(each) for each in inputs):
+        return find_images(inputs, leave_out=leave_out)
+    if len(inputs) > 1:
+        raise InvalidParameterError("a video is a flight by itself: give it alone")
+    return sample_video(inputs[0], every_s)
+
+
+@contextmanager
+def _kept(journal: Path | None) -> Iterator[None]:
+    """Ctrl-C ends quietly, and says what is left."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if journal is not None:
+            print("interrupted: what was found is kept; the same command goes on from there", file=sys.stderr)
+        raise typer.Exit(INTERRUPTED) from None
 
 
 def _facts(record: FlightEstimate) -> list[tuple[str, str]]:

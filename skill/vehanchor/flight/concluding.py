@@ -10,6 +10,7 @@ import numpy as np
 
 from vehanchor.estimate import model_id
 from vehanchor.flight.pooling import pool
+from vehanchor.flight.positions import POSITIONS, places_of
 from vehanchor.records import FlightAnchor, FlightEstimate, FlightIsland, FlightPhotograph, KnownScale
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE, UNSURE_CONFIDENCE
 
@@ -80,6 +81,7 @@ def conclude_flight(
     Returns:
         The record.
     """
+    positions = _positions(looks)
     photographs: dict[int, FlightPhotograph] = {
         place: _failed(each) for place, each in enumerate(looks) if isinstance(each, Failure)
     }
@@ -98,7 +100,8 @@ def conclude_flight(
         )
         anchors = _anchors(members, island, pooled)
         for place, at in enumerate(island.members):
-            photographs[int(at)] = _photograph(members[place], island, place, number, estimate, anchors[place])
+            found = _photograph(members[place], island, place, number, estimate, anchors[place])
+            photographs[int(at)] = found.model_copy(update=_place(island, place, estimate, positions.get(int(at))))
     ordered = tuple(photographs[place] for place in range(len(looks)))
     whole = pooled_islands[0].pooled if same_scale else None
     return FlightEstimate(
@@ -118,6 +121,33 @@ def conclude_flight(
     )
 
 
+def _positions(looks: Sequence[Photograph | Failure]) -> dict[int, tuple[float, float]]:
+    """Places by metadata, metres, of those photographs that have one."""
+    usable = [(place, look) for place, look in enumerate(looks) if not isinstance(look, Failure)]
+    if not usable or not usable[0][1].view.options.rulers.uses(POSITIONS):
+        return {}
+    places = places_of([look.view.image for _, look in usable])
+    if places is None:
+        return {}
+    return {
+        place: (float(east), float(north))
+        for (place, _), (east, north) in zip(usable, places, strict=True)
+        if math.isfinite(east)
+    }
+
+
+def _place(
+    island: Island, place: int, pooled: GsdEstimate, position: tuple[float, float] | None
+) -> dict[str, float | str]:
+    """Where a photograph was taken, as fields of its record; nothing where nobody knows."""
+    if position is not None:
+        return {"east_m": position[0], "north_m": position[1], "placed_by": "positions"}
+    if island.layout is None or pooled.gsd_m_per_px is None or len(island) < 2:
+        return {}
+    lies = complex(island.layout[place]) * pooled.gsd_m_per_px
+    return {"east_m": lies.real, "north_m": -lies.imag, "placed_by": "overlaps"}
+
+
 def _failed(failure: Failure) -> FlightPhotograph:
     return FlightPhotograph(
         photograph=failure.name,
@@ -129,6 +159,9 @@ def _failed(failure: Failure) -> FlightPhotograph:
         island=None,
         anchors=(),
         scale=None,
+        east_m=None,
+        north_m=None,
+        placed_by=None,
         own=None,
         error_code=failure.error.code,
         error=str(failure.error),
@@ -166,6 +199,9 @@ def _photograph(
         island=number,
         anchors=anchors,
         scale=_given_back(photograph, gsd, low, high, confidence),
+        east_m=None,
+        north_m=None,
+        placed_by=None,
         own=photograph.analysis.estimate,
         error_code=None,
         error=None,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence, Sized
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,12 +19,13 @@ from vehanchor.flight.features import find_features
 from vehanchor.flight.islands import single_island
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.stored import from_json, to_json
+from vehanchor.flight.taken import Taken, named
 from vehanchor.flight.tying import tie
 from vehanchor.imagery.raster import open_raster
 from vehanchor.options import ScaleOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable
     from typing import Unpack
 
     from vehanchor.detection.card import DetectorCard
@@ -33,19 +35,7 @@ if TYPE_CHECKING:
     from vehanchor.options import OptionKeywords
     from vehanchor.records import FlightEstimate
 
-__all__ = ["Taken", "analyse_flight", "estimate_flight", "look_at_flight", "name_photographs"]
-
-
-class Taken(NamedTuple):
-    """A photograph of a flight before it is looked at.
-
-    Attributes:
-        name: in the record.
-        image: as in ``estimate_gsd``.
-    """
-
-    name: str
-    image: ImageSource
+__all__ = ["analyse_flight", "conclude", "estimate_flight", "look_at_flight"]
 
 
 def estimate_flight(
@@ -109,7 +99,7 @@ def analyse_flight(
     chosen = options or ScaleOptions()
     _check(chosen)
     model = open_detector(detector, chosen, threads=threads)
-    taken = name_photographs(images)
+    taken = list(named(images)) if isinstance(images, Sequence) else named(images)
     kept = _open_journal(None if journal is None else Path(journal), model, chosen)
     looks = look_at_flight(taken, model, chosen, featured=not same_scale, journal=kept, progress=progress)
     record = conclude(looks, model.card, same_scale=same_scale)
@@ -129,34 +119,8 @@ def conclude(looks: Sequence[Photograph | Failure], card: DetectorCard, *, same_
     return conclude_flight(looks, islands, card, same_scale=False, links=tied.links)
 
 
-def name_photographs(images: Iterable[ImageSource | Taken]) -> list[Taken]:
-    """Name photographs: a path by itself, anything else by its number from 1.
-
-    Raises:
-        InvalidParameterError: two are of one name.
-        ImageError: there are none.
-    """
-    taken = []
-    for number, image in enumerate(images, start=1):
-        if isinstance(image, Taken):
-            taken.append(image)
-        elif isinstance(image, str | os.PathLike):
-            name = os.fspath(image)
-            taken.append(Taken(str(name).encode("utf-8", "backslashreplace").decode(), image))
-        else:
-            taken.append(Taken(f"#{number}", image))
-    if not taken:
-        raise ImageError("no photograph given: name at least one")
-    seen: set[str] = set()
-    for name, _ in taken:
-        if name in seen:
-            raise InvalidParameterError(f"the photograph {name!r} is given twice: give each once")
-        seen.add(name)
-    return taken
-
-
 def look_at_flight(
-    taken: Sequence[Taken],
+    taken: Iterable[Taken],
     detector: Detector,
     options: ScaleOptions,
     *,
@@ -167,23 +131,25 @@ def look_at_flight(
     """Look at every photograph, one after the other.
 
     Args:
-        taken: the photographs.
+        taken: the photographs, one held at a time.
         detector: finds the vehicles.
         options: every choice of the method.
         featured: whether features are wanted, by which photographs find those that overlap.
         journal: what was found before; takes what is found now, at once.
-        progress: called with (photographs looked at, photographs in all).
+        progress: called with (photographs looked at, photographs in all); of a video nobody knows how many there are,
+            and both are the same.
 
     Returns:
         Each photograph with what it says by itself, or why it cannot be used.
 
     Raises:
-        ImageError: none can be used.
+        ImageError: there is none, or none that can be used.
     """
     tell = progress or (lambda _done, _total: None)
     found: list[Photograph | Failure] = []
+    total = len(taken) if isinstance(taken, Sized) else 0
     for done, (name, image) in enumerate(taken):
-        tell(done, len(taken))
+        tell(done, max(total, done))
         key = _key(name, image)
         known = journal.get(key) if journal is not None and key is not None else None
         try:
@@ -194,7 +160,9 @@ def look_at_flight(
         if known is None and journal is not None and key is not None and key == _key(name, image):
             journal.add(key, look)
         found.append(Photograph.of(name, look, detector.card, options, features))
-    tell(len(taken), len(taken))
+    tell(len(found), len(found))
+    if not found:
+        raise ImageError("no photograph given: name at least one")
     failures = [each for each in found if isinstance(each, Failure)]
     if len(failures) == len(found):
         raise failures[0].error

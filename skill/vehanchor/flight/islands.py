@@ -28,6 +28,7 @@ class Island:
         reference: index, among the members, of the one in whose pixels evidence is put together.
         ties: ``[n, n]`` sparse matrix, uncertainty of the ratio of two that overlap; None where all are of one scale.
         extra: evidence of rulers that only a flight has, in the reference's pixels.
+        layout: ``[n]`` centres in pixels of the reference, y down; None where nobody laid them out.
     """
 
     members: NDArray[np.intp]
@@ -36,6 +37,7 @@ class Island:
     reference: int
     ties: Any = None
     extra: tuple[Evidence, ...] = ()
+    layout: NDArray[np.complex128] | None = None
 
     def __len__(self) -> int:
         return len(self.members)

@@ -37,13 +37,11 @@ class Tied(NamedTuple):
     Attributes:
         islands: with indices among the photographs, the largest first.
         links: every overlap.
-        layouts: of each island, ``[m]`` centres in pixels of its reference.
         n_pairs: pairs that were compared.
     """
 
     islands: tuple[Island, ...]
     links: tuple[FlightLink, ...]
-    layouts: tuple[NDArray[np.complex128], ...]
     n_pairs: int
 
 
@@ -61,7 +59,7 @@ def tie(
         progress: called with (pairs compared, pairs in all).
 
     Returns:
-        Islands, overlaps and where the photographs lie.
+        Islands and overlaps.
     """
     rulers = photographs[0].view.options.rulers
     places = places_of([each.view.image for each in photographs]) if rulers.uses(POSITIONS) else None
@@ -87,7 +85,7 @@ def tie(
     solution = solve(len(photographs), links, [_unary(each) for each in photographs])
     made = [_island(component, photographs, found, solution, places) for component in solution.components]
     return Tied(
-        tuple(island for island, _ in made),
+        tuple(made),
         tuple(
             FlightLink(
                 first=photographs[first].name,
@@ -99,7 +97,6 @@ def tie(
             )
             for (first, second, matched), used, residual in zip(found, solution.used, solution.residuals, strict=True)
         ),
-        tuple(layout for _, layout in made),
         len(pairs),
     )
 
@@ -125,7 +122,7 @@ def _island(
     found: Sequence[tuple[int, int, Match]],
     solution: Solution,
     places: NDArray[np.float64] | None,
-) -> tuple[Island, NDArray[np.complex128]]:
+) -> Island:
     members = component.members
     own = [photographs[place] for place in members]
     vehicles = [each.analysis.estimate.n_vehicles for each in own]
@@ -143,12 +140,12 @@ def _island(
     extra = None
     if places is not None:
         extra = baseline(layout, places[members], float(own[reference].view.image.width_px))
-    island = Island(
+    return Island(
         members,
         component.log_scales,
         component.sds_from(reference),
         reference,
         component.ties,
         positions_evidence(extra),
+        layout,
     )
-    return island, layout

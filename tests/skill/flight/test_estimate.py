@@ -11,7 +11,7 @@ from tests.skill.flight.photographs import car_park, write_flight
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ImageDecodeError, ImageError, InvalidParameterError
 from vehanchor.flight import estimate as flight_estimate
-from vehanchor.flight.estimate import Taken
+from vehanchor.flight.taken import Taken
 
 FLEET = list(30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3))
 
