@@ -13,10 +13,12 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from vehanchor.anchors.agreement import disagreements
+from vehanchor.anchors.courts import Courts
 from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.registry import OTHER_ANCHORS
 from vehanchor.anchors.scene_scale import SceneScale
 from vehanchor.anchors.vehicles import VehicleEvidence, Vehicles
+from vehanchor.courts.find import find_courts
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene import load_scene_scale
 from vehanchor.detection.search import search
@@ -187,6 +189,9 @@ def analyse_raster(
     network = load_scene_scale() if weighed else None  # else there is nothing it could be weighed against
     if network is not None:
         sighting = replace(sighting, scene=network.look(raster, run_options=run_options))
+    if options.rulers.uses(Courts.kind):
+        courts = find_courts(raster, sighting, detector.card, run_options=run_options)
+        sighting = replace(sighting, courts=courts)
     view = View(image_facts(raster), sighting, detector.card, options, partial(resolved_share, raster))
     return analyse_sighting(view)
 

@@ -11,7 +11,7 @@ from vehanchor.errors import InvalidParameterError, KnownLengthError
 
 __all__ = ["KnownLength", "RulerName", "Rulers"]
 
-RulerName: TypeAlias = Literal["vehicles", "scene_scale", "camera", "known_length", "height"]
+RulerName: TypeAlias = Literal["vehicles", "scene_scale", "camera", "known_length", "height", "courts"]
 """Rulers by the names that records and options give them."""
 
 _MIN_LINE_PX = 5.0  # a pixel off at each end of a shorter line is more than a quarter of it
@@ -62,7 +62,7 @@ class Rulers:
     rulers: tuple[RulerName, ...] | None = field(
         default=None,
         metadata=choice(
-            "Rulers to use, with commas: vehicles, scene_scale, camera, known_length, height. Default: all.",
+            "Rulers to use, with commas: vehicles, scene_scale, camera, known_length, height, courts. Default: all.",
             metavar="NAMES",
         ),
     )
