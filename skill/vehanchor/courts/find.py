@@ -29,13 +29,15 @@ if TYPE_CHECKING:
 
 __all__ = ["find_courts", "measure_court"]
 
-_FAR = Reach(math.radians(16), math.radians(4), 0.24, 0.03, 14, 2)
-_NEAR = Reach(math.radians(3), math.radians(1.5), 0.03, 0.015, 2, 1)
-_MOST_PROPOSALS, _MOST_COURTS = 24, 6
+_FAR = Reach(math.radians(20), math.radians(4), 0.24, 0.03, 14, 2)
+_NEAR = Reach(math.radians(4), math.radians(2), 0.045, 0.015, 3, 1)
+_THERE = Reach(0.0, 1.0, 0.01, 0.01, 1, 1)
+_MOST_PROPOSALS, _MOST_COURTS = 16, 4
 _PERSPECTIVE_PX = 150.0  # least length of a court for a homography
 _FITTED_PX = 220.0  # a court is fitted at the coarsest resolution at which it is at least so long, if there is one
 _MARGIN = 1.35  # of the patch that is read, over the court's half diagonal
 
+_WORTH_A_FIT = 0.3
 _LEAST_SCORE = 0.6
 _LEAST_COVERAGE = 0.6
 _SEEN_LINE = 0.4
@@ -78,7 +80,7 @@ def find_courts(
         run_options: ONNX Runtime's, for a caller that may have to end a run.
 
     Returns:
-        At most six, the surest first. A court half hidden, or cut by the image's edge, is none.
+        At most four, the surest first. A court half hidden, or cut by the image's edge, is none.
     """
     proposals = boxes_of_courts(sighting, card)
     network = load_court_network()
@@ -102,9 +104,11 @@ def measure_court(raster: Raster, proposal: Proposal) -> Court | None:
     template = BASKETBALL[0] if proposal.which else TENNIS
     patch = _read(raster, proposal.pose, template, max(1, proposal.factor // 2))
     score, pose = match(patch.grey, template, patch.inside(proposal.pose), _FAR)
-    if score < _LEAST_SCORE - 0.1:
+    if score < _WORTH_A_FIT:
         return None
-    score, pose = match(patch.grey, template, pose, _NEAR)
+    _, pose = match(patch.grey, template, pose, _NEAR)
+    first = fit(patch.grey, template, pose_matrix(pose), SIMILARITY)
+    score, pose = match(patch.grey, template, _pose(first.matrix), _THERE)
     if score < _LEAST_SCORE:
         return None
     fits = [(kind, *_fitted(raster, kind, patch, pose)) for kind in (BASKETBALL if proposal.which else (TENNIS,))]
