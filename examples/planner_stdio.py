@@ -27,6 +27,15 @@ from mcp import Client, StdioServerParameters
 FALLBACK_CONFIDENCE = 0.5
 ALTITUDE_ERROR = 0.10  # share of the height above ground that a barometer may be off by
 
+WHAT_HELPS = {  # by the record's reason
+    "too_coarse": "fly lower",
+    "too_few": "climb, or fly on to a street, and look again",
+    "not_cars": "another anchor is needed here",
+    "disagree": "another anchor is needed here",
+    "lost": "fly on to streets or houses, and look again",
+    "imprecise": "take in cars, or give a known length",
+}
+
 log = logging.getLogger("planner")
 
 
@@ -90,7 +99,8 @@ def judge(record: dict[str, Any], anchor: Anchor, zone: Zone, craft: Craft) -> D
         return Decision(Action.HOLD_ALTITUDE, f"no scale from {anchor.name}: nothing to measure by", anchor.name, zone)
     confidence = record["confidence"]  # null for a scale that was given
     if confidence is not None and confidence < FALLBACK_CONFIDENCE:
-        why = "they are too few pixels long" if record["scale"]["resolution_guard"] else "too little evidence"
+        reason_code = record["scale"]["reason"]
+        why = f"{reason_code}; {WHAT_HELPS[reason_code]}"
         reason = f"confidence {confidence:.2f} of the scale from {anchor.name} is below {FALLBACK_CONFIDENCE}: {why}"
         return Decision(Action.HOLD_ALTITUDE, reason, anchor.name, zone)
     low = record["inscribed_diameter_ci95_low_m"]

@@ -257,12 +257,16 @@ class ErrorRow(_Row):
     within_20: float | None = Field(description="Share of errors below 20 %.")
     bias: float | None = Field(description="Median of the signed relative error.")
     interval_coverage: float | None = Field(description="Share of true scales inside the 95 % interval.")
+    usable: int = Field(ge=0, description="Images whose scale may be used: status ok.")
+    usable_share: float | None = Field(description="usable / of_images.")
+    usable_wrong: int = Field(ge=0, description="Of the usable ones, those with an error above 20 %.")
 
     @classmethod
     def of(cls, name: str, trials: Iterable[ScaleTrial]) -> ErrorRow:
         """Summarise trials."""
         tried = list(trials)
         known = [trial for trial in tried if trial.estimated]
+        usable = [trial for trial in known if trial.analysis.estimate.status == "ok"]
         summary = summarise(known)
         numbers = {
             "median": summary.median,
@@ -277,6 +281,9 @@ class ErrorRow(_Row):
             images=len(known),
             of_images=len(tried),
             coverage=len(known) / len(tried) if tried else None,
+            usable=len(usable),
+            usable_share=len(usable) / len(tried) if tried else None,
+            usable_wrong=sum(trial.error > HIGH_ERROR for trial in usable),
             **{key: None if math.isnan(value) else value for key, value in numbers.items()},
         )
 

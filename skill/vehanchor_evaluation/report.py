@@ -161,10 +161,14 @@ def scale_markdown(report: ScaleReport) -> str:
             percent(row.bias, 2, signed=True),
             f"{percent(row.coverage)} of {row.of_images}",
             percent(row.interval_coverage),
+            f"{percent(row.usable_share)}, {row.usable_wrong} wrong",
         )
         for row in report.rows
     ]
-    headings = ("boxes", "images", "median", "mean", "< 10 %", "< 20 %", "bias", "estimate on", "95 % interval holds")
+    headings = (
+        *("boxes", "images", "median", "mean", "< 10 %", "< 20 %", "bias", "estimate on", "95 % interval holds"),
+        "may be used",
+    )
     in_use = report.reference_length_m
     lengths = ", ".join(f"{length:.4g}" for length in in_use) or "-"
     if len(in_use) > _LISTED_LENGTHS:
@@ -186,7 +190,8 @@ def scale_markdown(report: ScaleReport) -> str:
         f"{report.low_errors_guarded} and {report.low_errors_low_confidence}",
     ]
     title = f"Detector `{report.detector}` ({report.detector_sha256[:_SHORT_SHA]}) on `{report.data}`"
-    return f"{title}. Errors are over images with an estimate.\n\n{markdown_table(headings, rows)}\n{_bullets(facts)}"
+    over = "Errors are over images with an estimate; wrong is above 20 %."
+    return f"{title}. {over}\n\n{markdown_table(headings, rows)}\n{_bullets(facts)}"
 
 
 def ablation_markdown(report: AblationReport) -> str:

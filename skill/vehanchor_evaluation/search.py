@@ -130,6 +130,7 @@ def _record(searched: SearchedImage) -> dict[str, Any]:
         "height_px": image.height_px,
         "georeference_gsd_m_per_px": image.georeference_gsd_m_per_px,
         "notices": [notice.model_dump(mode="json") for notice in image.notices],
+        "image_id": image.image_id,
         "camera": None if image.camera is None else asdict(image.camera),
         "resolved": list(searched.resolved.items()),
     }
@@ -157,6 +158,7 @@ def _searched(record: dict[str, Any]) -> SearchedImage:
             record["georeference_gsd_m_per_px"],
             tuple(Notice(**notice) for notice in record["notices"]),
             CameraMetadata(**record["camera"]) if record.get("camera") else None,
+            record.get("image_id", ""),
         ),
         dict(record["resolved"]),
     )

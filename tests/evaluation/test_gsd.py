@@ -78,6 +78,9 @@ def test_high_errors_are_counted_with_guard_and_confidence(tmp_path: Path, detec
     assert result.exit_code == 0, result.stderr
     report = json.loads((tmp_path / "out" / "gsd.json").read_text())
     assert (report["high_errors"], report["high_errors_guarded"], report["high_errors_low_confidence"]) == (2, 1, 1)
+    row = report["rows"][0]
+    assert (row["usable"], row["usable_share"], row["usable_wrong"]) == (2, 0.5, 1)  # a, and b that is off by a third
+    assert "50.0 %, 1 wrong" in result.stdout
     assert (report["low_errors"], report["low_errors_guarded"], report["low_errors_low_confidence"]) == (2, 1, 1)
     images = _rows(tmp_path / "out" / "images.csv")
     confidence = [float(row["confidence"]) for row in images]

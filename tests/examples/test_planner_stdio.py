@@ -9,13 +9,14 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import cv2
 import numpy as np
 import pytest
 
 from tests.conftest import ROOT
+from vehanchor.records import Reason
 
 SCENES = ROOT / "examples" / "scenes"
 _README = (SCENES / "README.md").read_text(encoding="utf-8")
@@ -65,15 +66,16 @@ def test_an_uncertain_anchor_takes_its_share_off_the_lower_bound(judge: Callable
     assert judge(given, error=0.10).action == "next_zone"
 
 
-@pytest.mark.parametrize(("guard", "why"), [(True, "too few pixels long"), (False, "too little evidence")])
-def test_below_the_limit_of_confidence_it_holds_whatever_the_size(
-    judge: Callable[..., Any], guard: bool, why: str
+@pytest.mark.parametrize("reason", get_args(Reason))
+def test_below_the_limit_of_confidence_it_holds_whatever_the_size_and_says_what_helps(
+    judge: Callable[..., Any], reason: str
 ) -> None:
-    record = _record(status="low_confidence", confidence=0.49, scale={"resolution_guard": guard})
+    record = _record(status="low_confidence", confidence=0.49, scale={"reason": reason})
     decision = judge(record | {"inscribed_diameter_ci95_low_m": 100.0})
     assert decision.action == "hold_altitude"
     assert "confidence 0.49" in decision.reason
-    assert why in decision.reason
+    assert f": {reason}; " in decision.reason
+    assert ("fly lower" in decision.reason) == (reason == "too_coarse")
 
 
 def test_without_an_anchor_it_holds(judge: Callable[..., Any]) -> None:

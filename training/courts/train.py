@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from training.courts.data import CropStream, load_empty, load_real, load_rendered
 from training.courts.network import CELL_PX, CourtNet
-from training.loop import Recipe, Schedule, train
+from training.loop import Recipe, Schedule, load_average, train
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -80,6 +80,8 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--steps", type=int, default=3000)
+    parser.add_argument("--rate", type=float, default=_RATE)
+    parser.add_argument("--start", type=Path, help="run whose weights to begin with")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     torch.set_num_threads(1)
@@ -87,9 +89,12 @@ def main() -> None:
     groups = load_real(options.data), load_rendered(options.scenes), load_empty(options.data)
     print(*(f"{len(group)} pictures" for group in groups), flush=True)
     options.run.mkdir(parents=True, exist_ok=True)
-    recipe = Recipe(Schedule(options.steps, _RATE), _BATCH, average=0.995, workers=0)
-    network = train(CourtNet(), CropStream(groups, options.seed), losses, recipe, options.run)
-    export(cast("CourtNet", network), options.out)
+    network = CourtNet()
+    if options.start:
+        load_average(network, options.start)
+    recipe = Recipe(Schedule(options.steps, options.rate), _BATCH, average=0.995, workers=0)
+    trained = train(network, CropStream(groups, options.seed), losses, recipe, options.run)
+    export(cast("CourtNet", trained), options.out)
     print(f"{options.out}: {options.out.stat().st_size / 1e3:.0f} kB")
 
 

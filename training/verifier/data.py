@@ -18,12 +18,18 @@ from vehanchor.detection.nms import oriented_nms
 from vehanchor.detection.second_look import CHIP_LENGTH_PX, CHIP_PX, surroundings
 
 STORED_PX = 72  # room for jitter and turns around a chip of 48
-_CAR_PX = (15.0, 28.0)  # sizes at which an image is searched
-_MAX_ENLARGEMENT = 2.2
+_CAR_PX = (
+    15.0,
+    28.0,
+    55.0,
+    110.0,
+)  # sizes at which an image is searched: at the finer ones a car's parts look like cars
+_MAX_ENLARGEMENT = {15.0: 2.2, 28.0: 2.2, 55.0: 1.1, 110.0: 1.0}  # an enlarged image has no parts to learn from
 _LEAST_SCORE = 0.15
 _MOST_FALSE = 40  # of an image at one size, at random: a harbour has hundreds
 _NEAR, _AT = 0.6, 0.25  # of a label's length: beyond one, within the other
 _LENGTH_RATIO = 1.35
+_PART_RATIO = 0.55  # of a car's length: what is shorter and stands on it is a part of it, no car
 _JITTER = 0.06  # of a length, of place and size
 _TURN = 0.08  # radians
 
@@ -59,6 +65,8 @@ def truth_of(boxes: NDArray[np.float64], labels: NDArray[np.float64], ignore: ND
         ratio = np.abs(np.log(boxes[:, 2] / labels[nearest, 2]))
         truth[gap.min(axis=1) < _NEAR] = -1
         truth[(gap.min(axis=1) < _AT) & (ratio < np.log(_LENGTH_RATIO))] = 1
+        part = boxes[:, 2] < _PART_RATIO * labels[nearest, 2]
+        truth[part & (gap.min(axis=1) < 0.5)] = 0
     for polygon in ignore:
         around = polygon.astype(np.float32)
         for k in np.flatnonzero(truth == 0):
@@ -76,7 +84,7 @@ def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
         native = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or 15.0
         for target in _CAR_PX:
             factor = target / native
-            if factor > _MAX_ENLARGEMENT or min(sample.image.shape[:2]) * factor < 48:
+            if factor > _MAX_ENLARGEMENT[target] or min(sample.image.shape[:2]) * factor < 48:
                 continue
             way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
             scaled = np.asarray(cv2.resize(sample.image, None, fx=factor, fy=factor, interpolation=way), np.uint8)

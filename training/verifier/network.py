@@ -7,7 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-_LAYERS = ((3, 24, 2), (24, 32, 1), (32, 48, 2), (48, 64, 1), (64, 80, 2), (80, 80, 1))  # inputs, outputs, stride
+_LAYERS = ((3, 32, 2), (32, 40, 1), (40, 64, 2), (64, 88, 1), (88, 112, 2), (112, 112, 1))  # inputs, outputs, stride
 
 
 class VerifierNet(nn.Module):

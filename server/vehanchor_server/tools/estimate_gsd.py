@@ -28,7 +28,15 @@ from vehanchor_server.tools.scale_question import (
     RegionArgument,
     ScaleQuestion,
 )
-from vehanchor_server.tools.sentences import POLICY, interval, rounded, scale_doubt, vehicles, warnings
+from vehanchor_server.tools.sentences import (
+    POLICY,
+    interval,
+    not_to_be_used,
+    rounded,
+    sources,
+    warnings,
+    what_rulers_say,
+)
 from vehanchor_server.tools.strict_tool import StrictTool
 
 __all__ = ["describe_estimate", "estimate_gsd_tool"]
@@ -102,7 +110,7 @@ def describe_estimate(estimate: GsdEstimate) -> str:
     frame = estimate.frame
     if frame is not None and frame.gsd_m_per_px is not None:
         words.append(f"In your {frame.width_px} x {frame.height_px} copy that is {rounded(frame.gsd_m_per_px)} m/px.")
-    return " ".join([*words, *warnings(estimate.warnings)])
+    return " ".join([*words, *what_rulers_say(estimate), *warnings(estimate.warnings)])
 
 
 def _scale_in_words(estimate: GsdEstimate) -> str:
@@ -110,7 +118,7 @@ def _scale_in_words(estimate: GsdEstimate) -> str:
         return "No vehicles found, confidence 0: no metric scale; use another anchor."
     scale = f"{rounded(estimate.gsd_m_per_px)} m/px"
     scale += interval(estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px)
-    scale += f", confidence {estimate.confidence:.2f} from {vehicles(estimate.n_vehicles)}: "
+    scale += f", confidence {estimate.confidence:.2f} from {sources(estimate)}: "
     if estimate.status == "ok":
         return scale + "safe to use."
-    return scale + f"do not rely on it ({scale_doubt(estimate)}); fall back to another anchor."
+    return scale + not_to_be_used(estimate)

@@ -26,7 +26,7 @@ from vehanchor_server.tools.scale_question import (
     RegionArgument,
     ScaleQuestion,
 )
-from vehanchor_server.tools.sentences import POLICY, interval, rounded, scale_doubt, vehicles, warnings
+from vehanchor_server.tools.sentences import POLICY, interval, not_to_be_used, rounded, sources, warnings
 from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import AnyTarget, BoxTarget, TargetArgument
 
@@ -111,7 +111,7 @@ def _measure(
     """
     from vehanchor.estimate import open_detector
     from vehanchor.imagery.raster import open_raster
-    from vehanchor.measure import analyse_object
+    from vehanchor.measure import analyse_objects
     from vehanchor.pictures.area import draw_area
     from vehanchor_server.app_page.panel import length_histogram
     from vehanchor_server.calls.overlay import overlay_jpeg
@@ -125,8 +125,8 @@ def _measure(
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         job.segmenting()
-        analysis = analyse_object(
-            raster, prompt, segmenter, scale, options, progress=job.searched, run_options=job.run_options
+        (analysis,) = analyse_objects(
+            raster, [prompt], segmenter, scale, options, progress=job.searched, run_options=job.run_options
         )
         overlay = None
         if drawn:
@@ -174,7 +174,7 @@ def _area_in_words(area: AreaMeasurement) -> str:
     if area.status == "ok":
         return size + ("as good as the given scale." if area.scale is None else "safe to use.")
     if area.scale is not None and area.scale.status != "ok":
-        return size + f"do not rely on it ({scale_doubt(area.scale)}); fall back to another anchor."
+        return size + not_to_be_used(area.scale)
     return size + "do not rely on it (the segmenter doubts its mask); look at the overlay, or draw another box."
 
 
@@ -182,6 +182,6 @@ def _scale_origin(area: AreaMeasurement) -> str:
     """Where the scale comes from."""
     assert area.gsd_m_per_px is not None
     scale = f"scale {rounded(area.gsd_m_per_px)} m/px"
-    if area.confidence is None or area.n_vehicles is None:
+    if area.confidence is None or area.scale is None:
         return f"{scale} as given"
-    return f"{scale}, confidence {area.confidence:.2f} from {vehicles(area.n_vehicles)}"
+    return f"{scale}, confidence {area.confidence:.2f} from {sources(area.scale)}"

@@ -29,7 +29,7 @@ class _Engine(StrEnum):
     ray = "ray"
 
 
-@scale_command(without=("frame", "known_lengths", "threads"))
+@scale_command(without=("frame", "coordinates", "known_lengths", "threads"))
 def batch(
     inputs: Annotated[
         list[str],

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vehanchor.advice import ADVICE
 from vehanchor.cli.declared import Chosen, scale_command
 from vehanchor.cli.terminal import (
     BAD_INPUT,
@@ -184,6 +185,8 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
         ("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}{guard}"),
         ("vehicles", f"{record.n_vehicles} kept of {record.n_detections} found"),
     ]
+    if record.reason is not None:
+        facts.append(("not to be used", f"{ADVICE[record.reason].why}: {ADVICE[record.reason].helps}"))
     size = f"{record.image_width_px} x {record.image_height_px} px"
     if record.gsd_m_per_px is not None and record.mode_length_px is not None:
         found_at = f", found at {record.working_scale:g} of the size" if record.working_scale not in (None, 1) else ""

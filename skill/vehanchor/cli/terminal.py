@@ -17,7 +17,7 @@ from vehanchor.errors import VehAnchorError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from vehanchor.records import AreaMeasurement, GsdEstimate
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 
 __all__ = [
     "BAD_INPUT",
@@ -152,7 +152,7 @@ STATUS_TEXTS = {
 }
 
 
-def print_warnings(record: GsdEstimate | AreaMeasurement, about: str) -> None:
+def print_warnings(record: GsdEstimate | AreaMeasurement | DistanceMeasurement, about: str) -> None:
     """The warnings of a record, one a line, to stderr."""
     prefix = f"{about}: " if about else ""
     for notice in record.warnings:

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.courts.court import Court
     from vehanchor.detection.scene import SceneSighting
 
 __all__ = ["Objects", "Sighting"]
@@ -67,7 +66,6 @@ class Sighting:
         others: objects of the model's other classes, in image pixels, best score first; boxes of one class that
             overlap are merged, those of different classes are not.
         scene: what the ground itself tells of the scale; None where nobody looked.
-        courts: sports courts, measured; empty where nobody looked, too.
     """
 
     boxes: NDArray[np.float64]
@@ -79,4 +77,3 @@ class Sighting:
     classes: NDArray[np.intp] | None = None
     others: Objects = field(default_factory=Objects.joined)
     scene: SceneSighting | None = None
-    courts: tuple[Court, ...] = ()

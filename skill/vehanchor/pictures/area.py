@@ -46,7 +46,7 @@ def draw_area(image: NDArray[np.uint8], analysis: AreaAnalysis) -> NDArray[np.ui
     _draw_mask(picture, analysis, scale)
     _draw_prompt(picture, analysis, scale)
     picture = with_margins(picture)
-    if record.gsd_m_per_px is not None:
+    if record.gsd_m_per_px is not None and (record.scale is None or record.scale.status == "ok"):
         draw_scale_bar(picture, record.gsd_m_per_px / float(scale[0]))
     return np.concatenate([picture, caption_panel(picture.shape[1], _caption_lines(record))])
 

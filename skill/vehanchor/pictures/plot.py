@@ -61,7 +61,8 @@ def plot_scale(analysis: ScaleAnalysis) -> Figure:
     estimate = analysis.estimate
     if estimate.gsd_m_per_px is None or estimate.mode_length_px is None:
         axes.set_axis_off()
-        axes.text(0.5, 0.5, "no scale: no vehicle found", ha="center", va="center", fontsize=14, color=_INK)
+        words = "no scale: no vehicle found" if estimate.gsd_m_per_px is None else "no vehicle found"
+        axes.text(0.5, 0.5, words, ha="center", va="center", fontsize=14, color=_INK)
         return figure
     gsd, mode = estimate.gsd_m_per_px, estimate.mode_length_px
     guard = analysis.guard_length_px

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import cv2
 import numpy as np
 
+from vehanchor.advice import ADVICE
 from vehanchor.detection.boxes import box_corners
 from vehanchor.errors import OutputError
 from vehanchor.imagery.raster import Window
@@ -46,7 +47,8 @@ _ROWS_A_READ = 1024  # of the image, in strips as wide as it
 def draw_overlay(image: NDArray[np.uint8], analysis: ScaleAnalysis) -> NDArray[np.uint8]:
     """Draw what an estimate rests on: kept vehicles in blue, dropped outliers crossed in orange, a bar of round length.
 
-    Small images are enlarged and large ones reduced; a caption below gives scale, interval and confidence.
+    Small images are enlarged and large ones reduced; a caption below gives scale, interval and confidence. A scale that
+    is not to be used has no bar, and the caption begins with why and what would help.
 
     Args:
         image: ``[h, w, 3]`` RGB, the analysed image or a reduced copy of it (see ``read_reduced``).
@@ -60,7 +62,7 @@ def draw_overlay(image: NDArray[np.uint8], analysis: ScaleAnalysis) -> NDArray[n
     scale = np.array([picture.shape[1] / estimate.image_width_px, picture.shape[0] / estimate.image_height_px])
     draw_vehicles(picture, analysis, scale)
     picture = with_margins(picture)
-    if estimate.gsd_m_per_px is not None:
+    if estimate.gsd_m_per_px is not None and estimate.status == "ok":
         draw_scale_bar(picture, estimate.gsd_m_per_px / float(scale[0]))
     return np.concatenate([picture, caption_panel(picture.shape[1], _caption_lines(analysis))])
 
@@ -238,17 +240,21 @@ def _headline(estimate: GsdEstimate) -> str:
 
 
 def _caption_lines(analysis: ScaleAnalysis) -> list[CaptionLine]:
-    """Scale and interval; confidence; the legend of both colours."""
+    """Scale, interval and confidence, or first why there is none to use; the legend of both colours."""
     estimate = analysis.estimate
-    low = " - low: use another anchor" if estimate.status == "low_confidence" else ""
     n_dropped = estimate.n_detections - estimate.n_vehicles
     legend = [(KEPT_RGB, f"{estimate.n_vehicles} vehicle{'s' * (estimate.n_vehicles != 1)}")]
     if n_dropped:
         legend.append((DROPPED_RGB, f"{n_dropped} outlier{'s' * (n_dropped != 1)}, dropped"))
-    lines: list[CaptionLine] = [
-        [(None, _headline(estimate))],
-        [(None, f"confidence {estimate.confidence:.2f}{low}")],
-    ]
+    scale = _headline(estimate)
+    lines: list[CaptionLine]
+    if estimate.reason is None:
+        lines = [[(None, scale)], [(None, f"confidence {estimate.confidence:.2f}")]]
+    else:
+        why, helps = ADVICE[estimate.reason]
+        lines = [[(None, f"no scale to use: {why}")], [(None, helps)]]
+        if estimate.gsd_m_per_px is not None:
+            lines.append([(None, f"{scale}, confidence {estimate.confidence:.2f}")])
     if estimate.n_detections:
         lines.append([*legend])
     return lines

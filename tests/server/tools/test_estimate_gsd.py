@@ -52,7 +52,7 @@ async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCP
         result = await client.call_tool("estimate_gsd", by_path(images / "two.png"))
     assert result.structured_content is not None
     assert result.structured_content["status"] == "low_confidence"
-    assert "from 2 vehicles: do not rely on it (too little evidence); fall back" in text_of(result)
+    assert "from 2 vehicles: do not rely on it (too little evidence); take in more cars" in text_of(result)
 
 
 async def test_arguments_reach_the_library(server: MCPServer[object], images: Path, detector_path: Path) -> None:
@@ -125,7 +125,9 @@ def doubtful() -> GsdEstimate:
 
 
 def test_few_vehicles_are_too_little_evidence(doubtful: GsdEstimate) -> None:
-    assert "from 3 vehicles: do not rely on it (too little evidence); fall back" in describe_estimate(doubtful)
+    words = describe_estimate(doubtful)
+    assert "from 3 vehicles: do not rely on it (too little evidence); take in more cars" in words
+    assert words.endswith("or fall back to another anchor.")
 
 
 def test_a_single_vehicle_is_counted_in_the_singular(doubtful: GsdEstimate) -> None:
@@ -133,14 +135,19 @@ def test_a_single_vehicle_is_counted_in_the_singular(doubtful: GsdEstimate) -> N
 
 
 def test_the_guard_is_told_as_what_it_means(doubtful: GsdEstimate) -> None:
-    guarded = doubtful.model_copy(update={"resolution_guard": True})
-    assert "(vehicles show too little detail to be measured well)" in describe_estimate(guarded)
+    guarded = doubtful.model_copy(update={"reason": "too_coarse"})
+    assert "(vehicles show too little detail to be measured well); fly lower" in describe_estimate(guarded)
+
+
+@pytest.mark.parametrize("reason", ["too_few", "not_cars", "disagree", "lost"])
+def test_only_vehicles_of_too_few_pixels_are_a_reason_to_fly_lower(doubtful: GsdEstimate, reason: str) -> None:
+    assert "fly lower" not in describe_estimate(doubtful.model_copy(update={"reason": reason}))
 
 
 @pytest.mark.parametrize("code", FLEET_DOUBTS)
 def test_doubts_about_the_fleet_are_told_with_their_warning(doubtful: GsdEstimate, code: str) -> None:
     notice = Notice(code=code, message="They are all alike.")
-    words = describe_estimate(doubtful.model_copy(update={"warnings": (notice,)}))
+    words = describe_estimate(doubtful.model_copy(update={"warnings": (notice,), "reason": "not_cars"}))
     assert "(the vehicles may not be cars)" in words
     assert words.endswith(f"Warning {code}: They are all alike.")
 

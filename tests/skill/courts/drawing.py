@@ -29,7 +29,7 @@ def draw_court(
     matrix: NDArray[np.float64] | None = None,
     noise_sd: float = 2.0,
 ) -> NDArray[np.uint8]:
-    """A square RGB picture with a court in its middle, its lines 8 cm wide; ``missing`` are indices of lines left out."""
+    """A square RGB picture with a court in its middle, lines 8 cm wide; ``missing`` are indices of lines left out."""
     centre = side_px / 2 - 0.5
     if matrix is None:
         matrix = pose_matrix(Pose(centre, centre, math.radians(degrees), 1 / gsd_m_per_px))

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+import vehanchor
 from tests.analyses import made_card
 from tests.skill.courts.drawing import draw_court
-from vehanchor.anchors.courts import CourtEvidence, Courts
-from vehanchor.anchors.evidence import ImageFacts, View
+from vehanchor.anchors.courts import evidence_of
 from vehanchor.courts.court import Court
 from vehanchor.courts.find import find_courts, measure_court
 from vehanchor.courts.match import Pose
@@ -17,7 +17,7 @@ from vehanchor.courts.proposals import Proposal, boxes_of_courts, coarse_factors
 from vehanchor.courts.template import BASKETBALL, TENNIS, Template
 from vehanchor.detection.sighting import Objects, Sighting
 from vehanchor.imagery.raster import open_raster
-from vehanchor.options import ScaleOptions
+from vehanchor_scenes import render_scene
 
 NOTHING = Sighting(np.zeros((0, 5)), np.zeros(0))
 
@@ -93,34 +93,52 @@ def test_a_small_image_is_searched_at_every_size_that_a_court_can_have_in_it() -
         assert coarse_factors(raster, NOTHING) == []
 
 
-def _view(*courts: Court) -> View:
-    found = Sighting(np.zeros((0, 5)), np.zeros(0), courts=courts)
-    return View(ImageFacts(256, 256), found, made_card(5.0), ScaleOptions(), lambda *_: 1.0)
-
-
 def _court(gsd: float, kind: str = "tennis", log_sd: float = 0.001) -> Court:
-    corners = np.array([(0, 0), (10, 0), (10, 5), (0, 5)])
+    corners = np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 5.0), (0.0, 5.0)])
     return Court(kind, corners, 23.77, 10.97, gsd, log_sd, 0.9, 0.9, 0.0)
 
 
-def test_courts_are_evidence_with_their_outlines() -> None:
-    evidence = Courts().look(_view(_court(0.3), _court(0.302)))
-    assert isinstance(evidence, CourtEvidence)
+def test_courts_are_evidence_with_their_measured_sides() -> None:
+    evidence = evidence_of([_court(0.3), _court(0.302)])
     assert evidence.gsd_m_per_px == pytest.approx(0.301, rel=1e-3)
-    assert evidence.n == len(evidence.courts) == 2
+    assert (evidence.kind, evidence.n) == ("courts", 2)
     assert evidence.interval is not None
     assert 0.295 < evidence.interval.low < 0.301 < evidence.interval.high < 0.307
-    assert [notice.code for notice in evidence.notices] == ["other_ruler"]
-    assert "2 tennis courts say" in evidence.notices[0].message
+    assert evidence.says is not None
+    assert evidence.says.startswith("2 tennis courts say 0.301 m/px")
+    outline, long_side, short_side = evidence.marks[:3]
+    assert outline.closed
+    assert len(outline.points) == 4
+    assert (long_side.label, short_side.label) == ("23.77 m", "10.97 m")
+    assert long_side.points == ((0.0, 0.0), (10.0, 0.0))
+
+
+def test_rules_of_basketball_that_are_hard_to_tell_apart_make_a_wider_interval() -> None:
+    tennis, basketball = evidence_of([_court(0.3)]), evidence_of([_court(0.3, "basketball_nba")])
+    assert tennis.log_sd is not None
+    assert basketball.log_sd is not None
+    assert basketball.log_sd > 1.5 * tennis.log_sd
+    assert basketball.says is not None
+    assert "by the NBA's rules" in basketball.says
 
 
 def test_a_court_that_says_something_else_than_the_others_is_left_out() -> None:
-    evidence = Courts().look(_view(_court(0.3), _court(0.301), _court(0.4)))
+    evidence = evidence_of([_court(0.3), _court(0.301), _court(0.4)])
     assert evidence.n == 2
     assert evidence.gsd_m_per_px == pytest.approx(0.3, rel=0.01)
 
 
 def test_no_court_says_nothing() -> None:
-    evidence = Courts().look(_view())
+    evidence = evidence_of([])
     assert evidence.gsd_m_per_px is None
-    assert not evidence.notices
+    assert not evidence.marks
+
+
+def test_a_court_is_found_in_an_image_and_named_in_the_record() -> None:
+    scene = render_scene(0.25, width_px=384, height_px=384, seed=46, layout="sports")
+    estimate = vehanchor.estimate_gsd(scene.image)
+    assert estimate.rulers is not None
+    (courts,) = (ruler for ruler in estimate.rulers if ruler.kind == "courts")
+    assert courts.gsd_m_per_px == pytest.approx(0.25, rel=0.02)
+    without = vehanchor.estimate_gsd(scene.image, rulers=("vehicles", "scene_scale"))
+    assert not any(ruler.kind == "courts" for ruler in without.rulers or ())

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from tests.analyses import make_analysis
 from vehanchor.errors import OutputError
+from vehanchor.estimate import ScaleAnalysis
 from vehanchor.imagery.raster import open_raster
 from vehanchor.pictures.scale import (
     DROPPED_RGB,
@@ -34,6 +36,11 @@ def _grey(width: int, height: int) -> NDArray[np.uint8]:
     return np.full((height, width, 3), 100, np.uint8)
 
 
+def _judged(analysis: ScaleAnalysis, status: str, reason: str | None) -> ScaleAnalysis:
+    update = {"status": status, "reason": reason}
+    return replace(analysis, estimate=analysis.estimate.model_copy(update=update))
+
+
 def _fleet(n: int, length_px: float = 30.0) -> NDArray[np.float64]:
     return np.array(
         [[60.0 + 50 * (i % 10), 60.0 + 50 * (i // 10), length_px, 12.0, 0.4 * i] for i in range(n)]
@@ -50,7 +57,7 @@ def test_any_size_of_image_becomes_a_picture_fit_for_eyes(width: int, height: in
     assert picture.dtype == np.uint8
     assert picture.shape[2] == 3
     assert picture.shape[1] >= min(MIN_WIDTH_PX, 480)
-    assert max(picture.shape[:2]) <= MAX_SIDE_PX + 220  # the caption comes on top
+    assert max(picture.shape[:2]) <= MAX_SIDE_PX + 280  # the caption of four lines comes on top
 
 
 def test_small_images_are_enlarged_and_large_ones_reduced() -> None:
@@ -85,7 +92,8 @@ def test_boxes_lie_where_the_vehicles_are_at_any_enlargement(factor: float) -> N
 def test_the_scale_bar_is_about_a_fifth_of_the_width_and_true(gsd: float) -> None:
     # a vehicle off the picture's lower left, where the bar is
     boxes = np.array([[900.0, 100.0, 5.045 / gsd, 2.0 / gsd, 0.0]])
-    picture = draw_overlay(_grey(1000, 700), make_analysis(boxes, 1000, 700, reference_length_m=5.045))
+    analysis = make_analysis(boxes, 1000, 700, reference_length_m=5.045)
+    picture = draw_overlay(_grey(1000, 700), _judged(analysis, "ok", None))
     white = (picture[690 - 14 : 690, :600] >= 250).all(axis=2)
     bar_px = int(white.sum(axis=1).max())
     metres = (bar_px - 1) * gsd
@@ -98,6 +106,14 @@ def test_without_an_anchor_there_is_no_scale_bar() -> None:
     picture = draw_overlay(_grey(900, 700), make_analysis(np.zeros((0, 5)), 900, 700))
     assert (picture[:700] == 100).all()
     assert picture.shape[0] > 700  # and a caption says so
+
+
+def test_a_scale_that_is_not_to_be_used_has_no_scale_bar() -> None:
+    analysis = make_analysis(np.array([[900.0, 100.0, 50.0, 20.0, 0.0]]), 1000, 700)
+    sure, doubtful = _judged(analysis, "ok", None), _judged(analysis, "low_confidence", "lost")
+    corner = (slice(600, 700), slice(0, 600))
+    assert (draw_overlay(_grey(1000, 700), doubtful)[corner] == 100).all()
+    assert not (draw_overlay(_grey(1000, 700), sure)[corner] == 100).all()
 
 
 def test_the_image_itself_is_not_drawn_into_and_may_be_read_only() -> None:
