@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     import onnxruntime
     from numpy.typing import NDArray
 
-    from vehanchor.anchors.evidence import Evidence
+    from vehanchor.anchors.evidence import Evidence, Mark
     from vehanchor.anchors.fused import RulerShare
     from vehanchor.imagery.raster import ImageSource, Raster
     from vehanchor.options import Frame, OptionKeywords
@@ -87,6 +87,11 @@ class ScaleAnalysis:
     def kept(self) -> NDArray[np.bool_]:
         """``[n]`` bool, which of them the scale was taken from."""
         return self.vehicles.fleet.kept
+
+    @property
+    def marks(self) -> tuple[Mark, ...]:
+        """What other rulers were laid along, in pixels of the image."""
+        return tuple(mark for other in self.others for mark in other.marks)
 
     @property
     def guard_length_px(self) -> float:

@@ -22,7 +22,9 @@ from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.scale_question import (
+    FocalLengthArgument,
     FrameArgument,
+    HeightArgument,
     KnownLengthsArgument,
     ReferenceLengthArgument,
     RegionArgument,
@@ -43,9 +45,10 @@ __all__ = ["describe_estimate", "estimate_gsd_tool"]
 
 _DESCRIPTION = (
     "Measures the metric scale (ground sampling distance, metres per pixel) of a near-nadir aerial or satellite image "
-    "from the cars in it; no camera metadata is needed. Call it before any distance, length or area is derived from an "
-    "aerial image whose scale is unknown or doubtful; never estimate the scale by eye. Needs visible cars and about "
-    f"0.3 m/px or finer. {POLICY} Multiply pixel distances by gsd_m_per_px and pixel areas by its square. If you see a "
+    "from the cars in it; from a line of known length or the camera's height, too, if you know one, and from the "
+    "file's metadata where it has them. Call it before any distance, length or area is derived from an aerial image "
+    "whose scale is unknown or doubtful; never estimate the scale by eye. Cars need about 0.3 m/px or finer. "
+    f"{POLICY} Multiply pixel distances by gsd_m_per_px and pixel areas by its square. If you see a "
     "resized copy of the image, give the copy's size as frame and use frame.gsd_m_per_px for distances in that copy. "
     "Very large images take up to a minute."
 )
@@ -61,11 +64,13 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         reference_length_m: ReferenceLengthArgument = None,
         frame: FrameArgument = None,
         known_lengths: KnownLengthsArgument = None,
+        height_m: HeightArgument = None,
+        focal_35mm: FocalLengthArgument = None,
         include_overlay: Annotated[
             bool, Field(description="Also return a picture with the vehicles that were measured and a scale bar.")
         ] = False,
     ) -> Annotated[CallToolResult, GsdEstimate]:
-        question = ScaleQuestion(region, reference_length_m, frame, known_lengths)
+        question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm)
         drawn = include_overlay or client_supports_apps(ctx)
         answer = await run_call(services, ctx, image, partial(_estimate, question=question, drawn=drawn))
         return answer.to_result(describe_estimate(answer.record), include_overlay=include_overlay)

@@ -20,7 +20,9 @@ from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.scale_question import (
+    FocalLengthArgument,
     FrameArgument,
+    HeightArgument,
     KnownLengthsArgument,
     ReferenceLengthArgument,
     RegionArgument,
@@ -38,7 +40,8 @@ __all__ = ["describe_area", "measure_area_tool"]
 _DESCRIPTION = (
     "Measures the real area (square metres) and size of one object in a near-nadir aerial or satellite image: roof, "
     "pool, field, clearing, car park, landing site. The object is segmented from a box or points that you give; the "
-    "scale comes from the cars in the image, or from gsd_m_per_px if you know it. Call it instead of judging an area "
+    "scale comes from the cars in the image, a line of known length or the camera's height, or from gsd_m_per_px if "
+    "you know it. Call it instead of judging an area "
     "by eye or multiplying a box's sides; prefer a box, drawn tightly around the whole object. Also returns length, "
     "width, perimeter, and inscribed_diameter_m, the largest circle that fits inside: what a landing needs. "
     f"{POLICY} The same rule holds for areas: status low_confidence means do not act on it, no_anchor means that there "
@@ -85,11 +88,14 @@ def measure_area_tool(services: Services) -> StrictTool:
         reference_length_m: ReferenceLengthArgument = None,
         frame: FrameArgument = None,
         known_lengths: KnownLengthsArgument = None,
+        height_m: HeightArgument = None,
+        focal_35mm: FocalLengthArgument = None,
         include_overlay: Annotated[
             bool, Field(description="Also return a picture with the object's outline, the vehicles and a scale bar.")
         ] = False,
     ) -> Annotated[CallToolResult, AreaMeasurement]:
-        question = _Question(target, gsd_m_per_px, ScaleQuestion(region, reference_length_m, frame, known_lengths))
+        scale = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm)
+        question = _Question(target, gsd_m_per_px, scale)
         drawn = include_overlay or client_supports_apps(ctx)
         answer = await run_call(services, ctx, image, partial(_measure, question=question, drawn=drawn))
         return answer.to_result(describe_area(answer.record), include_overlay=include_overlay)

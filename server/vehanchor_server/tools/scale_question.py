@@ -15,8 +15,10 @@ if TYPE_CHECKING:
     from vehanchor_server.settings import Settings
 
 __all__ = [
+    "FocalLengthArgument",
     "FrameArgument",
     "FrameSize",
+    "HeightArgument",
     "KnownLengthsArgument",
     "KnownLine",
     "ReferenceLengthArgument",
@@ -65,8 +67,27 @@ KnownLengthsArgument: TypeAlias = Annotated[
     tuple[KnownLine, ...] | None,
     Field(
         max_length=16,
-        description="Lines of known length, in pixels of the image, or of frame where that is given: they are held "
-        "against the vehicles.",
+        description="Lines of known length, in pixels of the image, or of frame where that is given: rulers beside "
+        "the vehicles, or without any.",
+    ),
+]
+HeightArgument: TypeAlias = Annotated[
+    float | None,
+    Field(
+        gt=0,
+        le=20_000,
+        allow_inf_nan=False,
+        description="Height of the camera above the ground, metres, if known, for a picture taken straight down: a "
+        "ruler, too. Not above the sea.",
+    ),
+]
+FocalLengthArgument: TypeAlias = Annotated[
+    float | None,
+    Field(
+        gt=0,
+        le=10_000,
+        allow_inf_nan=False,
+        description="With height_m: focal length as on 35 mm film, mm; without it the file's.",
     ),
 ]
 
@@ -80,12 +101,16 @@ class ScaleQuestion:
         reference_length_m: the length of cars there.
         frame: the copy that the caller sees.
         known_lengths: lines that the caller has measured.
+        height_m: of the camera above the ground.
+        focal_35mm: its focal length.
     """
 
     region: str | None = None
     reference_length_m: float | None = None
     frame: FrameSize | None = None
     known_lengths: tuple[KnownLine, ...] | None = None
+    height_m: float | None = None
+    focal_35mm: float | None = None
 
     def options(self, settings: Settings, models: Models | None) -> ScaleOptions:
         """The method's options: thresholds, limits and calibration by the operator, the rest by the caller.
@@ -113,6 +138,8 @@ class ScaleQuestion:
             rulers=Rulers(
                 known_lengths=tuple(
                     KnownLength(line.x1, line.y1, line.x2, line.y2, line.metres) for line in self.known_lengths or ()
-                )
+                ),
+                height_m=self.height_m,
+                focal_35mm=self.focal_35mm,
             ),
         )
