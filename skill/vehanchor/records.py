@@ -332,9 +332,7 @@ class FlightPhotograph(_Record):
     scale: KnownScale | None = Field(
         description="The scale to be given back for measurements in this photograph; null without one."
     )
-    east_m: float | None = Field(
-        description="Place of its centre, metres east (by overlaps: to the right)."
-    )
+    east_m: float | None = Field(description="Place of its centre, metres east (by overlaps: to the right).")
     north_m: float | None = Field(description="Metres north (overlaps: up).")
     placed_by: Literal["positions", "overlaps"] | None = Field(
         description="positions: by its metadata, from the first that has any. overlaps: by what it overlaps, from the "
