@@ -48,8 +48,8 @@ __all__ = ["describe_estimate", "estimate_gsd_tool"]
 _DESCRIPTION = (
     "Measures the metric scale (metres per pixel) of a near-nadir aerial or satellite image from the cars in it; a "
     "line of known length, the camera's height or the file's metadata help. Call it before anything metric is said of "
-    f"such an image; never estimate the scale by eye. Needs cars and about 0.3 m/px or finer, or such a ruler. {POLICY} "
-    "For distances and areas call measure_distance and measure_area. Very large images take up to a minute."
+    f"such an image; never estimate the scale by eye. Needs cars and about 0.3 m/px or finer, or such a ruler. "
+    f"{POLICY} For distances and areas call measure_distance and measure_area. Very large images take up to a minute."
 )
 
 
