@@ -33,6 +33,7 @@ WHAT_HELPS = {  # by the record's reason
     "not_cars": "another anchor is needed here",
     "disagree": "another anchor is needed here",
     "lost": "fly on to streets or houses, and look again",
+    "imprecise": "take in cars, or give a known length",
 }
 
 log = logging.getLogger("planner")
@@ -126,6 +127,7 @@ async def decide(
             arguments: dict[str, Any] = {
                 "image": {"kind": "path", "path": str(image.resolve())},
                 "target": {"box": asdict(zone)},
+                "detail": "full",
             }
             if anchor.gsd_m_per_px is not None:
                 arguments["gsd_m_per_px"] = anchor.gsd_m_per_px

@@ -34,7 +34,9 @@ def records_of(scene: Path) -> dict[str, Any]:
 def _kept(value: Any) -> Any:
     """All but checksums, and the outline, whose corners may change with one pixel."""
     if isinstance(value, dict):
-        return {key: _kept(each) for key, each in value.items() if not key.endswith("sha256") and key != "outline"}
+        return {
+            key: _kept(each) for key, each in value.items() if not key.endswith(("sha256", "_id")) and key != "outline"
+        }
     return [_kept(each) for each in value] if isinstance(value, list) else value
 
 

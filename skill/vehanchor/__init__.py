@@ -19,19 +19,23 @@ from vehanchor.errors import VehAnchorError
 
 if TYPE_CHECKING:
     from vehanchor.detection.detector import Detector
+    from vehanchor.distance import DistanceAnalysis, analyse_distance, measure_distance
     from vehanchor.estimate import ScaleAnalysis, analyse_scale, estimate_gsd
+    from vehanchor.flight.estimate import estimate_flight
     from vehanchor.measure import AreaAnalysis, analyse_area, measure_area
     from vehanchor.options import Frame, ImageLimits, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
-    from vehanchor.records import AreaMeasurement, GsdEstimate
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, KnownScale
     from vehanchor.scale.calibration import Calibration, load_calibration
     from vehanchor.segmentation.segmenter import Segmenter
 
 _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
     "detection.detector": ("Detector",),
+    "distance": ("DistanceAnalysis", "analyse_distance", "measure_distance"),
     "estimate": ("ScaleAnalysis", "analyse_scale", "estimate_gsd"),
+    "flight.estimate": ("estimate_flight",),
     "measure": ("AreaAnalysis", "analyse_area", "measure_area"),
     "options": ("Frame", "ImageLimits", "Lengths", "Reading", "Reference", "Rulers", "ScaleOptions", "Search"),
-    "records": ("AreaMeasurement", "GsdEstimate"),
+    "records": ("AreaMeasurement", "DistanceMeasurement", "FlightEstimate", "GsdEstimate", "KnownScale"),
     "scale.calibration": ("Calibration", "load_calibration"),
     "segmentation.segmenter": ("Segmenter",),
 }
@@ -44,9 +48,13 @@ __all__ = [
     "AreaMeasurement",
     "Calibration",
     "Detector",
+    "DistanceAnalysis",
+    "DistanceMeasurement",
+    "FlightEstimate",
     "Frame",
     "GsdEstimate",
     "ImageLimits",
+    "KnownScale",
     "Lengths",
     "Reading",
     "Reference",
@@ -58,10 +66,13 @@ __all__ = [
     "VehAnchorError",
     "__version__",
     "analyse_area",
+    "analyse_distance",
     "analyse_scale",
+    "estimate_flight",
     "estimate_gsd",
     "load_calibration",
     "measure_area",
+    "measure_distance",
 ]
 
 

@@ -30,9 +30,12 @@ ADVICE: Mapping[Reason, Advice] = {
     ),
     "too_few": Advice("too little evidence", "take in more cars: from higher up, or over streets and car parks"),
     "not_cars": Advice("the vehicles may not be cars", "look at the overlay, or give a known length or the height"),
-    "disagree": Advice("sizes contradict each other", "look at the overlay, or give a known length or the height"),
+    "disagree": Advice(
+        "sizes or rulers contradict each other", "look at the overlay, or give a known length or the height"
+    ),
     "lost": Advice(
         "the ground is like nothing of known scale", "look where streets or houses are, or give the height above ground"
     ),
+    "imprecise": Advice("what was measured by leaves the scale too open", "give a known length, or take in cars"),
 }
 """By the ``reason`` of a record."""

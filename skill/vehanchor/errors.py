@@ -5,6 +5,7 @@
     - PromptError                        ``invalid_prompt``     a box or point that names nothing in the image
     - KnownLengthError                   ``invalid_known_length``  a line too short to measure by, or outside
   x FrameError (ValueError)              ``frame_mismatch``     the frame has another aspect ratio than the image
+  x ScaleMismatchError (ValueError)      ``scale_mismatch``     the scale given back was measured on another image
   x ImageError (ValueError)
     - ImageNotFoundError                 ``image_not_found``    no file there, or it is a directory
     - ImageDecodeError                   ``image_undecodable``  empty, truncated, or not an image at all
@@ -49,6 +50,7 @@ __all__ = [
     "OutputError",
     "PromptError",
     "ProviderUnavailableError",
+    "ScaleMismatchError",
     "VehAnchorError",
     "WorkerDiedError",
 ]
@@ -82,6 +84,12 @@ class FrameError(VehAnchorError, ValueError):
     """The caller's frame has another aspect ratio than the image."""
 
     code = "frame_mismatch"
+
+
+class ScaleMismatchError(VehAnchorError, ValueError):
+    """The scale that was given back was measured on another image."""
+
+    code = "scale_mismatch"
 
 
 class ImageError(VehAnchorError, ValueError):

@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from vehanchor.anchors.agreement import disagreements
 from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.registry import OTHER_ANCHORS
@@ -20,13 +22,15 @@ from vehanchor.anchors.vehicles import VehicleEvidence, Vehicles
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene import load_scene_scale
 from vehanchor.detection.search import search
+from vehanchor.detection.sighting import Sighting
 from vehanchor.imagery.detail import resolved_share
+from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.raster import open_raster
 from vehanchor.judgement import judge
 from vehanchor.models.zoo import resolve_model
 from vehanchor.notices import NoticeCode
 from vehanchor.options import ScaleOptions
-from vehanchor.records import FrameScale, GsdEstimate, Notice, SceneScaleEstimate
+from vehanchor.records import FrameScale, GsdEstimate, KnownScale, Notice, RulerScale, SceneScaleEstimate
 from vehanchor.scale.reference import reference_length
 
 if TYPE_CHECKING:
@@ -34,12 +38,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from typing import Unpack
 
-    import numpy as np
     import onnxruntime
     from numpy.typing import NDArray
 
-    from vehanchor.anchors.evidence import Evidence
-    from vehanchor.detection.sighting import Sighting
+    from vehanchor.anchors.evidence import Evidence, Mark
+    from vehanchor.anchors.fused import RulerShare
+    from vehanchor.detection.card import DetectorCard
     from vehanchor.imagery.raster import ImageSource, Raster
     from vehanchor.options import Frame, OptionKeywords
 
@@ -52,9 +56,12 @@ __all__ = [
     "estimate_gsd",
     "georeference_notice",
     "image_facts",
+    "image_notices",
     "open_detector",
 ]
 
+_NOT_SEARCHED = Sighting(np.zeros((0, 5)), np.zeros(0))
+_MODEL_DIGITS = 12
 GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale may differ by this from another before a warning
 
 
@@ -83,6 +90,11 @@ class ScaleAnalysis:
         return self.vehicles.fleet.kept
 
     @property
+    def marks(self) -> tuple[Mark, ...]:
+        """What other rulers were laid along, in pixels of the image."""
+        return tuple(mark for other in self.others for mark in other.marks)
+
+    @property
     def guard_length_px(self) -> float:
         """``P_thresh`` of the resolution guard."""
         return self.vehicles.guard_length_px
@@ -101,7 +113,7 @@ def estimate_gsd(
     progress: Callable[[int, int], None] | None = None,
     **options: Unpack[OptionKeywords],
 ) -> GsdEstimate:
-    """Estimate the ground sampling distance of an aerial image from the cars in it.
+    """Estimate the ground sampling distance of an aerial image from the cars in it, and from what other rulers say.
 
     Args:
         image: path, encoded bytes, binary file object, or array (H x W x 3 RGB or H x W; uint8, uint16 or float).
@@ -116,7 +128,7 @@ def estimate_gsd(
             (``Rulers``).
 
     Returns:
-        The record; ``gsd_m_per_px`` is None, never a guess, where no vehicle is found.
+        The record; ``gsd_m_per_px`` is None, never a guess, where no ruler finds anything.
 
     Raises:
         ImageError: the image cannot be used; see ``vehanchor.errors`` for its kinds.
@@ -181,13 +193,15 @@ def analyse_raster(
 ) -> ScaleAnalysis:
     """As ``analyse_scale``, of an image that is open already."""
     options.frame.check(raster.width_px, raster.height_px)
-    options.rulers.check(*(options.frame.size or (raster.width_px, raster.height_px)))
-    sighting = search(raster, detector, options.search, progress=progress, run_options=run_options)
-    weighed = detector.card.votes and options.rulers.uses(SceneScale.kind)
-    network = load_scene_scale() if weighed else None  # else there is nothing it could be weighed against
+    options = options.in_pixels(raster.width_px, raster.height_px)
+    sighting = _NOT_SEARCHED
+    if options.rulers.searches:
+        sighting = search(raster, detector, options.search, progress=progress, run_options=run_options)
+    weighed = detector.card.votes or not options.rulers.uses(Vehicles.kind)  # else there is nothing to weigh it against
+    network = load_scene_scale() if weighed and options.rulers.uses(SceneScale.kind) else None
     if network is not None:
         sighting = replace(sighting, scene=network.look(raster, run_options=run_options))
-    view = View(image_facts(raster), sighting, detector.card, options, partial(resolved_share, raster))
+    view = View(image_facts(raster), sighting, detector.card, options, partial(resolved_share, raster), raster)
     return analyse_sighting(view)
 
 
@@ -197,31 +211,45 @@ def image_facts(raster: Raster) -> ImageFacts:
         raster.width_px,
         raster.height_px,
         raster.georeference_gsd_m_per_px,
-        tuple(Notice(code=note.code, message=note.message) for note in raster.warnings),
+        image_notices(raster),
         raster.camera,
+        image_id(raster),
     )
 
 
-def analyse_sighting(view: View) -> ScaleAnalysis:
+def image_notices(raster: Raster) -> tuple[Notice, ...]:
+    """What there was to tell when an image was read."""
+    return tuple(Notice(code=note.code, message=note.message) for note in raster.warnings)
+
+
+def analyse_sighting(view: View, others: Sequence[Evidence] | None = None) -> ScaleAnalysis:
     """As ``analyse_raster``, of an image that has been searched: one search can serve several options.
+
+    Args:
+        view: of the image.
+        others: evidence of the rulers beside vehicles, where they have looked already; None has them look.
 
     Raises:
         InvalidParameterError: the model does not know the region.
         CalibrationMismatchError: the calibration was made for another model.
     """
-    used = [ruler for ruler in OTHER_ANCHORS if view.options.rulers.uses(ruler.kind)]
-    vehicles, others = Vehicles().look(view), tuple(ruler.look(view) for ruler in used)
-    return ScaleAnalysis(conclude(vehicles, others, view), vehicles, others)
+    rulers = view.options.rulers
+    if others is None:
+        others = tuple(ruler.look(view) for ruler in OTHER_ANCHORS if rulers.uses(ruler.kind))
+    seen = view if rulers.uses(Vehicles.kind) else replace(view, sighting=_NOT_SEARCHED)
+    vehicles = Vehicles().look(seen)
+    return ScaleAnalysis(conclude(vehicles, others, view), vehicles, tuple(others))
 
 
 def conclude(vehicles: VehicleEvidence, others: Sequence[Evidence], view: View) -> GsdEstimate:
     """Conclude from the evidence to the caller's record."""
-    image, gsd, judgement = view.image, vehicles.gsd_m_per_px, judge(vehicles, others)
-    interval = judgement.interval
+    image, judgement = view.image, judge(vehicles, others)
+    gsd, interval = judgement.gsd_m_per_px, judgement.interval
     warnings = [*image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
-    warnings += disagreements((vehicles, *others))
+    warnings += disagreements((vehicles, *others), [ruler.kind for ruler in judgement.rulers if not ruler.agrees])
     if gsd is not None:
-        warnings += georeference_notice(image.georeference_gsd_m_per_px, gsd, "the vehicles say")
+        who_says = "the vehicles say" if gsd == vehicles.gsd_m_per_px else "the rulers say"
+        warnings += georeference_notice(image.georeference_gsd_m_per_px, gsd, who_says)
     return GsdEstimate(
         status="no_anchor" if gsd is None else "low_confidence" if judgement.reason else "ok",
         gsd_m_per_px=gsd,
@@ -233,7 +261,9 @@ def conclude(vehicles: VehicleEvidence, others: Sequence[Evidence], view: View) 
         p_within_20=judgement.p_within_20,
         reason=judgement.reason,
         scene_scale=next((_scene_scale(other) for other in others if other.kind == SceneScale.kind), None),
-        n_detections=len(view.sighting.boxes),
+        scale_source=judgement.source,
+        rulers=tuple(_ruler_scale(share) for share in judgement.rulers),
+        n_detections=len(vehicles.fleet.sighting.boxes),
         working_scale=vehicles.fleet.working_scale,
         aggregation=vehicles.aggregation,
         reference_length_m=vehicles.reference.length_m,
@@ -244,9 +274,46 @@ def conclude(vehicles: VehicleEvidence, others: Sequence[Evidence], view: View) 
         image_height_px=image.height_px,
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
         frame=_frame_scale(view.options.frame, image.width_px, gsd, interval),
+        scale=_known_scale(view, gsd, interval, judgement.confidence),
         model=view.card.name,
         model_sha256=view.card.sha256,
         warnings=tuple(warnings),
+    )
+
+
+def _ruler_scale(share: RulerShare) -> RulerScale:
+    return RulerScale.model_validate(
+        {
+            "kind": share.kind,
+            "gsd_m_per_px": share.gsd_m_per_px,
+            "gsd_ci95_low_m_per_px": share.interval.low,
+            "gsd_ci95_high_m_per_px": share.interval.high,
+            "n": share.n,
+            "weight": share.weight,
+            "agrees": share.agrees,
+            "says": share.says,
+        }
+    )
+
+
+def model_id(card: DetectorCard) -> str:
+    """First digits of a detector's checksum."""
+    return card.sha256[:_MODEL_DIGITS]
+
+
+def _known_scale(
+    view: View, gsd: float | None, interval: tuple[float, float] | None, confidence: float
+) -> KnownScale | None:
+    """The scale as it can be given back; None where there is none, or where nobody looked at the image's pixels."""
+    if gsd is None or interval is None or not view.image.image_id:
+        return None
+    return KnownScale(
+        gsd_m_per_px=gsd,
+        gsd_ci95_low_m_per_px=min(interval[0], gsd),
+        gsd_ci95_high_m_per_px=max(interval[1], gsd),
+        confidence=confidence,
+        image_id=view.image.image_id,
+        model_id=model_id(view.card),
     )
 
 

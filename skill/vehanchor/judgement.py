@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from vehanchor.anchors.agreement import disagreements
+from vehanchor.anchors.fused import anchors_among, fuse_rulers, shares
 from vehanchor.anchors.scene_scale import SceneScale
 from vehanchor.notices import FLEET_DOUBTS, NoticeCode
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX, UNSURE_CONFIDENCE
@@ -15,8 +16,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from vehanchor.anchors.evidence import Evidence
+    from vehanchor.anchors.fused import FusedScale, RulerShare
     from vehanchor.anchors.vehicles import VehicleEvidence
     from vehanchor.records import Reason
+    from vehanchor.ruler_options import RulerName
     from vehanchor.scale.lengths import Interval
 
 __all__ = ["Judgement", "judge"]
@@ -29,31 +32,64 @@ _SCENE_REACH, _SCENE_AGREES = 0.4, 0.1  # the ground bears a scale out where it 
 
 
 class Judgement(NamedTuple):
-    """How far a scale may be used.
+    """The scale that is given out, and how far it may be used.
 
     Attributes:
+        gsd_m_per_px: the vehicles' scale, or, with other rulers that make one, that of all; None without any.
         interval: that holds the true scale in 95 of 100 images; None without a scale.
         p_within_20: chance that the error is below a fifth; None where nobody has fitted how the detector's boxes vote.
-        confidence: the paper's, capped where the chance is below 0.9 or the interval spans more than a factor of 2.
+        confidence: the paper's of vehicles alone, with other rulers ``p_within_20``; capped where the chance is below
+            0.9 or the interval spans more than a factor of 2.
         reason: why the scale is not to be used; None where it is.
+        source: kind of the ruler that leads; None without a scale.
+        rulers: what each says, and whether it agrees; none without a scale.
     """
 
+    gsd_m_per_px: float | None
     interval: Interval | None
     p_within_20: float | None
     confidence: float
     reason: Reason | None
+    source: RulerName | None = None
+    rulers: tuple[RulerShare, ...] = ()
 
 
 def judge(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judgement:
-    """Judge the vehicles' scale by the product of all rulers' densities.
+    """Judge what the rulers say together.
+
+    Vehicles alone give the paper's scale, judged by the product of their density with that of witnesses; as soon as
+    another ruler makes a scale, the scale is that of the product.
 
     Args:
         vehicles: their evidence.
         others: that of the other rulers.
 
     Returns:
-        The judgement; without a fitted density the vehicles' own interval and confidence stand.
+        The judgement; of vehicles alone without a fitted density their own interval and confidence stand.
     """
+    fused = fuse_rulers((vehicles, *others)) if anchors_among(others) else None
+    return _of_vehicles(vehicles, others) if fused is None else _of_all(fused, vehicles, others)
+
+
+def _of_all(fused: FusedScale, vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judgement:
+    confidence, reason = fused.p_within_20, None
+    if fused.p_within_20 < LEAST_P_WITHIN_20 or fused.interval.high > _WIDEST_USABLE * fused.interval.low:
+        confidence = min(confidence, UNSURE_CONFIDENCE)
+        able = {each.kind for each in anchors_among((vehicles, *others))}
+        outvoted = any(not ruler.agrees for ruler in fused.rulers if ruler.kind in able)
+        reason = "disagree" if outvoted or disagreements((vehicles, *others)) else "imprecise"
+    return Judgement(
+        fused.gsd_m_per_px,
+        fused.interval,
+        fused.p_within_20,
+        confidence,
+        cast("Reason | None", reason),
+        cast("RulerName", fused.leading),
+        fused.rulers,
+    )
+
+
+def _of_vehicles(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judgement:
     gsd, interval, p_within_20 = vehicles.gsd_m_per_px, vehicles.interval, None
     confidence = vehicles.confidence
     if gsd is not None and vehicles.density is not None:
@@ -64,7 +100,15 @@ def judge(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judgement:
     if interval is not None and interval.high > _WIDEST_OF_ANY * interval.low:
         confidence = min(confidence, UNSURE_CONFIDENCE)
     usable = gsd is not None and confidence >= FALLBACK_CONFIDENCE
-    return Judgement(interval, p_within_20, confidence, None if usable else _reason(vehicles, others))
+    return Judgement(
+        gsd,
+        interval,
+        p_within_20,
+        confidence,
+        None if usable else _reason(vehicles, others),
+        None if gsd is None else "vehicles",
+        () if gsd is None else shares((vehicles, *others), gsd),
+    )
 
 
 def _reason(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Reason:

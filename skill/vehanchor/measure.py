@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError
-from vehanchor.estimate import analyse_raster, georeference_notice, image_facts, open_detector
+from vehanchor.found_scale import choose_scale, find_scale, interval_around
 from vehanchor.imagery.raster import open_raster
 from vehanchor.models.zoo import resolve_segmenter
 from vehanchor.options import ScaleOptions
@@ -25,7 +24,6 @@ from vehanchor.records import (
     OutlinePolygon,
     OutlineRing,
 )
-from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
 from vehanchor.scale.lengths import Interval
 from vehanchor.segmentation.doubts import mask_notices
 from vehanchor.segmentation.prompt import prompt_in_image, read_prompt
@@ -40,25 +38,25 @@ from vehanchor.segmentation.shape import (
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Sequence
-    from typing import TypeAlias, Unpack
+    from collections.abc import Callable, Mapping, Sequence
+    from typing import Any, TypeAlias, Unpack
 
     import numpy as np
     import onnxruntime
     from numpy.typing import NDArray
 
+    from vehanchor.detection.detector import Detector
     from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.found_scale import FoundScale, ScaleInput
     from vehanchor.imagery.raster import ImageSource, Raster
     from vehanchor.options import Frame, OptionKeywords
-    from vehanchor.records import GsdEstimate, Status
+    from vehanchor.records import GsdEstimate, KnownScale, Status
     from vehanchor.segmentation.prompt import Box, Point, Prompt
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
 
     SegmenterSource: TypeAlias = Segmenter | tuple[str | os.PathLike[str], str | os.PathLike[str]]
 
-__all__ = ["AreaAnalysis", "analyse_area", "measure_area"]
-
-_Z95 = 1.959963984540054
+__all__ = ["AreaAnalysis", "analyse_area", "analyse_objects", "measure_area"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +67,7 @@ class AreaAnalysis:
         measurement: the record.
         segmentation: the mask, and the window of the image it lies in.
         prompt: the box or points, in pixels of the full image.
-        scale: the analysis of the scale; None for a given one.
+        scale: the analysis of the scale; None for one that was given, or given back.
     """
 
     measurement: AreaMeasurement
@@ -84,6 +82,7 @@ def measure_area(
     box: Box | None = None,
     points: Sequence[Point] | None = None,
     gsd_m_per_px: float | None = None,
+    scale: KnownScale | GsdEstimate | Mapping[str, Any] | None = None,
     segmenter: SegmenterSource | None = None,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
@@ -92,13 +91,16 @@ def measure_area(
 ) -> AreaMeasurement:
     """Measure the area of the object in a box or at a point, ``A = N_px * GSD^2`` (paper, section III-G).
 
-    Prompts are in pixels, the image's first pixel spanning 0 to 1; of the caller's resized copy where a frame is named.
+    Prompts are in pixels, the image's first pixel spanning 0 to 1; of the caller's resized copy where a frame is named;
+    in shares of the sides where ``coordinates`` says so.
 
     Args:
         image: as in ``estimate_gsd``.
         box: x1, y1, x2, y2 around the object. Either a box or points.
         points: x, y and, optionally, whether the point is on the object (the default) or beside it.
         gsd_m_per_px: the scale, metres per pixel of the full image, where it is known: then no detector runs.
+        scale: an earlier estimate of this image, or its ``scale``: then no detector runs, either, and its interval and
+            confidence hold.
         segmenter: encoder and decoder paths, or a loaded ``Segmenter``; default the bundled one.
         detector: as in ``estimate_gsd``.
         threads: CPU threads for the models; None leaves it to ONNX Runtime. Ignored for loaded ones.
@@ -114,6 +116,7 @@ def measure_area(
         ModelError: the segmenter or the detector cannot be used.
         InvalidParameterError: an option has no meaning.
         FrameError: the frame has another aspect ratio than the image.
+        ScaleMismatchError: the scale was estimated from another image.
         CalibrationError: the calibration cannot be read, or was made for another detector.
     """
     return analyse_area(
@@ -122,6 +125,7 @@ def measure_area(
         box=box,
         points=points,
         gsd_m_per_px=gsd_m_per_px,
+        scale=scale,
         segmenter=segmenter,
         detector=detector,
         threads=threads,
@@ -136,6 +140,7 @@ def analyse_area(
     box: Box | None = None,
     points: Sequence[Point] | None = None,
     gsd_m_per_px: float | None = None,
+    scale: KnownScale | GsdEstimate | Mapping[str, Any] | None = None,
     segmenter: SegmenterSource | None = None,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
@@ -150,6 +155,7 @@ def analyse_area(
         box: as in ``measure_area``, as all that follow.
         points: either these or a box.
         gsd_m_per_px: a known scale.
+        scale: one that was estimated before.
         segmenter: encoder and decoder.
         detector: of vehicles.
         threads: CPU threads.
@@ -164,53 +170,52 @@ def analyse_area(
     """
     chosen = options or ScaleOptions()
     prompt = read_prompt(box, points)
-    if gsd_m_per_px is not None and not (math.isfinite(gsd_m_per_px) and gsd_m_per_px > 0):
-        raise InvalidParameterError(f"gsd_m_per_px is {gsd_m_per_px}: use a finite number > 0")
     segmenting = _open_segmenter(segmenter, threads)
-    scale = gsd_m_per_px or open_detector(detector, chosen, threads=threads)
+    source = choose_scale(gsd_m_per_px, scale, detector, chosen, threads=threads)
     with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits) as raster:
-        return analyse_object(raster, prompt, segmenting, scale, chosen, progress=progress, run_options=run_options)
+        (analysis,) = analyse_objects(
+            raster, [prompt], segmenting, source, chosen, progress=progress, run_options=run_options
+        )
+    return analysis
 
 
-def analyse_object(
+def analyse_objects(
     raster: Raster,
-    prompt: Prompt,
+    prompts: Sequence[Prompt],
     segmenter: Segmenter,
-    scale: Detector | float,
+    scale: ScaleInput,
     options: ScaleOptions,
     *,
     progress: Callable[[int, int], None] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
-) -> AreaAnalysis:
-    """As ``analyse_area``, of an image that is open already.
+) -> tuple[AreaAnalysis, ...]:
+    """As ``analyse_area``, of several objects of an image that is open already: one search serves them all.
 
     Args:
         raster: the image.
-        prompt: what ``read_prompt`` gave, in the frame's pixels where the options name one.
-        segmenter: finds the object.
-        scale: what finds the vehicles, or a known scale in metres per pixel.
+        prompts: what ``read_prompt`` gave, in the caller's coordinates.
+        segmenter: finds the objects.
+        scale: what ``choose_scale`` gave.
         options: every choice of the method of scale.
         progress: of the search for vehicles.
         run_options: ONNX Runtime's.
 
     Returns:
-        The record, the mask, the prompt in the image's pixels and the scale's analysis.
+        For each prompt the record, the mask, the prompt in the image's pixels and the scale's analysis.
 
     Raises:
         VehAnchorError: as ``measure_area``.
     """
     options.frame.check(raster.width_px, raster.height_px)
-    prompt = prompt_in_image(prompt, options.frame, raster.width_px, raster.height_px)
-    # The mask first: it is the quicker of the two to find out that the prompt cannot be read.
-    found = segmenter.segment(raster, prompt, limits=options.reading.limits, run_options=run_options)
-    known_gsd = estimated = None
-    if isinstance(scale, Detector):
-        estimated = analyse_raster(raster, scale, options, progress=progress, run_options=run_options)
-    else:
-        known_gsd = scale
-    estimate = None if estimated is None else estimated.estimate
-    measurement = _conclude(raster, found, prompt, segmenter.card, options, estimate, known_gsd)
-    return AreaAnalysis(measurement, found, prompt, estimated)
+    prompts = [prompt_in_image(each, options.frame, raster.width_px, raster.height_px) for each in prompts]
+    # The masks first: they are the quicker of the two to find out that a prompt cannot be read.
+    limits = options.reading.limits
+    masks = [segmenter.segment(raster, each, limits=limits, run_options=run_options) for each in prompts]
+    found = find_scale(raster, scale, options, progress=progress, run_options=run_options)
+    return tuple(
+        AreaAnalysis(_conclude(raster, mask, prompt, segmenter.card, options, found), mask, prompt, found.analysis)
+        for prompt, mask in zip(prompts, masks, strict=True)
+    )
 
 
 def _open_segmenter(segmenter: SegmenterSource | None, threads: int | None) -> Segmenter:
@@ -233,35 +238,29 @@ def _conclude(
     prompt: Prompt,
     card: SegmenterCard,
     options: ScaleOptions,
-    estimate: GsdEstimate | None,
-    given_gsd: float | None,
+    scale: FoundScale,
 ) -> AreaMeasurement:
     """Mask and scale to record."""
     mask, left, top = found.mask, found.window.x_px, found.window.y_px
     bounds, circle = mask_bounds(mask), inscribed_circle(mask)
     n_px = int(mask.sum())
-    gsd = given_gsd if estimate is None else estimate.gsd_m_per_px
-    scale_log_sd = 0.0
-    if estimate is not None and estimate.gsd_ci95_low_m_per_px and estimate.gsd_ci95_high_m_per_px:
-        scale_log_sd = math.log(estimate.gsd_ci95_high_m_per_px / estimate.gsd_ci95_low_m_per_px) / (2 * _Z95)
-
+    gsd, estimate = scale.gsd_m_per_px, scale.estimate
     outline_px, (length_px, width_px) = perimeter(mask), rotated_extents(mask)
-    own_gsd = raster.georeference_gsd_m_per_px
     measured = gsd if n_px else None  # an empty mask has no size, rather than a size of zero
     size = _Size()
     if measured is not None and circle is not None:
-        size = _size(n_px, outline_px, circle.diameter, measured, scale_log_sd, card.mask_area_log_sd)
+        size = _size(n_px, outline_px, circle.diameter, measured, scale.log_sd, card.mask_area_log_sd)
     box = None if bounds is None else _moved_box((bounds.x1, bounds.y1, bounds.x2, bounds.y2), left, top)
     return AreaMeasurement(
-        status=_status(gsd, estimate, found.score, card, n_px),
+        status=_status(scale, found.score, card, n_px),
         area_m2=size.area_m2,
         area_ci95_low_m2=size.area_interval and size.area_interval.low,
         area_ci95_high_m2=size.area_interval and size.area_interval.high,
-        confidence=None if estimate is None else estimate.confidence,
+        confidence=scale.confidence,
         gsd_m_per_px=gsd,
         n_vehicles=None if estimate is None else estimate.n_vehicles,
         mode_length_px=None if estimate is None else estimate.mode_length_px,
-        scale_source="given" if estimate is None else "estimated",
+        scale_source=scale.source,
         mask_area_px=n_px,
         mask_score=found.score,
         perimeter_m=measured and outline_px * measured,
@@ -280,8 +279,7 @@ def _conclude(
         segmenter=card.name,
         segmenter_sha256=card.sha256,
         warnings=(
-            *(image_facts(raster).notices if estimate is None else estimate.warnings),
-            *([] if given_gsd is None else georeference_notice(own_gsd, given_gsd, "the one given is")),
+            *scale.notices,
             *mask_notices(raster, found, prompt, card, width_px),
         ),
     )
@@ -310,17 +308,14 @@ def _size(
     )
 
 
-def _status(gsd: float | None, estimate: GsdEstimate | None, score: float, card: SegmenterCard, n_px: int) -> Status:
-    if gsd is None:
-        return "no_anchor"
-    doubtful = estimate is not None and estimate.confidence < FALLBACK_CONFIDENCE
-    return "low_confidence" if doubtful or score < card.min_score or n_px == 0 else "ok"
+def _status(scale: FoundScale, score: float, card: SegmenterCard, n_px: int) -> Status:
+    if scale.status != "ok":
+        return scale.status
+    return "low_confidence" if score < card.min_score or n_px == 0 else "ok"
 
 
 def _interval(value: float, log_sd: float) -> Interval:
-    """95 % interval of a quantity whose log is normal."""
-    reach = math.exp(_Z95 * log_sd)
-    return Interval(value / reach, value * reach)
+    return Interval(*interval_around(value, log_sd))
 
 
 def _diameter_log_sd(area_log_sd: float, area_px: float, perimeter_px: float, diameter_px: float) -> float:

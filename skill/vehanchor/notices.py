@@ -24,7 +24,6 @@ class NoticeCode(StrEnum):
     LOOKS_ALIKE = "looks_alike"
     LOOKS_UNLIKE_CARS = "looks_unlike_cars"
     # of the rulers beside vehicles
-    OTHER_RULER = "other_ruler"
     RULERS_DISAGREE = "rulers_disagree"
     CAMERA_TILTED = "camera_tilted"
     CAMERA_CROPPED = "camera_cropped"

@@ -6,8 +6,8 @@ makes, from which ``vehanchor.cli.declared`` builds the option. Where None is a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, TypedDict, get_args
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, get_args
 
 from vehanchor.choices import choice, positive, settle, share, whole
 from vehanchor.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, NMS_IOU, OUTLIER_ALPHA, Aggregation
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from vehanchor.scale.calibration import Calibration
 
 __all__ = [
+    "Coordinates",
     "Frame",
     "ImageLimits",
     "KnownLength",
@@ -34,7 +35,11 @@ __all__ = [
     "Search",
 ]
 
+Coordinates: TypeAlias = Literal["pixels", "fraction", "per_mille"]
+"""How places in a picture are written."""
+
 _MIB = 1 << 20
+_SHARES: dict[Coordinates, int] = {"fraction": 1, "per_mille": 1000}  # how far they reach along either side
 
 
 @dataclass(frozen=True)
@@ -192,20 +197,33 @@ class Reference:
 
 @dataclass(frozen=True)
 class Frame:
-    """The resized copy of the image that the caller works in.
+    """The resized copy of the image that the caller works in, and how places in it are written.
 
     Attributes:
         width_px: its width; with the height, or neither.
         height_px: its height.
+        coordinates: pixels of the image, or of that copy where one is named; fraction: 0 to 1 of either side;
+            per_mille: 0 to 1000 of either side.
 
     Raises:
         InvalidParameterError: one without the other, or no whole number >= 1.
     """
 
-    width_px: int | None = None
-    height_px: int | None = None
+    width_px: int | None = field(default=None, metadata={"keyword": "frame_width_px"})
+    height_px: int | None = field(default=None, metadata={"keyword": "frame_height_px"})
+    coordinates: Coordinates = field(
+        default="pixels",
+        metadata=choice(
+            "How points, boxes and lines are written: pixels (of the image, or of --frame), fraction (0 to 1 of a "
+            "side), per_mille (0 to 1000)."
+        ),
+    )
 
     def __post_init__(self) -> None:
+        if self.coordinates not in get_args(Coordinates):
+            raise InvalidParameterError(
+                f"coordinates is {self.coordinates!r}: use one of {', '.join(get_args(Coordinates))}"
+            )
         if (self.width_px is None) != (self.height_px is None):
             raise InvalidParameterError("a frame needs both frame_width_px and frame_height_px")
         for name in ("width_px", "height_px"):
@@ -216,6 +234,16 @@ class Frame:
     def size(self) -> tuple[int, int] | None:
         """Width and height, pixels; None without a frame."""
         return None if self.width_px is None or self.height_px is None else (self.width_px, self.height_px)
+
+    def extent(self, width_px: int, height_px: int) -> tuple[int, int]:
+        """How far coordinates reach to the right and down, in their own units.
+
+        Args:
+            width_px: of the image.
+            height_px: of the image.
+        """
+        share = _SHARES.get(self.coordinates)
+        return (share, share) if share else self.size or (width_px, height_px)
 
     def check(self, width_px: int, height_px: int) -> None:
         """Refuse a frame whose aspect ratio is not the image's: it would be a crop, or another image.
@@ -277,6 +305,7 @@ class OptionKeywords(TypedDict, total=False):
     calibration: Calibration | str | os.PathLike[str] | None
     frame_width_px: int | None
     frame_height_px: int | None
+    coordinates: Coordinates
     bands: tuple[int, int, int] | None
     limits: ImageLimits
     rulers: Sequence[RulerName] | None
@@ -296,7 +325,7 @@ class ScaleOptions:
         reference: where the reference length comes from.
         frame: the caller's resized copy.
         reading: how the image is read.
-        rulers: what the scale is held against beside the vehicles.
+        rulers: what the scale is taken from.
     """
 
     search: Search = Search()
@@ -305,6 +334,35 @@ class ScaleOptions:
     frame: Frame = Frame()
     reading: Reading = Reading()
     rulers: Rulers = field(default_factory=Rulers)
+
+    def __post_init__(self) -> None:
+        if self.frame.coordinates == "pixels":
+            self.rulers.check_lengths()
+
+    def in_pixels(self, width_px: int, height_px: int) -> ScaleOptions:
+        """The same choices with the lines of known length in pixels of the frame, or of the image where none is named.
+
+        Args:
+            width_px: of the image.
+            height_px: of the image.
+
+        Raises:
+            KnownLengthError: a line is shorter than five pixels, or leaves the picture.
+        """
+        picture = self.frame.size or (width_px, height_px)
+        extent = self.frame.extent(width_px, height_px)
+        across, down = picture[0] / extent[0], picture[1] / extent[1]
+        lines = tuple(
+            KnownLength(line.x1 * across, line.y1 * down, line.x2 * across, line.y2 * down, line.metres)
+            for line in self.rulers.known_lengths
+        )
+        told = self
+        if lines and self.frame.coordinates != "pixels":
+            told = replace(
+                self, rulers=replace(self.rulers, known_lengths=lines), frame=replace(self.frame, coordinates="pixels")
+            )
+        told.rulers.check(*picture)
+        return told
 
     @classmethod
     def of(cls, keywords: Mapping[str, Any]) -> ScaleOptions:
@@ -315,8 +373,8 @@ class ScaleOptions:
         """
         rest = dict(keywords)
         groups: dict[str, Any] = {}
-        for name, (group, prefix) in _GROUPS.items():
-            known = {each.name: prefix + each.name for each in fields(group)}
+        for name, group in _GROUPS.items():
+            known = {each.name: each.metadata.get("keyword", each.name) for each in fields(group)}
             groups[name] = group(**{key: rest.pop(word) for key, word in known.items() if word in rest})
         if rest:
             names = ", ".join(sorted(OptionKeywords.__annotations__))
@@ -324,11 +382,11 @@ class ScaleOptions:
         return cls(**groups)
 
 
-_GROUPS: dict[str, tuple[type[Any], str]] = {
-    "search": (Search, ""),
-    "lengths": (Lengths, ""),
-    "reference": (Reference, ""),
-    "frame": (Frame, "frame_"),
-    "reading": (Reading, ""),
-    "rulers": (Rulers, ""),
+_GROUPS: dict[str, type[Any]] = {
+    "search": Search,
+    "lengths": Lengths,
+    "reference": Reference,
+    "frame": Frame,
+    "reading": Reading,
+    "rulers": Rulers,
 }

@@ -10,28 +10,37 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.defaults import Aggregation
+from vehanchor.ruler_options import RulerName
 
 __all__ = [
     "AreaMeasurement",
     "BoundingBox",
     "ConfidenceTerms",
+    "DistanceMeasurement",
+    "FlightAnchor",
+    "FlightEstimate",
+    "FlightIsland",
+    "FlightLink",
+    "FlightPhotograph",
     "FrameArea",
     "FrameScale",
     "GsdEstimate",
     "ImagePoint",
+    "KnownScale",
     "Notice",
     "OutlinePolygon",
     "OutlineRing",
     "Reason",
     "ReferenceSource",
+    "RulerScale",
     "ScaleSource",
     "SceneScaleEstimate",
     "Status",
 ]
 
 Status = Literal["ok", "low_confidence", "no_anchor"]
-Reason = Literal["too_coarse", "too_few", "not_cars", "disagree", "lost"]
-ScaleSource = Literal["estimated", "given"]
+Reason = Literal["too_coarse", "too_few", "not_cars", "disagree", "lost", "imprecise"]
+ScaleSource = Literal["estimated", "given", "reused"]
 ReferenceSource = Literal["model", "appearance", "region", "given", "calibration"]
 
 
@@ -77,18 +86,49 @@ class SceneScaleEstimate(_Record):
     gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its 95 % interval.")
 
 
+class RulerScale(_Record):
+    """What one ruler says of the scale, and its part in the scale that is given out."""
+
+    kind: RulerName = Field(description="Of the ruler.")
+    gsd_m_per_px: float = Field(gt=0, description="What it says by itself, metres per pixel of the full image.")
+    gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its own 95 % interval.")
+    gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its own 95 % interval.")
+    n: int = Field(ge=0, description="How many things it was measured on: vehicles, lines, tiles of the ground.")
+    weight: float = Field(
+        ge=0, le=1, description="Its share of the precision among the rulers that agree; 0 for one that does not."
+    )
+    agrees: bool = Field(description="Whether it agrees with the scale that is given out.")
+    says: str | None = Field(description="What it was measured by, in a sentence; null where numbers say it all.")
+
+
+class KnownScale(_Record):
+    """A scale to be given back for the next measurement in the same image, which then needs no search."""
+
+    gsd_m_per_px: float = Field(gt=0, description="Metres per pixel of the full image.")
+    gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its 95 % interval.")
+    gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its 95 % interval.")
+    confidence: float = Field(ge=0, le=1, description="Composite confidence C.")
+    image_id: str = Field(max_length=64, description="Checksum of the image's pixels: it holds for no other image.")
+    model_id: str = Field(max_length=64, description="First digits of the checksum of the detector.")
+
+
 class GsdEstimate(_Record):
     """Metric scale of an aerial image, the paper's record <GSD, C, N', P_mode> and where it comes from."""
 
     status: Status = Field(
-        description="ok: confidence >= 0.5. low_confidence: below 0.5, fall back. no_anchor: no vehicle, no scale."
+        description="ok: confidence >= 0.5. low_confidence: below 0.5, fall back. no_anchor: no ruler found, no scale."
     )
     gsd_m_per_px: float | None = Field(
         description="Ground sampling distance, metres per pixel of the full image; null without an anchor."
     )
-    confidence: float = Field(ge=0, le=1, description="Composite confidence C in 0..1; below 0.5 use another anchor.")
+    confidence: float = Field(
+        ge=0,
+        le=1,
+        description="Below 0.5 use another anchor. The paper's composite C of the vehicles; with another ruler "
+        "p_within_20, below 0.5 by the same rule.",
+    )
     n_vehicles: int = Field(ge=0, description="N': vehicles kept after the outlier filter.")
-    mode_length_px: float | None = Field(description="P_mode: modal vehicle length, pixels; null without an anchor.")
+    mode_length_px: float | None = Field(description="P_mode: modal vehicle length, pixels; null without vehicles.")
     gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of the 95 % interval of the GSD.")
     gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of the 95 % interval of the GSD.")
     p_within_20: float | None = Field(
@@ -96,16 +136,22 @@ class GsdEstimate(_Record):
     )
     reason: Reason | None = Field(
         description="Why the scale is not to be used; null where it is. too_coarse: vehicles of too few pixels. "
-        "too_few: not enough of them. not_cars: they may be something else. disagree: sizes, or vehicles and ground. "
-        "lost: the scene is like none that was learned from."
+        "too_few: not enough of them. not_cars: they may be something else. disagree: sizes, or rulers. "
+        "lost: the scene is like none that was learned from. imprecise: the rulers leave it too open."
     )
     scene_scale: SceneScaleEstimate | None = Field(
         description="What the ground itself tells, a witness beside the vehicles; null where nothing looked at it."
     )
+    scale_source: RulerName | None = Field(
+        description="The ruler that leads: the one of the largest weight; null without an anchor."
+    )
+    rulers: tuple[RulerScale, ...] = Field(
+        description="All that were heard, and whether they agree with the scale; none without an anchor."
+    )
     n_detections: int = Field(ge=0, description="N: vehicles detected, before the outlier filter.")
     working_scale: float | None = Field(
         description="Scale of the copy of the image where most of the kept vehicles were found: 1 (full resolution), "
-        "0.5, 0.25 or 0.125; null without an anchor. All lengths are in pixels of the full image whatever it is."
+        "0.5, 0.25 or 0.125; null without vehicles. All lengths are in pixels of the full image whatever it is."
     )
     aggregation: Aggregation = Field(description="How lengths became one: the mode, or the median below 5 vehicles.")
     reference_length_m: float = Field(gt=0, description="L_ref: vehicle length that P_mode stands for, metres.")
@@ -114,16 +160,23 @@ class GsdEstimate(_Record):
         "vehicles, which fleet they are of. region, given, calibration: as the caller or the operator said."
     )
     resolution_guard: bool = Field(
-        description="Whether the resolution guard capped the confidence at 0.3: vehicles of too few pixels, or of too "
-        "little detail for their pixels (an enlarged image)."
+        description="Whether the resolution guard capped the vehicles' confidence at 0.3: vehicles of too few pixels, "
+        "or of too little detail for their pixels (an enlarged image)."
     )
-    confidence_terms: ConfidenceTerms = Field(description="The terms that the confidence is the weighted sum of.")
+    confidence_terms: ConfidenceTerms = Field(
+        description="The terms that the vehicles' confidence is the weighted sum of."
+    )
     image_width_px: int = Field(gt=0, description="Width of the full image, pixels.")
     image_height_px: int = Field(gt=0, description="Height of the full image, pixels.")
     georeference_gsd_m_per_px: float | None = Field(
         description="Scale that the file itself carries (geotransform), for comparison; never used for the estimate."
     )
     frame: FrameScale | None = Field(description="The scale in the caller's resized copy, where one was named.")
+    scale: KnownScale | None = Field(
+        default=None,
+        description="The scale in six fields: give it back as scale to measure in the same image without another "
+        "search; null without an anchor.",
+    )
     model: str = Field(description="Name of the detector.")
     model_sha256: str = Field(description="SHA-256 of the detector's file.")
     warnings: tuple[Notice, ...] = Field(description="What else to know about this result.")
@@ -178,14 +231,17 @@ class AreaMeasurement(_Record):
     area_ci95_low_m2: float | None = Field(description="Lower end of its 95 % interval: scale and mask together.")
     area_ci95_high_m2: float | None = Field(description="Upper end of its 95 % interval.")
     confidence: float | None = Field(
-        ge=0, le=1, description="The scale's composite confidence C in 0..1; null for a scale that the caller gave."
+        ge=0, le=1, description="The scale's confidence in 0..1; null for a scale that the caller gave."
     )
     gsd_m_per_px: float | None = Field(
         description="Ground sampling distance, metres per pixel of the full image; null without an anchor."
     )
-    n_vehicles: int | None = Field(ge=0, description="N': vehicles behind the scale; null for a given scale.")
+    n_vehicles: int | None = Field(ge=0, description="N': vehicles behind the scale; null for a given one.")
     mode_length_px: float | None = Field(description="P_mode: modal vehicle length, pixels; null without an estimate.")
-    scale_source: ScaleSource = Field(description="estimated: from the vehicles. given: the caller's own scale.")
+    scale_source: ScaleSource = Field(
+        description="estimated: by the rulers in scale. given: the caller's own scale. reused: an earlier estimate of "
+        "this image, given back."
+    )
     mask_area_px: int = Field(ge=0, description="N_px: pixels of the mask in the full image.")
     mask_score: float = Field(ge=0, le=1, description="The segmenter's own estimate of the mask's overlap (IoU).")
     perimeter_m: float | None = Field(description="Length of the mask's outline with its holes, metres.")
@@ -207,7 +263,122 @@ class AreaMeasurement(_Record):
     image_width_px: int = Field(gt=0, description="Width of the full image, pixels.")
     image_height_px: int = Field(gt=0, description="Height of the full image, pixels.")
     frame: FrameArea | None = Field(description="The object in the caller's resized copy, where one was named.")
-    scale: GsdEstimate | None = Field(description="The whole estimate of the scale; null for a given scale.")
+    scale: GsdEstimate | None = Field(
+        description="The whole estimate of the scale; null for one that was given or given back."
+    )
     segmenter: str = Field(description="Name of the segmenter.")
     segmenter_sha256: str = Field(description="SHA-256 of the segmenter's encoder file followed by its decoder file.")
     warnings: tuple[Notice, ...] = Field(description="What else to know about this result, the scale's included.")
+
+
+class DistanceMeasurement(_Record):
+    """Length of a line on the ground: its pixels times the scale, and where that comes from."""
+
+    status: Status = Field(
+        description="ok. low_confidence: the scale's confidence is below 0.5. no_anchor: no scale, so pixels only."
+    )
+    distance_m: float | None = Field(description="length_px times GSD, metres; null without a scale.")
+    distance_ci95_low_m: float | None = Field(
+        description="Lower end of its 95 % interval: the scale, and a pixel at each point, together."
+    )
+    distance_ci95_high_m: float | None = Field(description="Upper end of its 95 % interval.")
+    confidence: float | None = Field(
+        ge=0, le=1, description="The scale's composite confidence C in 0..1; null for a scale that the caller gave."
+    )
+    gsd_m_per_px: float | None = Field(
+        description="Ground sampling distance, metres per pixel of the full image; null without an anchor."
+    )
+    n_vehicles: int | None = Field(ge=0, description="N': vehicles behind the scale; null for a given one.")
+    scale_source: ScaleSource = Field(
+        description="estimated: from the vehicles. given: the caller's own scale. reused: an earlier estimate of this "
+        "image, given back."
+    )
+    length_px: float = Field(gt=0, description="Length of the line, pixels of the full image.")
+    path: tuple[ImagePoint, ...] = Field(description="Its points in order, pixels of the full image.")
+    image_width_px: int = Field(gt=0, description="Width of the full image, pixels.")
+    image_height_px: int = Field(gt=0, description="Height of the full image, pixels.")
+    scale: GsdEstimate | None = Field(
+        description="The whole estimate of the scale; null for one that was given or given back."
+    )
+    warnings: tuple[Notice, ...] = Field(description="What else to know about this result, the scale's included.")
+
+
+class FlightAnchor(_Record):
+    """A ruler that a photograph's scale hangs on, and the photographs in between."""
+
+    ruler: str = Field(description="Kind of the ruler: vehicles, camera, positions, ...")
+    photograph: str = Field(description="The photograph that it was seen in; the photograph itself, or another.")
+    through: tuple[str, ...] = Field(
+        description="Photographs in between, each of which overlaps the next; empty where it was seen in this one, or "
+        "in one that overlaps it, or where all are of one scale."
+    )
+
+
+class FlightPhotograph(_Record):
+    """One photograph of a flight: its scale by all evidence of the flight, and what it says by itself."""
+
+    photograph: str = Field(description="The photograph, as the caller named it.")
+    status: Status | Literal["error"] = Field(
+        description="ok: confidence >= 0.5. low_confidence: below 0.5. no_anchor: no scale. error: it cannot be read."
+    )
+    gsd_m_per_px: float | None = Field(description="Metres per pixel of this photograph, by all evidence.")
+    gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
+    gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
+    confidence: float | None = Field(ge=0, le=1, description="Confidence in it; null for one that cannot be read.")
+    island: int | None = Field(
+        description="Number of the group of photographs that are tied to each other; null for one that cannot be read."
+    )
+    anchors: tuple[FlightAnchor, ...] = Field(description="What its scale hangs on, the strongest first.")
+    scale: KnownScale | None = Field(
+        description="The scale to be given back for measurements in this photograph; null without one."
+    )
+    east_m: float | None = Field(description="Place of its centre, metres east (by overlaps: to the right).")
+    north_m: float | None = Field(description="Metres north (overlaps: up).")
+    placed_by: Literal["positions", "overlaps"] | None = Field(
+        description="positions: by its metadata, from the first that has any. overlaps: by what it overlaps, from the "
+        "island's reference and turned as it. Null: nowhere."
+    )
+    own: GsdEstimate | None = Field(description="What the photograph says by itself.")
+    error_code: str | None = Field(description="Stable code of why it cannot be read.")
+    error: str | None = Field(description="What was wrong and what to do.")
+
+
+class FlightIsland(_Record):
+    """Photographs that are tied to each other, by one scale or by what they overlap: one body of evidence."""
+
+    number: int = Field(ge=0, description="Its number; the largest island is 0.")
+    n_photographs: int = Field(ge=1, description="Its photographs.")
+    reference: str = Field(description="The photograph in whose pixels all of its evidence was put together.")
+    pooled: GsdEstimate = Field(description="What all evidence of the island says of that photograph's scale.")
+
+
+class FlightLink(_Record):
+    """Two photographs that overlap, and the ratio of their scales."""
+
+    first: str = Field(description="One photograph.")
+    second: str = Field(description="The other.")
+    ratio: float = Field(gt=0, description="Metres per pixel of the first over those of the second.")
+    ratio_log_sd: float = Field(ge=0, description="Standard deviation of its natural log.")
+    n_matches: int = Field(ge=0, description="Points of the ground that were found in both.")
+    dropped: str | None = Field(description="Why it was not used: what it contradicts; null where it was.")
+
+
+class FlightEstimate(_Record):
+    """Scales of the photographs of one flight, by the evidence of all of them."""
+
+    status: Status = Field(
+        description="ok: every photograph that can be read has a scale with a confidence >= 0.5. low_confidence: not "
+        "all of them. no_anchor: none has a scale."
+    )
+    same_scale: bool = Field(description="Whether the caller said that all photographs are of one scale.")
+    gsd_m_per_px: float | None = Field(description="With same_scale that scale, metres per pixel; else null.")
+    gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
+    gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
+    confidence: float = Field(ge=0, le=1, description="Of that scale; else the least of the islands'.")
+    n_vehicles: int = Field(ge=0, description="Vehicles that the scales were taken from.")
+    photographs: tuple[FlightPhotograph, ...] = Field(description="In the order in which they were given.")
+    islands: tuple[FlightIsland, ...] = Field(description="The largest first; one with same_scale.")
+    links: tuple[FlightLink, ...] = Field(description="Overlapping photographs; none with same_scale.")
+    model: str = Field(description="Name of the detector.")
+    model_sha256: str = Field(description="SHA-256 of the detector's file.")
+    warnings: tuple[Notice, ...] = Field(description="What else to know about the flight.")

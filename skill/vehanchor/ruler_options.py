@@ -9,11 +9,15 @@ from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 from vehanchor.choices import choice, number, positive, settle
 from vehanchor.errors import InvalidParameterError, KnownLengthError
 
-__all__ = ["KnownLength", "RulerName", "Rulers"]
+__all__ = ["SEARCHED", "KnownLength", "RulerName", "Rulers"]
 
-RulerName: TypeAlias = Literal["vehicles", "scene_scale", "camera", "known_length", "height"]
+RulerName: TypeAlias = Literal["vehicles", "scene_scale", "camera", "known_length", "height", "courts", "positions"]
 """Rulers by the names that records and options give them."""
 
+SEARCHED: frozenset[RulerName] = frozenset({"vehicles"})
+"""Rulers that measure what the detector finds: without any of them it does not run."""
+
+_FROM_METADATA = ("camera", "positions")
 _MIN_LINE_PX = 5.0  # a pixel off at each end of a shorter line is more than a quarter of it
 _MAX_LINE_M = 100_000.0
 _MAX_HEIGHT_M = 20_000.0  # survey aircraft fly at 10 km; whoever flies higher has no use for cars
@@ -45,30 +49,32 @@ class KnownLength(NamedTuple):
 
 @dataclass(frozen=True)
 class Rulers:
-    """What the scale is held against beside the vehicles, and what the caller knows of it.
+    """What the scale is taken from, and what the caller knows of it.
 
     Attributes:
-        rulers: which rulers are used; None for all. Vehicles are always among them.
+        rulers: which rulers are used; None for all. Vehicles alone are the paper's skill; without them, the detector
+            does not run.
         metadata: read the camera's metadata in the file; False is the paper's case.
         known_lengths: lines of known length, x1, y1, x2, y2 in pixels and metres.
         height_m: of the camera above the ground, metres, for a picture taken straight down.
         focal_35mm: focal length of a 35 mm camera with the same view, millimetres; None takes the file's.
 
     Raises:
-        KnownLengthError: a line is shorter than five pixels, or no line.
+        KnownLengthError: what is given is no line.
         InvalidParameterError: a number has no meaning, or a ruler is not known.
     """
 
     rulers: tuple[RulerName, ...] | None = field(
         default=None,
         metadata=choice(
-            "Rulers to use, with commas: vehicles, scene_scale, camera, known_length, height. Default: all.",
+            "Rulers to use, with commas: vehicles, scene_scale, camera, known_length, height, courts, positions (of "
+            "flights). Default: all.",
             metavar="NAMES",
         ),
     )
     metadata: bool = field(
         default=True,
-        metadata=choice("Hold the scale against the camera's height and focal length, where the file has them."),
+        metadata=choice("Measure by the camera's height and focal length, too, where the file has them."),
     )
     known_lengths: tuple[KnownLength, ...] = field(
         default=(),
@@ -104,18 +110,36 @@ class Rulers:
 
     def uses(self, kind: str) -> bool:
         """Whether a ruler is used."""
-        return (self.rulers is None or kind in self.rulers) and (self.metadata or kind != "camera")
+        return (self.rulers is None or kind in self.rulers) and (self.metadata or kind not in _FROM_METADATA)
+
+    @property
+    def searches(self) -> bool:
+        """Whether the detector is needed."""
+        return any(self.uses(kind) for kind in SEARCHED)
+
+    def check_lengths(self) -> None:
+        """Refuse lines too short to measure by.
+
+        Raises:
+            KnownLengthError: one is shorter than five pixels.
+        """
+        for line in self.known_lengths:
+            if line.length_px < _MIN_LINE_PX:
+                raise KnownLengthError(
+                    f"the line of known length is {line.length_px:.1f} px long: use one of {_MIN_LINE_PX:g} px or more"
+                )
 
     def check(self, width_px: int, height_px: int) -> None:
-        """Refuse lines that leave the picture in which they were drawn.
+        """Refuse lines that leave the picture in which they were drawn, or are too short in it.
 
         Args:
             width_px: of the image, or of the frame where one is named.
             height_px: of that picture.
 
         Raises:
-            KnownLengthError: an end lies outside.
+            KnownLengthError: an end lies outside, or a line is shorter than five pixels.
         """
+        self.check_lengths()
         for line in self.known_lengths:
             if not all(0 <= x <= width_px for x in (line.x1, line.x2)) or not all(
                 0 <= y <= height_px for y in (line.y1, line.y2)
@@ -130,8 +154,8 @@ def _ruler_names(names: Any) -> tuple[RulerName, ...]:
     known = get_args(RulerName)
     if isinstance(names, str) or not all(name in known for name in names):
         raise InvalidParameterError(f"rulers is {names!r}: use some of {', '.join(known)}")
-    if "vehicles" not in names:
-        raise InvalidParameterError(f"rulers is {names!r}: vehicles must be among them")
+    if not names:
+        raise InvalidParameterError(f"rulers is {names!r}: use at least one of {', '.join(known)}")
     return tuple(name for name in known if name in names)
 
 
@@ -145,10 +169,6 @@ def _lines(lines: Any) -> tuple[KnownLength, ...]:
         except (TypeError, ValueError) as error:
             raise KnownLengthError(f"the known length {line!r} is no x1, y1, x2, y2, metres: {error}") from None
         known = KnownLength(x1, y1, x2, y2, metres)
-        if known.length_px < _MIN_LINE_PX:
-            raise KnownLengthError(
-                f"the line of known length is {known.length_px:.1f} px long: use one of {_MIN_LINE_PX:g} px or more"
-            )
         if not 0 < metres <= _MAX_LINE_M:
             raise KnownLengthError(f"the line's length is {metres:g} m: use metres > 0 and up to {_MAX_LINE_M:g}")
         checked.append(known)

@@ -108,7 +108,7 @@ def open_detection_log(
         "model_sha256": detector.card.sha256,
         "fleet_sha256": detector.card.fleet_sha256,
         "classes": classes,
-        "search": asdict(options.search),
+        "search": asdict(options.search) if options.rulers.searches else None,
         "bands": options.reading.bands,
     }
     return Journal(path, settings, dump=_record, load=_searched)
@@ -131,6 +131,7 @@ def _record(searched: SearchedImage) -> dict[str, Any]:
         "height_px": image.height_px,
         "georeference_gsd_m_per_px": image.georeference_gsd_m_per_px,
         "notices": [notice.model_dump(mode="json") for notice in image.notices],
+        "image_id": image.image_id,
         "camera": None if image.camera is None else asdict(image.camera),
         "resolved": list(searched.resolved.items()),
     }
@@ -158,6 +159,7 @@ def _searched(record: dict[str, Any]) -> SearchedImage:
             record["georeference_gsd_m_per_px"],
             tuple(Notice(**notice) for notice in record["notices"]),
             CameraMetadata(**record["camera"]) if record.get("camera") else None,
+            record.get("image_id", ""),
         ),
         dict(record["resolved"]),
     )

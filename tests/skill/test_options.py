@@ -19,7 +19,8 @@ def test_the_verbs_keywords_are_the_groups_fields() -> None:
     names = [
         field.name for group in (Search, Lengths, Reference, Reading, Rulers) for field in dataclasses.fields(group)
     ]
-    names += [f"frame_{field.name}" for field in dataclasses.fields(Frame)]
+    names += ["frame_width_px", "frame_height_px", "coordinates"]
+    assert len(dataclasses.fields(Frame)) == 3
     assert sorted(OptionKeywords.__annotations__) == sorted(names)
 
 
@@ -46,12 +47,13 @@ def test_the_verbs_keywords_are_the_groups_fields() -> None:
         {"reference_length_m": 4.5, "region": "europe"},
         {"frame_width_px": 320.5, "frame_height_px": 240},
         {"frame_width_px": 320},
+        {"coordinates": "percent"},
         {"bands": (1, 2)},
         {"bands": (0, 1, 2)},
         {"scale": 3},
         {"rulers": "vehicles"},
         {"rulers": ("vehicles", "yardstick")},
-        {"rulers": ("camera",)},
+        {"rulers": ()},
         {"metadata": 1},
         {"known_lengths": [(0, 0, 1, 0, 5)]},
         {"known_lengths": [(0, 0, 30, 0, 0)]},
@@ -97,4 +99,4 @@ def test_a_command_gets_every_field_of_every_group_and_its_own_options_first() -
     names = list(scale_command(without=("bands",))(shown).__annotations__)
     fields = {field.name for group in (Search, Lengths, Reference, Rulers) for field in dataclasses.fields(group)}
     assert names[0] == "image"
-    assert fields | {"detector", "classes", "threads", "providers", "frame"} == set(names[1:])
+    assert fields | {"detector", "classes", "threads", "providers", "frame", "coordinates"} == set(names[1:])

@@ -9,7 +9,7 @@ from vehanchor.notices import NoticeCode
 from vehanchor.records import Notice
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from vehanchor.anchors.evidence import Evidence
 
@@ -17,28 +17,38 @@ __all__ = ["AGREEMENT", "disagreements"]
 
 AGREEMENT = 0.2  # two scales agree where the larger is at most this share above the smaller
 _NAMES = {"vehicles": "the vehicles say", "camera": "the camera's height says", "height": "the given height says"}
+_CHECK = "Check which of them is wrong before using either."
 
 
-def disagreements(evidence: Sequence[Evidence]) -> list[Notice]:
-    """Warn of every two rulers whose scales are further apart than a fifth.
+def disagreements(evidence: Sequence[Evidence], outvoted: Collection[str] = ()) -> list[Notice]:
+    """Warn of rulers that are outvoted, and of every two others whose scales are further apart than a fifth.
 
     Args:
         evidence: of all rulers. One that found nothing, and a witness, whose confidence is always 0, disagree with
             nobody.
+        outvoted: kinds of those that do not agree with the scale of all.
 
     Returns:
-        One notice for each pair.
+        One notice for each outvoted ruler, one for each other pair.
     """
     found = [each for each in evidence if each.gsd_m_per_px is not None and each.confidence > 0]
-    return [
-        Notice(
-            code=NoticeCode.RULERS_DISAGREE,
-            message=f"Two rulers disagree: {_says(one)}, {_says(other)} m/px. Check which of them is wrong before "
-            "using either.",
-        )
-        for one, other in combinations(found, 2)
-        if _ratio(one, other) > 1 + AGREEMENT
-    ]
+    kept = [each for each in found if each.kind not in outvoted] or found
+    notices = []
+    for liar in (each for each in found if each not in kept):
+        if len(kept) == 1:
+            notices.append(_pair(*sorted((liar, kept[0]), key=found.index)))
+        elif kept:
+            others = ", ".join(map(_says, kept))
+            message = f"{_says(liar).capitalize()} m/px, and the other rulers disagree: {others} m/px. {_CHECK}"
+            notices.append(Notice(code=NoticeCode.RULERS_DISAGREE, message=message))
+    return notices + [_pair(*pair) for pair in combinations(kept, 2) if _ratio(*pair) > 1 + AGREEMENT]
+
+
+def _pair(one: Evidence, other: Evidence) -> Notice:
+    return Notice(
+        code=NoticeCode.RULERS_DISAGREE,
+        message=f"Two rulers disagree: {_says(one)}, {_says(other)} m/px. {_CHECK}",
+    )
 
 
 def _says(one: Evidence) -> str:

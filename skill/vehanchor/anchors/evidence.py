@@ -19,11 +19,12 @@ if TYPE_CHECKING:
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.sighting import Sighting
     from vehanchor.imagery.camera_metadata import CameraMetadata
+    from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
     from vehanchor.records import Notice
     from vehanchor.scale.lengths import Interval
 
-__all__ = ["Anchor", "Evidence", "ImageFacts", "View"]
+__all__ = ["Anchor", "Evidence", "ImageFacts", "Mark", "View"]
 
 
 class ImageFacts(NamedTuple):
@@ -35,6 +36,7 @@ class ImageFacts(NamedTuple):
         georeference_gsd_m_per_px: the scale that the file itself carries; None where it has none.
         notices: what there was to tell when it was read.
         camera: what the file says of its camera; None where it says nothing.
+        image_id: checksum of the pixels; empty where nobody summed them up.
     """
 
     width_px: int
@@ -42,6 +44,7 @@ class ImageFacts(NamedTuple):
     georeference_gsd_m_per_px: float | None = None
     notices: tuple[Notice, ...] = ()
     camera: CameraMetadata | None = None
+    image_id: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +58,7 @@ class View:
         options: every choice of the method.
         resolved_share: of centres ``[n, 2]`` in pixels and the scale at which they were found: the share of the
             resolution down to which there is detail (``vehanchor.imagery.detail``).
+        raster: the open image, for a ruler that looks at pixels; None where only what a search has found is kept.
     """
 
     image: ImageFacts
@@ -62,6 +66,21 @@ class View:
     card: DetectorCard
     options: ScaleOptions
     resolved_share: Callable[[NDArray[np.float64], float], float]
+    raster: Raster | None = None
+
+
+class Mark(NamedTuple):
+    """A line that a ruler was laid along.
+
+    Attributes:
+        points: its corners, x and y in pixels of the image.
+        label: what is written beside its middle, as "60 m"; empty for nothing.
+        closed: whether the last corner is joined to the first.
+    """
+
+    points: tuple[tuple[float, float], ...]
+    label: str = ""
+    closed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +95,8 @@ class Evidence:
         confidence: in 0..1, 0 where it found nothing.
         notices: its doubts, and what else there is to tell.
         density: probabilities on ``vehanchor.scale.fusion.GRID``; None for nothing that could be multiplied.
+        says: what it was measured by, in a sentence; None where there is no more to say than the numbers do.
+        marks: what it was measured on, for pictures.
     """
 
     kind: str
@@ -85,6 +106,13 @@ class Evidence:
     confidence: float
     notices: tuple[Notice, ...]
     density: NDArray[np.float64] | None = None
+    says: str | None = None
+    marks: tuple[Mark, ...] = ()
+
+    @property
+    def fusable_density(self) -> NDArray[np.float64] | None:
+        """The density that is multiplied with those of other rulers; None for none."""
+        return self.density
 
 
 class Anchor(Protocol):

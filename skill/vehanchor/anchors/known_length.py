@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from vehanchor.anchors.camera import equivalent_lens, lens
+from vehanchor.anchors.evidence import Mark
 from vehanchor.anchors.stated import on_grid, says_nothing, stated
 from vehanchor.errors import KnownLengthError
 from vehanchor.notices import NoticeCode
@@ -66,6 +67,10 @@ class KnownLengths:
             said,
             n=len(lines),
             notices=[_lines_disagree(scales[0], scales[-1])] if apart else (),
+            marks=[
+                Mark(((line.x1 * across, line.y1 * down), (line.x2 * across, line.y2 * down)), f"{line.metres:g} m")
+                for line in lines
+            ],
         )
 
 

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.anchors.evidence import Evidence
-from vehanchor.notices import NoticeCode
-from vehanchor.records import Notice
-from vehanchor.scale.fusion import GRID, LOG_STEP, floored, mass_within
+from vehanchor.scale.fusion import GRID, LOG_STEP, TOLERANCE, floored, mass_within
 from vehanchor.scale.lengths import Interval
 
 if TYPE_CHECKING:
@@ -19,10 +17,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from vehanchor.anchors.evidence import Mark
+    from vehanchor.records import Notice
+
 __all__ = ["StatedEvidence", "lognormal", "on_grid", "says_nothing", "stated"]
 
 _Z95 = 1.959963984540054
-_TOLERANCE = 0.2  # confidence is the probability to be right within a fifth
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +67,9 @@ def stated(
     *,
     n: int = 1,
     notices: Sequence[Notice] = (),
+    marks: Sequence[Mark] = (),
 ) -> StatedEvidence:
-    """Evidence for a scale, with a notice that tells it.
+    """Evidence for a scale, with a sentence that tells it.
 
     Args:
         kind: of the ruler.
@@ -78,6 +79,7 @@ def stated(
         said: who says so, and from what: ``{}`` in it stands for the scale.
         n: how many things it was measured on.
         notices: its doubts.
+        marks: what it was measured on, for pictures.
     """
     reach = math.exp(_Z95 * log_sd)
     interval = Interval(gsd_m_per_px / reach, gsd_m_per_px * reach)
@@ -88,9 +90,11 @@ def stated(
         gsd_m_per_px=gsd_m_per_px,
         interval=interval,
         n=n,
-        confidence=min(1.0, max(0.0, mass_within(density, gsd_m_per_px, _TOLERANCE))),
-        notices=(Notice(code=NoticeCode.OTHER_RULER, message=said.replace("{}", words)), *notices),
+        confidence=min(1.0, max(0.0, mass_within(density, gsd_m_per_px, TOLERANCE))),
+        notices=tuple(notices),
         density=density,
+        says=said.replace("{}", words),
+        marks=tuple(marks),
         log_sd=log_sd,
         chance_wrong=chance_wrong,
     )

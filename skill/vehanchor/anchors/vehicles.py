@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.anchors.evidence import Evidence
-from vehanchor.notices import NoticeCode
+from vehanchor.anchors.stated import lognormal, on_grid
+from vehanchor.notices import FLEET_DOUBTS, NoticeCode
 from vehanchor.records import Notice
 from vehanchor.scale.confidence import composite, confidence_terms, fleet_doubts, guard_length
-from vehanchor.scale.fusion import GRID, vehicle_density
+from vehanchor.scale.fusion import GRID, flat, floored, vehicle_density
 from vehanchor.scale.lengths import dominant_group, gsd_interval, inlier_mask, modal_length
 from vehanchor.scale.reference import reference_length
 
@@ -33,6 +34,7 @@ __all__ = ["Fleet", "VehicleEvidence", "Vehicles", "select"]
 
 _LEAST_SCORE = 1e-3  # below it a detection is no evidence, but still one
 _CAR_LENGTH_M = 4.6  # of any fleet, to a fifth
+_Z95 = 1.959963984540054
 _DOUBTS: dict[NoticeCode, str] = {
     NoticeCode.LENGTHS_DISAGREE: "Vehicles of two sizes were found, and the evidence for the other size is not much "
     "weaker than for the one that was used. One of them is not cars: the scale may be off by the ratio of the sizes.",
@@ -148,6 +150,22 @@ class VehicleEvidence(Evidence):
     guard_length_px: float
     guarded: bool
     resolved: float
+
+    @property
+    def fusable_density(self) -> NDArray[np.float64] | None:
+        """What the boxes say, or, where nobody has fitted how they vote, the scale spread over its own interval.
+
+        The confidence bounds how far they are believed where they are guarded, or may not be cars, or are not fitted:
+        other rulers may then outvote any number of them.
+        """
+        if self.gsd_m_per_px is None or self.interval is None:
+            return None
+        density = self.density
+        if density is None:
+            log_sd = math.log(self.interval.high / self.interval.low) / (2 * _Z95)
+            density = lognormal(self.gsd_m_per_px, log_sd) if on_grid(self.gsd_m_per_px) else flat()
+        doubted = self.density is None or self.guarded or any(each.code in FLEET_DOUBTS for each in self.notices)
+        return floored(density, 1.0 - self.confidence) if doubted else density
 
 
 class Vehicles:

@@ -7,18 +7,15 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 from pydantic import BaseModel, ConfigDict
 
 from vehanchor.records import ConfidenceTerms, GsdEstimate, SceneScaleEstimate
+from vehanchor.ruler_options import RulerName
 
 if TYPE_CHECKING:
     from vehanchor.errors import VehAnchorError
 
 __all__ = ["COLUMNS", "BatchRow"]
 
-_NESTED = (
-    "confidence_terms",
-    "frame",
-    "scene_scale",
-    "warnings",
-)  # the only fields of an estimate that are no single value
+# The only fields of an estimate that are no single value.
+_NESTED = ("confidence_terms", "frame", "rulers", "scale", "scene_scale", "warnings")
 
 
 class BatchRow(BaseModel):
@@ -53,18 +50,24 @@ class BatchRow(BaseModel):
             if self.estimate.scene_scale is not None:
                 for name, value in self.estimate.scene_scale.model_dump().items():
                     values[f"scene_{name}"] = value
+            for ruler in self.estimate.rulers:
+                values[f"ruler_{ruler.kind}_gsd_m_per_px"] = ruler.gsd_m_per_px
+                values[f"ruler_{ruler.kind}_agrees"] = ruler.agrees
             values["warning_codes"] = " ".join(notice.code for notice in self.estimate.warnings)
         return {**values, "file": self.file, "error_code": self.error_code, "error": self.error}
 
 
 def _columns() -> dict[str, type]:
-    """Columns and their types: an estimate's fields under their own names, ``confidence_<term>``, ``scene_<field>``."""
+    """Columns and their types: an estimate's fields under their own names, those of its parts under prefixed ones."""
     estimate = {
         name: _kind(field.annotation) for name, field in GsdEstimate.model_fields.items() if name not in _NESTED
     }
     terms: dict[str, type] = dict.fromkeys((f"confidence_{name}" for name in ConfidenceTerms.model_fields), float)
     scene: dict[str, type] = dict.fromkeys((f"scene_{name}" for name in SceneScaleEstimate.model_fields), float)
-    return {"file": str, **estimate, **terms, **scene, "warning_codes": str, "error_code": str, "error": str}
+    rulers: dict[str, type] = {}
+    for kind in get_args(RulerName):
+        rulers |= {f"ruler_{kind}_gsd_m_per_px": float, f"ruler_{kind}_agrees": bool}
+    return {"file": str, **estimate, **terms, **scene, **rulers, "warning_codes": str, "error_code": str, "error": str}
 
 
 def _kind(annotation: Any) -> type:

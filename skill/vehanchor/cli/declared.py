@@ -22,7 +22,7 @@ import typer
 
 from vehanchor.choices import Choice, choice
 from vehanchor.errors import InvalidParameterError, KnownLengthError
-from vehanchor.options import KnownLength, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
+from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
@@ -97,6 +97,7 @@ _GROUPS: tuple[tuple[type[Any], str], ...] = (
     (Reference, "Reference length"),
     (Search, "Search"),
     (Lengths, "Lengths"),
+    (Frame, "Reading the image"),
     (Reading, "Reading the image"),
     (Rulers, "Other rulers"),
 )
@@ -137,8 +138,7 @@ class Chosen:
         }
         if "alpha" in keywords:
             keywords["alpha"] = _alpha(keywords["alpha"])
-        if isinstance(keywords.get("aggregation"), StrEnum):
-            keywords["aggregation"] = keywords["aggregation"].value
+        keywords |= {name: value.value for name, value in keywords.items() if isinstance(value, StrEnum)}
         if keywords.get("rulers") is not None:
             keywords["rulers"] = tuple(name.strip() for name in keywords["rulers"].split(","))
         if "known_lengths" in keywords:

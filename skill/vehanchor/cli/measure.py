@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
 from vehanchor.cli.declared import Chosen, DetectorChoice, scale_command
+from vehanchor.cli.given_scale import GivenGsd, ScaleFile, read_scale
 from vehanchor.cli.spaced import SpacedCommand
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
@@ -27,11 +28,20 @@ if TYPE_CHECKING:
 
     from vehanchor.measure import AreaAnalysis
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import AreaMeasurement
+    from vehanchor.records import AreaMeasurement, KnownScale
 
 __all__ = ["measure"]
 
 _SHORT_SHA = 12
+
+SegmenterFiles: TypeAlias = Annotated[
+    tuple[str, str] | None,
+    typer.Option(
+        metavar="ENCODER DECODER",
+        help="ONNX files of a promptable segmenter: SAM, MobileSAM, SAM 2, SAM 3 tracker, EfficientSAM. Default: "
+        "the bundled.",
+    ),
+]
 
 
 @scale_command()
@@ -50,10 +60,8 @@ def _measure(
     negative: Annotated[
         list[str] | None, typer.Option(metavar="X Y", help="A point beside the object; may be repeated.")
     ] = None,
-    gsd: Annotated[
-        float | None,
-        typer.Option(metavar="M/PX", help="The scale, metres per pixel of the full image: then no car is needed."),
-    ] = None,
+    gsd: GivenGsd = None,
+    scale: ScaleFile = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
     overlay: Annotated[
         str | None,
@@ -63,14 +71,7 @@ def _measure(
         str | None,
         typer.Option(metavar="OUT.png", help="Write the object's mask, white on black, as large as the image."),
     ] = None,
-    segmenter: Annotated[
-        tuple[str, str] | None,
-        typer.Option(
-            metavar="ENCODER DECODER",
-            help="ONNX files of a promptable segmenter: SAM, MobileSAM, SAM 2, SAM 3 tracker, EfficientSAM. Default: "
-            "the bundled.",
-        ),
-    ] = None,
+    segmenter: SegmenterFiles = None,
     *,
     chosen: Chosen,
 ) -> None:
@@ -78,10 +79,18 @@ def _measure(
     with exit_on_error():
         try:
             outputs = _outputs(image, overlay, mask)
-            options = chosen.options()
+            options, known = chosen.options(), read_scale(scale, image)
             with tile_progress(1, lines_on_terminal=as_json) as step:
                 analysis = _analyse(
-                    image, options, box, _points(point, negative), gsd, segmenter, chosen.detector, step(0, image)
+                    image,
+                    options,
+                    box,
+                    _points(point, negative),
+                    gsd,
+                    known,
+                    segmenter,
+                    chosen.detector,
+                    step(0, image),
                 )
         except VehAnchorError as error:
             if as_json:
@@ -137,6 +146,7 @@ def _analyse(
     box: tuple[float, float, float, float] | None,
     points: list[tuple[float, float, bool]] | None,
     gsd: float | None,
+    known: KnownScale | None,
     segmenter: tuple[str, str] | None,
     detector: DetectorChoice,
     progress: Callable[[int, int], None] | None,
@@ -149,8 +159,9 @@ def _analyse(
         box=box,
         points=points,
         gsd_m_per_px=gsd,
+        scale=known,
         segmenter=segmenter,
-        detector=detector.open() if gsd is None else None,
+        detector=detector.open() if gsd is None and known is None else None,
         threads=detector.threads,
         progress=progress,
     )
@@ -191,7 +202,7 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
         ]
     facts.append(("mask", f"{record.mask_area_px} px, score {record.mask_score:.2f}"))
     if record.scale is None:
-        facts.append(("scale", f"{record.gsd_m_per_px:.4g} m/px, given"))
+        facts.append(("scale", f"{record.gsd_m_per_px:.4g} m/px, {record.scale_source}"))
     else:
         scale = record.scale
         facts += [

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from vehanchor.errors import PromptError
+from vehanchor.pointing import Pointing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,8 +24,6 @@ Point: TypeAlias = tuple[float, float] | tuple[float, float, bool]
 
 MIN_BOX_PX = 2.0
 """Smallest side of a box, pixels of the full image."""
-
-_CUT_EDGE_PX = 1.0  # the frame's rounding: a prompt may be this far (in its pixels) outside
 
 
 @dataclass(frozen=True)
@@ -96,39 +95,33 @@ def prompt_in_image(given: Prompt, frame: Frame, width_px: int, height_px: int) 
     What is outside by less than a pixel of the frame, as rounding can bring about, is pulled in.
 
     Args:
-        given: in pixels of the frame; of the image where no frame is named.
-        frame: the caller's resized copy.
+        given: in the caller's coordinates.
+        frame: the caller's resized copy, and how it writes places.
         width_px: of the full image.
         height_px: of the full image.
 
     Raises:
         PromptError: it is outside, or the box is too small.
     """
-    frame_width, frame_height = frame.size or (width_px, height_px)
-    across, down = width_px / frame_width, height_px / frame_height
-    size = f"{frame_width} x {frame_height} px {'frame' if frame.size else 'image'}"
-
-    def inside(x: float, y: float) -> bool:
-        return all(-_CUT_EDGE_PX < at < side + _CUT_EDGE_PX for at, side in ((x, frame_width), (y, frame_height)))
-
-    def scaled(x: float, y: float) -> tuple[float, float]:
-        return min(max(x * across, 0.0), float(width_px)), min(max(y * down, 0.0), float(height_px))
-
+    pointing = Pointing(frame, width_px, height_px)
     if given.box is not None:
         x1, y1, x2, y2 = given.box
-        if not (inside(x1, y1) and inside(x2, y2)):
-            raise PromptError(f"box {_numbers(given.box)} is not inside the {size}: clip it to what is visible")
-        box = (*scaled(x1, y1), *scaled(x2, y2))
+        ends = ((x1, y1), (x2, y2))
+        if not pointing.inside(ends):
+            meant = pointing.other_reading(ends) or ": clip it to what is visible"
+            raise PromptError(f"box {_numbers(given.box)} is not inside the {pointing.name}{meant}")
+        box = (*pointing.in_image(ends[0]), *pointing.in_image(ends[1]))
         if min(box[2] - box[0], box[3] - box[1]) < MIN_BOX_PX:
             raise PromptError(
                 f"box {_numbers(given.box)} is {box[2] - box[0]:.3g} x {box[3] - box[1]:.3g} px of the full image: at "
-                f"least {MIN_BOX_PX:g} px a side are needed"
+                f"least {MIN_BOX_PX:g} px a side are needed{pointing.other_reading(ends)}"
             )
         return Prompt(box=box)
-    for x, y, _ in given.points:
-        if not (0 <= x < frame_width and 0 <= y < frame_height):
-            raise PromptError(f"point {x:g}, {y:g} is not inside the {size}")
-    return Prompt(points=tuple((*scaled(x, y), include) for x, y, include in given.points))
+    places = [(x, y) for x, y, _ in given.points]
+    for x, y in places:
+        if not (0 <= x < pointing.extent[0] and 0 <= y < pointing.extent[1]):
+            raise PromptError(f"point {x:g}, {y:g} is not inside the {pointing.name}{pointing.other_reading(places)}")
+    return Prompt(points=tuple((*pointing.in_image((x, y)), include) for x, y, include in given.points))
 
 
 def _coordinate(value: float, what: str) -> float:

@@ -59,8 +59,9 @@ def test_height_and_the_equivalent_focal_length_make_a_scale_with_an_honest_inte
     assert evidence.interval.low < TRUE_GSD < evidence.interval.high
     assert evidence.interval.high / evidence.interval.low == pytest.approx(math.exp(2 * 1.96 * 0.128), rel=0.01)
     assert (evidence.kind, evidence.n) == ("camera", 1)
-    assert [notice.code for notice in evidence.notices] == ["other_ruler"]
-    assert "100 m (DJI RelativeAltitude) and 26 mm" in evidence.notices[0].message
+    assert evidence.notices == ()
+    assert evidence.says is not None
+    assert "100 m (DJI RelativeAltitude) and 26 mm" in evidence.says
 
 
 def test_the_sensor_tells_better_than_the_equivalent_and_a_calibration_best() -> None:
@@ -107,7 +108,8 @@ def test_an_unknown_pitch_widens_the_interval() -> None:
     known, unknown = _look(MAVIC), _look(_but(off_nadir_deg=None))
     assert _spread(unknown) > _spread(known)
     assert unknown.chance_wrong > known.chance_wrong
-    assert "straight down" in unknown.notices[0].message
+    assert unknown.says is not None
+    assert "straight down" in unknown.says
 
 
 def test_the_nearer_the_ground_the_less_a_height_says() -> None:
@@ -152,17 +154,21 @@ def test_the_density_lies_around_the_scale_with_a_floor_below_it() -> None:
     assert low < TRUE_GSD < high
 
 
-def test_an_image_without_cars_stays_without_an_anchor_and_hears_the_camera() -> None:
+def test_an_image_without_cars_has_the_cameras_scale_which_alone_is_too_open_to_act_on() -> None:
     record = analyse_sighting(_view(MAVIC)).estimate
-    assert (record.status, record.gsd_m_per_px, record.confidence) == ("no_anchor", None, 0.0)
-    assert [notice.code for notice in record.warnings] == ["other_ruler"]
+    assert record.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.04)
+    assert (record.status, record.reason, record.scale_source) == ("low_confidence", "imprecise", "camera")
+    assert (record.n_vehicles, record.mode_length_px) == (0, None)
+    assert record.p_within_20 is not None
+    assert record.p_within_20 < 0.9
+    assert record.confidence < 0.5
 
 
 @pytest.mark.parametrize("options", [{"metadata": False}, {"rulers": ("vehicles", "height")}])
 def test_the_camera_can_be_left_out(options: dict[str, Any]) -> None:
     analysis = analyse_sighting(_view(MAVIC, **options))
     assert "camera" not in [each.kind for each in analysis.others]
-    assert analysis.estimate.warnings == ()
+    assert (analysis.estimate.gsd_m_per_px, analysis.estimate.rulers) == (None, ())
 
 
 @pytest.mark.data

@@ -46,13 +46,15 @@ def test_several_lines_are_weighed_by_what_their_pixels_tell() -> None:
     both = KnownLengths().look(_view(known_lengths=lines))
     assert both.gsd_m_per_px == pytest.approx(0.05, rel=0.01)
     assert both.n == 2
-    assert [notice.code for notice in both.notices] == ["other_ruler"]
+    assert both.notices == ()
+    assert both.says is not None
+    assert both.says.startswith("The 2 given lines say 0.05")
 
 
 def test_lines_that_contradict_each_other_are_told_and_believed_less() -> None:
     lines = [(0, 0, 1000, 0, 50.0), (0, 0, 0, 1000, 80.0)]
     evidence = KnownLengths().look(_view(known_lengths=lines))
-    assert [notice.code for notice in evidence.notices] == ["other_ruler", "known_lengths_disagree"]
+    assert [notice.code for notice in evidence.notices] == ["known_lengths_disagree"]
     assert evidence.interval is not None
     assert evidence.interval.low < 0.05 < 0.08 < evidence.interval.high
 
@@ -105,14 +107,16 @@ def _beside_cars(metres: float) -> vehanchor.ScaleAnalysis:
 def test_rulers_that_agree_within_a_fifth_are_both_heard() -> None:
     analysis = _beside_cars(11.0)
     assert [each.kind for each in analysis.others if each.gsd_m_per_px] == ["known_length"]
-    assert [notice.code for notice in analysis.estimate.warnings] == ["other_ruler"]
-    assert analysis.estimate.gsd_m_per_px == pytest.approx(0.1)
+    assert analysis.estimate.warnings == ()
+    assert [ruler.agrees for ruler in analysis.estimate.rulers] == [True, True]
+    assert analysis.estimate.scale_source == "known_length"
+    assert analysis.estimate.gsd_m_per_px == pytest.approx(0.11, rel=0.02)
 
 
 @pytest.mark.parametrize("metres", [7.9, 13.0, 170.0])
 def test_a_ruler_that_disagrees_with_the_cars_is_told_with_both_scales(metres: float) -> None:
     record = _beside_cars(metres).estimate
-    assert [notice.code for notice in record.warnings] == ["other_ruler", "rulers_disagree"]
+    assert [notice.code for notice in record.warnings] == ["rulers_disagree"]
     assert "the vehicles say 0.1, known length says" in record.warnings[-1].message
     assert f"{metres / 100:.2g} m/px" in record.warnings[-1].message
 

@@ -117,7 +117,7 @@ def test_nothing_found_is_an_error_before_the_work(nothing: list[str], monkeypat
 
 
 def test_every_value_of_an_estimate_has_its_column() -> None:
-    nested = {"confidence_terms", "frame", "scene_scale", "warnings"}
+    nested = {"confidence_terms", "frame", "rulers", "scale", "scene_scale", "warnings"}
     assert set(GsdEstimate.model_fields) - nested < set(COLUMNS)
     assert {"file", "confidence_sample", "scene_gsd_m_per_px", "warning_codes", "error_code", "error"} < set(COLUMNS)
     assert COLUMNS["gsd_m_per_px"] is float

@@ -492,10 +492,12 @@ def test_lines_of_known_length_are_given_again_and_again_and_heard(run: Any) -> 
     lines = ["--known-length", 0, 0, 300, 0, 90, "--known-length", 10, 10, 10, 210, 60]
     result = _estimate(run, "--json", "cars.png", *lines)
     assert result.exit_code == 0, result.output
-    codes = [warning["code"] for warning in json.loads(result.stdout)["warnings"]]
-    assert codes[-2:] == ["other_ruler", "rulers_disagree"]
+    record = json.loads(result.stdout)
+    assert record["warnings"][-1]["code"] == "rulers_disagree"
+    assert [ruler["kind"] for ruler in record["rulers"]] == ["vehicles", "known_length"]
+    assert record["rulers"][1]["n"] == 2
     said = _estimate(run, "--json", "cars.png", *lines, "--rulers", "vehicles,camera")
-    assert "other_ruler" not in said.stdout
+    assert "known_length" not in said.stdout
 
 
 @pytest.mark.parametrize(
@@ -508,7 +510,7 @@ def test_lines_of_known_length_are_given_again_and_again_and_heard(run: Any) -> 
         (["--height", 40, "--focal-35mm", 0], "invalid_parameter"),
         (["--focal-35mm", 24], "invalid_parameter"),
         (["--rulers", "vehicles,yardstick"], "invalid_parameter"),
-        (["--rulers", "camera"], "invalid_parameter"),
+        (["--rulers", ","], "invalid_parameter"),
     ],
 )
 def test_a_ruler_without_meaning_is_refused_by_its_code(run: Any, options: list[object], code: str) -> None:

@@ -1,0 +1,104 @@
+"""``vehanchor distance``: metres between points."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vehanchor.cli.declared import Chosen, scale_command
+from vehanchor.cli.given_scale import GivenGsd, ScaleFile, read_scale
+from vehanchor.cli.spaced import SpacedCommand
+from vehanchor.cli.terminal import (
+    STATUS_TEXTS,
+    exit_on_error,
+    facts_table,
+    failure,
+    print_json,
+    print_table,
+    print_warnings,
+    tile_progress,
+)
+from vehanchor.errors import PromptError, VehAnchorError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from vehanchor.records import DistanceMeasurement
+
+__all__ = ["distance"]
+
+
+@scale_command()
+def _distance(
+    image: Annotated[
+        str,
+        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, BMP, TIFF, GeoTIFF.", show_default=False),
+    ],
+    point: Annotated[
+        list[str] | None,
+        typer.Option(metavar="X Y", help="A point of the line, pixels; two of them, or more in order."),
+    ] = None,
+    gsd: GivenGsd = None,
+    scale: ScaleFile = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
+    *,
+    chosen: Chosen,
+) -> None:
+    """Measure the distance (metres) between two points, or along a line, by the scale of the cars in the image."""
+    with exit_on_error():
+        try:
+            path, options, known = _path(point or ()), chosen.options(), read_scale(scale, image)
+            from vehanchor.distance import analyse_distance
+
+            with tile_progress(1, lines_on_terminal=as_json) as step:
+                record = analyse_distance(
+                    image,
+                    path,
+                    options,
+                    gsd_m_per_px=gsd,
+                    scale=known,
+                    detector=chosen.detector.open() if gsd is None and known is None else None,
+                    progress=step(0, image),
+                ).measurement
+        except VehAnchorError as error:
+            if as_json:
+                print_json(failure(image, error))
+            raise
+        if as_json:
+            print_json({"source": image, **record.model_dump(mode="json")})
+        else:
+            print_table(facts_table(image, _facts(record)))
+            print_warnings(record, "")
+
+
+distance = typer.Typer(add_completion=False)
+distance.command("distance", cls=SpacedCommand)(_distance)
+
+
+def _path(texts: Sequence[str]) -> list[tuple[float, float]]:
+    places = []
+    for text in texts:
+        try:
+            x, y = (float(part) for part in text.split())
+        except ValueError:
+            raise PromptError(f"--point is {text!r}: use two numbers, X Y") from None
+        places.append((x, y))
+    return places
+
+
+def _facts(record: DistanceMeasurement) -> list[tuple[str, str]]:
+    """The record as a reader wants it: what it says first, where it comes from last."""
+    distance = "none: there is no scale"
+    if record.distance_m is not None:
+        distance = (
+            f"{record.distance_m:.4g} m   (95 %: {record.distance_ci95_low_m:.4g} to {record.distance_ci95_high_m:.4g})"
+        )
+    facts = [("distance", distance), ("line", f"{len(record.path)} points, {record.length_px:.1f} px")]
+    if record.gsd_m_per_px is not None:
+        facts.append(("scale", f"{record.gsd_m_per_px:.4g} m/px, {record.scale_source}"))
+    if record.confidence is not None:
+        facts.append(("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"))
+    if record.n_vehicles is not None:
+        facts.append(("vehicles", f"{record.n_vehicles} kept"))
+    return [*facts, ("status", record.status)]

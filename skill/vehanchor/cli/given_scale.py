@@ -1,0 +1,69 @@
+"""The scale as commands are given it: a number, or an earlier ``vehanchor estimate --json``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+
+import typer
+
+from vehanchor.errors import InvalidParameterError
+
+if TYPE_CHECKING:
+    from vehanchor.records import KnownScale
+
+__all__ = ["GivenGsd", "ScaleFile", "read_scale"]
+
+GivenGsd: TypeAlias = Annotated[
+    float | None,
+    typer.Option("--gsd", metavar="M/PX", help="The scale, metres per pixel of the full image: then no car is needed."),
+]
+
+ScaleFile: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        "--scale",
+        metavar="FILE",
+        help="What 'vehanchor estimate --json' printed for this image, or 'vehanchor flight --out' wrote: its scale is "
+        "taken, and no car is searched.",
+    ),
+]
+
+
+def read_scale(path: Path | None, image: str) -> KnownScale | None:
+    """Read the scale in a record's file; None without a file.
+
+    Args:
+        path: of the file.
+        image: that is to be measured: which photograph it is, of a flight.
+
+    Raises:
+        InvalidParameterError: it cannot be read, or holds no scale.
+    """
+    if path is None:
+        return None
+    from pydantic import ValidationError
+
+    from vehanchor.records import KnownScale
+
+    try:
+        record: Any = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InvalidParameterError(
+            f"--scale {str(path)!r} cannot be read: {error}. Give what 'vehanchor estimate IMAGE --json' prints"
+        ) from None
+    if isinstance(record, dict) and "photographs" in record:
+        from vehanchor.flight.written import photograph_in, read_record
+
+        return photograph_in(read_record(path), image).scale
+    found = record.get("scale", record) if isinstance(record, dict) else record
+    while isinstance(found, dict) and isinstance(found.get("scale"), dict):  # of a measurement: the scale of its scale
+        found = found["scale"]
+    try:
+        return KnownScale.model_validate(found)
+    except ValidationError:
+        raise InvalidParameterError(
+            f"--scale {str(path)!r} holds no scale: give what 'vehanchor estimate IMAGE --json' prints of an image "
+            "with an anchor"
+        ) from None

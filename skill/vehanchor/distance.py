@@ -1,0 +1,252 @@
+"""Distance on the ground: an image and two points or a path in, metres out.
+
+Raster + path -> pixels x GSD -> record. The scale comes from the vehicles of the whole image, or from the caller.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.errors import PromptError
+from vehanchor.found_scale import choose_scale, find_scale, interval_around
+from vehanchor.imagery.raster import open_raster
+from vehanchor.options import ScaleOptions
+from vehanchor.pointing import Pointing
+from vehanchor.records import DistanceMeasurement, ImagePoint
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable, Mapping, Sequence
+    from typing import Any, Unpack
+
+    import onnxruntime
+
+    from vehanchor.detection.detector import Detector
+    from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.found_scale import FoundScale, ScaleInput
+    from vehanchor.imagery.raster import ImageSource, Raster
+    from vehanchor.options import OptionKeywords
+    from vehanchor.pointing import Place
+    from vehanchor.records import GsdEstimate, KnownScale
+
+__all__ = ["DistanceAnalysis", "analyse_distance", "analyse_paths", "measure_distance", "read_path"]
+
+MIN_PATH_PX = 2.0
+"""Shortest path, pixels of the full image."""
+
+MAX_PATH_POINTS = 1000
+_POINT_SD = 1.0  # how well a place is hit, in the finest step of the caller's coordinates, as for lines of known length
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceAnalysis:
+    """A measurement together with what it came from.
+
+    Attributes:
+        measurement: the record.
+        scale: the analysis of the scale; None for one that was given, or given back.
+    """
+
+    measurement: DistanceMeasurement
+    scale: ScaleAnalysis | None
+
+
+def measure_distance(
+    image: ImageSource,
+    path: Sequence[Place],
+    *,
+    gsd_m_per_px: float | None = None,
+    scale: KnownScale | GsdEstimate | Mapping[str, Any] | None = None,
+    detector: Detector | str | os.PathLike[str] | None = None,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Unpack[OptionKeywords],
+) -> DistanceMeasurement:
+    """Measure the length of a line on the ground, ``D = P * GSD``.
+
+    Places are in pixels, the image's first pixel spanning 0 to 1; of the caller's resized copy where a frame is named;
+    in shares of the sides where ``coordinates`` says so.
+
+    Args:
+        image: as in ``estimate_gsd``.
+        path: x, y of two points or more, in order; the line is straight between them.
+        gsd_m_per_px: the scale, metres per pixel of the full image, where it is known: then no detector runs.
+        scale: an earlier estimate of this image, or its ``scale``: then no detector runs, either, and its interval and
+            confidence hold.
+        detector: as in ``estimate_gsd``.
+        threads: as in ``estimate_gsd``.
+        progress: called with (tiles done, tiles in all) while vehicles are searched.
+        **options: as in ``estimate_gsd``; the frame is that of the path, too.
+
+    Returns:
+        The record; ``distance_m`` is None, never a guess, where there is no scale.
+
+    Raises:
+        PromptError: fewer than two points, one outside the image, or all in one place.
+        ImageError: the image cannot be used; see ``vehanchor.errors`` for its kinds.
+        ModelError: the detector cannot be used.
+        InvalidParameterError: an option has no meaning.
+        FrameError: the frame has another aspect ratio than the image.
+        ScaleMismatchError: the scale was estimated from another image.
+        CalibrationError: the calibration cannot be read, or was made for another detector.
+    """
+    return analyse_distance(
+        image,
+        path,
+        ScaleOptions.of(options),
+        gsd_m_per_px=gsd_m_per_px,
+        scale=scale,
+        detector=detector,
+        threads=threads,
+        progress=progress,
+    ).measurement
+
+
+def analyse_distance(
+    image: ImageSource,
+    path: Sequence[Place],
+    options: ScaleOptions | None = None,
+    *,
+    gsd_m_per_px: float | None = None,
+    scale: KnownScale | GsdEstimate | Mapping[str, Any] | None = None,
+    detector: Detector | str | os.PathLike[str] | None = None,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> DistanceAnalysis:
+    """As ``measure_distance``, with the vehicles behind the number.
+
+    Args:
+        image: as in ``estimate_gsd``.
+        path: as in ``measure_distance``, as all that follow.
+        options: every choice of the method of scale, the frame included; None for the defaults.
+        gsd_m_per_px: a known scale.
+        scale: one that was estimated before.
+        detector: of vehicles.
+        threads: CPU threads.
+        progress: of the search for vehicles.
+
+    Returns:
+        The record and the scale's analysis.
+
+    Raises:
+        VehAnchorError: as ``measure_distance``.
+    """
+    chosen = options or ScaleOptions()
+    places = read_path(path)
+    source = choose_scale(gsd_m_per_px, scale, detector, chosen, threads=threads)
+    with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits) as raster:
+        (analysis,) = analyse_paths(raster, [places], source, chosen, progress=progress)
+    return analysis
+
+
+def read_path(path: Sequence[Place]) -> tuple[Place, ...]:
+    """Take a path as the caller gave it, checked for itself.
+
+    Raises:
+        PromptError: fewer than two points, or one that is no two finite numbers.
+    """
+    places = []
+    for each in path:
+        try:
+            x, y = (float(value) for value in each)
+        except (TypeError, ValueError):
+            raise PromptError(f"a point of the path is {each!r}: use x, y") from None
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise PromptError(f"a point of the path is {x}, {y}: use finite numbers")
+        places.append((x, y))
+    if not 2 <= len(places) <= MAX_PATH_POINTS:
+        raise PromptError(f"the path has {len(places)} points: give two, or up to {MAX_PATH_POINTS} along a line")
+    return tuple(places)
+
+
+def analyse_paths(
+    raster: Raster,
+    paths: Sequence[Sequence[Place]],
+    scale: ScaleInput,
+    options: ScaleOptions,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    run_options: onnxruntime.RunOptions | None = None,
+) -> tuple[DistanceAnalysis, ...]:
+    """As ``analyse_distance``, of several paths in an image that is open already: one search serves them all.
+
+    Args:
+        raster: the image.
+        paths: what ``read_path`` gave, in the caller's coordinates.
+        scale: what ``choose_scale`` gave.
+        options: every choice of the method of scale.
+        progress: of the search for vehicles.
+        run_options: ONNX Runtime's, for a caller that may have to end a running model (``terminate``).
+
+    Raises:
+        VehAnchorError: as ``measure_distance``.
+    """
+    options.frame.check(raster.width_px, raster.height_px)
+    pointing = Pointing(options.frame, raster.width_px, raster.height_px)
+    in_image = [_in_image(path, pointing) for path in paths]
+    found = find_scale(raster, scale, options, progress=progress, run_options=run_options)
+    return tuple(DistanceAnalysis(_conclude(path, pointing, found), found.analysis) for path in in_image)
+
+
+def _in_image(path: Sequence[Place], pointing: Pointing) -> list[Place]:
+    outside = next((place for place in path if not pointing.inside([place])), None)
+    if outside is not None:
+        raise PromptError(
+            f"point {outside[0]:g}, {outside[1]:g} is not inside the {pointing.name}{pointing.other_reading(path)}"
+        )
+    places = [pointing.in_image(place) for place in path]
+    length_px = _length(places)
+    if length_px < MIN_PATH_PX:
+        raise PromptError(
+            f"the path is {length_px:.3g} px of the full image long: at least {MIN_PATH_PX:g} px are needed"
+            f"{pointing.other_reading(path)}"
+        )
+    return places
+
+
+def _length(places: Sequence[Place]) -> float:
+    return sum(math.dist(first, second) for first, second in pairwise(places))
+
+
+def _length_sd(places: Sequence[Place], unit_px: tuple[float, float]) -> float:
+    """Standard deviation of a path's length, pixels, where each point is hit no better than a step of coordinates."""
+    at = np.array(places)
+    legs = np.diff(at, axis=0)
+    reach = np.hypot(legs[:, 0], legs[:, 1])[:, None]
+    along = np.divide(legs, reach, out=np.zeros_like(legs), where=reach > 0)
+    gradient = np.zeros_like(at)  # of the length by each point: a point on a straight line adds nothing
+    gradient[:-1] -= along
+    gradient[1:] += along
+    return float(np.hypot.reduce((gradient * unit_px * _POINT_SD).ravel()))
+
+
+def _conclude(places: Sequence[Place], pointing: Pointing, scale: FoundScale) -> DistanceMeasurement:
+    """Path and scale to record."""
+    length_px, gsd, estimate = _length(places), scale.gsd_m_per_px, scale.estimate
+    distance, low, high = None, None, None
+    if gsd is not None:
+        distance = length_px * gsd
+        low, high = interval_around(
+            distance, math.hypot(scale.log_sd, _length_sd(places, pointing.unit_px) / length_px)
+        )
+    return DistanceMeasurement(
+        status=scale.status,
+        distance_m=distance,
+        distance_ci95_low_m=low,
+        distance_ci95_high_m=high,
+        confidence=scale.confidence,
+        gsd_m_per_px=gsd,
+        n_vehicles=None if estimate is None else estimate.n_vehicles,
+        scale_source=scale.source,
+        length_px=length_px,
+        path=tuple(ImagePoint(x_px=x, y_px=y) for x, y in places),
+        image_width_px=pointing.width_px,
+        image_height_px=pointing.height_px,
+        scale=estimate,
+        warnings=scale.notices,
+    )

@@ -1,0 +1,164 @@
+"""The scale that a measurement rests on: estimated now, given as a number, or estimated before and given back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from pydantic import ValidationError
+
+from vehanchor.detection.detector import Detector
+from vehanchor.errors import InvalidParameterError, ScaleMismatchError
+from vehanchor.estimate import analyse_raster, georeference_notice, image_notices, open_detector
+from vehanchor.imagery.identity import image_id
+from vehanchor.records import GsdEstimate, KnownScale
+from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable
+
+    import onnxruntime
+
+    from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.imagery.raster import Raster
+    from vehanchor.options import ScaleOptions
+    from vehanchor.records import Notice, ScaleSource, Status
+
+__all__ = ["FoundScale", "ScaleInput", "choose_scale", "find_scale", "interval_around"]
+
+ScaleInput: TypeAlias = Detector | float | KnownScale
+"""What finds the scale, or what it is."""
+
+_Z95 = 1.959963984540054
+
+
+@dataclass(frozen=True, eq=False)
+class FoundScale:
+    """A scale and how far it may be used.
+
+    Attributes:
+        gsd_m_per_px: metres per pixel of the full image; None without an anchor.
+        log_sd: standard deviation of its log; 0 for a number that the caller gave.
+        confidence: 0..1; None for a number that the caller gave.
+        source: where it comes from.
+        analysis: of the vehicles behind it; None where none was searched.
+        notices: doubts about the image and the scale.
+    """
+
+    gsd_m_per_px: float | None
+    log_sd: float
+    confidence: float | None
+    source: ScaleSource
+    analysis: ScaleAnalysis | None
+    notices: tuple[Notice, ...]
+
+    @property
+    def estimate(self) -> GsdEstimate | None:
+        """The record of the scale; None where none was estimated now."""
+        return None if self.analysis is None else self.analysis.estimate
+
+    @property
+    def status(self) -> Status:
+        """Whether it may be used."""
+        if self.gsd_m_per_px is None:
+            return "no_anchor"
+        doubtful = self.confidence is not None and self.confidence < FALLBACK_CONFIDENCE
+        return "low_confidence" if doubtful else "ok"
+
+
+def choose_scale(
+    gsd_m_per_px: float | None,
+    scale: KnownScale | GsdEstimate | Mapping[str, Any] | None,
+    detector: Detector | str | os.PathLike[str] | None,
+    options: ScaleOptions,
+    *,
+    threads: int | None = None,
+) -> ScaleInput:
+    """Settle what the scale is to come from, before the work.
+
+    Args:
+        gsd_m_per_px: a number that the caller knows.
+        scale: an earlier estimate of the same image, or its six fields.
+        detector: opened where neither is given.
+        options: every choice of the method.
+        threads: CPU threads of the detector.
+
+    Raises:
+        InvalidParameterError: both are given, or one has no meaning.
+        ModelError: the detector cannot be used.
+    """
+    if gsd_m_per_px is not None and scale is not None:
+        raise InvalidParameterError("give gsd_m_per_px or scale, not both: each is the scale")
+    if scale is not None:
+        return _as_known(scale)
+    if gsd_m_per_px is None:
+        return open_detector(detector, options, threads=threads)
+    if not (math.isfinite(gsd_m_per_px) and gsd_m_per_px > 0):
+        raise InvalidParameterError(f"gsd_m_per_px is {gsd_m_per_px}: use a finite number > 0")
+    return gsd_m_per_px
+
+
+def _as_known(scale: KnownScale | GsdEstimate | Mapping[str, Any]) -> KnownScale:
+    if isinstance(scale, GsdEstimate):
+        if scale.scale is None:
+            raise InvalidParameterError("scale is an estimate without an anchor: there is no scale in it to give back")
+        scale = scale.scale
+    if isinstance(scale, Mapping):
+        try:
+            scale = KnownScale.model_validate(dict(scale))
+        except ValidationError as error:
+            wrong = error.errors()[0]
+            place = ".".join(map(str, wrong["loc"])) or "scale"
+            raise InvalidParameterError(
+                f"scale is not what an estimate gave as scale: {place}: {wrong['msg']}. Give it back unchanged"
+            ) from None
+    if not scale.gsd_ci95_low_m_per_px <= scale.gsd_m_per_px <= scale.gsd_ci95_high_m_per_px:
+        raise InvalidParameterError("scale is not what an estimate gave: its value lies outside its interval")
+    return scale
+
+
+def find_scale(
+    raster: Raster,
+    scale: ScaleInput,
+    options: ScaleOptions,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    run_options: onnxruntime.RunOptions | None = None,
+) -> FoundScale:
+    """Find the scale of an open image, by searching it only where nobody knows its scale.
+
+    Raises:
+        ScaleMismatchError: the scale was measured on another image.
+        VehAnchorError: as ``estimate_gsd``.
+    """
+    if isinstance(scale, Detector):
+        analysis = analyse_raster(raster, scale, options, progress=progress, run_options=run_options)
+        found = analysis.estimate
+        log_sd = _log_sd(found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px)
+        return FoundScale(found.gsd_m_per_px, log_sd, found.confidence, "estimated", analysis, found.warnings)
+    told = image_notices(raster)
+    own = raster.georeference_gsd_m_per_px
+    if isinstance(scale, KnownScale):
+        seen = image_id(raster)
+        if seen != scale.image_id:
+            raise ScaleMismatchError(
+                f"the scale was measured on another image ({scale.image_id}), this one is {seen}: estimate the scale "
+                "of this image, or leave scale out"
+            )
+        log_sd = _log_sd(scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)
+        notices = (*told, *georeference_notice(own, scale.gsd_m_per_px, "the one given back is"))
+        return FoundScale(scale.gsd_m_per_px, log_sd, scale.confidence, "reused", None, notices)
+    return FoundScale(scale, 0.0, None, "given", None, (*told, *georeference_notice(own, scale, "the one given is")))
+
+
+def _log_sd(low: float | None, high: float | None) -> float:
+    return math.log(high / low) / (2 * _Z95) if low and high else 0.0
+
+
+def interval_around(value: float, log_sd: float) -> tuple[float, float]:
+    """The 95 % interval of a quantity whose log is normal."""
+    reach = math.exp(_Z95 * log_sd)
+    return value / reach, value * reach

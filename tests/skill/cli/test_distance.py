@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tests.models import blank_image, paint_vehicles, write_detector
+from vehanchor.cli.app import app
+
+POINTS = ["--point", "100", "150", "--point", "500", "450"]
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """An image with vehicles, and a detector that finds them."""
+    folder = tmp_path_factory.mktemp("place")
+    image = blank_image(800, 600)
+    lengths = 30 * (1 + 0.06 * np.linspace(-1, 1, 30) ** 3)
+    paint_vehicles(
+        image, np.array([[40 + 70 * (k % 10), 40 + 60 * (k // 10), x, 12, 0.4] for k, x in enumerate(lengths)])
+    )
+    assert cv2.imwrite(str(folder / "place.png"), image[:, :, ::-1])
+    return folder / "place.png", write_detector(folder / "painted.onnx")
+
+
+def run(*arguments: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, [str(each) for each in arguments])
+    return result.exit_code, result.stdout, result.stderr
+
+
+def test_a_distance_is_told_with_its_interval(place: tuple[Path, Path]) -> None:
+    code, out, _ = run("distance", place[0], *POINTS, "--gsd", "0.1")
+    assert code == 0
+    assert "50 m   (95 %: " in out
+    assert "2 points, 500.0 px" in out
+
+
+def test_a_scale_is_estimated_once_and_taken_from_its_record_after_that(
+    place: tuple[Path, Path], tmp_path: Path
+) -> None:
+    code, out, _ = run("estimate", place[0], "--json", "--detector", place[1])
+    assert code == 0
+    kept = tmp_path / "scale.json"
+    kept.write_text(out)
+    code, out, _ = run("distance", place[0], *POINTS, "--scale", kept, "--json", "--detector", "nowhere.onnx")
+    record = json.loads(out)
+    assert (code, record["scale_source"], record["status"]) == (0, "reused", "ok")
+    assert record["distance_m"] == pytest.approx(500 * json.loads(kept.read_text())["gsd_m_per_px"])
+    shares = ["--point", "0.125", "0.25", "--point", "0.625", "0.75", "--coordinates", "fraction"]
+    by_share = run("distance", place[0], *shares, "--scale", kept, "--json")
+    assert json.loads(by_share[1])["distance_m"] == pytest.approx(record["distance_m"])
+
+
+@pytest.mark.parametrize("text", ["{}", "no json", '{"scale": null}', "[]"])
+def test_a_file_without_a_scale_is_refused(place: tuple[Path, Path], tmp_path: Path, text: str) -> None:
+    (tmp_path / "scale.json").write_text(text)
+    code, _, told = run("distance", place[0], *POINTS, "--scale", tmp_path / "scale.json")
+    assert code == 2
+    assert "error[invalid_parameter]: --scale" in told
+
+
+def test_one_point_is_no_distance(place: tuple[Path, Path]) -> None:
+    code, out, told = run("distance", place[0], "--point", "1", "1", "--json")
+    assert code == 2
+    assert json.loads(out)["error"]["code"] == "invalid_prompt"
+    assert "give two" in told
