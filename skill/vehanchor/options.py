@@ -158,7 +158,8 @@ class Reference:
 
     Attributes:
         reference_length_m: the fleet's modal vehicle length, 2 to 20 metres.
-        region: take the model's reference length for a region (``europe``, ``north_america``, ...).
+        region: take the model's reference length for a region (bundled: ``europe``,
+            ``northern_europe``, ``north_america``, ``south_america``, ``south_asia``).
         calibration: take the reference length measured for this fleet and detector (see ``load_calibration``); the
             path of its file is read at once.
 
@@ -172,7 +173,11 @@ class Reference:
     )
     region: str | None = field(
         default=None,
-        metadata=choice("Take the model's reference length of a region: europe, north_america, ...", metavar="NAME"),
+        metadata=choice(
+            "Take the model's reference length of a region: europe, northern_europe, north_america, south_america, "
+            "south_asia.",
+            metavar="NAME",
+        ),
     )
     calibration: Calibration | None = field(
         default=None, metadata=choice("Take the reference length that 'vehanchor calibrate' measured.", metavar="FILE")

@@ -33,15 +33,3 @@ class VerifierNet(nn.Module):
         seen = self.body(chips)  # [b, c, 6, 6]
         middle, whole = seen[:, :, 2:4, 1:5].mean(dim=(2, 3)), seen.mean(dim=(2, 3))
         return cast("Tensor", self.head(torch.cat([middle, whole], dim=1))).squeeze(1)
-
-
-class Mirrored(nn.Module):
-    """The mean of a network's answers to a chip and to the chip turned by half: a box has no front."""
-
-    def __init__(self, network: VerifierNet) -> None:
-        super().__init__()
-        self.network = network
-
-    def forward(self, chips: Tensor) -> Tensor:
-        """Logits ``[b]``."""
-        return cast("Tensor", (self.network(chips) + self.network(chips.flip(2, 3))) / 2)

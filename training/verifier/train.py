@@ -19,7 +19,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 
 from training.loop import Recipe, Schedule, train
 from training.verifier.data import ChipStream, load, middle
-from training.verifier.network import Mirrored, VerifierNet
+from training.verifier.network import VerifierNet
 from vehanchor.detection.second_look import CHIP_PX
 
 _OPSET = 17
@@ -36,9 +36,9 @@ def losses(network: nn.Module, batch: tuple[Tensor, Tensor], device: torch.devic
 
 
 def export(network: VerifierNet, out: Path) -> None:
-    """Write a network as ONNX, the mean over a chip and its half turn."""
+    """Write a network as ONNX."""
     torch.onnx.export(
-        Mirrored(network).eval(),
+        network.eval(),
         (torch.zeros(2, 3, CHIP_PX, CHIP_PX),),
         str(out),
         input_names=["chips"],
@@ -55,7 +55,7 @@ def logits(network: VerifierNet, chips: NDArray[np.uint8]) -> NDArray[np.float64
     with torch.no_grad():
         for start in range(0, len(chips), 512):
             cut = np.ascontiguousarray(middle(chips[start : start + 512]).transpose(0, 3, 1, 2))
-            out.append(Mirrored(network)(torch.from_numpy(cut).float().div(255.0)).numpy())
+            out.append(network(torch.from_numpy(cut).float().div(255.0)).numpy())
     return np.concatenate(out).astype(np.float64)
 
 

@@ -55,7 +55,7 @@ RegionArgument: TypeAlias = Annotated[
     str | None,
     Field(
         max_length=64,
-        description="Where it was taken, if known: europe, north_america.",
+        description="Where it was taken, if known: europe, northern_europe, north_america, south_america, south_asia.",
     ),
 ]
 ReferenceLengthArgument: TypeAlias = Annotated[
