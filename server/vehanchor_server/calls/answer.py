@@ -10,9 +10,10 @@ from mcp.types import CallToolResult, TextContent
 from pydantic import BaseModel
 
 from vehanchor_server.app_page import panel_meta
+from vehanchor_server.app_page.panel import place_of_image
 
 if TYPE_CHECKING:
-    from vehanchor_server.app_page.panel import LengthHistogram
+    from vehanchor_server.app_page.panel import ImagePlace, LengthHistogram
 
 __all__ = ["Answer"]
 
@@ -33,6 +34,11 @@ class Answer(Generic[Record]):
     overlay: bytes | None = None
     histogram: LengthHistogram | None = None
 
+    def _image_place(self) -> ImagePlace | None:
+        """Where the image lies in the overlay; None without one."""
+        width, height = (getattr(self.record, name, None) for name in ("image_width_px", "image_height_px"))
+        return None if self.overlay is None or not width or not height else place_of_image(width, height)
+
     def to_result(self, sentence: str, *, include_overlay: bool) -> CallToolResult:
         """The record for programs, the sentence for models, the picture for those who asked, the panel for people.
 
@@ -46,5 +52,5 @@ class Answer(Generic[Record]):
         return CallToolResult(
             content=content,
             structured_content=self.record.model_dump(mode="json"),
-            _meta=panel_meta(self.histogram, None if include_overlay else self.overlay),
+            _meta=panel_meta(self.histogram, None if include_overlay else self.overlay, self._image_place()),
         )
