@@ -29,8 +29,9 @@ const LEAST_LINE_PX = 5; // of the image: shorter ones are refused
 function lineDrawer(record, sheet, image, place) {
   const words = html("p", { class: "legend", role: "status" }, "");
   const metres = html("input", { type: "number", min: "0.01", max: "100000", step: "any", "aria-label": "Metres between the two ends" });
-  const measure = html("button", { type: "submit" }, "Measure again");
-  const form = html("form", { class: "row", hidden: true }, html("label", {}, "It is ", metres, " m long "), measure);
+  const measure = html("button", { type: "button" }, "Measure again");
+  // No form element: hosts' sandboxes do not let forms be sent.
+  const form = html("div", { class: "row asked", hidden: true }, html("label", {}, "It is ", metres, " m long "), measure);
   const start = html("button", { type: "button", "aria-pressed": "false" }, "Draw a known length");
   const canvas = svg("svg", { class: "drawn", "aria-hidden": "true", viewBox: "0 0 1 1", preserveAspectRatio: "none" });
   let ends = [];
@@ -83,8 +84,10 @@ function lineDrawer(record, sheet, image, place) {
     form.hidden = false;
     metres.focus();
   });
-  form.addEventListener("submit", async (event) => {
-    event.preventDefault();
+  metres.addEventListener("keydown", (event) => {
+    if (event.key === "Enter") measure.click();
+  });
+  measure.addEventListener("click", async () => {
     const value = Number(metres.value);
     if (!(value > 0)) {
       words.textContent = "Give its length in metres.";

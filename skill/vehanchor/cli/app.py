@@ -28,7 +28,14 @@ if TYPE_CHECKING:
 __all__ = ["app", "main"]
 
 _GROUP = "vehanchor.commands"
-_FIRST = ("estimate", "distance", "measure", "batch", "models")  # in --help; what other packages bring follows
+_FIRST = (
+    "estimate",
+    "distance",
+    "measure",
+    "batch",
+    "flight",
+    "models",
+)  # in --help; what other packages bring follows
 _SETTINGS = {"help_option_names": ["-h", "--help"]}
 
 

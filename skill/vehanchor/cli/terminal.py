@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +18,7 @@ from vehanchor.errors import VehAnchorError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate
 
 __all__ = [
     "BAD_INPUT",
@@ -27,6 +28,7 @@ __all__ = [
     "exit_on_error",
     "facts_table",
     "failure",
+    "image_progress",
     "print_json",
     "print_table",
     "print_warnings",
@@ -37,6 +39,8 @@ __all__ = [
 ]
 
 BAD_INPUT, UNFORESEEN, INTERRUPTED = 2, 1, 130  # exit statuses
+
+_LINE_EVERY_S = 10.0  # where stderr is no terminal
 
 
 def report(error: VehAnchorError, about: str = "") -> None:
@@ -152,8 +156,35 @@ STATUS_TEXTS = {
 }
 
 
-def print_warnings(record: GsdEstimate | AreaMeasurement | DistanceMeasurement, about: str) -> None:
+def print_warnings(record: GsdEstimate | AreaMeasurement | DistanceMeasurement | FlightEstimate, about: str) -> None:
     """The warnings of a record, one a line, to stderr."""
     prefix = f"{about}: " if about else ""
     for notice in record.warnings:
         print(f"warning[{notice.code}]: {prefix}{notice.message}", file=sys.stderr)
+
+
+@contextmanager
+def image_progress() -> Iterator[Callable[[int, int], None]]:
+    """Images done on stderr: a bar on a terminal, a line now and then in a log."""
+    if not sys.stderr.isatty():
+        yield _count_lines()
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (MofNCompleteColumn(), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _count_lines() -> Callable[[int, int], None]:
+    last = time.monotonic()
+
+    def tell(done: int, total: int) -> None:
+        nonlocal last
+        if time.monotonic() - last >= _LINE_EVERY_S:
+            last = time.monotonic()
+            print(f"{done} of {total} images", file=sys.stderr, flush=True)
+
+    return tell

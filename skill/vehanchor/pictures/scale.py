@@ -98,24 +98,26 @@ def image_place(width_px: int, height_px: int) -> tuple[float, float, float]:
     return across // 2 / whole, down // 2 / whole, width / whole
 
 
-def read_reduced(raster: Raster) -> NDArray[np.uint8]:
-    """The whole of an image, reduced so that no side is above 4096 px, without holding it in full size.
+def read_reduced(raster: Raster, part: Window | None = None) -> NDArray[np.uint8]:
+    """An image or a part of it, reduced so that no side is above 4096 px, without holding it in full size.
 
     Args:
         raster: the image.
+        part: None for the whole.
 
     Returns:
-        ``[h, w, 3]`` RGB, all of the image.
+        ``[h, w, 3]`` RGB, all of the part.
     """
-    step = max(1, math.ceil(max(raster.width_px, raster.height_px) / (2 * MAX_SIDE_PX)))
+    part = part or Window(0, 0, raster.width_px, raster.height_px)
+    step = max(1, math.ceil(max(part.width_px, part.height_px) / (2 * MAX_SIDE_PX)))
     if step == 1:
-        return raster.read()
-    width, height = max(1, round(raster.width_px / step)), max(1, round(raster.height_px / step))
+        return raster.read(part)
+    width, height = max(1, round(part.width_px / step)), max(1, round(part.height_px / step))
     reduced = np.empty((height, width, 3), np.uint8)
     for top in range(0, height, _ROWS_A_READ // step + 1):
         bottom = min(height, top + _ROWS_A_READ // step + 1)
-        first, last = (round(row * raster.height_px / height) for row in (top, bottom))
-        strip = raster.read(Window(0, first, raster.width_px, last - first))
+        first, last = (round(row * part.height_px / height) for row in (top, bottom))
+        strip = raster.read(Window(part.x_px, part.y_px + first, part.width_px, last - first))
         reduced[top:bottom] = cv2.resize(strip, (width, bottom - top), interpolation=cv2.INTER_AREA)
     return reduced
 

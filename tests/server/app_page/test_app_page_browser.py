@@ -163,7 +163,7 @@ def calls(tmp_path_factory: pytest.TempPathFactory, _images: Path) -> dict[str, 
         "few": ("estimate_gsd", {**by_path(_images / "two.png"), "frame": {"width_px": 320, "height_px": 256}}),
         "rulers": (
             "estimate_gsd",
-            {**by_path(_images / "cars.png"), "known_lengths": [LINE], "height_m": 30, "focal_35mm": 24},
+            {**by_path(_images / "cars.png"), "known_lengths": [LINE], "height_m": 70, "focal_35mm": 24},
         ),
         "no anchor": ("estimate_gsd", by_path(_images / "empty.png")),
         "failed": ("estimate_gsd", by_path(folder / "nothing.png")),
