@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vehanchor.cli.declared import Chosen, scale_command
-from vehanchor.cli.terminal import INTERRUPTED, exit_on_error, printable
+from vehanchor.cli.terminal import INTERRUPTED, exit_on_error, printable, seldom
 
 if TYPE_CHECKING:
     from vehanchor.batch import BatchSummary
 
 __all__ = ["batch"]
 
-_LINE_EVERY_S = 10.0  # where stderr is no terminal
 _STATUSES = ("ok", "low_confidence", "no_anchor", "error")
 
 
@@ -104,7 +103,7 @@ def _summary_text(summary: BatchSummary, seconds: float) -> str:
 def _progress() -> Iterator[Callable[[int, int], None]]:
     """Images done on stderr: a bar on a terminal, a line now and then in a log."""
     if not sys.stderr.isatty():
-        yield _lines()
+        yield seldom(lambda done, total: f"{done} of {total} images", sys.stderr)
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
@@ -113,15 +112,3 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
     with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
         task = bar.add_task("", total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-def _lines() -> Callable[[int, int], None]:
-    last = time.monotonic()
-
-    def tell(done: int, total: int) -> None:
-        nonlocal last
-        if time.monotonic() - last >= _LINE_EVERY_S:
-            last = time.monotonic()
-            print(f"{done} of {total} images", file=sys.stderr, flush=True)
-
-    return tell
