@@ -41,8 +41,9 @@ if TYPE_CHECKING:
     import onnxruntime
     from numpy.typing import NDArray
 
-    from vehanchor.anchors.evidence import Evidence
+    from vehanchor.anchors.evidence import Evidence, Mark
     from vehanchor.anchors.fused import RulerShare
+    from vehanchor.detection.card import DetectorCard
     from vehanchor.imagery.raster import ImageSource, Raster
     from vehanchor.options import Frame, OptionKeywords
 
@@ -87,6 +88,11 @@ class ScaleAnalysis:
     def kept(self) -> NDArray[np.bool_]:
         """``[n]`` bool, which of them the scale was taken from."""
         return self.vehicles.fleet.kept
+
+    @property
+    def marks(self) -> tuple[Mark, ...]:
+        """What other rulers were laid along, in pixels of the image."""
+        return tuple(mark for other in self.others for mark in other.marks)
 
     @property
     def guard_length_px(self) -> float:
@@ -217,18 +223,23 @@ def image_notices(raster: Raster) -> tuple[Notice, ...]:
     return tuple(Notice(code=note.code, message=note.message) for note in raster.warnings)
 
 
-def analyse_sighting(view: View) -> ScaleAnalysis:
+def analyse_sighting(view: View, others: Sequence[Evidence] | None = None) -> ScaleAnalysis:
     """As ``analyse_raster``, of an image that has been searched: one search can serve several options.
+
+    Args:
+        view: of the image.
+        others: evidence of the rulers beside vehicles, where they have looked already; None has them look.
 
     Raises:
         InvalidParameterError: the model does not know the region.
         CalibrationMismatchError: the calibration was made for another model.
     """
     rulers = view.options.rulers
-    others = tuple(ruler.look(view) for ruler in OTHER_ANCHORS if rulers.uses(ruler.kind))
+    if others is None:
+        others = tuple(ruler.look(view) for ruler in OTHER_ANCHORS if rulers.uses(ruler.kind))
     seen = view if rulers.uses(Vehicles.kind) else replace(view, sighting=_NOT_SEARCHED)
     vehicles = Vehicles().look(seen)
-    return ScaleAnalysis(conclude(vehicles, others, view), vehicles, others)
+    return ScaleAnalysis(conclude(vehicles, others, view), vehicles, tuple(others))
 
 
 def conclude(vehicles: VehicleEvidence, others: Sequence[Evidence], view: View) -> GsdEstimate:
@@ -286,6 +297,11 @@ def _ruler_scale(share: RulerShare) -> RulerScale:
     )
 
 
+def model_id(card: DetectorCard) -> str:
+    """First digits of a detector's checksum."""
+    return card.sha256[:_MODEL_DIGITS]
+
+
 def _known_scale(
     view: View, gsd: float | None, interval: tuple[float, float] | None, confidence: float
 ) -> KnownScale | None:
@@ -298,7 +314,7 @@ def _known_scale(
         gsd_ci95_high_m_per_px=max(interval[1], gsd),
         confidence=confidence,
         image_id=view.image.image_id,
-        model_id=view.card.sha256[:_MODEL_DIGITS],
+        model_id=model_id(view.card),
     )
 
 

@@ -18,6 +18,11 @@ __all__ = [
     "BoundingBox",
     "ConfidenceTerms",
     "DistanceMeasurement",
+    "FlightAnchor",
+    "FlightEstimate",
+    "FlightIsland",
+    "FlightLink",
+    "FlightPhotograph",
     "FrameArea",
     "FrameScale",
     "GsdEstimate",
@@ -319,3 +324,84 @@ class DistanceMeasurement(_Record):
     def __geo_interface__(self) -> dict[str, Any]:
         """The path as a GeoJSON LineString, which shapely, geopandas and fiona take; pixels, y down."""
         return line_geometry(self.model_dump(mode="json", include={"path"})["path"])
+
+
+class FlightAnchor(_Record):
+    """A ruler that a photograph's scale hangs on, and the photographs in between."""
+
+    ruler: str = Field(description="Kind of the ruler: vehicles, camera, positions, ...")
+    photograph: str = Field(description="The photograph that it was seen in; the photograph itself, or another.")
+    through: tuple[str, ...] = Field(
+        description="Photographs in between, each of which overlaps the next; empty where it was seen in this one, or "
+        "in one that overlaps it, or where all are of one scale."
+    )
+
+
+class FlightPhotograph(_Record):
+    """One photograph of a flight: its scale by all evidence of the flight, and what it says by itself."""
+
+    photograph: str = Field(description="The photograph, as the caller named it.")
+    status: Status | Literal["error"] = Field(
+        description="ok: confidence >= 0.5. low_confidence: below 0.5. no_anchor: no scale. error: it cannot be read."
+    )
+    gsd_m_per_px: float | None = Field(description="Metres per pixel of this photograph, by all evidence.")
+    gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
+    gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
+    confidence: float | None = Field(ge=0, le=1, description="Confidence in it; null for one that cannot be read.")
+    island: int | None = Field(
+        description="Number of the group of photographs that are tied to each other; null for one that cannot be read."
+    )
+    anchors: tuple[FlightAnchor, ...] = Field(description="What its scale hangs on, the strongest first.")
+    scale: KnownScale | None = Field(
+        description="The scale to be given back for measurements in this photograph; null without one."
+    )
+    east_m: float | None = Field(description="Place of its centre, metres east (by overlaps: to the right).")
+    north_m: float | None = Field(description="Metres north (overlaps: up).")
+    placed_by: Literal["positions", "overlaps"] | None = Field(
+        description="positions: by its metadata, from the first that has any. overlaps: by what it overlaps, from the "
+        "island's reference and turned as it. Null: nowhere."
+    )
+    own: GsdEstimate | None = Field(description="What the photograph says by itself.")
+    error_code: str | None = Field(description="Stable code of why it cannot be read.")
+    error: str | None = Field(description="What was wrong and what to do.")
+
+
+class FlightIsland(_Record):
+    """Photographs that are tied to each other, by one scale or by what they overlap: one body of evidence."""
+
+    number: int = Field(ge=0, description="Its number; the largest island is 0.")
+    n_photographs: int = Field(ge=1, description="Its photographs.")
+    reference: str = Field(description="The photograph in whose pixels all of its evidence was put together.")
+    pooled: GsdEstimate = Field(description="What all evidence of the island says of that photograph's scale.")
+
+
+class FlightLink(_Record):
+    """Two photographs that overlap, and the ratio of their scales."""
+
+    first: str = Field(description="One photograph.")
+    second: str = Field(description="The other.")
+    ratio: float = Field(gt=0, description="Metres per pixel of the first over those of the second.")
+    ratio_log_sd: float = Field(ge=0, description="Standard deviation of its natural log.")
+    n_matches: int = Field(ge=0, description="Points of the ground that were found in both.")
+    dropped: str | None = Field(description="Why it was not used: what it contradicts; null where it was.")
+
+
+class FlightEstimate(_Record):
+    """Scales of the photographs of one flight, by the evidence of all of them."""
+
+    status: Status = Field(
+        description="ok: every photograph that can be read has a scale with a confidence >= 0.5. low_confidence: not "
+        "all of them. no_anchor: none has a scale."
+    )
+    same_scale: bool = Field(description="Whether the caller said that all photographs are of one scale.")
+    gsd_m_per_px: float | None = Field(description="With same_scale that scale, metres per pixel; else null.")
+    gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
+    gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
+    confidence: float = Field(ge=0, le=1, description="Of that scale; else the least of the islands'.")
+    n_vehicles: int = Field(ge=0, description="Vehicles that the scales were taken from.")
+    photographs: tuple[FlightPhotograph, ...] = Field(description="In the order in which they were given.")
+    islands: tuple[FlightIsland, ...] = Field(description="The largest first; one with same_scale.")
+    links: tuple[FlightLink, ...] = Field(description="Overlapping photographs; none with same_scale.")
+    model: str = Field(description="Name of the detector.")
+    model_sha256: str = Field(description="SHA-256 of the detector's file.")
+    warnings: tuple[Notice, ...] = Field(description="What else to know about the flight.")

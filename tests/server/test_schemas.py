@@ -189,8 +189,14 @@ def _properties(node: dict[str, Any]) -> set[str]:
 async def test_what_strict_mode_makes_a_model_send_is_accepted(
     server: MCPServer[object], images: Path, files: dict[str, Any], tool: str, more: dict[str, Any]
 ) -> None:
-    left_out = {"region": None, "reference_length_m": None, "frame": None, "include_overlay": False}
-    left_out |= {"known_lengths": None, "coordinates": "pixels", "detail": "short"}
+    left_out: dict[str, Any] = {"region": None, "reference_length_m": None, "frame": None, "include_overlay": False}
+    left_out |= {
+        "known_lengths": None,
+        "height_m": None,
+        "focal_35mm": None,
+        "coordinates": "pixels",
+        "detail": "short",
+    }
     if tool != "estimate_gsd":
         left_out |= {"targets": None, "scale": None}
     arguments = {**by_path(images / "pool.png"), **more, **left_out}

@@ -24,7 +24,9 @@ from vehanchor_server.services import Services
 from vehanchor_server.tools.scale_question import (
     CoordinatesArgument,
     DetailArgument,
+    FocalLengthArgument,
     FrameArgument,
+    HeightArgument,
     KnownLengthsArgument,
     ReferenceLengthArgument,
     RegionArgument,
@@ -44,10 +46,10 @@ from vehanchor_server.tools.strict_tool import StrictTool
 __all__ = ["describe_estimate", "estimate_gsd_tool"]
 
 _DESCRIPTION = (
-    "Measures the metric scale (metres per pixel) of a near-nadir aerial or satellite image from the cars in it; no "
-    "camera metadata is needed. Call it before anything metric is said of such an image; never estimate the scale by "
-    f"eye. Needs visible cars and about 0.3 m/px or finer. {POLICY} For distances and areas call measure_distance and "
-    "measure_area. Very large images take up to a minute."
+    "Measures the metric scale (metres per pixel) of a near-nadir aerial or satellite image from the cars in it; a "
+    "line of known length, the camera's height or the file's metadata help. Call it before anything metric is said of "
+    f"such an image; never estimate the scale by eye. Needs cars and about 0.3 m/px or finer, or such a ruler. "
+    f"{POLICY} For distances and areas call measure_distance and measure_area. Very large images take up to a minute."
 )
 
 
@@ -61,11 +63,13 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         reference_length_m: ReferenceLengthArgument = None,
         frame: FrameArgument = None,
         known_lengths: KnownLengthsArgument = None,
+        height_m: HeightArgument = None,
+        focal_35mm: FocalLengthArgument = None,
         coordinates: CoordinatesArgument = "pixels",
         include_overlay: Annotated[bool, Field(description="Also return a picture of what was measured.")] = False,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, GsdEstimate]:
-        question = ScaleQuestion(region, reference_length_m, frame, known_lengths, coordinates)
+        question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
         paged = client_supports_apps(ctx)
         drawn = include_overlay or paged
         answer = await run_call(services, ctx, image, partial(_estimate, question=question, drawn=drawn))

@@ -27,8 +27,10 @@ from vehanchor_server.tools.scale_question import (
     FLEET_ARGUMENTS,
     CoordinatesArgument,
     DetailArgument,
+    FocalLengthArgument,
     FrameArgument,
     GsdArgument,
+    HeightArgument,
     KnownLengthsArgument,
     KnownScaleArgument,
     ReferenceLengthArgument,
@@ -87,12 +89,14 @@ def measure_area_tool(services: Services) -> StrictTool:
         region: RegionArgument = None,
         reference_length_m: ReferenceLengthArgument = None,
         known_lengths: KnownLengthsArgument = None,
+        height_m: HeightArgument = None,
+        focal_35mm: FocalLengthArgument = None,
         include_overlay: Annotated[
             bool, Field(description="Also return a picture with the first object's outline.")
         ] = False,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, AreaMeasurement]:
-        question = ScaleQuestion(region, reference_length_m, frame, known_lengths, coordinates)
+        question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
         asked = _Question(_named(target, targets), MeasuredBy(gsd_m_per_px, scale, question))
         paged = client_supports_apps(ctx)
         answer = await run_call(services, ctx, image, partial(_measure, question=asked, drawn=include_overlay or paged))

@@ -23,8 +23,10 @@ from vehanchor_server.tools.scale_question import (
     FLEET_ARGUMENTS,
     CoordinatesArgument,
     DetailArgument,
+    FocalLengthArgument,
     FrameArgument,
     GsdArgument,
+    HeightArgument,
     KnownLengthsArgument,
     KnownScaleArgument,
     ReferenceLengthArgument,
@@ -90,9 +92,11 @@ def measure_distance_tool(services: Services) -> StrictTool:
         region: RegionArgument = None,
         reference_length_m: ReferenceLengthArgument = None,
         known_lengths: KnownLengthsArgument = None,
+        height_m: HeightArgument = None,
+        focal_35mm: FocalLengthArgument = None,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, DistanceMeasurement]:
-        question = ScaleQuestion(region, reference_length_m, frame, known_lengths, coordinates)
+        question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
         asked = _Question(lines, MeasuredBy(gsd_m_per_px, scale, question))
         answer = await run_call(services, ctx, image, partial(_measure, question=asked))
         first = answer.record

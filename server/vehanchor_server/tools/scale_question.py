@@ -20,9 +20,11 @@ __all__ = [
     "FLEET_ARGUMENTS",
     "CoordinatesArgument",
     "DetailArgument",
+    "FocalLengthArgument",
     "FrameArgument",
     "FrameSize",
     "GsdArgument",
+    "HeightArgument",
     "KnownLengthsArgument",
     "KnownLine",
     "KnownScaleArgument",
@@ -65,16 +67,14 @@ ReferenceLengthArgument: TypeAlias = Annotated[
         description="Car length there, if better known; not with region.",
     ),
 ]
-FrameArgument: TypeAlias = Annotated[
-    FrameSize | None, Field(description="Size of the resized copy that you see, if you see one.")
-]
+FrameArgument: TypeAlias = Annotated[FrameSize | None, Field(description="Size of the copy that you see.")]
 CoordinatesArgument: TypeAlias = Annotated[
     Coordinates,
-    Field(description="Of places: pixels (of the image, or of frame), fraction (0 to 1) or per_mille (0 to 1000)."),
+    Field(description="Of places: pixels (of image or frame), fraction (0 to 1), per_mille (0 to 1000)."),
 ]
 KnownScaleArgument: TypeAlias = Annotated[
     KnownScale | None,
-    Field(description="scale of an earlier answer about this image, unchanged: far quicker."),
+    Field(description="Of an earlier answer about this image."),
 ]
 GsdArgument: TypeAlias = Annotated[
     float | None,
@@ -85,11 +85,26 @@ KnownLengthsArgument: TypeAlias = Annotated[
     tuple[KnownLine, ...] | None,
     Field(
         max_length=16,
-        description="Lines of known length, held against the cars.",
+        description="Lines of known length: rulers beside the cars, or without any.",
+    ),
+]
+HeightArgument: TypeAlias = Annotated[
+    float | None,
+    Field(
+        gt=0, le=20_000, allow_inf_nan=False, description="Camera's height above the ground, metres, if it looked down."
+    ),
+]
+FocalLengthArgument: TypeAlias = Annotated[
+    float | None,
+    Field(
+        gt=0,
+        le=10_000,
+        allow_inf_nan=False,
+        description="With height_m: focal length as on 35 mm film; else the file's.",
     ),
 ]
 
-FLEET_ARGUMENTS = ("region", "reference_length_m", "known_lengths")
+FLEET_ARGUMENTS = ("region", "reference_length_m", "known_lengths", "height_m", "focal_35mm")
 """Arguments of a search, which tools that measure take, too, but need not list: a model gives them to estimate_gsd."""
 
 
@@ -102,6 +117,8 @@ class ScaleQuestion:
         reference_length_m: the length of cars there.
         frame: the copy that the caller sees.
         known_lengths: lines that the caller has measured.
+        height_m: of the camera above the ground.
+        focal_35mm: its focal length.
         coordinates: how places are written.
     """
 
@@ -109,6 +126,8 @@ class ScaleQuestion:
     reference_length_m: float | None = None
     frame: FrameSize | None = None
     known_lengths: tuple[KnownLine, ...] | None = None
+    height_m: float | None = None
+    focal_35mm: float | None = None
     coordinates: Coordinates = "pixels"
 
     def options(self, settings: Settings, models: Models | None) -> ScaleOptions:
@@ -137,6 +156,8 @@ class ScaleQuestion:
             rulers=Rulers(
                 known_lengths=tuple(
                     KnownLength(line.x1, line.y1, line.x2, line.y2, line.metres) for line in self.known_lengths or ()
-                )
+                ),
+                height_m=self.height_m,
+                focal_35mm=self.focal_35mm,
             ),
         )

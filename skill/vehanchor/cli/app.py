@@ -29,7 +29,7 @@ __all__ = ["app", "main"]
 
 _GROUP = "vehanchor.commands"
 _PANELS = {
-    **dict.fromkeys(("estimate", "distance", "measure", "batch"), "Measure"),
+    **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight"), "Measure"),
     **dict.fromkeys(("serve", "schemas", "skill"), "For agents"),
     **dict.fromkeys(("doctor", "models"), "This installation"),
 }
@@ -39,6 +39,7 @@ _FIRST = (
     "distance",
     "measure",
     "batch",
+    "flight",
     "doctor",
     "models",
     "serve",

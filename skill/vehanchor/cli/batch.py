@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vehanchor.cli.declared import Chosen, scale_command
-from vehanchor.cli.terminal import INTERRUPTED, exit_on_error, printable, seldom
+from vehanchor.cli.terminal import INTERRUPTED, exit_on_error, image_progress, printable
 
 if TYPE_CHECKING:
     from vehanchor.batch import BatchSummary
@@ -68,7 +66,7 @@ def batch(
         from vehanchor.models.session import DEFAULT_PROVIDERS
 
         model, started = chosen.detector, time.monotonic()
-        with _progress() as progress:
+        with image_progress() as progress:
             try:
                 summary = run_batch(
                     inputs,
@@ -97,18 +95,3 @@ def _summary_text(summary: BatchSummary, seconds: float) -> str:
         f"{printable(str(summary.table))}: {summary.n_rows} rows ({', '.join(counts)}){resumed}; "
         f"{made} images in {seconds:.1f} s"
     )
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int], None]]:
-    """Images done on stderr: a bar on a terminal, a line now and then in a log."""
-    if not sys.stderr.isatty():
-        yield seldom(lambda done, total: f"{done} of {total} images", sys.stderr)
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
-
-    columns = (MofNCompleteColumn(), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)

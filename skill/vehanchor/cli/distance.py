@@ -51,7 +51,7 @@ def _distance(
     """Measure the distance (metres) between two points, or along a line, by the scale of the cars in the image."""
     with exit_on_error():
         try:
-            path, options, known = _path(point or ()), chosen.options(), read_scale(scale)
+            path, options, known = _path(point or ()), chosen.options(), read_scale(scale, image)
             from vehanchor.distance import analyse_distance
 
             with tile_progress(1, lines_on_terminal=as_json) as step:

@@ -82,7 +82,7 @@ def _measure(
     with exit_on_error():
         try:
             outputs = _outputs(image, overlay, mask)
-            options, known = chosen.options(), read_scale(scale)
+            options, known = chosen.options(), read_scale(scale, image)
             with tile_progress(1, lines_on_terminal=as_json) as step:
                 analysis = _analyse(
                     image,

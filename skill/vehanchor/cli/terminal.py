@@ -18,7 +18,7 @@ from vehanchor.errors import VehAnchorError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate
 
 __all__ = [
     "BAD_INPUT",
@@ -32,6 +32,7 @@ __all__ = [
     "exit_strictly",
     "facts_table",
     "failure",
+    "image_progress",
     "print_json",
     "print_table",
     "print_warnings",
@@ -188,8 +189,23 @@ STATUS_TEXTS = {
 }
 
 
-def print_warnings(record: GsdEstimate | AreaMeasurement | DistanceMeasurement, about: str) -> None:
+def print_warnings(record: GsdEstimate | AreaMeasurement | DistanceMeasurement | FlightEstimate, about: str) -> None:
     """The warnings of a record, one a line, to stderr."""
     prefix = f"{about}: " if about else ""
     for notice in record.warnings:
         print(f"warning[{notice.code}]: {prefix}{notice.message}", file=sys.stderr)
+
+
+@contextmanager
+def image_progress() -> Iterator[Callable[[int, int], None]]:
+    """Images done on stderr: a bar on a terminal, a line now and then in a log."""
+    if not sys.stderr.isatty():
+        yield seldom(lambda done, total: f"{done} of {total} images", sys.stderr)
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (MofNCompleteColumn(), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -124,6 +124,9 @@ class CameraMetadata:
         centre_x_px: column of the optical centre in the picture as it was taken.
         off_nadir_deg: angle between the camera's axis and straight down, 0 to 180.
         digital_zoom: factor of enlarging in the camera; 1 for none.
+        latitude_deg: where it was, north is positive.
+        longitude_deg: east is positive.
+        altitude_m: metres above the sea.
         refused: why metadata were not read, as a clause; empty where they were.
     """
 
@@ -140,6 +143,9 @@ class CameraMetadata:
     centre_x_px: float | None = None
     off_nadir_deg: float | None = None
     digital_zoom: float = 1.0
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+    altitude_m: float | None = None
     refused: str = ""
 
 
@@ -191,8 +197,22 @@ def _combined(tags: ExifTags, properties: Mapping[tuple[str, str], str], refused
         centre_x_px=first("centre_px")[0],
         off_nadir_deg=_off_nadir(properties, _text(tags.get("Make"))),
         digital_zoom=_float(tags.get("DigitalZoomRatio")) or 1.0,  # 0 is "not used"
+        **_position(tags),
         refused=refused,
     )
+
+
+def _position(tags: ExifTags) -> dict[str, float | None]:
+    """Latitude, longitude and altitude; nothing where latitude or longitude has no meaning."""
+    north, east = _float(tags.get("GPSLatitude")), _float(tags.get("GPSLongitude"))
+    if north is None or east is None or north > 90 or east > 180 or north == east == 0:  # 0, 0 is "no fix"
+        return {}
+    above, below = _float(tags.get("GPSAltitude")), tags.get("GPSAltitudeRef") == 1
+    return {
+        "latitude_deg": -north if tags.get("GPSLatitudeRef") == "S" else north,
+        "longitude_deg": -east if tags.get("GPSLongitudeRef") == "W" else east,
+        "altitude_m": None if above is None else -above if below else above,
+    }
 
 
 def _off_nadir(properties: Mapping[tuple[str, str], str], make: str) -> float | None:
