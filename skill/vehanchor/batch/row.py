@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["COLUMNS", "BatchRow"]
 
 # The only fields of an estimate that are no single value.
-_NESTED = ("confidence_terms", "frame", "rulers", "scale", "scene_scale", "warnings")
+_NESTED = ("confidence_terms", "frame", "rulers", "scale", "scene_scale", "tilt", "warnings")
 
 
 class BatchRow(BaseModel):
