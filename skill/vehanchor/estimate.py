@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.anchors.attitude import Attitude
-    from vehanchor.anchors.evidence import Evidence
+    from vehanchor.anchors.evidence import Evidence, Mark
     from vehanchor.anchors.fused import RulerShare
     from vehanchor.detection.card import DetectorCard
     from vehanchor.imagery.raster import ImageSource, Raster
@@ -93,6 +93,11 @@ class ScaleAnalysis:
     def kept(self) -> NDArray[np.bool_]:
         """``[n]`` bool, which of them the scale was taken from."""
         return self.vehicles.fleet.kept
+
+    @property
+    def marks(self) -> tuple[Mark, ...]:
+        """What other rulers were laid along, in pixels of the image."""
+        return tuple(mark for other in self.others for mark in other.marks)
 
     @property
     def guard_length_px(self) -> float:
@@ -236,17 +241,18 @@ def analyse_sighting(view: View, others: Sequence[Evidence] | None = None, *, le
         TooObliqueError: the horizon is in sight, or nearly so.
     """
     looked = attitude(view.image, view.options) if level else None
-    if looked is not None and view.sighting is not _NOT_SEARCHED:
-        in_image, view = view.sighting, replace(view, sighting=levelled(view.sighting, looked, view.image))
-    else:
-        in_image = None
+    seen = view
+    if looked is not None:  # the network of the ground was never shown such a view
+        view = replace(view, sighting=replace(view.sighting, scene=None))
+        seen = replace(view, sighting=levelled(view.sighting, looked, view.image))
     rulers = view.options.rulers
     if others is None:
         others = tuple(ruler.look(view) for ruler in OTHER_ANCHORS if rulers.uses(ruler.kind))
-    seen = view if rulers.uses(Vehicles.kind) else replace(view, sighting=_NOT_SEARCHED)
-    vehicles = Vehicles().look(seen)
+    used = rulers.uses(Vehicles.kind)
+    vehicles = Vehicles().look(seen if used else replace(view, sighting=_NOT_SEARCHED))
     estimate = conclude(vehicles, others, view, looked)
-    return ScaleAnalysis(estimate, vehicles, tuple(others), in_image if seen is view else None)
+    in_image = view.sighting if looked is not None and used else None
+    return ScaleAnalysis(estimate, vehicles, tuple(others), in_image)
 
 
 def conclude(

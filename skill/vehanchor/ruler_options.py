@@ -11,7 +11,7 @@ from vehanchor.errors import InvalidParameterError, KnownLengthError
 
 __all__ = ["SEARCHED", "KnownLength", "RulerName", "Rulers"]
 
-RulerName: TypeAlias = Literal["vehicles", "scene_scale", "camera", "known_length", "height", "positions"]
+RulerName: TypeAlias = Literal["vehicles", "scene_scale", "camera", "known_length", "height", "courts", "positions"]
 """Rulers by the names that records and options give them."""
 
 SEARCHED: frozenset[RulerName] = frozenset({"vehicles"})
@@ -67,8 +67,8 @@ class Rulers:
     rulers: tuple[RulerName, ...] | None = field(
         default=None,
         metadata=choice(
-            "Rulers to use, with commas: vehicles, scene_scale, camera, known_length, height, positions (of flights). "
-            "Default: all.",
+            "Rulers to use, with commas: vehicles, scene_scale, camera, known_length, height, courts, positions (of "
+            "flights). Default: all.",
             metavar="NAMES",
         ),
     )

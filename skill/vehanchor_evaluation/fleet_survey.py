@@ -46,7 +46,7 @@ def labelled_vehicles(data: KnownScaleSet, classes: Sequence[str] = (SMALL_VEHIC
         except (OSError, ValueError) as error:
             survey.issues.append(FileIssue(image.labels, "unreadable_labels", str(error)))
             continue
-        survey.images.append(SurveyedImage(boxes, image.gsd_m_per_px))
+        survey.images.append(SurveyedImage(boxes, image.gsd_m_per_px, gsd_log_sd=image.gsd_log_sd))
     return survey
 
 
@@ -73,7 +73,7 @@ def found_vehicles(
             continue
         analysis = found.analysis(card, options)
         boxes, scores = analysis.detections.boxes[analysis.kept], analysis.detections.scores[analysis.kept]
-        survey.images.append(SurveyedImage(boxes, image.gsd_m_per_px, scores if weighted else None))
+        survey.images.append(SurveyedImage(boxes, image.gsd_m_per_px, scores if weighted else None, image.gsd_log_sd))
     return survey
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.errors import InvalidParameterError, VehAnchorError
+from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.raster import open_raster
 from vehanchor_evaluation.known_scale import (
     DATASET_LIMITS,
     FileIssue,
     KnownScaleImage,
     KnownScaleSet,
-    image_files,
+    files_of,
     labels_beside,
 )
 
@@ -37,13 +37,8 @@ def survey_geotiffs(paths: Sequence[Path]) -> KnownScaleSet:
     Raises:
         InvalidParameterError: a path does not exist.
     """
-    files: list[Path] = []
-    for path in paths:
-        if not path.exists():
-            raise InvalidParameterError(f"no file or folder at {str(path)!r}")
-        files += image_files(path) if path.is_dir() else [path]
     images, issues = [], []
-    for file in dict.fromkeys(files):
+    for file in files_of(paths):
         try:
             with open_raster(file, limits=DATASET_LIMITS) as raster:
                 gsd = raster.georeference_gsd_m_per_px

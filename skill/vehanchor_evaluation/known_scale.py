@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from vehanchor.errors import InvalidParameterError
 from vehanchor.options import ImageLimits
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 __all__ = [
     "DATASET_LIMITS",
@@ -14,6 +18,7 @@ __all__ = [
     "FileIssue",
     "KnownScaleImage",
     "KnownScaleSet",
+    "files_of",
     "image_files",
     "labels_beside",
 ]
@@ -34,6 +39,7 @@ class KnownScaleImage(NamedTuple):
         split: ``train``, ``val`` or an empty string.
         labelled_vehicles: number of labelled small vehicles, None where unknown.
         labels: its file of DOTA labels, None where there is none.
+        gsd_log_sd: standard deviation of the log of that scale; 0 for one that is taken to be exact.
     """
 
     path: Path
@@ -42,6 +48,7 @@ class KnownScaleImage(NamedTuple):
     split: str = ""
     labelled_vehicles: int | None = None
     labels: Path | None = None
+    gsd_log_sd: float = 0.0
 
 
 class FileIssue(NamedTuple):
@@ -99,6 +106,20 @@ class KnownScaleSet:
 def image_files(folder: Path) -> list[Path]:
     """All files below a folder with an image's suffix, sorted by their path."""
     return sorted(path for path in folder.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file())
+
+
+def files_of(paths: Sequence[Path]) -> list[Path]:
+    """Every image once: files as they are named, of folders all images below them.
+
+    Raises:
+        InvalidParameterError: a path does not exist.
+    """
+    files: list[Path] = []
+    for path in paths:
+        if not path.exists():
+            raise InvalidParameterError(f"no file or folder at {str(path)!r}")
+        files += image_files(path) if path.is_dir() else [path]
+    return list(dict.fromkeys(files))
 
 
 def labels_beside(image: Path) -> Path | None:

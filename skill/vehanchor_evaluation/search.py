@@ -107,7 +107,7 @@ def open_detection_log(
         "model_sha256": detector.card.sha256,
         "fleet_sha256": detector.card.fleet_sha256,
         "classes": classes,
-        "search": asdict(options.search),
+        "search": asdict(options.search) if options.rulers.searches else None,
         "bands": options.reading.bands,
     }
     return Journal(path, settings, dump=_record, load=_searched)

@@ -12,13 +12,23 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from vehanchor_scenes.render import render_scene
-    from vehanchor_scenes.truth import CATEGORIES, Category, Layout, Scene, SceneObject, SceneVehicle, VehicleKind
+    from vehanchor_scenes.truth import (
+        CATEGORIES,
+        Category,
+        Layout,
+        Scene,
+        SceneCourt,
+        SceneObject,
+        SceneVehicle,
+        VehicleKind,
+    )
 
 __all__ = [
     "CATEGORIES",
     "Category",
     "Layout",
     "Scene",
+    "SceneCourt",
     "SceneObject",
     "SceneVehicle",
     "VehicleKind",

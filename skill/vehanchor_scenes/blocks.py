@@ -10,6 +10,7 @@ from vehanchor_scenes.car_parks import car_park, halls
 from vehanchor_scenes.country import farm, field, meadow, orchard, vineyard, wood
 from vehanchor_scenes.homes import flats, houses, town
 from vehanchor_scenes.site import Site, jitter
+from vehanchor_scenes.sports import sports_ground
 from vehanchor_scenes.world import Material
 
 __all__ = ["FILLERS", "Filler"]
@@ -88,6 +89,7 @@ FILLERS: dict[str, Filler] = {
     "flats": flats,
     "town": town,
     "park": park,
+    "sports_ground": sports_ground,
     "field": field,
     "vineyard": vineyard,
     "orchard": orchard,

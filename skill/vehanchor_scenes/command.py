@@ -23,6 +23,7 @@ class LayoutChoice(StrEnum):
     urban = "urban"
     parking = "parking"
     countryside = "countryside"
+    sports = "sports"
 
 
 def scene(

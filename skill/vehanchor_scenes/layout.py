@@ -36,6 +36,10 @@ _PLANS: dict[Layout, _Plan] = {
         StreetPlan((110, 200), (6.8, 5.6, 4.2), 0.0, 0.0, 1.3, False),
         {"field": 0.26, "vineyard": 0.14, "orchard": 0.08, "meadow": 0.14, "wood": 0.10, "farm": 0.20, "houses": 0.08},
     ),
+    "sports": _Plan(
+        StreetPlan((70, 130), (13.5, 8.0, 7.0), 2.2, 0.5, 2.0, True),
+        {"sports_ground": 0.5, "park": 0.06, "houses": 0.2, "car_park": 0.16, "flats": 0.08},
+    ),
 }
 _MARGIN_M = 45.0  # beyond the view: what stands there may cast a shadow in
 _MIN_EXTENT_M = 150.0

@@ -15,8 +15,8 @@ from vehanchor_scenes.layout import lay_out
 from vehanchor_scenes.painter import Painter
 from vehanchor_scenes.raster import polygon_mask
 from vehanchor_scenes.sprites import Sun
-from vehanchor_scenes.truth import CATEGORIES, Category, Layout, Scene, SceneObject, SceneVehicle
-from vehanchor_scenes.world import PlacedVehicle, Target, World
+from vehanchor_scenes.truth import CATEGORIES, Category, Layout, Scene, SceneCourt, SceneObject, SceneVehicle
+from vehanchor_scenes.world import PlacedCourt, PlacedVehicle, Target, World
 
 __all__ = ["render_scene"]
 
@@ -52,7 +52,7 @@ def render_scene(
         n_vehicles: None for as many as the place has; 0 for none at all, large ones included; otherwise at most that
             many small vehicles, and the same share of the large ones.
         mean_vehicle_length_m: the fleet's mean length, 2 to 8.
-        layout: ``urban``, ``parking`` or ``countryside``; None to let the seed decide.
+        layout: ``urban``, ``parking``, ``countryside`` or ``sports``; None: the seed decides among the first three.
 
     Returns:
         The image and the truth about it.
@@ -76,9 +76,9 @@ def render_scene(
 
     hidden = crowns > 127
     masks, objects = _masks(world.targets, x0, y0, gsd_m_per_px, hidden)
-    vehicles = tuple(
-        vehicle for placed in world.vehicles if (vehicle := _record(placed, x0, y0, gsd_m_per_px, hidden)) is not None
-    )
+    recorded = (_record(placed, x0, y0, gsd_m_per_px, hidden) for placed in world.vehicles)
+    vehicles = tuple(vehicle for vehicle in recorded if vehicle is not None)
+    courts = tuple(court for each in world.courts if (court := _court(each, x0, y0, gsd_m_per_px, hidden)) is not None)
     parameters: dict[str, float | int | str | None] = {
         "layout": layout or chosen,
         "n_vehicles": n_vehicles,
@@ -86,7 +86,7 @@ def render_scene(
         "sun_elevation_deg": round(math.degrees(sun.elevation), 3),
         "shadow_azimuth_deg": round(math.degrees(sun.azimuth), 3),
     }
-    return Scene(image, float(gsd_m_per_px), vehicles, masks, objects, int(seed), parameters)
+    return Scene(image, float(gsd_m_per_px), vehicles, masks, objects, int(seed), parameters, courts)
 
 
 def _check_all(
@@ -245,3 +245,16 @@ def _record(placed: PlacedVehicle, x0: float, y0: float, gsd: float, hidden: NDA
     below = hidden[low[1] : high[1], low[0] : high[0]][body]
     covered = bool(below.size and below.mean() > _HIDDEN_SHARE)
     return SceneVehicle(placed.model.kind, x, y, *size, angle, cut or covered)
+
+
+def _court(placed: PlacedCourt, x0: float, y0: float, gsd: float, hidden: NDArray[np.bool_]) -> SceneCourt | None:
+    height, width = hidden.shape
+    corners = (placed.corners - (x0, y0)) / gsd
+    if not (np.zeros(2) <= corners.mean(axis=0)).all() or not (corners.mean(axis=0) < (width, height)).all():
+        return None
+    cut = bool((corners < 0).any() or (corners > (width, height)).any())
+    low = np.clip(np.floor(corners.min(axis=0)), 0, (width - 1, height - 1)).astype(int)
+    high = np.clip(np.ceil(corners.max(axis=0)), low + 1, (width, height)).astype(int)
+    inside = polygon_mask(corners - low, int(high[0] - low[0]), int(high[1] - low[1]))
+    below = hidden[low[1] : high[1], low[0] : high[0]][inside]
+    return SceneCourt(placed.kind, corners, float(below.mean()) if below.size else 0.0, cut)

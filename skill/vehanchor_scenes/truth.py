@@ -14,11 +14,22 @@ from numpy.typing import NDArray
 
 from vehanchor.errors import InvalidParameterError
 
-__all__ = ["CATEGORIES", "Category", "Layout", "Scene", "SceneObject", "SceneVehicle", "VehicleKind"]
+__all__ = [
+    "CATEGORIES",
+    "Category",
+    "CourtKind",
+    "Layout",
+    "Scene",
+    "SceneCourt",
+    "SceneObject",
+    "SceneVehicle",
+    "VehicleKind",
+]
 
 VehicleKind = Literal["small-vehicle", "large-vehicle"]
-Layout = Literal["urban", "parking", "countryside"]
+Layout = Literal["urban", "parking", "countryside", "sports"]
 Category = Literal["swimming-pool", "building", "sports-court", "field", "parking-lot"]
+CourtKind = Literal["tennis", "basketball_fiba", "basketball_nba", "basketball_ncaa"]
 CATEGORIES: tuple[Category, ...] = get_args(Category)
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -65,6 +76,23 @@ class SceneObject:
 
 
 @dataclass(frozen=True, eq=False)
+class SceneCourt:
+    """One painted court of exact size.
+
+    Attributes:
+        kind: what is played on it, by whose rules.
+        corners: ``[4, 2]`` of its outline, outside the lines, in pixels; the first and the second bound a long side.
+        hidden_share: of its area inside the image below trees, 0..1.
+        cut: by the image's edge.
+    """
+
+    kind: CourtKind
+    corners: NDArray[np.float64]
+    hidden_share: float
+    cut: bool
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A rendered image and the truth about it.
 
@@ -78,6 +106,7 @@ class Scene:
         objects: what the masks hold, with areas.
         seed: the scene's seed.
         parameters: the other arguments of ``render_scene``, and what was drawn from the seed.
+        courts: those whose centre is inside the image.
     """
 
     image: NDArray[np.uint8]
@@ -87,6 +116,7 @@ class Scene:
     objects: tuple[SceneObject, ...]
     seed: int
     parameters: Mapping[str, float | int | str | None]
+    courts: tuple[SceneCourt, ...] = ()
 
     def dota_text(self) -> str:
         """The vehicles in DOTA's format: a ``gsd:`` line, then four corners, class and 1 if difficult, per line."""

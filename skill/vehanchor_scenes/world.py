@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vehanchor_scenes.fleet import VehicleModel
-from vehanchor_scenes.truth import Category
+from vehanchor_scenes.truth import Category, CourtKind
 
 __all__ = [
     "Box",
     "Frame",
     "Material",
+    "PlacedCourt",
     "PlacedVehicle",
     "Rect",
     "Rgb",
@@ -108,6 +109,14 @@ class PlacedVehicle:
     angle: float
 
 
+@dataclass(frozen=True, eq=False)
+class PlacedCourt:
+    """Where a court's outline is: ``[4, 2]`` corners, the first two at the ends of a long side."""
+
+    kind: CourtKind
+    corners: NDArray[np.float64]
+
+
 @dataclass(frozen=True)
 class Roof:
     """A roof over one or two rectangles (given in its own frame as x0, y0, x1, y1)."""
@@ -161,3 +170,4 @@ class World:
     roofs: list[Roof] = field(default_factory=list)
     trees: list[Tree] = field(default_factory=list)
     targets: list[Target] = field(default_factory=list)
+    courts: list[PlacedCourt] = field(default_factory=list)

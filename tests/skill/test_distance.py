@@ -140,7 +140,7 @@ def test_a_line_of_known_length_in_shares_of_the_sides_is_the_line_in_pixels(det
     shares = [(0.1, 0.1, 0.6, 0.6, 80)]
     told = vehanchor.estimate_gsd(_place(), detector=detector, known_lengths=shares, coordinates="fraction")
     assert told == in_pixels
-    assert "other_ruler" in [notice.code for notice in told.warnings]
+    assert "known_length" in [ruler.kind for ruler in told.rulers]
     short = [(0.1, 0.1, 0.101, 0.1, 8)]
     with pytest.raises(KnownLengthError, match="px long"):
         vehanchor.estimate_gsd(_place(), detector=detector, known_lengths=short, coordinates="fraction")

@@ -4,7 +4,7 @@ const isArea = (record) => "mask_area_px" in record;
 const textOf = (result) => (result.content ?? []).filter((part) => part.type === "text").map((part) => part.text).join(" ");
 
 function show(result) {
-  const record = result.structuredContent;
+  const record = result._meta?.[PANEL_KEY]?.record ?? result.structuredContent?.measurements?.[0] ?? result.structuredContent;
   if (result.isError) return fail(textOf(result));
   byId("panel").setAttribute("aria-busy", "false");
   say(textOf(result));

@@ -52,20 +52,26 @@ class PanelData(FrozenModel):
     Attributes:
         histogram: of the lengths behind the scale; null without vehicles.
         picture_jpeg: the overlay in base64; null where the result's content has it, or the host shows no pages.
+        record: the whole record, where the result has a short one and the host shows pages.
     """
 
     histogram: LengthHistogram | None = None
     picture_jpeg: str | None = None
+    record: dict[str, Any] | None = None
 
 
-def panel_meta(histogram: LengthHistogram | None, picture: bytes | None) -> dict[str, Any]:
+def panel_meta(
+    histogram: LengthHistogram | None, picture: bytes | None, record: dict[str, Any] | None = None
+) -> dict[str, Any]:
     """The ``_meta`` of a result.
 
     Args:
         histogram: of the lengths that the scale rests on.
         picture: the overlay as JPEG, unless the result's content has it.
+        record: the whole record, unless the result has it.
     """
-    data = PanelData(histogram=histogram, picture_jpeg=None if picture is None else base64.b64encode(picture).decode())
+    encoded = None if picture is None else base64.b64encode(picture).decode()
+    data = PanelData(histogram=histogram, picture_jpeg=encoded, record=record)
     return {PANEL_KEY: data.model_dump(mode="json")}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from vehanchor.anchors.camera import Camera
+from vehanchor.anchors.courts import Courts
 from vehanchor.anchors.known_length import GivenHeight, KnownLengths
 from vehanchor.anchors.scene_scale import SceneScale
 
@@ -18,4 +19,5 @@ OTHER_ANCHORS: tuple[Anchor, ...] = (
     Camera(),
     KnownLengths(),
     GivenHeight(),
+    Courts(),
 )

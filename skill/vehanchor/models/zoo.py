@@ -8,6 +8,7 @@ from vehanchor.errors import ModelNotFoundError
 
 __all__ = [
     "DEFAULT_DETECTOR",
+    "bundled_courts",
     "bundled_models",
     "bundled_scene_scale",
     "bundled_segmenter",
@@ -22,7 +23,8 @@ _SEGMENTER = "segmenter-encoder.onnx", "segmenter-decoder.onnx"
 _FLEET = "fleet.onnx"  # of the default detector
 _SECOND_LOOK = "second-look.onnx"  # of the default detector
 _SCENE_SCALE = "scene-scale.onnx"
-_NO_DETECTORS = (*_SEGMENTER, _FLEET, _SECOND_LOOK, _SCENE_SCALE)
+_COURTS = "courts.onnx"
+_NO_DETECTORS = (*_SEGMENTER, _FLEET, _SECOND_LOOK, _SCENE_SCALE, _COURTS)
 _BUNDLED = Path(__file__).parent / "bundled"
 
 
@@ -60,6 +62,12 @@ def _beside(detector: Path, bundled_name: str, kind: str) -> Path | None:
 def bundled_scene_scale() -> Path | None:
     """The file of the network that tells a scene's scale; None where this installation has none."""
     path = _BUNDLED / _SCENE_SCALE
+    return path if path.is_file() else None
+
+
+def bundled_courts() -> Path | None:
+    """The file of the network that looks for sports courts; None where this installation has none."""
+    path = _BUNDLED / _COURTS
     return path if path.is_file() else None
 
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from vehanchor.errors import OutputError
+from vehanchor.pictures.marks import draw_marks
 from vehanchor.pictures.scale import caption_panel, draw_scale_bar, draw_vehicles, fit_for_eyes, with_margins
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ def draw_area(image: NDArray[np.uint8], analysis: AreaAnalysis) -> NDArray[np.ui
     scale = np.array([picture.shape[1] / record.image_width_px, picture.shape[0] / record.image_height_px])
     if analysis.scale is not None:
         draw_vehicles(picture, analysis.scale, scale)
+        draw_marks(picture, analysis.scale.marks, scale)
     _draw_mask(picture, analysis, scale)
     _draw_prompt(picture, analysis, scale)
     picture = with_margins(picture)

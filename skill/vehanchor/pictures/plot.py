@@ -1,4 +1,4 @@
-"""The estimate as a plot: vehicle lengths, their density, the mode, the guard and the interval (extra ``plots``)."""
+"""The estimate as a plot: vehicle lengths, their mode, the guard, what every ruler says (extra ``plots``)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehanchor.errors import MissingExtraError
+from vehanchor.pictures.ruler_plot import has_densities, plot_rulers
 from vehanchor.pictures.scale import write_picture
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES, modal_density
 
@@ -18,12 +19,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.records import GsdEstimate
 
 __all__ = ["plot_scale", "require_plots", "write_plot"]
 
 _KEPT, _KEPT_DARK, _DROPPED = "#56B4E9", "#0072B2", "#E69F00"  # Okabe and Ito: blues, orange
 _GUARD, _INK = "#D55E00", "#222222"
 _SIZE_IN, _DPI = (8.0, 4.6), 150
+_RULERS_IN = 2.8  # height of the rulers' densities
 _MAX_BINS = 60
 _SHOWN_LENGTHS = 2.0  # longest kept vehicles: the axis reaches no farther for outliers
 _RULES = {"kde": "KDE", "weighted_kde": "weighted KDE", "median": "median", "mean": "mean"}
@@ -43,40 +46,62 @@ def require_plots() -> type[Figure]:
 
 
 def plot_scale(analysis: ScaleAnalysis) -> Figure:
-    """Plot how vehicle lengths became a scale.
+    """Plot how vehicle lengths became a scale, and what all rulers say of it.
 
     Args:
         analysis: what to plot.
 
     Returns:
-        A matplotlib figure that belongs to no global state.
+        A matplotlib figure that belongs to no global state: the lengths where there are any, and below them the
+        densities of all rulers where vehicles are not the only one.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    figure = require_plots()(figsize=_SIZE_IN, dpi=_DPI, layout="constrained")
-    axes = figure.add_subplot()
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
     estimate = analysis.estimate
-    if estimate.gsd_m_per_px is None or estimate.mode_length_px is None:
-        axes.set_axis_off()
-        words = "no scale: no vehicle found" if estimate.gsd_m_per_px is None else "no vehicle found"
-        axes.text(0.5, 0.5, words, ha="center", va="center", fontsize=14, color=_INK)
+    measured, fused = estimate.mode_length_px is not None, has_densities(analysis)
+    width_in, height_in = _SIZE_IN
+    n_rows = max(1, measured + fused)
+    size = (width_in + 1.6 * fused, height_in + _RULERS_IN * (n_rows - 1))
+    figure = require_plots()(figsize=size, dpi=_DPI, layout="constrained")
+    heights = [height_in] * measured + [_RULERS_IN] * fused or [height_in]
+    rows = figure.subplots(n_rows, squeeze=False, height_ratios=heights)[:, 0]
+    for axes in rows:
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+    if not (measured or fused):
+        rows[0].set_axis_off()
+        rows[0].text(0.5, 0.5, "no scale: no vehicle found", ha="center", va="center", fontsize=14, color=_INK)
         return figure
-    gsd, mode = estimate.gsd_m_per_px, estimate.mode_length_px
+    if measured:
+        _plot_lengths(figure, rows[0], analysis)
+    if fused:
+        plot_rulers(rows[-1], analysis)
+    rows[0].set_title(_title(estimate), loc="left", fontsize=12)
+    return figure
+
+
+def _title(estimate: GsdEstimate) -> str:
+    if estimate.gsd_m_per_px is None:
+        return "no scale: no vehicle found"
+    interval = ""
+    if estimate.gsd_ci95_low_m_per_px is not None and estimate.gsd_ci95_high_m_per_px is not None:
+        interval = f" (95 %: {estimate.gsd_ci95_low_m_per_px:.4g} to {estimate.gsd_ci95_high_m_per_px:.4g})"
+    return f"{estimate.gsd_m_per_px:.4g} m/px{interval},  confidence {estimate.confidence:.2f}"
+
+
+def _plot_lengths(figure: Figure, axes: Axes, analysis: ScaleAnalysis) -> None:
+    """Draw the lengths, their density, the mode, the guard, and the interval of the vehicles' scale in pixels."""
+    estimate, (gsd, mode) = analysis.estimate, _scale_and_mode(analysis)
     guard = analysis.guard_length_px
     lengths = analysis.detections.boxes[:, 2]
-    ends, interval = [guard, mode, float(lengths.min()), float(lengths.max())], ""
-    if estimate.gsd_ci95_low_m_per_px is not None and estimate.gsd_ci95_high_m_per_px is not None:
-        low, high = (
-            estimate.reference_length_m / scale
-            for scale in (estimate.gsd_ci95_high_m_per_px, estimate.gsd_ci95_low_m_per_px)
-        )
+    ends = [guard, mode, float(lengths.min()), float(lengths.max())]
+    interval = _vehicles_interval(analysis)
+    if interval is not None:
+        low, high = (estimate.reference_length_m / scale for scale in reversed(interval))
         axes.axvspan(
             low, high, color="0.75", alpha=0.4, lw=0, zorder=0, label=f"95 % interval {low:.1f} to {high:.1f} px"
         )
-        interval = f" (95 %: {estimate.gsd_ci95_low_m_per_px:.4g} to {estimate.gsd_ci95_high_m_per_px:.4g})"
         ends += [low, high]
     longest_kept = float(lengths[analysis.kept].max())
     shown = min(max(ends), max(_SHOWN_LENGTHS * longest_kept, guard, *ends[4:]))  # one lorry must not squeeze the cars
@@ -91,10 +116,26 @@ def plot_scale(analysis: ScaleAnalysis) -> Figure:
     axes.set_ylabel("vehicles")
     axes.locator_params(axis="y", integer=True)
     metres = axes.secondary_xaxis("top", functions=(lambda px: np.multiply(px, gsd), lambda m: np.divide(m, gsd)))
-    metres.set_xlabel("metres, at the estimated scale")
-    axes.set_title(f"{gsd:.4g} m/px{interval},  confidence {estimate.confidence:.2f}", loc="left", fontsize=12)
-    figure.legend(loc="outside lower center", ncols=3, fontsize=9, frameon=False)
-    return figure
+    metres.set_xlabel("metres, at the vehicles' scale")
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9, frameon=False)
+
+
+def _scale_and_mode(analysis: ScaleAnalysis) -> tuple[float, float]:
+    """The vehicles' own scale and ``P_mode``, where some were found."""
+    gsd, mode = analysis.vehicles.gsd_m_per_px, analysis.vehicles.mode_length_px
+    assert gsd is not None
+    assert mode is not None
+    return gsd, mode
+
+
+def _vehicles_interval(analysis: ScaleAnalysis) -> tuple[float, float] | None:
+    """The interval of the scale where it is the vehicles', else their own, metres per pixel."""
+    estimate, own = analysis.estimate, analysis.vehicles
+    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
+    if estimate.gsd_m_per_px != own.gsd_m_per_px:
+        return own.interval
+    return None if low is None or high is None else (low, high)
 
 
 def write_plot(path: str | Path, figure: Figure) -> Path:

@@ -14,6 +14,8 @@ from vehanchor.detection.boxes import box_corners
 from vehanchor.errors import OutputError
 from vehanchor.imagery.raster import Window
 from vehanchor.output import whole_file
+from vehanchor.pictures.lettering import FONT, font_scale, stroke_px, text_px, text_width, write_on
+from vehanchor.pictures.marks import MARK_RGB, draw_marks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,7 +38,6 @@ MAX_SIDE_PX = 2048  # larger ones are reduced to it: the picture is for eyes
 _MIN_CANVAS_PX = 480  # a picture still narrower (of a tall, thin image) gets margins: the caption needs the room
 _BAR_SHARE = 0.2  # of the picture's width, about what the scale bar takes
 _HALO_MIN_PX = 22.0  # shorter vehicles, as drawn, would drown in the dark line beneath the coloured one
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SUBPIXEL_BITS = 4
 _PANEL_RGB = (22, 24, 28)
 _TEXT_RGB = (238, 238, 238)
@@ -45,10 +46,11 @@ _ROWS_A_READ = 1024  # of the image, in strips as wide as it
 
 
 def draw_overlay(image: NDArray[np.uint8], analysis: ScaleAnalysis) -> NDArray[np.uint8]:
-    """Draw what an estimate rests on: kept vehicles in blue, dropped outliers crossed in orange, a bar of round length.
+    """Draw what an estimate rests on: kept vehicles in blue, outliers crossed in orange, other rulers in green, a bar.
 
-    Small images are enlarged and large ones reduced; a caption below gives scale, interval and confidence. A scale that
-    is not to be used has no bar, and the caption begins with why and what would help.
+    The bar has a round length; rulers that were laid along something are drawn there. Small images are enlarged and
+    large ones reduced; a caption below gives scale, interval and confidence. A scale that is not to be used has no bar,
+    and the caption begins with why and what would help.
 
     Args:
         image: ``[h, w, 3]`` RGB, the analysed image or a reduced copy of it (see ``read_reduced``).
@@ -61,6 +63,7 @@ def draw_overlay(image: NDArray[np.uint8], analysis: ScaleAnalysis) -> NDArray[n
     picture = fit_for_eyes(image)
     scale = np.array([picture.shape[1] / estimate.image_width_px, picture.shape[0] / estimate.image_height_px])
     draw_vehicles(picture, analysis, scale)
+    draw_marks(picture, analysis.marks, scale)
     picture = with_margins(picture)
     if estimate.gsd_m_per_px is not None and estimate.status == "ok":
         draw_scale_bar(picture, estimate.gsd_m_per_px / float(scale[0]))
@@ -78,24 +81,26 @@ def fit_for_eyes(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return cv2.resize(image, size, interpolation=method).astype(np.uint8, copy=False)
 
 
-def read_reduced(raster: Raster) -> NDArray[np.uint8]:
-    """The whole of an image, reduced so that no side is above 4096 px, without holding it in full size.
+def read_reduced(raster: Raster, part: Window | None = None) -> NDArray[np.uint8]:
+    """An image or a part of it, reduced so that no side is above 4096 px, without holding it in full size.
 
     Args:
         raster: the image.
+        part: None for the whole.
 
     Returns:
-        ``[h, w, 3]`` RGB, all of the image.
+        ``[h, w, 3]`` RGB, all of the part.
     """
-    step = max(1, math.ceil(max(raster.width_px, raster.height_px) / (2 * MAX_SIDE_PX)))
+    part = part or Window(0, 0, raster.width_px, raster.height_px)
+    step = max(1, math.ceil(max(part.width_px, part.height_px) / (2 * MAX_SIDE_PX)))
     if step == 1:
-        return raster.read()
-    width, height = max(1, round(raster.width_px / step)), max(1, round(raster.height_px / step))
+        return raster.read(part)
+    width, height = max(1, round(part.width_px / step)), max(1, round(part.height_px / step))
     reduced = np.empty((height, width, 3), np.uint8)
     for top in range(0, height, _ROWS_A_READ // step + 1):
         bottom = min(height, top + _ROWS_A_READ // step + 1)
-        first, last = (round(row * raster.height_px / height) for row in (top, bottom))
-        strip = raster.read(Window(0, first, raster.width_px, last - first))
+        first, last = (round(row * part.height_px / height) for row in (top, bottom))
+        strip = raster.read(Window(part.x_px, part.y_px + first, part.width_px, last - first))
         reduced[top:bottom] = cv2.resize(strip, (width, bottom - top), interpolation=cv2.INTER_AREA)
     return reduced
 
@@ -176,7 +181,7 @@ def with_margins(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Room around a strip of an image for the scale bar and the caption."""
     height, width = picture.shape[:2]
     across = max(0, _MIN_CANVAS_PX - width)
-    down = max(0, 5 * _text_px(width + across) - height)
+    down = max(0, 5 * text_px(width + across) - height)
     if not across and not down:
         return picture
     sides = down // 2, down - down // 2, across // 2, across - across // 2
@@ -189,45 +194,17 @@ def _round_length(metres: float) -> float:
     return min((m * power for m in (1.0, 2.0, 5.0, 10.0)), key=lambda length: abs(math.log(length / metres)))
 
 
-def _text_px(picture_width_px: int) -> int:
-    """Height of capitals."""
-    return int(np.clip(picture_width_px / 58, 11, 28))
-
-
-def _font_scale(capital_px: float) -> float:
-    return capital_px / float(cv2.getTextSize("M", _FONT, 1.0, 1)[0][1])
-
-
-def _stroke(capital_px: float) -> int:
-    return max(1, round(capital_px / 10))
-
-
-def _text_width(text: str, capital_px: float) -> int:
-    return int(cv2.getTextSize(text, _FONT, _font_scale(capital_px), _stroke(capital_px))[0][0])
-
-
 def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
     """A bar of round length at the lower left, white with a black rim, its length above it."""
     height, width = picture.shape[:2]
     metres = _round_length(_BAR_SHARE * width * m_per_px)
-    capital = _text_px(width)
+    capital = text_px(width)
     margin, thick, rim = capital, max(4, capital // 2), max(2, capital // 7)
     left, bottom = margin, height - margin
     right = left + round(metres / m_per_px)
     for grow, colour in ((rim, (0, 0, 0)), (0, (255, 255, 255))):
         cv2.rectangle(picture, (left - grow, bottom - thick - grow), (right + grow, bottom + grow), colour, cv2.FILLED)
-    baseline = bottom - thick - rim - capital // 2
-    region = picture[max(0, baseline - 2 * capital) : bottom - thick]
-    text = np.zeros(region.shape[:2], np.uint8)
-    origin = (left, baseline - max(0, baseline - 2 * capital))
-    cv2.putText(text, f"{metres:g} m", origin, _FONT, _font_scale(capital), 255, _stroke(capital) + 1, cv2.LINE_AA)
-    around = cv2.dilate(text, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * rim + 1, 2 * rim + 1)))
-    for mask, level in (
-        (around, 0.0),
-        (text, 255.0),
-    ):  # OpenCV 5 takes a wider stroke for a bolder letter, not for a rim
-        cover = mask[:, :, None] / 255.0
-        region[:] = np.rint(region * (1.0 - cover) + level * cover).astype(np.uint8)
+    write_on(picture, f"{metres:g} m", (left, bottom - thick - rim - capital // 2), capital)
 
 
 def _headline(estimate: GsdEstimate) -> str:
@@ -257,12 +234,29 @@ def _caption_lines(analysis: ScaleAnalysis) -> list[CaptionLine]:
             lines.append([(None, f"{scale}, confidence {estimate.confidence:.2f}")])
     if estimate.n_detections:
         lines.append([*legend])
+    if said := _rulers_line(analysis):
+        lines.append(said)
     return lines
+
+
+def _rulers_line(analysis: ScaleAnalysis) -> CaptionLine:
+    """What each ruler says, behind a swatch where it was laid along something; nothing where vehicles are the only."""
+    heard = [ruler for ruler in analysis.estimate.rulers if ruler.kind != "scene_scale"]
+    if [ruler.kind for ruler in heard] in ([], ["vehicles"]):
+        return []
+    marked = {other.kind for other in analysis.others if other.marks}
+    return [
+        (
+            MARK_RGB if ruler.kind in marked else None,
+            f"{ruler.kind.replace('_', ' ')} {ruler.gsd_m_per_px:.3g} m/px{'' if ruler.agrees else ', disagrees'}",
+        )
+        for ruler in heard
+    ]
 
 
 def caption_panel(width_px: int, lines: list[CaptionLine]) -> NDArray[np.uint8]:
     """The panel below a picture: lines of texts, some behind a swatch of their colour; the first line is bold."""
-    capital = float(_text_px(width_px))
+    capital = float(text_px(width_px))
     while capital > 8 and max(_line_width(line, capital) for line in lines) > width_px - 2 * capital:
         capital -= 1
     pitch = round(2.1 * capital)
@@ -274,12 +268,12 @@ def caption_panel(width_px: int, lines: list[CaptionLine]) -> NDArray[np.uint8]:
                 side = round(capital)
                 cv2.rectangle(panel, (x, baseline - side), (x + side, baseline), colour, cv2.FILLED)
                 x += round(1.7 * capital)
-            stroke = _stroke(capital) + (row == 0)
-            cv2.putText(panel, text, (x, baseline), _FONT, _font_scale(capital), _TEXT_RGB, stroke, cv2.LINE_AA)
-            x += _text_width(text, capital) + round(2 * capital)
+            stroke = stroke_px(capital) + (row == 0)
+            cv2.putText(panel, text, (x, baseline), FONT, font_scale(capital), _TEXT_RGB, stroke, cv2.LINE_AA)
+            x += text_width(text, capital) + round(2 * capital)
     return panel
 
 
 def _line_width(line: CaptionLine, capital_px: float) -> float:
     swatches = sum(1.7 * capital_px for colour, _ in line if colour is not None)
-    return sum(_text_width(text, capital_px) for _, text in line) + swatches + 2 * capital_px * (len(line) - 1)
+    return sum(text_width(text, capital_px) for _, text in line) + swatches + 2 * capital_px * (len(line) - 1)

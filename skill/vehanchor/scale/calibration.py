@@ -54,6 +54,7 @@ _CELLS_PER_BANDWIDTH = 5
 _MAX_CELLS = 8192
 _MAX_FILE_BYTES = 1 << 20
 _SHORT_SHA = 12
+_Z95 = 1.959963984540054
 
 _VehicleLength = Annotated[float, Field(ge=LEAST_VEHICLE_M, le=LARGEST_VEHICLE_M)]
 
@@ -73,7 +74,7 @@ class Calibration(BaseModel):
         ge=0,
         le=LARGEST_VEHICLE_M,
         description="Standard deviation that an estimate reckons with, metres: of the bootstrap, and of what places of "
-        "one region differ by (half of what regions differ by).",
+        "one region differ by (half of what regions differ by), and of what the images' scales may be off by.",
     )
     source: Literal["labels", "detections"] = Field(description="Whose boxes were measured.")
     n_vehicles: int = Field(gt=0, description="Vehicles measured.")
@@ -117,11 +118,13 @@ class SurveyedImage(NamedTuple):
         gsd_m_per_px: the image's true ground sampling distance.
         scores: ``[n]`` 0..1, of a detector whose estimates weigh its boxes (``weighted_kde``); None where each counts
             alike, as labels do.
+        gsd_log_sd: standard deviation of the log of that scale; 0 for one that is taken to be exact.
     """
 
     boxes: NDArray[np.float64]
     gsd_m_per_px: float
     scores: NDArray[np.float64] | None = None
+    gsd_log_sd: float = 0.0
 
 
 class ReferenceLength(NamedTuple):
@@ -258,6 +261,9 @@ def calibrate(
 ) -> Calibration:
     """Measure a fleet's reference length.
 
+    What the images' scales may be off by counts in full, however many there are: photographs of one flight share their
+    take-off and their lens.
+
     Args:
         images: vehicles and true scales.
         source: whose boxes they are.
@@ -275,7 +281,8 @@ def calibrate(
     """
     with_vehicles = _with_vehicles(images, source)
     length = reference_length(with_vehicles)
-    spread_m = math.hypot(length.sd_m, region_sd_m / 2)
+    truth_log_sd = _truth_log_sd(with_vehicles)
+    spread_m = math.hypot(length.sd_m, region_sd_m / 2, truth_log_sd * length.mode_m)
     _check_lengths(length.mode_m, spread_m)
     lengths_px = np.concatenate([image.boxes[:, 2] for image in with_vehicles])
     weights, smoothing = _weights(with_vehicles, lengths_px)
@@ -289,10 +296,11 @@ def calibrate(
             f"resolution guard of {shortest_px:.1f} px, where lengths come out too short. Use images of "
             f"{length.mode_m / shortest_px:.2f} m/px or finer"
         )
+    low_m, high_m = _widened(length, truth_log_sd)
     return Calibration(
         reference_length_m=length.mode_m,
-        reference_length_ci95_low_m=length.low_m,
-        reference_length_ci95_high_m=length.high_m,
+        reference_length_ci95_low_m=low_m,
+        reference_length_ci95_high_m=high_m,
         reference_length_sd_m=spread_m,
         source=source,
         n_vehicles=len(lengths_px),
@@ -302,6 +310,20 @@ def calibrate(
         detector=detector,
         detector_sha256=detector_sha256,
     )
+
+
+def _truth_log_sd(images: Sequence[SurveyedImage]) -> float:
+    """What the scale of the median vehicle may be off by."""
+    return float(np.median(np.repeat([i.gsd_log_sd for i in images], [len(i.boxes) for i in images])))
+
+
+def _widened(length: ReferenceLength, log_sd: float) -> tuple[float, float]:
+    """The interval's ends, moved away from the mode by an independent doubt."""
+    if log_sd == 0:
+        return length.low_m, length.high_m
+    down, up = math.log(length.mode_m / length.low_m), math.log(length.high_m / length.mode_m)
+    reach = _Z95 * log_sd
+    return length.mode_m * math.exp(-math.hypot(down, reach)), length.mode_m * math.exp(math.hypot(up, reach))
 
 
 def load_calibration(path: str | os.PathLike[str]) -> Calibration:

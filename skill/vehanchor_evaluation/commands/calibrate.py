@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from vehanchor.cli.declared import Chosen
     from vehanchor.scale.calibration import Calibration
     from vehanchor_evaluation.fleet_survey import FleetSurvey
+    from vehanchor_evaluation.known_scale import KnownScaleSet
 
 __all__ = ["calibrate"]
 
@@ -38,6 +39,15 @@ class CalibrateRequest(KnownScaleRequest):
     out: Annotated[
         Path, typer.Option(metavar="FILE.json", help="The calibration, for --calibration.", show_default=False)
     ]
+    photographs: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILES",
+            help="Photographs, or folders of them, whose scale another ruler than vehicles tells: the height in their "
+            "metadata, or --height. What it may be off by counts.",
+            show_default=False,
+        ),
+    ] = None
     boxes: Annotated[
         _Boxes | None,
         typer.Option(
@@ -58,7 +68,8 @@ def calibrate_fleet(request: CalibrateRequest, chosen: Chosen) -> None:
 
     From labels it is exactly the paper's: the mode of length times scale over every labelled vehicle; with --detector
     it is for that model only. Without labels the model is run over the images, and the mode is of what it finds: for
-    it alone, its way to draw boxes included. Fewer than 100 vehicles are refused, and so is imagery too coarse.
+    it alone, its way to draw boxes included. Photographs with a height need no georeference. Fewer than 100 vehicles
+    are refused, and so is imagery too coarse.
     """
     from vehanchor.scale.calibration import save_calibration
 
@@ -87,11 +98,27 @@ def _check_outputs(out: Path, plot: str | None) -> None:
             raise InvalidParameterError(f"{plot!r} would be both the plot and the calibration: choose another name")
 
 
+def _known_scale(request: CalibrateRequest, chosen: Chosen) -> KnownScaleSet:
+    """The images, by a georeference, a table, or another ruler than vehicles."""
+    if not request.photographs:
+        return request.survey()
+    if request.dota or request.table or request.geotiff:
+        raise InvalidParameterError("name the images by one of --photographs, --dota, --table and --geotiff")
+    from vehanchor_evaluation.photographs import survey_photographs
+
+    data = survey_photographs(request.photographs, open_shared(chosen, request.workers), chosen.options())
+    data = data.chosen(limit=request.limit)
+    if not data.images:
+        tell_issues(data.issues)
+        raise InvalidParameterError(f"no photograph in {data.source!r} has another ruler than vehicles")
+    return data
+
+
 def _from_labels(request: CalibrateRequest, chosen: Chosen) -> tuple[FleetSurvey, Calibration]:
     from vehanchor_evaluation.dota import SMALL_VEHICLE
     from vehanchor_evaluation.fleet_survey import calibrate_labelled, labelled_vehicles
 
-    survey = labelled_vehicles(request.survey(), request.label_classes or (SMALL_VEHICLE,))
+    survey = labelled_vehicles(_known_scale(request, chosen), request.label_classes or (SMALL_VEHICLE,))
     tell_issues(survey.issues)
     card = None if chosen.detector.detector is None else chosen.open_detector().card
     return survey, calibrate_labelled(survey, card)
@@ -100,7 +127,7 @@ def _from_labels(request: CalibrateRequest, chosen: Chosen) -> tuple[FleetSurvey
 def _from_detections(request: CalibrateRequest, chosen: Chosen) -> tuple[FleetSurvey, Calibration]:
     from vehanchor_evaluation.fleet_survey import calibrate_found, found_vehicles
 
-    options, data = chosen.options(), request.survey()
+    options, data = chosen.options(), _known_scale(request, chosen)
     detector = open_shared(chosen, request.workers)
     found = request.search(data, detector, options, chosen, request.cache)
     survey = found_vehicles(data, found, detector.card, options)

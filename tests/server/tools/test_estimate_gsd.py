@@ -93,6 +93,22 @@ async def test_lines_of_known_length_are_read_in_the_callers_frame_and_held_agai
     assert "invalid_known_length" in text_of(refused)
 
 
+async def test_a_height_is_a_ruler_and_makes_a_scale_without_vehicles(server: MCPServer[object], images: Path) -> None:
+    arguments = {**by_path(images / "empty.png"), "height_m": 30, "focal_35mm": 24}
+    async with Client(server) as client:
+        heard = await client.call_tool("estimate_gsd", arguments)
+        refused = await client.call_tool("estimate_gsd", {**by_path(images / "empty.png"), "focal_35mm": 24})
+        impossible = await client.call_tool("estimate_gsd", {**arguments, "height_m": 0})
+    assert heard.structured_content is not None
+    assert heard.structured_content["scale_source"] == "height"
+    assert heard.structured_content["n_vehicles"] == 0
+    assert "from the given height: safe to use." in text_of(heard)
+    assert "The given height says" in text_of(heard)
+    assert refused.is_error
+    assert "height_m" in text_of(refused)
+    assert impossible.is_error
+
+
 async def test_the_operators_calibration_is_the_ruler_of_callers_who_name_none(
     settings: Settings, images: Path, tmp_path: Path
 ) -> None:

@@ -13,6 +13,8 @@ from tests.analyses import analyse_found, made_card, make_analysis
 from vehanchor.defaults import Aggregation
 from vehanchor.detection.sighting import Sighting
 from vehanchor.errors import MissingExtraError, OutputError
+from vehanchor.estimate import ScaleAnalysis
+from vehanchor.options import ScaleOptions
 from vehanchor.pictures.plot import plot_scale, write_plot
 from vehanchor.scale.lengths import kde_density
 
@@ -134,3 +136,42 @@ def test_without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.Monkey
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'vehanchor\[plots\]'"):
         plot_scale(make_analysis(_boxes([30.0]), 100, 100))
+
+
+def _with_line(n: int, metres: float) -> ScaleAnalysis:
+    boxes = _boxes(list(np.random.default_rng(1).normal(30, 2, n)))
+    return analyse_found(
+        Sighting(boxes, np.full(n, 0.8)),
+        made_card(),
+        ScaleOptions.of({"known_lengths": [(0, 0, 500, 0, metres)]}),
+        image_width_px=800,
+        image_height_px=600,
+    )
+
+
+@pytest.mark.parametrize("n", [0, 30])
+def test_the_densities_of_all_rulers_and_of_all_together_share_one_axis(n: int, tmp_path: Path) -> None:
+    analysis = _with_line(n, 84.0)
+    figure = plot_scale(analysis)
+    axes = figure.axes[-1] if n == 0 else figure.axes[1]
+    legend = axes.get_legend()
+    assert legend is not None
+    names = [text.get_text() for text in legend.get_texts()]
+    assert names[-3:] == ["known length 0.168", "together 0.168", "95 % interval"]
+    assert [name.split()[0] for name in names[:-3]] == ["vehicles"] * (n > 0)
+    low, high = axes.get_xlim()
+    estimate = analysis.estimate
+    assert estimate.gsd_ci95_low_m_per_px is not None
+    assert estimate.gsd_ci95_high_m_per_px is not None
+    assert low < estimate.gsd_ci95_low_m_per_px < estimate.gsd_ci95_high_m_per_px < high
+    together = next(line for line in axes.lines if line.get_label() == "together 0.168")
+    at, curve = np.asarray(together.get_xdata()), np.asarray(together.get_ydata())
+    assert at[curve.argmax()] == pytest.approx(estimate.gsd_m_per_px, rel=0.01)
+    assert write_plot(tmp_path / "plot.png", figure).stat().st_size > 10_000
+
+
+def test_a_ruler_that_is_outvoted_is_named_so_in_the_plot() -> None:
+    analysis = _with_line(30, 840.0)
+    legend = plot_scale(analysis).axes[1].get_legend()
+    assert legend is not None
+    assert sum("(disagrees)" in text.get_text() for text in legend.get_texts()) == 1

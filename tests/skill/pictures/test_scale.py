@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.analyses import make_analysis
+from tests.analyses import analyse_found, made_card, make_analysis
+from vehanchor.anchors.evidence import Mark
+from vehanchor.detection.sighting import Sighting
 from vehanchor.errors import OutputError
 from vehanchor.estimate import ScaleAnalysis
 from vehanchor.imagery.raster import open_raster
+from vehanchor.options import ScaleOptions
+from vehanchor.pictures import scale
+from vehanchor.pictures.marks import MARK_RGB, draw_marks
 from vehanchor.pictures.scale import (
     DROPPED_RGB,
     KEPT_RGB,
@@ -160,3 +165,43 @@ def test_pictures_that_cannot_be_written_say_why(tmp_path: Path, name: str) -> N
     (tmp_path / "folder.png").mkdir()
     with pytest.raises(OutputError, match=r"cannot write"):
         write_picture(tmp_path / name, np.zeros((10, 10, 3), np.uint8))
+
+
+def _measured_by_lines(lines: list[tuple[float, float, float, float, float]], n_boxes: int = 4) -> ScaleAnalysis:
+    boxes = _fleet(n_boxes)
+    return analyse_found(
+        Sighting(boxes, np.full(len(boxes), 0.8)),
+        made_card(),
+        ScaleOptions.of({"known_lengths": lines}),
+        image_width_px=1000,
+        image_height_px=800,
+    )
+
+
+def test_a_line_of_known_length_is_drawn_where_it_lies_with_its_metres_beside_it() -> None:
+    with_line = draw_overlay(_grey(1000, 800), _measured_by_lines([(200, 400, 700, 400, 84)]))
+    without = draw_overlay(_grey(1000, 800), _measured_by_lines([]))
+    green = _near(with_line[:800], MARK_RGB)
+    assert not _near(without, MARK_RGB).any()
+    rows, columns = np.nonzero(green)
+    assert (columns.min(), columns.max()) == (pytest.approx(200, abs=4), pytest.approx(700, abs=4))
+    assert np.median(rows) == pytest.approx(400, abs=2)
+    letters = (with_line[:800] == 255).all(axis=2) & ~(without[:800] == 255).all(axis=2)
+    assert letters[370:400, 450:540].sum() > 60  # "84 m", above and right of the middle
+
+
+def test_a_label_stays_inside_the_picture_and_a_line_beside_its_edge_is_no_error() -> None:
+    corner = draw_overlay(_grey(1000, 800), _measured_by_lines([(990, 0, 1000, 6, 1), (0, 800, 9, 791, 1)], 0))
+    assert corner.shape[1] == 1000
+    draw_marks(
+        np.zeros((20, 20, 3), np.uint8), [Mark(((-50.0, -50.0), (90.0, 4.0), (3.0, 99.0)), "m", True)], np.ones(2)
+    )
+
+
+def test_the_caption_says_what_each_ruler_says_and_who_disagrees() -> None:
+    def said(*lines: tuple[float, float, float, float, float]) -> list[str]:
+        return [text for _, text in scale._rulers_line(_measured_by_lines(list(lines)))]
+
+    assert said() == []
+    assert said((200, 400, 700, 400, 84)) == ["vehicles 0.168 m/px", "known length 0.168 m/px"]
+    assert said((200, 400, 700, 400, 840)) == ["vehicles 0.168 m/px, disagrees", "known length 1.68 m/px"]

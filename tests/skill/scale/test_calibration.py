@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -265,6 +266,39 @@ def test_calibrating_with_the_detector_makes_its_estimates_true(folder: Path, ca
         folder / "cars.png", ScaleOptions.of({"calibration": record}), detector=folder / "detector.onnx"
     )
     assert given.estimate == after
+
+
+def test_photographs_with_a_height_need_no_georeference_and_what_the_height_may_be_off_by_counts(
+    folder: Path, calibration: Path, tmp_path: Path
+) -> None:
+    focal_px = 24 * math.hypot(760, 700) / math.hypot(36, 24)
+    common = [
+        "--photographs",
+        folder / "cars.png",
+        "--detector",
+        folder / "detector.onnx",
+        "--out",
+        tmp_path / "c.json",
+    ]
+    result = _run("calibrate", *common, "--height", GSD * focal_px, "--focal-35mm", 24)
+    assert result.exit_code == 0, result.stderr
+    by_height, by_table = load_calibration(tmp_path / "c.json"), load_calibration(calibration)
+    assert by_height.reference_length_m == pytest.approx(by_table.reference_length_m, rel=1e-3)
+    truth_sd_m = math.hypot(0.05, 0.04) * by_height.reference_length_m  # of a given height, and of a lens
+    assert by_height.reference_length_sd_m == pytest.approx(
+        math.hypot(by_table.reference_length_sd_m, truth_sd_m), rel=0.02
+    )
+    assert by_height.reference_length_ci95_low_m < by_table.reference_length_ci95_low_m
+    assert by_height.reference_length_ci95_high_m > by_table.reference_length_ci95_high_m
+
+
+def test_photographs_of_which_no_other_ruler_knows_the_scale_are_told(folder: Path, tmp_path: Path) -> None:
+    common = ["--detector", folder / "detector.onnx", "--out", tmp_path / "c.json"]
+    silent = _run("calibrate", "--photographs", folder / "cars.png", *common)
+    both = _run("calibrate", "--photographs", folder / "cars.png", "--table", folder / "table.csv", *common)
+    assert silent.exit_code == both.exit_code == 2
+    assert "warning[no_other_ruler]" in silent.stderr
+    assert "name the images by one of" in both.stderr
 
 
 def test_the_interval_of_an_estimate_follows_the_calibrations_spread(folder: Path, calibration: Path) -> None:

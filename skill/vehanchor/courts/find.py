@@ -1,0 +1,206 @@
+"""Courts of an image: proposed on coarse views, matched and fitted by their lines on finer ones, and judged."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+
+from vehanchor.courts.court import Court
+from vehanchor.courts.fit import AFFINE, HOMOGRAPHY, SIMILARITY, fit, pose_matrix, project
+from vehanchor.courts.match import Pose, Reach, match
+from vehanchor.courts.proposals import boxes_of_courts, coarse_factors, load_court_network
+from vehanchor.courts.template import BASKETBALL, TENNIS
+from vehanchor.imagery.raster import Window
+from vehanchor.imagery.tiles import read_reduced_window
+
+if TYPE_CHECKING:
+    import onnxruntime
+    from numpy.typing import NDArray
+
+    from vehanchor.courts.fit import Fit
+    from vehanchor.courts.proposals import Proposal
+    from vehanchor.courts.template import Template
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.sighting import Sighting
+    from vehanchor.imagery.raster import Raster
+
+__all__ = ["find_courts", "measure_court"]
+
+_FAR = Reach(math.radians(20), math.radians(4), 0.24, 0.03, 14, 2)
+_NEAR = Reach(math.radians(4), math.radians(2), 0.045, 0.015, 3, 1)
+_THERE = Reach(0.0, 1.0, 0.01, 0.01, 1, 1)
+_MOST_PROPOSALS, _MOST_COURTS = 16, 4
+_PERSPECTIVE_PX = 150.0  # least length of a court for a homography
+_FITTED_PX = 220.0  # a court is fitted at the coarsest resolution at which it is at least so long, if there is one
+_MARGIN = 1.35  # of the patch that is read, over the court's half diagonal
+
+_WORTH_A_FIT = 0.3
+_LEAST_SCORE = 0.55  # of 2,000 places without a court none came to 0.52
+_LEAST_COVERAGE = 0.6
+_SEEN_LINE = 0.4
+_UNSEEN_LINES = 2
+_MOST_DISTORTION = 0.06
+
+
+class _Patch(NamedTuple):
+    """Grey levels around a court: reduced by ``factor``, its first pixel at (left, top) of the reduced image."""
+
+    grey: NDArray[np.float32]
+    factor: int
+    left: int
+    top: int
+
+    def inside(self, pose: Pose) -> Pose:
+        """A pose of the image in the patch's pixels."""
+        x, y = ((value + 0.5) / self.factor - 0.5 for value in (pose.x, pose.y))
+        return Pose(x - self.left, y - self.top, pose.angle, pose.px_per_m / self.factor)
+
+    def outside(self, pose: Pose) -> Pose:
+        """A pose of the patch in the image's pixels."""
+        x, y = ((value + 0.5) * self.factor - 0.5 for value in (pose.x + self.left, pose.y + self.top))
+        return Pose(x, y, pose.angle, pose.px_per_m * self.factor)
+
+
+def find_courts(
+    raster: Raster,
+    sighting: Sighting,
+    card: DetectorCard,
+    *,
+    run_options: onnxruntime.RunOptions | None = None,
+) -> tuple[Court, ...]:
+    """Find and measure the courts that lie whole in an image.
+
+    Args:
+        raster: the image.
+        sighting: what the search has seen, and how large the ground says a pixel is.
+        card: of the detector.
+        run_options: ONNX Runtime's, for a caller that may have to end a run.
+
+    Returns:
+        At most four, the surest first. A court half hidden, or cut by the image's edge, is none.
+    """
+    proposals = boxes_of_courts(sighting, card)
+    network = load_court_network()
+    if network is not None:
+        for factor in coarse_factors(raster, sighting):
+            proposals += network.propose(raster, factor, run_options=run_options)
+    found: list[Court] = []
+    for proposal in _apart(proposals)[:_MOST_PROPOSALS]:
+        if any(_lies_in(proposal.pose, court) for court in found):
+            continue
+        court = measure_court(raster, proposal)
+        if court is not None and not any(_lies_in(_pose_of(court), other) for other in found):
+            found.append(court)
+        if len(found) == _MOST_COURTS:
+            break
+    return tuple(sorted(found, key=lambda court: -court.score))
+
+
+def _apart(proposals: list[Proposal]) -> list[Proposal]:
+    """The surest first, without what lies within a quarter of a court's length of a surer one of like size."""
+    kept: list[Proposal] = []
+    for one in sorted(proposals, key=lambda each: -each.share):
+        near = TENNIS.length_m / 4 * one.pose.px_per_m
+        if not any(
+            other.factor == one.factor and math.hypot(one.pose.x - other.pose.x, one.pose.y - other.pose.y) < near
+            for other in kept
+        ):
+            kept.append(one)
+    return kept
+
+
+def measure_court(raster: Raster, proposal: Proposal) -> Court | None:
+    """Match, fit and judge what may be a court; None where its lines do not bear it out.
+
+    Args:
+        raster: the image.
+        proposal: where it may be. The game that it names is tried first, the other one after it.
+    """
+    for templates in ((TENNIS,), BASKETBALL)[:: -1 if proposal.which else 1]:
+        court = _measured(raster, proposal, templates)
+        if court is not None:
+            return court
+    return None
+
+
+def _measured(raster: Raster, proposal: Proposal, templates: tuple[Template, ...]) -> Court | None:
+    """The court of the template that fits best; the first one stands for all of them while it is searched for."""
+    template = templates[0]
+    patch = _read(raster, proposal.pose, template, max(1, proposal.factor // 2))
+    score, pose = match(patch.grey, template, patch.inside(proposal.pose), _FAR)
+    if score < _WORTH_A_FIT:
+        return None
+    _, pose = match(patch.grey, template, pose, _NEAR)
+    first = fit(patch.grey, template, pose_matrix(pose), SIMILARITY)
+    score, pose = match(patch.grey, template, _pose(first.matrix), _THERE)
+    if score < _LEAST_SCORE:
+        return None
+    fits = [(kind, *_fitted(raster, kind, patch, pose)) for kind in templates]
+    template, seen, patch = max(fits, key=lambda each: each[1].coverage)
+    if not _borne_out(template, seen):
+        return None
+    half = np.array([template.length_m, template.width_m]) / 2
+    outline = project(seen.matrix, np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half)
+    corners = (outline + (patch.left, patch.top) + 0.5) * patch.factor
+    if (corners < 0).any() or (corners > (raster.width_px, raster.height_px)).any():
+        return None
+    gsd = 1.0 / (seen.px_per_m * patch.factor)
+    size = template.length_m, template.width_m
+    return Court(template.kind, corners, *size, gsd, seen.log_sd, score, seen.coverage, seen.distortion)
+
+
+def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tuple[Fit, _Patch]:
+    """Fit at the resolution of the match and, where there are more pixels, at finer ones."""
+    seen = fit(patch.grey, template, pose_matrix(pose), SIMILARITY)
+    while patch.factor > 1 and template.length_m * seen.px_per_m < _FITTED_PX:
+        finer = _read(raster, patch.outside(_pose(seen.matrix)), template, patch.factor // 2)
+        seen = fit(finer.grey, template, pose_matrix(finer.inside(patch.outside(_pose(seen.matrix)))), SIMILARITY)
+        patch = finer
+    freedom = HOMOGRAPHY if template.length_m * seen.px_per_m >= _PERSPECTIVE_PX else AFFINE
+    sheared = fit(patch.grey, template, seen.matrix, freedom)
+    return seen._replace(distortion=sheared.distortion), patch
+
+
+def _borne_out(template: Template, seen: Fit) -> bool:
+    unseen = int((seen.line_coverage[: len(template.lines)] < _SEEN_LINE).sum())
+    return (
+        seen.coverage >= _LEAST_COVERAGE
+        and unseen <= _UNSEEN_LINES
+        and seen.distortion <= _MOST_DISTORTION
+        and math.isfinite(seen.log_sd)
+    )
+
+
+def _read(raster: Raster, pose: Pose, template: Template, factor: int) -> _Patch:
+    """The patch that holds a court wherever it is searched, as far as the image reaches."""
+    half = math.hypot(template.length_m, template.width_m) / 2 * pose.px_per_m / factor * _MARGIN + _FAR.place
+    x, y = (pose.x + 0.5) / factor, (pose.y + 0.5) / factor
+    width, height = raster.width_px // factor, raster.height_px // factor
+    left, top = (int(np.clip(value - half, 0, size - 1)) for value, size in ((x, width), (y, height)))
+    right, bottom = (
+        int(np.clip(value + half, low + 1, size)) for value, low, size in ((x, left, width), (y, top, height))
+    )
+    pixels = read_reduced_window(raster, Window(left, top, right - left, bottom - top), factor)
+    grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
+    return _Patch(np.asarray(grey, np.float32), factor, left, top)
+
+
+def _pose(matrix: NDArray[np.float64]) -> Pose:
+    """The pose of a similarity."""
+    (a, _, x), (c, _, y) = matrix[:2]
+    return Pose(float(x), float(y), math.atan2(c, a), math.hypot(a, c))
+
+
+def _pose_of(court: Court) -> Pose:
+    (x, y), along = court.corners.mean(axis=0), court.corners[1] - court.corners[0]
+    return Pose(float(x), float(y), math.atan2(along[1], along[0]), 1.0 / court.gsd_m_per_px)
+
+
+def _lies_in(pose: Pose, court: Court) -> bool:
+    """Whether the centre of one lies in the middle of another."""
+    corners = court.corners - court.corners.mean(axis=0)
+    outline = np.asarray(court.corners.mean(axis=0) + 0.6 * corners, np.float32)
+    return cv2.pointPolygonTest(outline, (pose.x, pose.y), measureDist=False) >= 0

@@ -1,0 +1,222 @@
+"""A court to a fraction of a pixel: every piece of its lines pulls the template to where it is seen."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from vehanchor.courts.match import Pose
+    from vehanchor.courts.template import Line, Template
+
+__all__ = ["Fit", "fit", "pose_matrix", "project"]
+
+_PIECE_M = 2.4  # of a line, over which its profile is averaged: a player hides one, not all
+_STEP_PX = 0.25
+_FLANK_PX = 2.0
+_REACHES_PX = (4.0, 3.0, 2.5, 2.0, 2.0, 2.0)
+_LEAST_CONTRAST = 1.2  # grey levels of the averaged profile
+_CONTRAST_PER_NOISE = 0.7
+_NEAR_PX = 0.8
+_TUKEY_PX = 1.5
+_EPSILON = 1e-4
+
+# Small motions of a court in its own metres: along, across, size, turn; stretch, shear; two of perspective.
+_MOTIONS = np.zeros((8, 3, 3))
+_MOTIONS[0, 0, 2] = _MOTIONS[1, 1, 2] = 1
+_MOTIONS[2, 0, 0] = _MOTIONS[2, 1, 1] = 1
+_MOTIONS[3, 1, 0], _MOTIONS[3, 0, 1] = 1, -1
+_MOTIONS[4, 0, 0], _MOTIONS[4, 1, 1] = 1, -1
+_MOTIONS[5, 1, 0] = _MOTIONS[5, 0, 1] = 1
+_MOTIONS[6, 2, 0] = _MOTIONS[7, 2, 1] = 1
+SIMILARITY, AFFINE, HOMOGRAPHY = 4, 6, 8
+
+
+class Fit(NamedTuple):
+    """How well a template lies on what is seen.
+
+    Attributes:
+        matrix: ``[3, 3]`` from metres on the court to pixels.
+        coverage: 0..1, share of the lines' length that is seen where it should be.
+        line_coverage: ``[lines]`` of each.
+        residual_px: root mean square of how far the seen pieces are from where they should be.
+        log_sd: standard deviation of the log of the size, from the residuals.
+        distortion: how far the court is from its rules' shape: log of the stretch, and the shear.
+    """
+
+    matrix: NDArray[np.float64]
+    coverage: float
+    line_coverage: NDArray[np.float64]
+    residual_px: float
+    log_sd: float
+    distortion: float
+
+    @property
+    def px_per_m(self) -> float:
+        """Pixels for each metre at the court's centre: the root of its area's scale."""
+        (a, b, x), (c, d, y), (e, f, w) = self.matrix
+        determinant = (a - x * e / w) * (d - y * f / w) - (b - x * f / w) * (c - y * e / w)
+        return math.sqrt(abs(determinant)) / abs(w)
+
+
+def pose_matrix(pose: Pose) -> NDArray[np.float64]:
+    """Metres on a court to pixels: ``[3, 3]``."""
+    cos, sin = math.cos(pose.angle) * pose.px_per_m, math.sin(pose.angle) * pose.px_per_m
+    return np.array([[cos, -sin, pose.x], [sin, cos, pose.y], [0.0, 0.0, 1.0]])
+
+
+def project(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lay points ``[n, 2]`` through a matrix ``[3, 3]``."""
+    moved = points @ matrix[:, :2].T + matrix[:, 2]
+    return np.asarray(moved[:, :2] / moved[:, 2:])
+
+
+class _Pieces(NamedTuple):
+    """The pieces of a template: ``[n, 2]`` ends in metres, and ``[n]`` the line of each."""
+
+    starts: NDArray[np.float64]
+    ends: NDArray[np.float64]
+    line: NDArray[np.intp]
+
+    @property
+    def lengths(self) -> NDArray[np.float64]:
+        return np.hypot(*(self.ends - self.starts).T)
+
+
+def _cut(lines: Sequence[Line]) -> _Pieces:
+    starts, ends, which = [], [], []
+    for index, line in enumerate(lines):
+        count = max(1, round(line.length_m / _PIECE_M))
+        at = np.linspace(0, 1, count + 1)[:, None]
+        points = (1 - at) * (line.x1, line.y1) + at * (line.x2, line.y2)
+        starts.append(points[:-1])
+        ends.append(points[1:])
+        which += [index] * count
+    return _Pieces(np.concatenate(starts), np.concatenate(ends), np.array(which))
+
+
+def fit(grey: NDArray[np.float32], template: Template, matrix: NDArray[np.float64], freedom: int) -> Fit:
+    """Move a template until its lines lie on what is seen.
+
+    Args:
+        grey: ``[h, w]`` grey levels.
+        template: of the court.
+        matrix: ``[3, 3]`` from metres to pixels, right to a few pixels.
+        freedom: 4 keeps the court's shape, 6 lets it shear, 8 sees it in perspective.
+
+    Returns:
+        The template where it fits best.
+    """
+    pieces = _cut(template.lines + template.arcs)
+    offsets, strengths, jacobian = np.zeros(0), np.zeros(0), np.zeros((0, freedom))
+    for reach in _REACHES_PX:
+        offsets, strengths = _seen(grey, pieces, matrix, reach)
+        jacobian = _jacobian(pieces, matrix, freedom)
+        motion = _solve(jacobian, offsets, strengths * pieces.lengths)
+        if motion is None:
+            break
+        matrix = matrix @ (np.eye(3) + np.tensordot(motion, _MOTIONS[: len(motion)], axes=1))
+        matrix = matrix / matrix[2, 2]
+    offsets, strengths = _seen(grey, pieces, matrix, _REACHES_PX[-1])
+    return _judged(template, pieces, matrix, offsets, strengths, jacobian)
+
+
+def _judged(
+    template: Template,
+    pieces: _Pieces,
+    matrix: NDArray[np.float64],
+    offsets: NDArray[np.float64],
+    strengths: NDArray[np.float64],
+    jacobian: NDArray[np.float64],
+) -> Fit:
+    near = (strengths > 0) & (np.abs(offsets) <= _NEAR_PX)
+    n_lines = len(template.lines) + len(template.arcs)
+    total = np.bincount(pieces.line, pieces.lengths, n_lines)
+    covered = np.bincount(pieces.line, pieces.lengths * near, n_lines)
+    residual = float(np.sqrt(np.mean(offsets[near] ** 2))) if near.any() else math.inf
+    log_sd = math.inf
+    if near.sum() > jacobian.shape[1]:
+        normal = jacobian[near].T @ jacobian[near]
+        if np.linalg.cond(normal) < 1e12:
+            log_sd = max(residual, 0.1) * math.sqrt(np.linalg.inv(normal)[2, 2])
+    return Fit(matrix, float(covered.sum() / total.sum()), covered / total, residual, log_sd, _distortion(matrix))
+
+
+def _distortion(matrix: NDArray[np.float64]) -> float:
+    (a, b, x), (c, d, y), (e, f, w) = matrix
+    local = np.array([[a - x * e / w, b - x * f / w], [c - y * e / w, d - y * f / w]])
+    along, across = np.hypot(*local[:, 0]), np.hypot(*local[:, 1])
+    return float(max(abs(math.log(along / across)), abs(local[:, 0] @ local[:, 1]) / (along * across)))
+
+
+def _seen(
+    grey: NDArray[np.float32], pieces: _Pieces, matrix: NDArray[np.float64], reach_px: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How far beside each piece a line is seen, pixels along its normal, and how clearly, 0..1."""
+    starts, ends = project(matrix, pieces.starts), project(matrix, pieces.ends)
+    count = int(np.clip(np.hypot(*(ends - starts).T).max(), 2, 64))
+    at = (np.arange(count) + 0.5)[:, None, None] / count
+    points = (1 - at) * starts + at * ends  # [count, pieces, 2]
+    across = np.arange(-reach_px - _FLANK_PX, reach_px + _FLANK_PX + _STEP_PX / 2, _STEP_PX)
+    normals = _normals(starts, ends)
+    where = (points[:, :, None] + across[:, None] * normals[:, None]).astype(np.float32)
+    flat = where.reshape(count, -1, 2)
+    sampled = cv2.remap(grey, flat[:, :, 0], flat[:, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    profile = sampled.reshape(count, len(starts), len(across)).mean(axis=0)
+    flank = round(_FLANK_PX / _STEP_PX)
+    inner = profile[:, flank:-flank]
+    ridge = inner - np.maximum(profile[:, : -2 * flank], profile[:, 2 * flank :])
+    peak = ridge.argmax(axis=1)
+    each = np.arange(len(peak))
+    height = ridge[each, peak]
+    left, right = ridge[each, np.maximum(peak - 1, 0)], ridge[each, np.minimum(peak + 1, ridge.shape[1] - 1)]
+    bend = np.minimum(left - 2 * height + right, -1e-6)
+    shift = np.clip((left - right) / (2 * bend), -0.5, 0.5)
+    offsets = across[flank:-flank][peak] + shift * _STEP_PX
+    noise = np.median(np.abs(np.diff(inner[:, ::4], axis=1)))
+    least = max(_LEAST_CONTRAST, _CONTRAST_PER_NOISE * float(noise))
+    edge = (peak == 0) | (peak == ridge.shape[1] - 1)
+    inside = ((starts >= 0) & (starts <= np.array(grey.shape[::-1]) - 1)).all(axis=1)
+    clear = np.where(edge | ~inside, 0.0, np.clip((height - least) / least, 0, 1))
+    return offsets, clear
+
+
+def _normals(starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.float64]:
+    along = ends - starts
+    return np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
+
+
+def _jacobian(pieces: _Pieces, matrix: NDArray[np.float64], freedom: int) -> NDArray[np.float64]:
+    """``[pieces, freedom]``: pixels along each piece's normal for a unit of each motion."""
+    middle = (pieces.starts + pieces.ends) / 2
+    normals = _normals(project(matrix, pieces.starts), project(matrix, pieces.ends))
+    base = project(matrix, middle)
+    moved = [project(matrix @ (np.eye(3) + _EPSILON * motion), middle) for motion in _MOTIONS[:freedom]]
+    return np.stack([((point - base) * normals).sum(axis=1) / _EPSILON for point in moved], axis=1)
+
+
+def _solve(
+    jacobian: NDArray[np.float64], offsets: NDArray[np.float64], weights: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """The motion that brings the pieces to where they are seen, outliers left out (Tukey's biweight)."""
+    if (weights > 0).sum() <= jacobian.shape[1]:
+        return None
+    motion = np.zeros(jacobian.shape[1])
+    for turn in range(4):
+        off = offsets - jacobian @ motion
+        width = _TUKEY_PX * (3 - min(turn, 2))
+        trust = weights * np.where(np.abs(off) < width, (1 - (off / width) ** 2) ** 2, 0.0)
+        left = (jacobian * trust[:, None]).T @ jacobian
+        left += 1e-9 * np.trace(left) / len(left) * np.eye(len(left))
+        try:
+            motion = np.linalg.solve(left, (jacobian * trust[:, None]).T @ offsets)
+        except np.linalg.LinAlgError:
+            return None
+    return motion

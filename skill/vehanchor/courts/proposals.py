@@ -1,0 +1,176 @@
+"""Where courts may be: a small network on coarse views of an image, and boxes of a detector that knows courts.
+
+The network sees the image at 0.38 to 0.88 m/px, where a court is 27 to 62 px long and its lines are all but gone: what
+it proposes is measured by its lines elsewhere, and stands or falls by them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+
+from vehanchor.courts.match import Pose
+from vehanchor.courts.template import BASKETBALL, TENNIS
+from vehanchor.errors import ModelContractError
+from vehanchor.imagery.tiles import read_reduced_window, tile_grid
+from vehanchor.models.cache import file_cached
+from vehanchor.models.session import open_session, run_session
+from vehanchor.models.zoo import bundled_courts
+from vehanchor.scale.fusion import credible_interval
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import onnxruntime
+    from numpy.typing import NDArray
+
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.sighting import Sighting
+    from vehanchor.imagery.raster import Raster
+
+__all__ = ["CourtNetwork", "Proposal", "boxes_of_courts", "coarse_factors", "load_court_network"]
+
+_CELL_PX = 8  # side of the network's cells, and what its length is told in: training/courts/network.py
+_LENGTH_PX = 44.0
+_SEEN_M = (0.38, 0.88)  # metres per pixel that it was trained on: training/courts/data.py
+_FACTORS = (2, 4, 8, 16)  # an octave of scales each: images of 0.02 to 0.44 m/px
+_MOST_PIXELS_UNASKED = 1_500_000  # of an image in which all factors are searched, whatever the ground says
+_SCENE_PROBABILITY = 0.95
+_SCENE_MARGIN = 1.25
+_TILE_PX, _STRIDE_PX = 1088, 960  # of the reduced image: they overlap by two courts
+_LEAST_SHARE = 0.25
+_MIN_SIDE_PX = 24
+_NAMES = {"tennis": 0, "basketball": 1}
+_LENGTHS_M = (TENNIS.length_m, BASKETBALL[0].length_m)
+
+
+class Proposal(NamedTuple):
+    """A court that may be there.
+
+    Attributes:
+        which: 0 for tennis, 1 for basketball.
+        share: 0..1, how sure its finder is.
+        pose: in pixels of the image.
+        factor: by which the image was reduced where it was seen.
+    """
+
+    which: int
+    share: float
+    pose: Pose
+    factor: int
+
+
+def coarse_factors(raster: Raster, sighting: Sighting) -> list[int]:
+    """By what an image is reduced to look for courts: in a large one only as the ground says, where it was looked at.
+
+    Args:
+        raster: the image.
+        sighting: with the scene, if there is one.
+
+    Returns:
+        Factors, the finest first.
+    """
+    side = min(raster.width_px, raster.height_px)
+    factors = [factor for factor in _FACTORS if side // factor >= _MIN_SIDE_PX]
+    if sighting.scene is None or raster.width_px * raster.height_px <= _MOST_PIXELS_UNASKED:
+        return factors
+    low, high = credible_interval(sighting.scene.density, _SCENE_PROBABILITY)
+    low, high = low / _SCENE_MARGIN, high * _SCENE_MARGIN
+    return [factor for factor in factors if low * factor <= _SEEN_M[1] and high * factor >= _SEEN_M[0]]
+
+
+class CourtNetwork:
+    """The network that proposes courts.
+
+    Args:
+        path: ONNX file with an input ``tiles`` ``[n, 3, h, w]`` uint8 RGB, sides multiples of 8, and an output
+            ``courts`` ``[n, 5, h / 8, w / 8]``: shares of tennis and basketball, cosine and sine of twice the angle,
+            log of the length over 44 px.
+        threads: CPU threads; None leaves it to ONNX Runtime.
+
+    Raises:
+        ModelContractError: it is another kind of file.
+    """
+
+    def __init__(self, path: Path, *, threads: int | None = None) -> None:
+        self.path = path
+        self._session = open_session(path, threads=threads)
+        names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
+        if names != ["tiles", "courts"]:
+            raise ModelContractError(f"{path} has {', '.join(names)}: expected the input tiles, the output courts")
+
+    def propose(
+        self, raster: Raster, factor: int, *, run_options: onnxruntime.RunOptions | None = None
+    ) -> list[Proposal]:
+        """Look for courts in an image reduced by a factor.
+
+        Args:
+            raster: the image.
+            factor: 1 or more.
+            run_options: ONNX Runtime's, for a caller that may have to end a run.
+
+        Returns:
+            What may be courts, in no order; one in the overlap of two tiles may come twice.
+        """
+        width, height = raster.width_px // factor, raster.height_px // factor
+        found = []
+        for window in tile_grid(width, height, tile_px=_TILE_PX, stride_px=_STRIDE_PX):
+            pixels = read_reduced_window(raster, window, factor)
+            down, right = -pixels.shape[0] % _CELL_PX, -pixels.shape[1] % _CELL_PX
+            pixels = np.pad(pixels, ((0, down), (0, right), (0, 0)))
+            tile = np.ascontiguousarray(pixels.transpose(2, 0, 1))[None]
+            described = f"the court network {self.path} fails on {list(tile.shape)}"
+            (seen,) = run_session(self._session, None, {"tiles": tile}, run_options, described)
+            found += _peaks(seen[0], factor, window.x_px, window.y_px)
+        return found
+
+
+def load_court_network(*, threads: int | None = None) -> CourtNetwork | None:
+    """Load the bundled network, or the one that is loaded already; None where this installation has none."""
+    path = bundled_courts()
+    return None if path is None else _loaded(path, threads=threads)
+
+
+@file_cached(max_models=2)
+def _loaded(path: Path, *, threads: int | None) -> CourtNetwork:
+    return CourtNetwork(path, threads=threads)
+
+
+def _peaks(seen: NDArray[np.float32], factor: int, left: int, top: int) -> list[Proposal]:
+    """The cells of a tile that are surer than their neighbours; (left, top) is its corner in the reduced image."""
+    found = []
+    for which, shares in enumerate(seen[:2]):
+        highest = cv2.dilate(shares, np.ones((3, 3)))
+        for row, column in zip(*np.nonzero((shares >= highest) & (shares >= _LEAST_SHARE)), strict=True):
+            cos, sin, log_length = (float(value) for value in seen[2:, row, column])
+            length_px = _LENGTH_PX * math.exp(min(max(log_length, -1.0), 1.0)) * factor
+            x, y = ((left, top) + (np.array([column, row]) + 0.5) * _CELL_PX) * factor - 0.5
+            pose = Pose(float(x), float(y), math.atan2(sin, cos) / 2, length_px / _LENGTHS_M[which])
+            found.append(Proposal(which, float(shares[row, column]), pose, factor))
+    return found
+
+
+def boxes_of_courts(sighting: Sighting, card: DetectorCard) -> list[Proposal]:
+    """Courts that the detector itself has seen: classes ``tennis court`` and ``basketball court``, as DOTA names them.
+
+    Args:
+        sighting: its other objects.
+        card: its classes' names.
+
+    Returns:
+        One for each box.
+    """
+    found = []
+    for box, score, index in zip(sighting.others.boxes, sighting.others.scores, sighting.others.classes, strict=True):
+        name = card.class_names.get(int(index), "").lower().replace("-", " ").replace("_", " ")
+        which = _NAMES.get(name.removesuffix(" court")) if name.endswith(" court") else None
+        if which is None:
+            continue
+        x, y, length_px, _, angle = (float(value) for value in box)
+        size = length_px / _LENGTHS_M[which]
+        factor = max(1, 2 ** round(math.log2(max(size * 0.6, 1.0))))  # at about 0.6 m/px
+        found.append(Proposal(which, float(score), Pose(x - 0.5, y - 0.5, angle, size), factor))
+    return found

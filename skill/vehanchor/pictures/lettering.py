@@ -1,0 +1,60 @@
+"""Letters in pictures: how large, and so that they can be read on any ground."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["FONT", "font_scale", "stroke_px", "text_px", "text_width", "write_on"]
+
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+
+def text_px(picture_width_px: int) -> int:
+    """Height of capitals in a picture of some width."""
+    return int(np.clip(picture_width_px / 58, 11, 28))
+
+
+def font_scale(capital_px: float) -> float:
+    """OpenCV's scale for capitals of some height."""
+    return capital_px / float(cv2.getTextSize("M", FONT, 1.0, 1)[0][1])
+
+
+def stroke_px(capital_px: float) -> int:
+    """How thick the lines of such letters are."""
+    return max(1, round(capital_px / 10))
+
+
+def text_width(text: str, capital_px: float) -> int:
+    """How many pixels a text takes."""
+    return int(cv2.getTextSize(text, FONT, font_scale(capital_px), stroke_px(capital_px))[0][0])
+
+
+def write_on(picture: NDArray[np.uint8], text: str, at: tuple[int, int], capital_px: int) -> None:
+    """Write white letters with a black rim.
+
+    Args:
+        picture: ``[h, w, 3]`` RGB, drawn into.
+        text: one line.
+        at: left end of the baseline, pixels.
+        capital_px: height of capitals.
+    """
+    rim = max(2, capital_px // 7)
+    left, baseline = at
+    top = max(0, baseline - 2 * capital_px)
+    region = picture[top : max(top, baseline + capital_px)]
+    if not region.size:
+        return
+    letters = np.zeros(region.shape[:2], np.uint8)
+    stroke = stroke_px(capital_px) + 1
+    cv2.putText(letters, text, (left, baseline - top), FONT, font_scale(capital_px), 255, stroke, cv2.LINE_AA)
+    # OpenCV 5 takes a wider stroke for a bolder letter, not for a rim.
+    around = cv2.dilate(letters, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * rim + 1, 2 * rim + 1)))
+    for mask, level in ((around, 0.0), (letters, 255.0)):
+        cover = mask[:, :, None] / 255.0
+        region[:] = np.rint(region * (1.0 - cover) + level * cover).astype(np.uint8)

@@ -1,0 +1,87 @@
+"""What every ruler says, and what comes of it: densities over one axis of metres per pixel."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.anchors.fused import ruler_densities
+from vehanchor.scale.fusion import GRID, product
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from vehanchor.estimate import ScaleAnalysis
+
+__all__ = ["has_densities", "plot_rulers"]
+
+_COLOURS = {  # Okabe and Ito's; the vehicles' as in the histogram
+    "vehicles": "#0072B2",
+    "scene_scale": "#999999",
+    "camera": "#E69F00",
+    "known_length": "#009E73",
+    "height": "#CC79A7",
+}
+_OTHERS = ("#D55E00", "#8C6D31", "#56B4E9", "#7A5195")
+_INK = "#222222"
+_PAD = 1.25  # beyond the widest interval, as a factor
+_DRAWN = 0.004  # of the highest point: below it a curve is not drawn
+
+
+def has_densities(analysis: ScaleAnalysis) -> bool:
+    """Whether there is more than one thing to draw, or one other than vehicles."""
+    return set(ruler_densities((analysis.vehicles, *analysis.others))) not in (set(), {"vehicles"})
+
+
+def plot_rulers(axes: Axes, analysis: ScaleAnalysis) -> None:
+    """Draw the densities of all rulers, each to its own height, the product of them, and the scale with its interval.
+
+    Args:
+        axes: of a matplotlib figure.
+        analysis: of an image.
+    """
+    evidence = (analysis.vehicles, *analysis.others)
+    densities = ruler_densities(evidence)
+    estimate = analysis.estimate
+    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
+    outvoted = {ruler.kind for ruler in estimate.rulers if not ruler.agrees}
+    ends = [end for each in evidence if each.interval is not None for end in each.interval]
+    scales = np.exp(GRID)
+    others = iter(_OTHERS * len(densities))
+    for kind, density in densities.items():
+        colour = _COLOURS.get(kind) or next(others)
+        said = next(each.gsd_m_per_px for each in evidence if each.kind == kind)
+        label = f"{kind.replace('_', ' ')} {said:.3g}{' (disagrees)' if kind in outvoted else ''}"
+        curve = density / density.max()
+        shown = np.where(curve > _DRAWN, curve, 0.0)
+        axes.fill_between(scales, shown, color=colour, alpha=0.18, lw=0)
+        axes.plot(scales, shown, color=colour, lw=1.6, ls="--" if kind in outvoted else "-", label=label)
+    if estimate.gsd_m_per_px is not None:
+        posterior = product(*densities.values())
+        label = f"together {estimate.gsd_m_per_px:.3g}"
+        axes.plot(scales, posterior / posterior.max(), color=_INK, lw=2.2, label=label)
+        axes.axvline(estimate.gsd_m_per_px, color=_INK, lw=1.0, ls=":")
+        if low is not None and high is not None:
+            axes.axvspan(low, high, color="0.75", alpha=0.4, lw=0, zorder=0, label="95 % interval")
+            ends += [low, high]
+    axes.set_xscale("log")
+    axes.set_xlim(max(min(ends) / _PAD, scales[0]), min(max(ends) * _PAD, scales[-1]))
+    axes.set_ylim(0, 1.08)
+    axes.set_yticks([])
+    axes.set_xlabel("metres per pixel; each curve is drawn to its own height")
+    ticks = _ticks(*axes.get_xlim())
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.minorticks_off()
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=9, frameon=False)
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Round scales within two ends, from fine steps for a narrow axis to decades' 1, 2, 5 for a wide one."""
+    decades = 10.0 ** np.arange(-4, 2)
+    for steps in ((1, 2, 5), (1, 1.5, 2, 3, 4, 5, 7), tuple(np.arange(1, 10, 0.5)), tuple(np.arange(1, 10, 0.1))):
+        ticks = sorted(round(float(step * decade), 6) for decade in decades for step in steps)
+        inside = [tick for tick in ticks if low <= tick <= high]
+        if len(inside) >= 4:
+            break
+    return inside[:: max(1, len(inside) // 8)]

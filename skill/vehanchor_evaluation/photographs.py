@@ -1,0 +1,76 @@
+"""Photographs whose scale another ruler than vehicles tells: the camera's height, or what else there is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, get_args
+
+from vehanchor.anchors.vehicles import Vehicles
+from vehanchor.errors import InvalidParameterError, VehAnchorError
+from vehanchor.estimate import analyse_raster
+from vehanchor.imagery.raster import open_raster
+from vehanchor.ruler_options import RulerName
+from vehanchor_evaluation.known_scale import (
+    DATASET_LIMITS,
+    FileIssue,
+    KnownScaleImage,
+    KnownScaleSet,
+    files_of,
+    labels_beside,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from vehanchor.detection.detector import Detector
+    from vehanchor.options import ScaleOptions
+
+__all__ = ["survey_photographs"]
+
+_WITNESS = "scene_scale"
+_Z95 = 1.959963984540054
+
+
+def survey_photographs(paths: Sequence[Path], detector: Detector, options: ScaleOptions) -> KnownScaleSet:
+    """Take the scale of photographs from all rulers but vehicles and the look of the ground.
+
+    Args:
+        paths: files, and folders to search for images.
+        detector: named in the records; it does not run.
+        options: every choice of the method; rulers that they leave out are not heard.
+
+    Returns:
+        The photographs of which one knows the scale, with what it may be off by; the others as issues.
+
+    Raises:
+        InvalidParameterError: a path does not exist, or the options leave no such ruler.
+    """
+    rulers = tuple(
+        kind for kind in get_args(RulerName) if kind not in (Vehicles.kind, _WITNESS) and options.rulers.uses(kind)
+    )
+    if not rulers:
+        raise InvalidParameterError("photographs need another ruler than vehicles: leave --rulers and --metadata alone")
+    apart = replace(
+        options,
+        rulers=replace(options.rulers, rulers=rulers),
+        reading=replace(options.reading, limits=DATASET_LIMITS),
+    )
+    images, issues = [], []
+    for file in files_of(paths):
+        try:
+            with open_raster(file, bands=apart.reading.bands, limits=DATASET_LIMITS) as raster:
+                record = analyse_raster(raster, detector, apart).estimate
+        except VehAnchorError as error:
+            issues.append(FileIssue(file, error.code, str(error)))
+            continue
+        gsd, low, high = record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
+        if gsd is None or low is None or high is None:
+            why = " ".join(notice.message for notice in record.warnings) or "no ruler but vehicles finds anything in it"
+            issues.append(FileIssue(file, "no_other_ruler", why))
+            continue
+        log_sd = math.log(high / low) / (2 * _Z95)
+        images.append(KnownScaleImage(file, gsd, labels=labels_beside(file), gsd_log_sd=log_sd))
+    source = str(paths[0]) if len(paths) == 1 else f"{len(paths)} photographs"
+    return KnownScaleSet(source, tuple(images), tuple(issues))

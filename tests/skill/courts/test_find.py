@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vehanchor
+from tests.analyses import made_card
+from tests.skill.courts.drawing import draw_court
+from vehanchor.anchors.courts import evidence_of
+from vehanchor.courts.court import Court
+from vehanchor.courts.find import find_courts, measure_court
+from vehanchor.courts.match import Pose
+from vehanchor.courts.proposals import Proposal, boxes_of_courts, coarse_factors
+from vehanchor.courts.template import BASKETBALL, TENNIS, Template
+from vehanchor.detection.sighting import Objects, Sighting
+from vehanchor.imagery.raster import open_raster
+from vehanchor_scenes import render_scene
+
+NOTHING = Sighting(np.zeros((0, 5)), np.zeros(0))
+
+
+def _measured(image: Any, gsd: float, *, which: int = 0, degrees: float = 20.0, factor: int = 1) -> Court | None:
+    """What is measured from a proposal that is off by some pixels, degrees and per cent, as they come."""
+    middle = image.shape[0] / 2
+    pose = Pose(middle + 6, middle - 5, math.radians(degrees + 7), 1.1 / gsd)
+    with open_raster(image) as raster:
+        return measure_court(raster, Proposal(which, 0.9, pose, factor))
+
+
+@pytest.mark.parametrize(("gsd", "side", "factor"), [(0.3, 256, 2), (0.2, 256, 2), (0.1, 512, 4), (0.05, 1024, 8)])
+@pytest.mark.parametrize("degrees", [0.0, 20.0, 135.0])
+def test_a_tennis_court_is_measured_to_a_fraction_of_a_per_cent(
+    gsd: float, side: int, factor: int, degrees: float
+) -> None:
+    image = draw_court(TENNIS, gsd, degrees=degrees, side_px=side)
+    court = _measured(image, gsd, degrees=degrees, factor=factor)
+    assert court is not None
+    assert court.kind == "tennis"
+    assert court.gsd_m_per_px == pytest.approx(gsd, rel=0.005)
+    assert court.corners.mean(axis=0) == pytest.approx([side / 2, side / 2], abs=0.5)
+    sides = np.hypot(*(court.corners - np.roll(court.corners, -1, axis=0)).T) * gsd
+    assert sides == pytest.approx([23.77, 10.97, 23.77, 10.97], rel=0.01)
+
+
+@pytest.mark.parametrize("template", BASKETBALL, ids=lambda each: each.kind)
+def test_a_basketball_court_says_by_whose_rules_it_was_painted(template: Template) -> None:
+    court = _measured(draw_court(template, 0.1, side_px=512), 0.1, which=1, factor=4)
+    assert court is not None
+    assert court.kind == template.kind
+    assert court.gsd_m_per_px == pytest.approx(0.1, rel=0.005)
+
+
+def test_a_line_hidden_or_worn_away_does_not_matter() -> None:
+    court = _measured(draw_court(TENNIS, 0.25, missing=(8,)), 0.25, factor=2)
+    assert court is not None
+    assert court.gsd_m_per_px == pytest.approx(0.25, rel=0.005)
+    assert court.coverage < 0.95
+
+
+def test_an_outline_alone_is_no_court() -> None:
+    assert _measured(draw_court(TENNIS, 0.25, missing=(2, 3, 6, 7, 8)), 0.25, factor=2) is None
+
+
+def test_bays_of_a_car_park_are_no_court() -> None:
+    image = np.full((256, 256, 3), 90, np.uint8)
+    image[60:200, 20:240:9] = 220
+    image[60:200:36, 20:240] = 220
+    assert _measured(image, 0.3, degrees=0.0, factor=2) is None
+
+
+def test_a_court_cut_by_the_edge_is_none() -> None:
+    assert _measured(draw_court(TENNIS, 0.3)[:, 110:], 0.3, factor=2) is None
+
+
+def test_boxes_of_a_detector_that_knows_courts_are_followed() -> None:
+    image = draw_court(TENNIS, 0.3)
+    boxes = np.array([[131.0, 126, 84, 40, math.radians(24)], [60.0, 60, 90, 40, 0.0]])
+    card = made_card(4.6).model_copy(update={"class_names": {0: "small-vehicle", 3: "Tennis-court", 4: "harbor"}})
+    seen = Sighting(np.zeros((0, 5)), np.zeros(0), others=Objects(boxes, np.array([0.9, 0.8]), np.array([3, 4])))
+    assert len(boxes_of_courts(seen, card)) == 1
+    with open_raster(image) as raster:
+        (court,) = find_courts(raster, seen, card)
+    assert court.gsd_m_per_px == pytest.approx(0.3, rel=0.005)
+
+
+def test_a_small_image_is_searched_at_every_size_that_a_court_can_have_in_it() -> None:
+    with open_raster(np.zeros((256, 256, 3), np.uint8)) as raster:
+        assert coarse_factors(raster, NOTHING) == [2, 4, 8]
+    with open_raster(np.zeros((40, 4000, 3), np.uint8)) as raster:
+        assert coarse_factors(raster, NOTHING) == []
+
+
+def _court(gsd: float, kind: str = "tennis", log_sd: float = 0.001) -> Court:
+    corners = np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 5.0), (0.0, 5.0)])
+    return Court(kind, corners, 23.77, 10.97, gsd, log_sd, 0.9, 0.9, 0.0)
+
+
+def test_courts_are_evidence_with_their_measured_sides() -> None:
+    evidence = evidence_of([_court(0.3), _court(0.302)])
+    assert evidence.gsd_m_per_px == pytest.approx(0.301, rel=1e-3)
+    assert (evidence.kind, evidence.n) == ("courts", 2)
+    assert evidence.interval is not None
+    assert 0.295 < evidence.interval.low < 0.301 < evidence.interval.high < 0.307
+    assert evidence.says is not None
+    assert evidence.says.startswith("2 tennis courts say 0.301 m/px")
+    outline, long_side, short_side = evidence.marks[:3]
+    assert outline.closed
+    assert len(outline.points) == 4
+    assert (long_side.label, short_side.label) == ("23.77 m", "10.97 m")
+    assert long_side.points == ((0.0, 0.0), (10.0, 0.0))
+
+
+def test_rules_of_basketball_that_are_hard_to_tell_apart_make_a_wider_interval() -> None:
+    tennis, basketball = evidence_of([_court(0.3)]), evidence_of([_court(0.3, "basketball_nba")])
+    assert tennis.log_sd is not None
+    assert basketball.log_sd is not None
+    assert basketball.log_sd > 1.5 * tennis.log_sd
+    assert basketball.says is not None
+    assert "by the NBA's rules" in basketball.says
+
+
+def test_a_court_that_says_something_else_than_the_others_is_left_out() -> None:
+    evidence = evidence_of([_court(0.3), _court(0.301), _court(0.4)])
+    assert evidence.n == 2
+    assert evidence.gsd_m_per_px == pytest.approx(0.3, rel=0.01)
+
+
+def test_no_court_says_nothing() -> None:
+    evidence = evidence_of([])
+    assert evidence.gsd_m_per_px is None
+    assert not evidence.marks
+
+
+def test_a_court_is_found_in_an_image_and_named_in_the_record() -> None:
+    scene = render_scene(0.25, width_px=384, height_px=384, seed=46, layout="sports")
+    estimate = vehanchor.estimate_gsd(scene.image)
+    assert estimate.rulers is not None
+    (courts,) = (ruler for ruler in estimate.rulers if ruler.kind == "courts")
+    assert courts.gsd_m_per_px == pytest.approx(0.25, rel=0.02)
+    without = vehanchor.estimate_gsd(scene.image, rulers=("vehicles", "scene_scale"))
+    assert not any(ruler.kind == "courts" for ruler in without.rulers or ())

@@ -1,0 +1,1 @@
+"""The network that says where courts may be: ``README.md``."""
