@@ -1,8 +1,8 @@
 """Courts as a ruler: ``python benchmarks/courts.py [tiles] [scenes] [val] [time]``. Prints Markdown, for RESULTS.md.
 
-``tiles``: 70 real tiles with tennis courts at 0.3048 m/px, the held-out tenth apart; ``scenes``: rendered sports grounds,
-by scale, where a whole court is in sight; ``val``: images of the validation splits, in which there are next to no
-courts; ``time``: what looking for courts adds to an estimate of 4096 x 4096 without any.
+``tiles``: 70 real tiles with tennis courts at 0.3048 m/px, the held-out tenth apart; ``scenes``: rendered sports
+grounds, by scale, where a whole court is in sight; ``val``: images of the validation splits, with next to no courts in
+them; ``time``: what looking for courts adds to an estimate of 4096 x 4096 without any.
 """
 
 from __future__ import annotations
