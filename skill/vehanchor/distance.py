@@ -230,9 +230,8 @@ def _length_sd(places: Sequence[Place], unit_px: tuple[float, float]) -> float:
 def _conclude(places: Sequence[Place], pointing: Pointing, scale: FoundScale) -> DistanceMeasurement:
     """Path and scale to record."""
     length_px, gsd, estimate = _length(places), scale.gsd_m_per_px, scale.estimate
-    distance, low, high = None, None, None
-    if gsd is not None:
-        distance = length_px * gsd
+    distance, low, high = scale.length_m(places), None, None
+    if distance is not None:
         low, high = interval_around(
             distance, math.hypot(scale.log_sd, _length_sd(places, pointing.unit_px) / length_px)
         )

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.anchors.agreement import disagreements
+from vehanchor.anchors.attitude import attitude, levelled, tilt_record
 from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.registry import OTHER_ANCHORS
 from vehanchor.anchors.scene_scale import SceneScale
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     import onnxruntime
     from numpy.typing import NDArray
 
+    from vehanchor.anchors.attitude import Attitude
     from vehanchor.anchors.evidence import Evidence, Mark
     from vehanchor.anchors.fused import RulerShare
     from vehanchor.detection.card import DetectorCard
@@ -73,16 +75,19 @@ class ScaleAnalysis:
         estimate: the record.
         vehicles: their evidence, that of those that were dropped included.
         others: the evidence of the other rulers.
+        in_image: the vehicles as they are in the image, where the camera looked aside and their evidence has them
+            levelled; None where it has them as they are.
     """
 
     estimate: GsdEstimate
     vehicles: VehicleEvidence
     others: tuple[Evidence, ...] = ()
+    in_image: Sighting | None = None
 
     @property
     def detections(self) -> Sighting:
         """All vehicles that were found: ``boxes`` and ``scores``, best first."""
-        return self.vehicles.fleet.sighting
+        return self.in_image or self.vehicles.fleet.sighting
 
     @property
     def kept(self) -> NDArray[np.bool_]:
@@ -223,26 +228,37 @@ def image_notices(raster: Raster) -> tuple[Notice, ...]:
     return tuple(Notice(code=note.code, message=note.message) for note in raster.warnings)
 
 
-def analyse_sighting(view: View, others: Sequence[Evidence] | None = None) -> ScaleAnalysis:
+def analyse_sighting(view: View, others: Sequence[Evidence] | None = None, *, level: bool = True) -> ScaleAnalysis:
     """As ``analyse_raster``, of an image that has been searched: one search can serve several options.
 
     Args:
         view: of the image.
         others: evidence of the rulers beside vehicles, where they have looked already; None has them look.
+        level: measure vehicles on the plane of the ground where the camera looked aside; False where they were.
 
     Raises:
         InvalidParameterError: the model does not know the region.
         CalibrationMismatchError: the calibration was made for another model.
+        TooObliqueError: the horizon is in sight, or nearly so.
     """
+    looked = attitude(view.image, view.options) if level else None
+    seen = view
+    if looked is not None:  # the network of the ground was never shown such a view
+        view = replace(view, sighting=replace(view.sighting, scene=None))
+        seen = replace(view, sighting=levelled(view.sighting, looked, view.image))
     rulers = view.options.rulers
     if others is None:
         others = tuple(ruler.look(view) for ruler in OTHER_ANCHORS if rulers.uses(ruler.kind))
-    seen = view if rulers.uses(Vehicles.kind) else replace(view, sighting=_NOT_SEARCHED)
-    vehicles = Vehicles().look(seen)
-    return ScaleAnalysis(conclude(vehicles, others, view), vehicles, tuple(others))
+    used = rulers.uses(Vehicles.kind)
+    vehicles = Vehicles().look(seen if used else replace(view, sighting=_NOT_SEARCHED))
+    estimate = conclude(vehicles, others, view, looked)
+    in_image = view.sighting if looked is not None and used else None
+    return ScaleAnalysis(estimate, vehicles, tuple(others), in_image)
 
 
-def conclude(vehicles: VehicleEvidence, others: Sequence[Evidence], view: View) -> GsdEstimate:
+def conclude(
+    vehicles: VehicleEvidence, others: Sequence[Evidence], view: View, looked: Attitude | None = None
+) -> GsdEstimate:
     """Conclude from the evidence to the caller's record."""
     image, judgement = view.image, judge(vehicles, others)
     gsd, interval = judgement.gsd_m_per_px, judgement.interval
@@ -274,6 +290,7 @@ def conclude(vehicles: VehicleEvidence, others: Sequence[Evidence], view: View) 
         image_width_px=image.width_px,
         image_height_px=image.height_px,
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
+        tilt=None if looked is None else tilt_record(looked, image, gsd),
         frame=_frame_scale(view.options.frame, image.width_px, gsd, interval),
         scale=_known_scale(view, gsd, interval, judgement.confidence),
         model=view.card.name,

@@ -37,6 +37,7 @@ __all__ = [
     "ScaleSource",
     "SceneScaleEstimate",
     "Status",
+    "TiltEstimate",
 ]
 
 Status = Literal["ok", "low_confidence", "no_anchor"]
@@ -114,6 +115,19 @@ class RulerScale(_Record):
     says: str | None = Field(description="What it was measured by, in a sentence; null where numbers say it all.")
 
 
+class TiltEstimate(_Record):
+    """A camera that looked aside: scales differ over the image, and lengths and areas are measured on a plane."""
+
+    tilt_deg: float = Field(ge=0, le=90, description="Angle between the camera's axis and straight down.")
+    tilt_ci95_low_deg: float = Field(ge=0, le=90, description="Lower end of its 95 % interval.")
+    tilt_ci95_high_deg: float = Field(ge=0, le=90, description="Upper end of its 95 % interval.")
+    roll_deg: float = Field(description="Direction in which it looked aside, clockwise from the image's upper side.")
+    focal_length_px: float = Field(gt=0, description="Focal length, pixels of the full image.")
+    source: str = Field(description="Where the tilt is from: metadata.")
+    gsd_least_m_per_px: float | None = Field(description="Least metres per pixel in the image; null without a scale.")
+    gsd_largest_m_per_px: float | None = Field(description="Largest metres per pixel in the image.")
+
+
 class KnownScale(_Record):
     """A scale to be given back for the next measurement in the same image, which then needs no search."""
 
@@ -184,6 +198,10 @@ class GsdEstimate(_Record):
     georeference_gsd_m_per_px: float | None = Field(
         description="Scale that the file itself carries (geotransform), for comparison; never used for the estimate."
     )
+    tilt: TiltEstimate | None = Field(
+        description="Where the camera looked more than 10 degrees aside, by its metadata: gsd_m_per_px is then that of "
+        "the image's centre. Null where it looked down, or nobody knows."
+    )
     frame: FrameScale | None = Field(description="The scale in the caller's resized copy, where one was named.")
     scale: KnownScale | None = Field(
         default=None,
@@ -240,7 +258,10 @@ class AreaMeasurement(_Record):
         description="ok. low_confidence: the scale's confidence is below 0.5, or the mask's score below the model's "
         "limit, or there is no mask. no_anchor: no scale, so pixels only."
     )
-    area_m2: float | None = Field(description="mask_area_px times GSD squared, square metres; null without a scale.")
+    area_m2: float | None = Field(
+        description="mask_area_px times GSD squared, square metres, summed over the ground's plane where the camera "
+        "looked aside; null without a scale."
+    )
     area_ci95_low_m2: float | None = Field(description="Lower end of its 95 % interval: scale and mask together.")
     area_ci95_high_m2: float | None = Field(description="Upper end of its 95 % interval.")
     confidence: float | None = Field(

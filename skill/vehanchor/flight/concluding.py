@@ -263,7 +263,7 @@ def _supports(members: Sequence[Photograph], island: Island, pooled: ScaleAnalys
     supports = []
     lengths = pooled.vehicles.fleet.lengths
     for place, member in enumerate(members):
-        sighting = member.view.sighting
+        sighting = member.measured
         own = sighting.boxes[:, 2] * math.exp(island.offsets[place])
         among: NDArray[np.bool_] = (
             (own >= lengths.min()) & (own <= lengths.max()) if len(lengths) else np.zeros(len(own), dtype=bool)

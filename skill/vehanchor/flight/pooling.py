@@ -75,10 +75,10 @@ def pool(
     logs = np.asarray(log_scales, dtype=np.float64)
     offsets = logs - logs[reference]
     chief = members[reference].view
-    sighting = pooled_sighting([member.view.sighting for member in members], offsets)
+    sighting = pooled_sighting([member.measured for member in members], offsets)
     resolved = _resolved(members)
     view = fixed_view(_facts(members, reference), sighting, chief.card, chief.options, resolved)
-    return analyse_sighting(view, (*_pooled_others(members, offsets), *added))
+    return analyse_sighting(view, (*_pooled_others(members, offsets), *added), level=False)
 
 
 def pooled_sighting(sightings: Sequence[Sighting], offsets: ArrayLike) -> Sighting:
