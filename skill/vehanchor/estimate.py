@@ -121,16 +121,17 @@ def estimate_gsd(
     """Estimate the ground sampling distance of an aerial image from the cars in it, and from what other rulers say.
 
     Args:
-        image: path, encoded bytes, binary file object, or array (H x W x 3 RGB or H x W; uint8, uint16 or float).
+        image: path, encoded bytes, binary file object, Pillow image, rasterio dataset, or array (H x W x 3 RGB or
+            H x W; uint8, uint16 or float).
         detector: a bundled model's name, the path of an ONNX oriented-box model, or a loaded ``Detector``; default the
             bundled one.
         threads: CPU threads for the model; None leaves it to ONNX Runtime. Ignored for a loaded ``Detector``.
         progress: called with (tiles done, tiles in all).
         **options: the fields of ``vehanchor.options``' groups: ``min_score``, ``nms_iou``, ``search_scales``,
             ``tile_px``, ``stride_px`` (``Search``), ``aggregation``, ``alpha`` (``Lengths``), ``reference_length_m``,
-            ``region``, ``calibration`` (``Reference``), ``frame_width_px``, ``frame_height_px`` (``Frame``), ``bands``,
-            ``limits`` (``Reading``), ``rulers``, ``metadata``, ``known_lengths``, ``height_m``, ``focal_35mm``
-            (``Rulers``).
+            ``region``, ``calibration`` (``Reference``), ``frame_width_px``, ``frame_height_px``, ``coordinates``
+            (``Frame``), ``bands``, ``limits``, ``bgr``, ``max_megapixels`` (``Reading``), ``rulers``, ``metadata``,
+            ``known_lengths``, ``height_m``, ``focal_35mm`` (``Rulers``).
 
     Returns:
         The record; ``gsd_m_per_px`` is None, never a guess, where no ruler finds anything.
@@ -173,7 +174,7 @@ def analyse_scale(
     """
     chosen = options or ScaleOptions()
     model = open_detector(detector, chosen, threads=threads)
-    with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits) as raster:
+    with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits, bgr=chosen.reading.bgr) as raster:
         return analyse_raster(raster, model, chosen, progress=progress, run_options=run_options)
 
 

@@ -172,7 +172,7 @@ def analyse_area(
     prompt = read_prompt(box, points)
     segmenting = _open_segmenter(segmenter, threads)
     source = choose_scale(gsd_m_per_px, scale, detector, chosen, threads=threads)
-    with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits) as raster:
+    with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits, bgr=chosen.reading.bgr) as raster:
         (analysis,) = analyse_objects(
             raster, [prompt], segmenting, source, chosen, progress=progress, run_options=run_options
         )

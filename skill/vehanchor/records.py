@@ -5,11 +5,12 @@ Numbers are finite or null, units are in the names, and nothing is a bare array 
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.defaults import Aggregation
+from vehanchor.exchange import as_frame, as_html, line_geometry, outline_geometry
 from vehanchor.ruler_options import RulerName
 
 __all__ = [
@@ -47,6 +48,18 @@ ReferenceSource = Literal["model", "appearance", "region", "given", "calibration
 
 class _Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    def to_frame(self) -> Any:
+        """Make a pandas table of one row, nested fields as ``outer_inner``.
+
+        Raises:
+            MissingExtraError: there is no pandas.
+        """
+        return as_frame([self.model_dump(mode="json")])
+
+    def _repr_html_(self) -> str:
+        """Show the single values in a notebook."""
+        return as_html(self.model_dump(mode="json"))
 
 
 class Notice(_Record):
@@ -291,6 +304,11 @@ class AreaMeasurement(_Record):
     segmenter_sha256: str = Field(description="SHA-256 of the segmenter's encoder file followed by its decoder file.")
     warnings: tuple[Notice, ...] = Field(description="What else to know about this result, the scale's included.")
 
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        """The outline as a GeoJSON MultiPolygon, which shapely, geopandas and fiona take; pixels, y down."""
+        return outline_geometry(self.model_dump(mode="json", include={"outline"})["outline"])
+
 
 class DistanceMeasurement(_Record):
     """Length of a line on the ground: its pixels times the scale, and where that comes from."""
@@ -322,6 +340,11 @@ class DistanceMeasurement(_Record):
         description="The whole estimate of the scale; null for one that was given or given back."
     )
     warnings: tuple[Notice, ...] = Field(description="What else to know about this result, the scale's included.")
+
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        """The path as a GeoJSON LineString, which shapely, geopandas and fiona take; pixels, y down."""
+        return line_geometry(self.model_dump(mode="json", include={"path"})["path"])
 
 
 class FlightAnchor(_Record):

@@ -67,16 +67,14 @@ ReferenceLengthArgument: TypeAlias = Annotated[
         description="Car length there, if better known; not with region.",
     ),
 ]
-FrameArgument: TypeAlias = Annotated[
-    FrameSize | None, Field(description="Size of the resized copy that you see, if you see one.")
-]
+FrameArgument: TypeAlias = Annotated[FrameSize | None, Field(description="Size of the copy that you see.")]
 CoordinatesArgument: TypeAlias = Annotated[
     Coordinates,
-    Field(description="Of places: pixels (of the image, or of frame), fraction (0 to 1) or per_mille (0 to 1000)."),
+    Field(description="Of places: pixels (of image or frame), fraction (0 to 1), per_mille (0 to 1000)."),
 ]
 KnownScaleArgument: TypeAlias = Annotated[
     KnownScale | None,
-    Field(description="scale of an earlier answer about this image, unchanged: far quicker."),
+    Field(description="Of an earlier answer about this image."),
 ]
 GsdArgument: TypeAlias = Annotated[
     float | None,

@@ -29,10 +29,11 @@ if TYPE_CHECKING:
 
 __all__ = ["find_courts", "measure_court"]
 
-_FAR = Reach(math.radians(20), math.radians(4), 0.24, 0.03, 14, 2)
+_FAR = Reach(math.radians(20), math.radians(4), 0.24, 0.04, 15, 3)
 _NEAR = Reach(math.radians(4), math.radians(2), 0.045, 0.015, 3, 1)
 _THERE = Reach(0.0, 1.0, 0.01, 0.01, 1, 1)
-_MOST_PROPOSALS, _MOST_COURTS = 16, 4
+_MOST_COURTS = 4
+_MOST_IN_VAIN = 8  # proposals one after the other that are no courts: the surest come first
 _PERSPECTIVE_PX = 150.0  # least length of a court for a homography
 _FITTED_PX = 220.0  # a court is fitted at the coarsest resolution at which it is at least so long, if there is one
 _MARGIN = 1.35  # of the patch that is read, over the court's half diagonal
@@ -88,14 +89,16 @@ def find_courts(
         for factor in coarse_factors(raster, sighting):
             proposals += network.propose(raster, factor, run_options=run_options)
     found: list[Court] = []
-    for proposal in _apart(proposals)[:_MOST_PROPOSALS]:
+    in_vain = 0
+    for proposal in _apart(proposals):
+        if in_vain == _MOST_IN_VAIN or len(found) == _MOST_COURTS:
+            break
         if any(_lies_in(proposal.pose, court) for court in found):
             continue
         court = measure_court(raster, proposal)
+        in_vain = 0 if court else in_vain + 1
         if court is not None and not any(_lies_in(_pose_of(court), other) for other in found):
             found.append(court)
-        if len(found) == _MOST_COURTS:
-            break
     return tuple(sorted(found, key=lambda court: -court.score))
 
 
@@ -117,25 +120,24 @@ def measure_court(raster: Raster, proposal: Proposal) -> Court | None:
 
     Args:
         raster: the image.
-        proposal: where it may be. The game that it names is tried first, the other one after it.
+        proposal: where it may be. That it names the wrong game does no harm.
     """
-    for templates in ((TENNIS,), BASKETBALL)[:: -1 if proposal.which else 1]:
-        court = _measured(raster, proposal, templates)
+    games = ((TENNIS,), BASKETBALL)[:: -1 if proposal.which else 1]
+    firsts = [game[0] for game in games]  # each stands for its game while it is searched for
+    patch = _read(raster, proposal.pose, firsts[0], max(1, proposal.factor // 2))
+    matched = match(patch.grey, firsts, patch.inside(proposal.pose), _FAR)
+    for (score, pose), game in sorted(zip(matched, games, strict=True), key=lambda each: -each[0][0]):
+        court = _measured(raster, patch, pose, game) if score >= _WORTH_A_FIT else None
         if court is not None:
             return court
     return None
 
 
-def _measured(raster: Raster, proposal: Proposal, templates: tuple[Template, ...]) -> Court | None:
-    """The court of the template that fits best; the first one stands for all of them while it is searched for."""
-    template = templates[0]
-    patch = _read(raster, proposal.pose, template, max(1, proposal.factor // 2))
-    score, pose = match(patch.grey, template, patch.inside(proposal.pose), _FAR)
-    if score < _WORTH_A_FIT:
-        return None
-    _, pose = match(patch.grey, template, pose, _NEAR)
-    first = fit(patch.grey, template, pose_matrix(pose), SIMILARITY)
-    score, pose = match(patch.grey, template, _pose(first.matrix), _THERE)
+def _measured(raster: Raster, patch: _Patch, pose: Pose, templates: tuple[Template, ...]) -> Court | None:
+    """The court of the template that fits best near a pose of a patch."""
+    ((_, pose),) = match(patch.grey, templates[:1], pose, _NEAR)
+    first = fit(patch.grey, templates[0], pose_matrix(pose), SIMILARITY)
+    ((score, pose),) = match(patch.grey, templates[:1], _pose(first.matrix), _THERE)
     if score < _LEAST_SCORE:
         return None
     fits = [(kind, *_fitted(raster, kind, patch, pose)) for kind in templates]
