@@ -100,13 +100,17 @@ def flight(
             write_record(out, record)
         if page is not None:
             write_report(page, record)
-        if as_json:
-            print_json(record.model_dump(mode="json"))
-        else:
-            print_table(facts_table(f"{len(record.photographs)} photographs", _facts(record)))
-            if not same_scale:
-                print_table(_photographs_table(record.photographs))
-            print_warnings(record, "")
+        _tell(record, as_json=as_json)
+
+
+def _tell(record: FlightEstimate, *, as_json: bool) -> None:
+    if as_json:
+        print_json(record.model_dump(mode="json"))
+        return
+    print_table(facts_table(f"{len(record.photographs)} photographs", _facts(record)))
+    if not record.same_scale:
+        print_table(_photographs_table(record.photographs))
+    print_warnings(record, "")
 
 
 def _images(inputs: list[str], every_s: float, leave_out: tuple[Path, ...]) -> Sequence[str] | Iterator[Taken]:
