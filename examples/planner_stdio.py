@@ -127,6 +127,7 @@ async def decide(
             arguments: dict[str, Any] = {
                 "image": {"kind": "path", "path": str(image.resolve())},
                 "target": {"box": asdict(zone)},
+                "detail": "full",
             }
             if anchor.gsd_m_per_px is not None:
                 arguments["gsd_m_per_px"] = anchor.gsd_m_per_px

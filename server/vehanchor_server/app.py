@@ -18,7 +18,6 @@ from vehanchor_server.errors import CallError, shortened
 from vehanchor_server.services import Services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.registry import create_tools
-from vehanchor_server.tools.sentences import POLICY
 from vehanchor_server.tools.strict_tool import StrictTool
 
 __all__ = ["create_server"]
@@ -79,5 +78,5 @@ def _instructions(tools: Sequence[StrictTool], settings: Settings) -> str:
     return (
         "VehAnchor takes the cars in aerial images as the ruler. "
         f"{' '.join(f'{tool.title}: {tool.name}.' for tool in tools)} "
-        f"{POLICY} Images are accepted by {'; '.join(kinds)}."
+        f"Act on results whose status is ok. Images are accepted by {'; '.join(kinds)}."
     )

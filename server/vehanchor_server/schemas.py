@@ -20,7 +20,7 @@ from vehanchor_server.tools.strict_tool import StrictTool
 
 __all__ = ["anthropic_definition", "openai_definition", "schema_files", "write_schemas"]
 
-_NOT_IN_STRICT_MODE = ("default", "minLength", "maxLength")
+_NOT_IN_STRICT_MODE = ("default", "minLength", "maxLength", "minProperties", "maxProperties")
 
 
 def write_schemas(directory: Path) -> list[Path]:
@@ -46,8 +46,8 @@ def schema_files() -> dict[str, str]:
     contract = create_tools(create_services(Settings()))
     documents: dict[str, Any] = {}
     for tool in contract:
-        documents[f"{tool.name}.input.json"] = portable_schema(tool.parameters, dialect=True)
-        documents[f"{tool.name}.output.json"] = portable_schema(tool.output_schema or {}, dialect=True)
+        documents[f"{tool.name}.input.json"] = portable_schema(tool.full_parameters, dialect=True)
+        documents[f"{tool.name}.output.json"] = portable_schema(tool.record_schema, dialect=True)
     documents["anthropic.json"] = [anthropic_definition(tool) for tool in contract]
     documents["openai.json"] = [openai_definition(tool) for tool in contract]
     return {name: json.dumps(document, indent=2, ensure_ascii=False) + "\n" for name, document in documents.items()}
@@ -64,7 +64,7 @@ def openai_definition(tool: StrictTool) -> dict[str, Any]:
         "type": "function",
         "name": tool.name,
         "description": tool.description,
-        "parameters": _strict(tool.parameters),
+        "parameters": _strict(tool.full_parameters),
         "strict": True,
     }
 

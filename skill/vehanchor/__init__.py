@@ -21,9 +21,10 @@ if TYPE_CHECKING:
     from vehanchor.detection.detector import Detector
     from vehanchor.distance import DistanceAnalysis, analyse_distance, measure_distance
     from vehanchor.estimate import ScaleAnalysis, analyse_scale, estimate_gsd
+    from vehanchor.flight.estimate import estimate_flight
     from vehanchor.measure import AreaAnalysis, analyse_area, measure_area
     from vehanchor.options import Frame, ImageLimits, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, KnownScale
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, KnownScale
     from vehanchor.scale.calibration import Calibration, load_calibration
     from vehanchor.segmentation.segmenter import Segmenter
 
@@ -31,9 +32,10 @@ _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing un
     "detection.detector": ("Detector",),
     "distance": ("DistanceAnalysis", "analyse_distance", "measure_distance"),
     "estimate": ("ScaleAnalysis", "analyse_scale", "estimate_gsd"),
+    "flight.estimate": ("estimate_flight",),
     "measure": ("AreaAnalysis", "analyse_area", "measure_area"),
     "options": ("Frame", "ImageLimits", "Lengths", "Reading", "Reference", "Rulers", "ScaleOptions", "Search"),
-    "records": ("AreaMeasurement", "DistanceMeasurement", "GsdEstimate", "KnownScale"),
+    "records": ("AreaMeasurement", "DistanceMeasurement", "FlightEstimate", "GsdEstimate", "KnownScale"),
     "scale.calibration": ("Calibration", "load_calibration"),
     "segmentation.segmenter": ("Segmenter",),
 }
@@ -48,6 +50,7 @@ __all__ = [
     "Detector",
     "DistanceAnalysis",
     "DistanceMeasurement",
+    "FlightEstimate",
     "Frame",
     "GsdEstimate",
     "ImageLimits",
@@ -65,6 +68,7 @@ __all__ = [
     "analyse_area",
     "analyse_distance",
     "analyse_scale",
+    "estimate_flight",
     "estimate_gsd",
     "load_calibration",
     "measure_area",

@@ -5,11 +5,12 @@ Numbers are finite or null, units are in the names, and nothing is a bare array 
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.defaults import Aggregation
+from vehanchor.exchange import as_frame, as_html, line_geometry, outline_geometry
 from vehanchor.ruler_options import RulerName
 
 __all__ = [
@@ -17,6 +18,11 @@ __all__ = [
     "BoundingBox",
     "ConfidenceTerms",
     "DistanceMeasurement",
+    "FlightAnchor",
+    "FlightEstimate",
+    "FlightIsland",
+    "FlightLink",
+    "FlightPhotograph",
     "FrameArea",
     "FrameScale",
     "GsdEstimate",
@@ -31,6 +37,7 @@ __all__ = [
     "ScaleSource",
     "SceneScaleEstimate",
     "Status",
+    "TiltEstimate",
 ]
 
 Status = Literal["ok", "low_confidence", "no_anchor"]
@@ -41,6 +48,18 @@ ReferenceSource = Literal["model", "appearance", "region", "given", "calibration
 
 class _Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    def to_frame(self) -> Any:
+        """Make a pandas table of one row, nested fields as ``outer_inner``.
+
+        Raises:
+            MissingExtraError: there is no pandas.
+        """
+        return as_frame([self.model_dump(mode="json")])
+
+    def _repr_html_(self) -> str:
+        """Show the single values in a notebook."""
+        return as_html(self.model_dump(mode="json"))
 
 
 class Notice(_Record):
@@ -94,6 +113,19 @@ class RulerScale(_Record):
     )
     agrees: bool = Field(description="Whether it agrees with the scale that is given out.")
     says: str | None = Field(description="What it was measured by, in a sentence; null where numbers say it all.")
+
+
+class TiltEstimate(_Record):
+    """A camera that looked aside: scales differ over the image, and lengths and areas are measured on a plane."""
+
+    tilt_deg: float = Field(ge=0, le=90, description="Angle between the camera's axis and straight down.")
+    tilt_ci95_low_deg: float = Field(ge=0, le=90, description="Lower end of its 95 % interval.")
+    tilt_ci95_high_deg: float = Field(ge=0, le=90, description="Upper end of its 95 % interval.")
+    roll_deg: float = Field(description="Direction in which it looked aside, clockwise from the image's upper side.")
+    focal_length_px: float = Field(gt=0, description="Focal length, pixels of the full image.")
+    source: str = Field(description="Where the tilt is from: metadata.")
+    gsd_least_m_per_px: float | None = Field(description="Least metres per pixel in the image; null without a scale.")
+    gsd_largest_m_per_px: float | None = Field(description="Largest metres per pixel in the image.")
 
 
 class KnownScale(_Record):
@@ -166,6 +198,10 @@ class GsdEstimate(_Record):
     georeference_gsd_m_per_px: float | None = Field(
         description="Scale that the file itself carries (geotransform), for comparison; never used for the estimate."
     )
+    tilt: TiltEstimate | None = Field(
+        description="Where the camera looked more than 10 degrees aside, by its metadata: gsd_m_per_px is then that of "
+        "the image's centre. Null where it looked down, or nobody knows."
+    )
     frame: FrameScale | None = Field(description="The scale in the caller's resized copy, where one was named.")
     scale: KnownScale | None = Field(
         default=None,
@@ -222,7 +258,10 @@ class AreaMeasurement(_Record):
         description="ok. low_confidence: the scale's confidence is below 0.5, or the mask's score below the model's "
         "limit, or there is no mask. no_anchor: no scale, so pixels only."
     )
-    area_m2: float | None = Field(description="mask_area_px times GSD squared, square metres; null without a scale.")
+    area_m2: float | None = Field(
+        description="mask_area_px times GSD squared, square metres, summed over the ground's plane where the camera "
+        "looked aside; null without a scale."
+    )
     area_ci95_low_m2: float | None = Field(description="Lower end of its 95 % interval: scale and mask together.")
     area_ci95_high_m2: float | None = Field(description="Upper end of its 95 % interval.")
     confidence: float | None = Field(
@@ -265,6 +304,11 @@ class AreaMeasurement(_Record):
     segmenter_sha256: str = Field(description="SHA-256 of the segmenter's encoder file followed by its decoder file.")
     warnings: tuple[Notice, ...] = Field(description="What else to know about this result, the scale's included.")
 
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        """The outline as a GeoJSON MultiPolygon, which shapely, geopandas and fiona take; pixels, y down."""
+        return outline_geometry(self.model_dump(mode="json", include={"outline"})["outline"])
+
 
 class DistanceMeasurement(_Record):
     """Length of a line on the ground: its pixels times the scale, and where that comes from."""
@@ -296,3 +340,89 @@ class DistanceMeasurement(_Record):
         description="The whole estimate of the scale; null for one that was given or given back."
     )
     warnings: tuple[Notice, ...] = Field(description="What else to know about this result, the scale's included.")
+
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        """The path as a GeoJSON LineString, which shapely, geopandas and fiona take; pixels, y down."""
+        return line_geometry(self.model_dump(mode="json", include={"path"})["path"])
+
+
+class FlightAnchor(_Record):
+    """A ruler that a photograph's scale hangs on, and the photographs in between."""
+
+    ruler: str = Field(description="Kind of the ruler: vehicles, camera, positions, ...")
+    photograph: str = Field(description="The photograph that it was seen in; the photograph itself, or another.")
+    through: tuple[str, ...] = Field(
+        description="Photographs in between, each of which overlaps the next; empty where it was seen in this one, or "
+        "in one that overlaps it, or where all are of one scale."
+    )
+
+
+class FlightPhotograph(_Record):
+    """One photograph of a flight: its scale by all evidence of the flight, and what it says by itself."""
+
+    photograph: str = Field(description="The photograph, as the caller named it.")
+    status: Status | Literal["error"] = Field(
+        description="ok: confidence >= 0.5. low_confidence: below 0.5. no_anchor: no scale. error: it cannot be read."
+    )
+    gsd_m_per_px: float | None = Field(description="Metres per pixel of this photograph, by all evidence.")
+    gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
+    gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
+    confidence: float | None = Field(ge=0, le=1, description="Confidence in it; null for one that cannot be read.")
+    island: int | None = Field(
+        description="Number of the group of photographs that are tied to each other; null for one that cannot be read."
+    )
+    anchors: tuple[FlightAnchor, ...] = Field(description="What its scale hangs on, the strongest first.")
+    scale: KnownScale | None = Field(
+        description="The scale to be given back for measurements in this photograph; null without one."
+    )
+    east_m: float | None = Field(description="Place of its centre, metres east (by overlaps: to the right).")
+    north_m: float | None = Field(description="Metres north (overlaps: up).")
+    placed_by: Literal["positions", "overlaps"] | None = Field(
+        description="positions: by its metadata, from the first that has any. overlaps: by what it overlaps, from the "
+        "island's reference and turned as it. Null: nowhere."
+    )
+    own: GsdEstimate | None = Field(description="What the photograph says by itself.")
+    error_code: str | None = Field(description="Stable code of why it cannot be read.")
+    error: str | None = Field(description="What was wrong and what to do.")
+
+
+class FlightIsland(_Record):
+    """Photographs that are tied to each other, by one scale or by what they overlap: one body of evidence."""
+
+    number: int = Field(ge=0, description="Its number; the largest island is 0.")
+    n_photographs: int = Field(ge=1, description="Its photographs.")
+    reference: str = Field(description="The photograph in whose pixels all of its evidence was put together.")
+    pooled: GsdEstimate = Field(description="What all evidence of the island says of that photograph's scale.")
+
+
+class FlightLink(_Record):
+    """Two photographs that overlap, and the ratio of their scales."""
+
+    first: str = Field(description="One photograph.")
+    second: str = Field(description="The other.")
+    ratio: float = Field(gt=0, description="Metres per pixel of the first over those of the second.")
+    ratio_log_sd: float = Field(ge=0, description="Standard deviation of its natural log.")
+    n_matches: int = Field(ge=0, description="Points of the ground that were found in both.")
+    dropped: str | None = Field(description="Why it was not used: what it contradicts; null where it was.")
+
+
+class FlightEstimate(_Record):
+    """Scales of the photographs of one flight, by the evidence of all of them."""
+
+    status: Status = Field(
+        description="ok: every photograph that can be read has a scale with a confidence >= 0.5. low_confidence: not "
+        "all of them. no_anchor: none has a scale."
+    )
+    same_scale: bool = Field(description="Whether the caller said that all photographs are of one scale.")
+    gsd_m_per_px: float | None = Field(description="With same_scale that scale, metres per pixel; else null.")
+    gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
+    gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
+    confidence: float = Field(ge=0, le=1, description="Of that scale; else the least of the islands'.")
+    n_vehicles: int = Field(ge=0, description="Vehicles that the scales were taken from.")
+    photographs: tuple[FlightPhotograph, ...] = Field(description="In the order in which they were given.")
+    islands: tuple[FlightIsland, ...] = Field(description="The largest first; one with same_scale.")
+    links: tuple[FlightLink, ...] = Field(description="Overlapping photographs; none with same_scale.")
+    model: str = Field(description="Name of the detector.")
+    model_sha256: str = Field(description="SHA-256 of the detector's file.")
+    warnings: tuple[Notice, ...] = Field(description="What else to know about the flight.")

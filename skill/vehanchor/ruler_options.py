@@ -11,12 +11,13 @@ from vehanchor.errors import InvalidParameterError, KnownLengthError
 
 __all__ = ["SEARCHED", "KnownLength", "RulerName", "Rulers"]
 
-RulerName: TypeAlias = Literal["vehicles", "scene_scale", "camera", "known_length", "height", "courts"]
+RulerName: TypeAlias = Literal["vehicles", "scene_scale", "camera", "known_length", "height", "courts", "positions"]
 """Rulers by the names that records and options give them."""
 
 SEARCHED: frozenset[RulerName] = frozenset({"vehicles"})
 """Rulers that measure what the detector finds: without any of them it does not run."""
 
+_FROM_METADATA = ("camera", "positions")
 _MIN_LINE_PX = 5.0  # a pixel off at each end of a shorter line is more than a quarter of it
 _MAX_LINE_M = 100_000.0
 _MAX_HEIGHT_M = 20_000.0  # survey aircraft fly at 10 km; whoever flies higher has no use for cars
@@ -66,7 +67,8 @@ class Rulers:
     rulers: tuple[RulerName, ...] | None = field(
         default=None,
         metadata=choice(
-            "Rulers to use, with commas: vehicles, scene_scale, camera, known_length, height, courts. Default: all.",
+            "Rulers to use, with commas: vehicles, scene_scale, camera, known_length, height, courts, positions (of "
+            "flights). Default: all.",
             metavar="NAMES",
         ),
     )
@@ -108,7 +110,7 @@ class Rulers:
 
     def uses(self, kind: str) -> bool:
         """Whether a ruler is used."""
-        return (self.rulers is None or kind in self.rulers) and (self.metadata or kind != "camera")
+        return (self.rulers is None or kind in self.rulers) and (self.metadata or kind not in _FROM_METADATA)
 
     @property
     def searches(self) -> bool:

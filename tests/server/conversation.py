@@ -18,7 +18,8 @@ ERAS = ("auto", "legacy")  # auto finds the stateless 2026-07-28 protocol
 
 
 def by_path(path: Path | str) -> dict[str, Any]:
-    return {"image": {"kind": "path", "path": str(path)}}
+    """Arguments of a program, which reads whole records."""
+    return {"image": {"kind": "path", "path": str(path)}, "detail": "full"}
 
 
 def text_of(result: CallToolResult) -> str:

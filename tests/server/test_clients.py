@@ -24,6 +24,7 @@ from vehanchor_server.settings import Settings
 
 pytestmark = [pytest.mark.frameworks, pytest.mark.timeout(600)]
 
+LINES = [{"points": [{"x": 10, "y": 20}, {"x": 310, "y": 420}]}]
 _FOLDER = Path(__file__).parent / "frameworks"
 
 
@@ -66,10 +67,12 @@ def test_a_framework_gets_the_librarys_records_and_reads_what_went_wrong(
     records = [
         vehanchor.estimate_gsd(images / "cars.png", detector=detector),
         vehanchor.measure_area(images / "pool.png", box=box, detector=detector, segmenter=segmenter_paths),
+        vehanchor.measure_distance(images / "cars.png", [(10, 20), (310, 420)], detector=detector),
     ]
     calls = [
         ("estimate_gsd", by_path(images / "cars.png")),
-        ("measure_area", {**by_path(images / "pool.png"), "target": {"box": POOL_BOX}}),
+        ("measure_area", {**by_path(images / "pool.png"), "targets": [{"box": POOL_BOX}]}),
+        ("measure_distance", {**by_path(images / "cars.png"), "lines": LINES}),
         ("estimate_gsd", by_path(tmp_path / "elsewhere.png")),
     ]
     models = ["--detector", str(detector_path), "--segmenter", *map(str, segmenter_paths), "--threads", "1"]
@@ -79,7 +82,7 @@ def test_a_framework_gets_the_librarys_records_and_reads_what_went_wrong(
         seen = driven(framework, packages, {"stdio": command, "url": f"{address}/mcp", "calls": calls})
     print(json.dumps(seen["versions"]))
     for transport in ("stdio", "http"):
-        assert seen[transport]["tools"] == ["estimate_gsd", "measure_area"]
+        assert seen[transport]["tools"] == ["estimate_gsd", "measure_area", "measure_distance", "view_image"]
         *results, refused = seen[transport]["results"]
         assert [result["record"] for result in results] == [record.model_dump(mode="json") for record in records]
         assert "path_not_allowed" in refused["text"]

@@ -19,8 +19,9 @@ from vehanchor_server.schemas import schema_files, write_schemas
 from vehanchor_server.tools.portable_schema import portable_schema
 
 PUBLISHED = Path(__file__).parents[2] / "schemas"
-TOOLS = ("estimate_gsd", "measure_area")
+TOOLS = ("estimate_gsd", "measure_area", "measure_distance", "view_image")
 BOX = {"target": {"box": POOL_BOX}}
+LINE = {"lines": [{"points": [{"x": 9, "y": 9}, {"x": 99, "y": 9}]}]}
 
 
 def nodes(schema: Any) -> Iterator[dict[str, Any]]:
@@ -62,14 +63,17 @@ def test_the_schemas_are_valid_2020_12_that_every_host_reads(files: dict[str, An
 
 
 @pytest.mark.anyio
-async def test_the_server_publishes_the_same(server: MCPServer[object], files: dict[str, Any]) -> None:
+async def test_the_server_lists_what_a_model_needs_of_them(server: MCPServer[object], files: dict[str, Any]) -> None:
     async with Client(server) as client:
         tools = (await client.list_tools()).tools
     assert [tool.name for tool in tools] == list(TOOLS)
     for tool in tools:
-        for published, side in ((tool.input_schema, "input"), (tool.output_schema, "output")):
-            expected = {key: value for key, value in files[f"{tool.name}.{side}.json"].items() if key != "$schema"}
-            assert published == expected
+        for listed, side in ((tool.input_schema, "input"), (tool.output_schema, "output")):
+            whole = files[f"{tool.name}.{side}.json"]
+            assert listed is not None
+            jsonschema.Draft202012Validator.check_schema(listed)
+            assert set(listed["properties"]) <= set(whole["properties"])
+            assert not {"oneOf", "anyOf"} & set(listed)
 
 
 @pytest.mark.anyio
@@ -82,6 +86,8 @@ async def test_the_server_publishes_the_same(server: MCPServer[object], files: d
         ("measure_area", "pool.png", BOX),
         ("measure_area", "pool_alone.png", BOX),
         ("measure_area", "pool_alone.png", {**BOX, "gsd_m_per_px": 0.2}),
+        ("measure_distance", "cars.png", LINE),
+        ("measure_distance", "empty.png", LINE),
         (
             "measure_area",
             "empty.png",
@@ -95,7 +101,11 @@ async def test_real_results_are_valid(
     frame = {"width_px": 640, "height_px": 512}
     arguments = {**by_path(images / image), **more, "frame": frame}
     jsonschema.validate(arguments, files[f"{tool}.input.json"])
-    jsonschema.validate(arguments, files["anthropic.json"][TOOLS.index(tool)]["input_schema"])
+    listed = files["anthropic.json"][TOOLS.index(tool)]["input_schema"]
+    asked = {name: value for name, value in arguments.items() if name != "target"}
+    asked |= {"targets": [arguments["target"]]} if "target" in arguments else {}
+    jsonschema.validate(asked, listed)
+    assert set(asked) <= set(listed["properties"])
     async with Client(server) as client:
         result = await client.call_tool(tool, arguments)
     jsonschema.validate(result.structured_content, files[f"{tool}.output.json"])
@@ -131,7 +141,6 @@ def test_what_the_server_would_refuse_is_invalid(files: dict[str, Any], argument
 @pytest.mark.parametrize(
     "target",
     [
-        None,
         {},
         [10, 20, 90, 80],
         {"box": {"x_min": 1, "y_min": 2, "x_max": 3}},
@@ -170,15 +179,26 @@ def _properties(node: dict[str, Any]) -> set[str]:
     ("tool", "more"),
     [
         ("estimate_gsd", {}),
-        ("measure_area", {**BOX, "gsd_m_per_px": None}),
-        ("measure_area", {"target": {"points": [{"x": 324, "y": 378, "label": "include"}]}, "gsd_m_per_px": None}),
+        ("measure_area", {"target": {"box": POOL_BOX, "points": None}, "gsd_m_per_px": None}),
+        (
+            "measure_area",
+            {"target": {"box": None, "points": [{"x": 324, "y": 378, "label": "include"}]}, "gsd_m_per_px": None},
+        ),
     ],
 )
 async def test_what_strict_mode_makes_a_model_send_is_accepted(
     server: MCPServer[object], images: Path, files: dict[str, Any], tool: str, more: dict[str, Any]
 ) -> None:
     left_out: dict[str, Any] = {"region": None, "reference_length_m": None, "frame": None, "include_overlay": False}
-    left_out |= {"known_lengths": None, "height_m": None, "focal_35mm": None}
+    left_out |= {
+        "known_lengths": None,
+        "height_m": None,
+        "focal_35mm": None,
+        "coordinates": "pixels",
+        "detail": "short",
+    }
+    if tool != "estimate_gsd":
+        left_out |= {"targets": None, "scale": None}
     arguments = {**by_path(images / "pool.png"), **more, **left_out}
     jsonschema.validate(arguments, files["openai.json"][TOOLS.index(tool)]["parameters"])
     async with Client(server) as client:

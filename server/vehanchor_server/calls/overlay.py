@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster, Window
     from vehanchor_server.calls.capacity import Stop
 
-__all__ = ["MAX_PICTURE_BYTES", "overlay_jpeg"]
+__all__ = ["MAX_PICTURE_BYTES", "MAX_SIDE_PX", "overlay_jpeg", "small_jpeg", "stoppable"]
 
 MAX_PICTURE_BYTES = 500_000  # hosts cap a result at about 0.75 MB, and base64 adds a third
-_MAX_SIDE_PX = 1568  # what vision models see at most; more would only cost
+MAX_SIDE_PX = 1568  # what vision models see at most; more would only cost
 _QUALITIES = (85, 70, 55, 40)
 
 
@@ -32,9 +32,18 @@ def overlay_jpeg(raster: Raster, stop: Stop, draw: Callable[[NDArray[np.uint8]],
         stop: ends the reading of a large image early.
         draw: makes the picture, ``[h', w', 3]`` RGB, of the image or a reduced copy, ``[h, w, 3]``.
     """
-    picture = draw(read_reduced(cast("Raster", _StoppableRaster(raster, stop))))
+    return small_jpeg(draw(read_reduced(stoppable(raster, stop))))
+
+
+def stoppable(raster: Raster, stop: Stop) -> Raster:
+    """The same image, whose reading ends when the call is stopped."""
+    return cast("Raster", _StoppableRaster(raster, stop))
+
+
+def small_jpeg(picture: NDArray[np.uint8]) -> bytes:
+    """A picture, ``[h, w, 3]`` RGB, as JPEG of at most ``MAX_PICTURE_BYTES`` and ``MAX_SIDE_PX`` a side."""
     while True:
-        picture = _within(picture, _MAX_SIDE_PX)
+        picture = _within(picture, MAX_SIDE_PX)
         for quality in _QUALITIES:
             _, encoded = cv2.imencode(".jpg", picture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
             if encoded.size <= MAX_PICTURE_BYTES:

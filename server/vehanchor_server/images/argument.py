@@ -29,7 +29,7 @@ class PathImage(FrozenModel):
     path: str = Field(
         min_length=1,
         max_length=MAX_PATH_CHARS,
-        description="Absolute path, or file:// URL, of a file below a directory that the server allows.",
+        description="Absolute path, or file:// URL.",
     )
 
 
@@ -37,19 +37,17 @@ class Base64Image(FrozenModel):
     """An image sent with the call, by a program: a model cannot write long base64."""
 
     kind: Literal["base64"]
-    data: str = Field(min_length=1, description="The encoded image file (JPEG, PNG, TIFF, WebP, BMP), or a data: URI.")
+    data: str = Field(min_length=1, description="The encoded file, or a data: URI.")
 
 
 class UrlImage(FrozenModel):
     """An image on a web server that this server's operator allows."""
 
     kind: Literal["url"]
-    url: str = Field(min_length=1, max_length=MAX_URL_CHARS, description="https:// address on an allowed host.")
+    url: str = Field(min_length=1, max_length=MAX_URL_CHARS, description="https:// address.")
 
 
 AnyImage: TypeAlias = PathImage | Base64Image | UrlImage
 
-ImageArgument = Annotated[
-    AnyImage, Field(discriminator="kind", description="The whole image, uncropped; kind says where it is.")
-]
+ImageArgument = Annotated[AnyImage, Field(discriminator="kind", description="Whole, uncropped; path absolute.")]
 """The ``image`` of every tool; ``kind`` has no default, so that the published schema requires it."""

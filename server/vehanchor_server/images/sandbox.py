@@ -18,8 +18,9 @@ import stat
 import sys
 from collections import deque
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
@@ -39,6 +40,7 @@ _DIRECTORY_FLAGS = os.O_RDONLY | _NOFOLLOW | _CLOEXEC | getattr(os, "O_DIRECTORY
 
 
 _MAX_LINKS = 40  # as Linux itself
+_MAX_LISTED = 100_000  # names that are looked at for a list of images
 
 
 class Sandbox:
@@ -81,6 +83,28 @@ class Sandbox:
             raise _refused() from None
         with os.fdopen(descriptor, "rb") as file:
             yield f"/proc/self/fd/{descriptor}" if sys.platform == "linux" else file
+
+    def listed(self, first: int, count: int) -> tuple[list[str], bool]:
+        """Name images below the roots by their suffixes; links are not followed, hidden files and folders left out.
+
+        Args:
+            first: how many are passed over.
+            count: how many are named at most.
+
+        Returns:
+            Absolute paths in order, and whether there are more.
+
+        Raises:
+            CallError: ``source_disabled``.
+        """
+        if not self.roots:
+            raise CallError(
+                "source_disabled", "this server takes no images by path. Use another kind, or start it with --root DIR."
+            )
+        found = list(
+            islice((str(path) for root in self.roots for path in _images_below(root)), first, first + count + 1)
+        )
+        return found[:count], len(found) > count
 
     def _below(self, path: Path) -> tuple[Path, tuple[str, ...]]:
         """The root that a path lies below as it is written, and the parts below it; the file system is not asked.
@@ -136,6 +160,23 @@ class Sandbox:
         finally:
             for directory in walked:
                 os.close(directory)
+
+
+def _images_below(root: Path) -> Iterator[Path]:
+    """Images below a directory, by folder and name; the walk goes by descriptors, so that no link is followed."""
+    from vehanchor.batch.files import SUFFIXES
+
+    walk: Iterator[tuple[Any, ...]] = os.fwalk(root) if hasattr(os, "fwalk") else os.walk(root)
+    n_seen = 0
+    for folder, folders, names, *_ in walk:
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        n_seen += len(folders) + len(names)
+        if n_seen > _MAX_LISTED:
+            return
+        for name in sorted(names):
+            path = Path(folder, name)
+            if path.suffix.lower() in SUFFIXES and not name.startswith(".") and not path.is_symlink():
+                yield path
 
 
 def _refused() -> CallError:

@@ -46,6 +46,10 @@ class ImageSources:
         """The bytes of an image that must be fetched first; None for the other kinds."""
         return await self.fetcher.fetch(image.url) if isinstance(image, UrlImage) else None
 
+    def listed(self, first: int, count: int) -> tuple[list[str], bool]:
+        """Images that callers may name by path, in order, and whether there are more; see ``Sandbox.listed``."""
+        return self.sandbox.listed(first, count)
+
     @contextmanager
     def open(self, image: AnyImage, fetched: bytes | None = None) -> Iterator[OpenedImage]:
         """Open the image for the library, for as long as the context lasts; called in a worker thread.

@@ -15,13 +15,15 @@ from pydantic import Field
 
 from vehanchor.records import GsdEstimate
 from vehanchor_server.app_page import APP_META
-from vehanchor_server.calls.answer import Answer
+from vehanchor_server.calls.answer import Answer, Detail
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.scale_question import (
+    CoordinatesArgument,
+    DetailArgument,
     FocalLengthArgument,
     FrameArgument,
     HeightArgument,
@@ -44,13 +46,10 @@ from vehanchor_server.tools.strict_tool import StrictTool
 __all__ = ["describe_estimate", "estimate_gsd_tool"]
 
 _DESCRIPTION = (
-    "Measures the metric scale (ground sampling distance, metres per pixel) of a near-nadir aerial or satellite image "
-    "from the cars in it; from a line of known length or the camera's height, too, if you know one, and from the "
-    "file's metadata where it has them. Call it before any distance, length or area is derived from an aerial image "
-    "whose scale is unknown or doubtful; never estimate the scale by eye. Cars need about 0.3 m/px or finer. "
-    f"{POLICY} Multiply pixel distances by gsd_m_per_px and pixel areas by its square. If you see a "
-    "resized copy of the image, give the copy's size as frame and use frame.gsd_m_per_px for distances in that copy. "
-    "Very large images take up to a minute."
+    "Measures the metric scale (metres per pixel) of a near-nadir aerial or satellite image from the cars in it; a "
+    "line of known length, the camera's height or the file's metadata help. Call it before anything metric is said of "
+    f"such an image; never estimate the scale by eye. Needs cars and about 0.3 m/px or finer, or such a ruler. "
+    f"{POLICY} For distances and areas call measure_distance and measure_area. Very large images take up to a minute."
 )
 
 
@@ -66,17 +65,23 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         known_lengths: KnownLengthsArgument = None,
         height_m: HeightArgument = None,
         focal_35mm: FocalLengthArgument = None,
-        include_overlay: Annotated[
-            bool, Field(description="Also return a picture with the vehicles that were measured and a scale bar.")
-        ] = False,
+        coordinates: CoordinatesArgument = "pixels",
+        include_overlay: Annotated[bool, Field(description="Also return a picture of what was measured.")] = False,
+        detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, GsdEstimate]:
-        question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm)
-        drawn = include_overlay or client_supports_apps(ctx)
+        question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
+        paged = client_supports_apps(ctx)
+        drawn = include_overlay or paged
         answer = await run_call(services, ctx, image, partial(_estimate, question=question, drawn=drawn))
-        return answer.to_result(describe_estimate(answer.record), include_overlay=include_overlay)
+        words = describe_estimate(answer.record, detail)
+        return answer.to_result(words, include_overlay=include_overlay, detail=detail, paged=paged)
 
     return StrictTool.read_only(
-        estimate_gsd, title="Measure the scale of an aerial image", description=_DESCRIPTION, meta=APP_META
+        estimate_gsd,
+        title="Measure the scale of an aerial image",
+        description=_DESCRIPTION,
+        meta=APP_META,
+        answered=("status", "gsd_m_per_px", "confidence"),
     )
 
 
@@ -106,16 +111,16 @@ def _estimate(
         if drawn:
             job.enter("overlay")
             overlay = overlay_jpeg(raster, job.stop, lambda seen: draw_overlay(seen, analysis))
-    return Answer(analysis.estimate, overlay, length_histogram(analysis))
+    return Answer((analysis.estimate,), overlay, length_histogram(analysis))
 
 
-def describe_estimate(estimate: GsdEstimate) -> str:
+def describe_estimate(estimate: GsdEstimate, detail: Detail = "full") -> str:
     """One sentence with the scale and whether to use it, and one for each warning."""
     words = [_scale_in_words(estimate)]
     frame = estimate.frame
     if frame is not None and frame.gsd_m_per_px is not None:
         words.append(f"In your {frame.width_px} x {frame.height_px} copy that is {rounded(frame.gsd_m_per_px)} m/px.")
-    return " ".join([*words, *what_rulers_say(estimate), *warnings(estimate.warnings)])
+    return " ".join([*words, *what_rulers_say(estimate), *warnings(estimate.warnings, detail)])
 
 
 def _scale_in_words(estimate: GsdEstimate) -> str:

@@ -2,6 +2,7 @@
 
 # Annotations are evaluated here on purpose: the SDK reads the result's schema from them.
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,26 +12,42 @@ from mcp.server.mcpserver import Context
 from mcp.types import CallToolResult
 from pydantic import Field
 
-from vehanchor.records import AreaMeasurement
+from vehanchor.records import AreaMeasurement, Notice
+from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
 from vehanchor_server.app_page import APP_META
-from vehanchor_server.calls.answer import Answer
+from vehanchor_server.calls.answer import Answer, Detail
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
+from vehanchor_server.tools.measuring import MeasuredBy, copy_hint
 from vehanchor_server.tools.scale_question import (
+    FLEET_ARGUMENTS,
+    CoordinatesArgument,
+    DetailArgument,
     FocalLengthArgument,
     FrameArgument,
+    GsdArgument,
     HeightArgument,
     KnownLengthsArgument,
+    KnownScaleArgument,
     ReferenceLengthArgument,
     RegionArgument,
     ScaleQuestion,
 )
-from vehanchor_server.tools.sentences import POLICY, interval, not_to_be_used, rounded, sources, warnings
+from vehanchor_server.tools.sentences import (
+    OBEY,
+    interval,
+    not_to_be_used,
+    numbered,
+    rounded,
+    scale_origin,
+    warnings,
+)
 from vehanchor_server.tools.strict_tool import StrictTool
-from vehanchor_server.tools.target import AnyTarget, BoxTarget, TargetArgument
+from vehanchor_server.tools.target import MAX_TARGETS, Target
 
 if TYPE_CHECKING:
     from vehanchor.segmentation.segmenter import Prompt
@@ -38,31 +55,20 @@ if TYPE_CHECKING:
 __all__ = ["describe_area", "measure_area_tool"]
 
 _DESCRIPTION = (
-    "Measures the real area (square metres) and size of one object in a near-nadir aerial or satellite image: roof, "
-    "pool, field, clearing, car park, landing site. The object is segmented from a box or points that you give; the "
-    "scale comes from the cars in the image, a line of known length or the camera's height, or from gsd_m_per_px if "
-    "you know it. Call it instead of judging an area "
-    "by eye or multiplying a box's sides; prefer a box, drawn tightly around the whole object. Also returns length, "
-    "width, perimeter, and inscribed_diameter_m, the largest circle that fits inside: what a landing needs. "
-    f"{POLICY} The same rule holds for areas: status low_confidence means do not act on it, no_anchor means that there "
-    "is no area, only pixels. If you see a resized copy of the image, give the copy's size as frame, and box and "
-    "points in its pixels. Very large images take up to a minute."
+    "Measures the real area (square metres) and size of objects in a near-nadir aerial or satellite image: roof, pool, "
+    "field, clearing, car park, landing site. Each is segmented from a box or points that you give; prefer a box, "
+    "drawn tightly around the whole object. Call it instead of judging an area by eye or multiplying a box's sides. "
+    "Also gives length, width, and inscribed_diameter_m, the largest circle that fits inside: what a landing needs. "
+    f"{OBEY}"
 )
 
 
 @dataclass(frozen=True)
 class _Question:
-    """A caller's words about the area it asks for.
+    """A caller's words about the areas it asks for."""
 
-    Attributes:
-        target: the object.
-        gsd_m_per_px: the scale where the caller knows it.
-        scale: how the scale is found where it does not.
-    """
-
-    target: AnyTarget
-    gsd_m_per_px: float | None
-    scale: ScaleQuestion
+    targets: tuple[Target, ...]
+    by: MeasuredBy
 
 
 def measure_area_tool(services: Services) -> StrictTool:
@@ -70,39 +76,67 @@ def measure_area_tool(services: Services) -> StrictTool:
 
     async def measure_area(
         image: ImageArgument,
-        target: Annotated[
-            TargetArgument,
-            Field(description="The object, in pixels of the image, or of frame where that is given: box or points."),
-        ],
         ctx: Context[Any, Any],
-        gsd_m_per_px: Annotated[
-            float | None,
-            Field(
-                gt=0,
-                le=1000,
-                allow_inf_nan=False,
-                description="Metres per pixel of the full image, if known: then no cars are needed.",
-            ),
+        target: Annotated[Target | None, Field(description="The object: box or points.")] = None,
+        targets: Annotated[
+            tuple[Target, ...] | None,
+            Field(min_length=1, max_length=MAX_TARGETS, description="Box or points of each object, up to 16."),
         ] = None,
+        coordinates: CoordinatesArgument = "pixels",
+        frame: FrameArgument = None,
+        scale: KnownScaleArgument = None,
+        gsd_m_per_px: GsdArgument = None,
         region: RegionArgument = None,
         reference_length_m: ReferenceLengthArgument = None,
-        frame: FrameArgument = None,
         known_lengths: KnownLengthsArgument = None,
         height_m: HeightArgument = None,
         focal_35mm: FocalLengthArgument = None,
         include_overlay: Annotated[
-            bool, Field(description="Also return a picture with the object's outline, the vehicles and a scale bar.")
+            bool, Field(description="Also return a picture with the first object's outline.")
         ] = False,
+        detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, AreaMeasurement]:
-        scale = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm)
-        question = _Question(target, gsd_m_per_px, scale)
-        drawn = include_overlay or client_supports_apps(ctx)
-        answer = await run_call(services, ctx, image, partial(_measure, question=question, drawn=drawn))
-        return answer.to_result(describe_area(answer.record), include_overlay=include_overlay)
+        question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
+        asked = _Question(_named(target, targets), MeasuredBy(gsd_m_per_px, scale, question))
+        paged = client_supports_apps(ctx)
+        answer = await run_call(services, ctx, image, partial(_measure, question=asked, drawn=include_overlay or paged))
+        first = answer.record
+        words = [
+            numbered([_area_of_object(record) for record in answer.records]),
+            *warnings(_once(answer.records), detail),
+            *copy_hint(_places(asked.targets), question, first.image_width_px, first.image_height_px),
+        ]
+        return answer.to_result(" ".join(words), include_overlay=include_overlay, detail=detail, paged=paged)
 
     return StrictTool.read_only(
-        measure_area, title="Measure the area of an object in an aerial image", description=_DESCRIPTION, meta=APP_META
+        measure_area,
+        title="Measure the areas of objects in an aerial image",
+        description=_DESCRIPTION,
+        meta=APP_META,
+        answered=("status", "area_m2", "confidence", "inscribed_diameter_m"),
+        required=("targets",),
+        unlisted=("target", *FLEET_ARGUMENTS),
     )
+
+
+def _named(target: Target | None, targets: tuple[Target, ...] | None) -> tuple[Target, ...]:
+    if (target is None) == (targets is None):
+        found = "both are given" if target else "target: it is required"
+        raise CallError("invalid_arguments", f"{found}, or targets instead. Give one of the two.")
+    return targets or (target,) if target is None else (target,)
+
+
+def _places(targets: Iterable[Target]) -> Iterator[tuple[float, float]]:
+    for target in targets:
+        if target.box is not None:
+            yield target.box.x_max, target.box.y_max
+        for point in target.points or ():
+            yield point.x, point.y
+
+
+def _once(records: Sequence[AreaMeasurement]) -> list[Notice]:
+    """The warnings of all, those of the scale once."""
+    return list(dict.fromkeys(notice for record in records for notice in record.warnings))
 
 
 def _measure(
@@ -115,53 +149,52 @@ def _measure(
         CallError: a model cannot be loaded.
         CallStoppedError: the call was asked to end.
     """
-    from vehanchor.estimate import open_detector
     from vehanchor.imagery.raster import open_raster
     from vehanchor.measure import analyse_objects
     from vehanchor.pictures.area import draw_area
     from vehanchor_server.app_page.panel import length_histogram
     from vehanchor_server.calls.overlay import overlay_jpeg
 
-    models = services.models
-    prompt = _prompt(question.target)  # what has no meaning is told before the work
-    known = question.gsd_m_per_px
-    options = question.scale.options(services.settings, models if known is None else None)
-    segmenter = models.segmenter()
-    scale = known or open_detector(models.detector(), options)
+    prompts = [_prompt(target) for target in question.targets]  # what has no meaning is told before the work
+    segmenter = services.models.segmenter()
+    options, scale = question.by.resolve(services)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         job.segmenting()
-        (analysis,) = analyse_objects(
-            raster, [prompt], segmenter, scale, options, progress=job.searched, run_options=job.run_options
+        found = analyse_objects(
+            raster, prompts, segmenter, scale, options, progress=job.searched, run_options=job.run_options
         )
-        overlay = None
+        first, overlay = found[0], None
         if drawn:
             job.enter("overlay")
-            overlay = overlay_jpeg(raster, job.stop, lambda seen: draw_area(seen, analysis))
-    histogram = None if analysis.scale is None else length_histogram(analysis.scale)
-    return Answer(analysis.measurement, overlay, histogram)
+            overlay = overlay_jpeg(raster, job.stop, lambda seen: draw_area(seen, first))
+    histogram = None if first.scale is None else length_histogram(first.scale)
+    return Answer(tuple(each.measurement for each in found), overlay, histogram)
 
 
-def _prompt(target: AnyTarget) -> "Prompt":
+def _prompt(target: Target) -> "Prompt":
     from vehanchor.segmentation.prompt import read_prompt
 
-    if isinstance(target, BoxTarget):
+    if target.box is not None:
         box = target.box
         return read_prompt((box.x_min, box.y_min, box.x_max, box.y_max), None)
-    return read_prompt(None, [(point.x, point.y, point.label == "include") for point in target.points])
+    return read_prompt(None, [(point.x, point.y, point.label == "include") for point in target.points or ()])
 
 
-def describe_area(area: AreaMeasurement) -> str:
+def describe_area(area: AreaMeasurement, detail: Detail = "full") -> str:
     """One sentence with the area and whether to use it, one where the object lies, and one for each warning."""
-    words = [_area_in_words(area)]
+    return " ".join([_area_of_object(area), *warnings(area.warnings, detail)])
+
+
+def _area_of_object(area: AreaMeasurement) -> str:
     box = area.bounding_box if area.frame is None else area.frame.bounding_box
-    if box is not None:
-        seen = "image" if area.frame is None else f"{area.frame.width_px} x {area.frame.height_px} copy"
-        words.append(
-            f"The mask spans x {box.x1_px:.0f} to {box.x2_px:.0f}, y {box.y1_px:.0f} to {box.y2_px:.0f} px of your "
-            f"{seen}."
-        )
-    return " ".join([*words, *warnings(area.warnings)])
+    if box is None:
+        return _area_in_words(area)
+    seen = "image" if area.frame is None else f"{area.frame.width_px} x {area.frame.height_px} copy"
+    return (
+        f"{_area_in_words(area)} The mask spans x {box.x1_px:.0f} to {box.x2_px:.0f}, y {box.y1_px:.0f} to "
+        f"{box.y2_px:.0f} px of your {seen}."
+    )
 
 
 def _area_in_words(area: AreaMeasurement) -> str:
@@ -176,18 +209,9 @@ def _area_in_words(area: AreaMeasurement) -> str:
     if area.length_m is not None and area.width_m is not None and area.inscribed_diameter_m is not None:
         size += f", {rounded(area.length_m)} x {rounded(area.width_m)} m"
         size += f", largest circle inside {rounded(area.inscribed_diameter_m)} m across"
-    size += f"; {_scale_origin(area)}: "
+    size += f"; {scale_origin(area)}: "
     if area.status == "ok":
-        return size + ("as good as the given scale." if area.scale is None else "safe to use.")
-    if area.scale is not None and area.scale.status != "ok":
+        return size + ("as good as the given scale." if area.scale_source == "given" else "safe to use.")
+    if area.confidence is not None and area.confidence < FALLBACK_CONFIDENCE:
         return size + not_to_be_used(area.scale)
     return size + "do not rely on it (the segmenter doubts its mask); look at the overlay, or draw another box."
-
-
-def _scale_origin(area: AreaMeasurement) -> str:
-    """Where the scale comes from."""
-    assert area.gsd_m_per_px is not None
-    scale = f"scale {rounded(area.gsd_m_per_px)} m/px"
-    if area.confidence is None or area.scale is None:
-        return f"{scale} as given"
-    return f"{scale}, confidence {area.confidence:.2f} from {sources(area.scale)}"

@@ -6,9 +6,12 @@ validators refuse the first two, and all pay for the third in the model's contex
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["portable_schema"]
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+__all__ = ["listed_schema", "portable_schema"]
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _REFERENCE = "#/$defs/"
@@ -48,3 +51,55 @@ def _plain(node: Any, definitions: dict[str, Any]) -> Any:
     if "const" in result and "type" not in result:
         result["type"] = {str: "string", bool: "boolean", int: "integer"}[type(result["const"])]
     return result
+
+
+def listed_schema(schema: dict[str, Any], unlisted: Collection[str] = ()) -> dict[str, Any]:
+    """A portable schema as short as a model needs it: names, types and words.
+
+    What may be left out need not be nullable, too; of the forms of a union that ``kind`` tells apart one object has all
+    fields. The server holds callers to the limits that are left out here, and tells them.
+
+    Args:
+        schema: what ``portable_schema`` gave.
+        unlisted: arguments that are taken, but that a model need not know of.
+    """
+    listed = _listed(schema)
+    assert isinstance(listed, dict)
+    listed["properties"] = {name: each for name, each in listed["properties"].items() if name not in unlisted}
+    return listed
+
+
+_NOT_LISTED = {"additionalProperties", "default", "exclusiveMinimum", "minimum", "maximum"}
+_NOT_LISTED |= {"minItems", "maxItems", "minLength", "maxLength", "minProperties", "maxProperties"}
+_MANY = 3  # an object of more fields is explained as a whole
+
+
+def _listed(node: dict[str, Any], *, said: bool = True) -> dict[str, Any]:
+    options = [option for option in node.get("anyOf", ()) if option != {"type": "null"}]
+    if len(options) == 1 and "anyOf" in options[0]:
+        return _listed({**node, **options[0]}, said=said)
+    if len(options) > 1 and all("kind" in option.get("properties", {}) for option in options):
+        options = [_of_all_kinds(options)]
+    if len(options) == 1:
+        node = {**options[0], **{key: value for key, value in node.items() if key != "anyOf"}}
+    result: dict[str, Any] = {}
+    for key, value in node.items():
+        if key in _NOT_LISTED or (key == "description" and not said):
+            continue
+        if key == "properties":
+            said_each = "required" not in node or len(value) <= _MANY or "description" not in node
+            result[key] = {name: _listed(property_, said=said_each) for name, property_ in value.items()}
+        elif key == "anyOf":
+            result[key] = [_listed(option, said=False) for option in value]
+        elif key == "items":
+            result[key] = _listed(value, said=False)
+        else:
+            result[key] = value
+    return result
+
+
+def _of_all_kinds(options: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """One object with the fields of all."""
+    fields = {name: each for option in options for name, each in option["properties"].items() if name != "kind"}
+    kinds = [option["properties"]["kind"]["const"] for option in options]
+    return {"type": "object", "properties": {"kind": {"type": "string", "enum": kinds}, **fields}, "required": ["kind"]}

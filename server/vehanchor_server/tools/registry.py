@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 from vehanchor_server.tools.estimate_gsd import estimate_gsd_tool
 from vehanchor_server.tools.measure_area import measure_area_tool
+from vehanchor_server.tools.measure_distance import measure_distance_tool
+from vehanchor_server.tools.view_image import view_image_tool
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,6 +24,8 @@ __all__ = ["TOOLS", "create_tools"]
 TOOLS: tuple[Callable[[Services], StrictTool], ...] = (
     estimate_gsd_tool,
     measure_area_tool,
+    measure_distance_tool,
+    view_image_tool,
 )
 
 

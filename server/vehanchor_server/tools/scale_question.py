@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import Field
 
-from vehanchor.options import Frame, KnownLength, Reading, Reference, Rulers, ScaleOptions, Search
+from vehanchor.options import Coordinates, Frame, KnownLength, Reading, Reference, Rulers, ScaleOptions, Search
+from vehanchor.records import KnownScale
+from vehanchor_server.calls.answer import Detail
 from vehanchor_server.frozen import FrozenModel
 
 if TYPE_CHECKING:
@@ -15,12 +17,17 @@ if TYPE_CHECKING:
     from vehanchor_server.settings import Settings
 
 __all__ = [
+    "FLEET_ARGUMENTS",
+    "CoordinatesArgument",
+    "DetailArgument",
     "FocalLengthArgument",
     "FrameArgument",
     "FrameSize",
+    "GsdArgument",
     "HeightArgument",
     "KnownLengthsArgument",
     "KnownLine",
+    "KnownScaleArgument",
     "ReferenceLengthArgument",
     "RegionArgument",
     "ScaleQuestion",
@@ -30,25 +37,25 @@ __all__ = [
 class FrameSize(FrozenModel):
     """Size of the resized copy of the image that the caller sees and works in."""
 
-    width_px: int = Field(gt=0, le=1_000_000, description="Width of that copy, pixels.")
-    height_px: int = Field(gt=0, le=1_000_000, description="Height of that copy, pixels.")
+    width_px: int = Field(gt=0, le=1_000_000)
+    height_px: int = Field(gt=0, le=1_000_000)
 
 
 class KnownLine(FrozenModel):
     """A straight line on the ground and its length."""
 
-    x1: float = Field(allow_inf_nan=False, description="One end, pixels from the left.")
-    y1: float = Field(allow_inf_nan=False, description="One end, pixels from the top.")
-    x2: float = Field(allow_inf_nan=False, description="The other end.")
-    y2: float = Field(allow_inf_nan=False, description="The other end.")
-    metres: float = Field(gt=0, le=100_000, allow_inf_nan=False, description="Metres between them.")
+    x1: float
+    y1: float
+    x2: float
+    y2: float
+    metres: float = Field(gt=0, le=100_000)
 
 
 RegionArgument: TypeAlias = Annotated[
     str | None,
     Field(
         max_length=64,
-        description="Where the image was taken, if known: europe or north_america; cars differ in length.",
+        description="Where it was taken, if known: europe, north_america.",
     ),
 ]
 ReferenceLengthArgument: TypeAlias = Annotated[
@@ -57,28 +64,34 @@ ReferenceLengthArgument: TypeAlias = Annotated[
         gt=0,
         le=100,
         allow_inf_nan=False,
-        description="Typical car length there in metres, if better known; not with region.",
+        description="Car length there, if better known; not with region.",
     ),
 ]
-FrameArgument: TypeAlias = Annotated[
-    FrameSize | None, Field(description="Size of the resized copy that you see; its aspect ratio is the image's.")
+FrameArgument: TypeAlias = Annotated[FrameSize | None, Field(description="Size of the copy that you see.")]
+CoordinatesArgument: TypeAlias = Annotated[
+    Coordinates,
+    Field(description="Of places: pixels (of image or frame), fraction (0 to 1), per_mille (0 to 1000)."),
 ]
+KnownScaleArgument: TypeAlias = Annotated[
+    KnownScale | None,
+    Field(description="Of an earlier answer about this image."),
+]
+GsdArgument: TypeAlias = Annotated[
+    float | None,
+    Field(gt=0, le=1000, allow_inf_nan=False, description="Metres per pixel of the full image, if known."),
+]
+DetailArgument: TypeAlias = Annotated[Detail, Field(description="full: every field, for programs.")]
 KnownLengthsArgument: TypeAlias = Annotated[
     tuple[KnownLine, ...] | None,
     Field(
         max_length=16,
-        description="Lines of known length, in pixels of the image, or of frame where that is given: rulers beside "
-        "the vehicles, or without any.",
+        description="Lines of known length: rulers beside the cars, or without any.",
     ),
 ]
 HeightArgument: TypeAlias = Annotated[
     float | None,
     Field(
-        gt=0,
-        le=20_000,
-        allow_inf_nan=False,
-        description="Height of the camera above the ground, metres, if known, for a picture taken straight down: a "
-        "ruler, too. Not above the sea.",
+        gt=0, le=20_000, allow_inf_nan=False, description="Camera's height above the ground, metres, if it looked down."
     ),
 ]
 FocalLengthArgument: TypeAlias = Annotated[
@@ -87,9 +100,12 @@ FocalLengthArgument: TypeAlias = Annotated[
         gt=0,
         le=10_000,
         allow_inf_nan=False,
-        description="With height_m: focal length as on 35 mm film, mm; without it the file's.",
+        description="With height_m: focal length as on 35 mm film; else the file's.",
     ),
 ]
+
+FLEET_ARGUMENTS = ("region", "reference_length_m", "known_lengths", "height_m", "focal_35mm")
+"""Arguments of a search, which tools that measure take, too, but need not list: a model gives them to estimate_gsd."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +119,7 @@ class ScaleQuestion:
         known_lengths: lines that the caller has measured.
         height_m: of the camera above the ground.
         focal_35mm: its focal length.
+        coordinates: how places are written.
     """
 
     region: str | None = None
@@ -111,6 +128,7 @@ class ScaleQuestion:
     known_lengths: tuple[KnownLine, ...] | None = None
     height_m: float | None = None
     focal_35mm: float | None = None
+    coordinates: Coordinates = "pixels"
 
     def options(self, settings: Settings, models: Models | None) -> ScaleOptions:
         """The method's options: thresholds, limits and calibration by the operator, the rest by the caller.
@@ -133,7 +151,7 @@ class ScaleQuestion:
                 region=self.region,
                 calibration=models.calibration() if models and fleet_unknown else None,
             ),
-            frame=Frame(self.frame.width_px, self.frame.height_px) if self.frame else Frame(),
+            frame=Frame(self.frame and self.frame.width_px, self.frame and self.frame.height_px, self.coordinates),
             reading=Reading(limits=settings.image_limits),
             rulers=Rulers(
                 known_lengths=tuple(

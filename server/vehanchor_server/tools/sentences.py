@@ -7,17 +7,39 @@ from typing import TYPE_CHECKING
 from vehanchor.advice import ADVICE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
-    from vehanchor.records import GsdEstimate, Notice
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, Notice
+    from vehanchor_server.calls.answer import Detail
 
-__all__ = ["POLICY", "interval", "not_to_be_used", "rounded", "sources", "vehicles", "warnings", "what_rulers_say"]
+__all__ = [
+    "OBEY",
+    "POLICY",
+    "interval",
+    "not_to_be_used",
+    "numbered",
+    "rounded",
+    "scale_origin",
+    "sources",
+    "vehicles",
+    "warnings",
+    "what_rulers_say",
+]
 
 POLICY = (
     "Rule for planners: use the scale where confidence >= 0.5. Below 0.5 do not act on it: fall back to another anchor "
     "(known altitude, visual odometry, an object of known size). Confidence 0 means that no vehicle and no other ruler "
     "was found and there is no estimate: gsd_m_per_px is null, never a guess."
 )
+"""Said once, by the tool that measures the scale."""
+
+OBEY = (
+    "status ok: use it. low_confidence: do not act on it. no_anchor: no metres, only pixels. Give the scale of an "
+    "earlier answer about this image back, and nothing is searched again."
+)
+"""What the tools that use a scale say of it."""
+
+
 _RULERS = {
     "scene_scale": "the look of the ground",
     "camera": "the camera's metadata",
@@ -56,14 +78,37 @@ def what_rulers_say(estimate: GsdEstimate) -> list[str]:
     return [ruler.says for ruler in estimate.rulers if ruler.says is not None]
 
 
-def warnings(notices: Iterable[Notice]) -> list[str]:
-    """One sentence for each notice."""
-    return [f"Warning {notice.code}: {notice.message}" for notice in notices]
+def warnings(notices: Iterable[Notice], detail: Detail = "full") -> list[str]:
+    """Each notice in a sentence, or in all of its own."""
+    return [f"Warning {notice.code}: {_said(notice.message, detail)}" for notice in notices]
 
 
-def not_to_be_used(estimate: GsdEstimate) -> str:
-    """Why a scale is not to be used and what would help; nothing where it may be."""
-    if estimate.reason is None:
-        return ""
+def _said(message: str, detail: Detail) -> str:
+    first, end, _ = message.partition(". ")
+    return first + end.strip() if detail == "short" else message
+
+
+def numbered(sentences: Sequence[str]) -> str:
+    """One sentence, or a numbered line for each."""
+    if len(sentences) == 1:
+        return sentences[0]
+    return "\n".join(f"{number}. {sentence}" for number, sentence in enumerate(sentences, 1))
+
+
+def not_to_be_used(estimate: GsdEstimate | None) -> str:
+    """Why a scale is not to be used and what would help; shorter where the scale was given back."""
+    if estimate is None or estimate.reason is None:
+        return "do not rely on it; fall back to another anchor."
     why, helps = ADVICE[estimate.reason]
     return f"do not rely on it ({why}); {helps}, or fall back to another anchor."
+
+
+def scale_origin(measured: AreaMeasurement | DistanceMeasurement) -> str:
+    """Where the scale of a measurement comes from."""
+    assert measured.gsd_m_per_px is not None
+    scale = f"scale {rounded(measured.gsd_m_per_px)} m/px"
+    if measured.confidence is None:
+        return f"{scale} as given"
+    if measured.scale is None:
+        return f"{scale} given back, confidence {measured.confidence:.2f}"
+    return f"{scale}, confidence {measured.confidence:.2f} from {sources(measured.scale)}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -11,11 +11,11 @@ from mcp.server.mcpserver import Context
 from mcp.server.mcpserver.exceptions import ToolError, UnexpectedToolError
 from mcp.server.mcpserver.tools import Tool
 from mcp.types import CallToolResult, ToolAnnotations
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from vehanchor_server.errors import CallError, shortened
 from vehanchor_server.request_log import log_call
-from vehanchor_server.tools.portable_schema import portable_schema
+from vehanchor_server.tools.portable_schema import listed_schema, portable_schema
 
 __all__ = ["StrictTool"]
 
@@ -33,11 +33,27 @@ _MAX_COMPLAINTS = 3  # one wrong argument often breaks several rules; a model ne
 
 
 class StrictTool(Tool):
-    """The SDK's tool, made strict."""
+    """The SDK's tool, made strict.
+
+    Attributes:
+        full_parameters: the arguments' whole schema; ``parameters`` is what a model needs of it.
+        record_schema: of the whole record; ``output_schema`` is what every answer has of it.
+    """
+
+    full_parameters: dict[str, Any] = Field(default_factory=dict, exclude=True)
+    record_schema: dict[str, Any] = Field(default_factory=dict, exclude=True)
 
     @classmethod
     def read_only(
-        cls, function: Callable[..., Any], *, title: str, description: str, meta: dict[str, Any] | None = None
+        cls,
+        function: Callable[..., Any],
+        *,
+        title: str,
+        description: str,
+        meta: dict[str, Any] | None = None,
+        answered: Sequence[str] = (),
+        required: Sequence[str] = (),
+        unlisted: Collection[str] = (),
     ) -> StrictTool:
         """A tool that only looks: it changes nothing, and the same call gives the same answer.
 
@@ -47,6 +63,10 @@ class StrictTool(Tool):
             title: for people.
             description: for planners; clients keep 2 KB of it.
             meta: its ``_meta``.
+            answered: fields of the record that the listed schema names; the others are there with full detail only.
+                Without any, it is the record's own.
+            required: arguments without which the listed schema alone knows no sense in a call.
+            unlisted: arguments that are taken, but that the listed schema does not name.
         """
         annotations = ToolAnnotations(
             title=title, read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False
@@ -56,9 +76,14 @@ class StrictTool(Tool):
         arguments = tool.fn_metadata.arg_model
         arguments.model_config["extra"] = "forbid"  # the SDK would drop unknown arguments without a word
         arguments.model_rebuild(force=True)
-        tool.parameters = portable_schema(arguments.model_json_schema(by_alias=True))
+        tool.full_parameters = portable_schema(arguments.model_json_schema(by_alias=True))
+        tool.parameters = listed_schema(tool.full_parameters, unlisted)
+        if required:
+            tool.parameters["required"] = [*tool.parameters.get("required", ()), *required]
         if tool.fn_metadata.output_schema is not None:
-            tool.fn_metadata.output_schema = portable_schema(tool.fn_metadata.output_schema)
+            tool.record_schema = portable_schema(tool.fn_metadata.output_schema)
+            tool.fn_metadata.output_schema = _answered(tool.record_schema, answered)
+            tool.fn_metadata.output_model = None  # short and full answers are made of records, which check themselves
         return tool
 
     async def run(self, arguments: dict[str, Any], context: Context[Any, Any], convert_result: bool = False) -> Any:
@@ -90,6 +115,18 @@ class StrictTool(Tool):
         finally:
             record = result.structured_content if isinstance(result, CallToolResult) else None
             log_call(self.name, status, time.perf_counter() - started, record)
+
+
+def _answered(record: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    """The schema of every answer, short or full: some fields of a record by their types alone."""
+    if not names:
+        return record
+    types: dict[str, Any] = {}
+    for name in names:
+        field = record["properties"][name]
+        kinds = [option["type"] for option in field.get("anyOf", [field])]
+        types[name] = {"type": kinds[0]} if len(kinds) == 1 else {"anyOf": [{"type": kind} for kind in kinds]}
+    return {"type": "object", "properties": types}
 
 
 def _too_many() -> CallError:

@@ -2,63 +2,55 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Any, Literal
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from vehanchor_server.frozen import FrozenModel
 
-__all__ = ["MAX_POINTS", "AnyTarget", "BoxTarget", "PointsTarget", "TargetArgument"]
+__all__ = ["MAX_POINTS", "MAX_TARGETS", "Box", "Point", "Target"]
 
 MAX_POINTS = 32  # more than anyone clicks
+MAX_TARGETS = 16  # of one call
+
+_FORMS = (
+    'give box or points, one of the two: {"box": {"x_min": 10, "y_min": 20, "x_max": 90, "y_max": 80}} or '
+    '{"points": [{"x": 50, "y": 40}]}'
+)
 
 
 class Box(FrozenModel):
     """An upright box around the object."""
 
-    x_min: float = Field(description="Left side, pixels from the left edge.")
-    y_min: float = Field(description="Upper side, pixels from the upper edge.")
-    x_max: float = Field(description="Right side.")
-    y_max: float = Field(description="Lower side.")
+    x_min: float
+    y_min: float
+    x_max: float
+    y_max: float
 
 
 class Point(FrozenModel):
     """A place on the object, or one beside it that must stay out."""
 
-    x: float = Field(description="Pixels from the left edge.")
-    y: float = Field(description="Pixels from the upper edge.")
-    label: Literal["include", "exclude"] = Field(
-        default="include", description="include: on the object. exclude: beside it, where the mask must not go."
+    x: float
+    y: float
+    label: Literal["include", "exclude"] = Field(default="include", description="exclude: beside the object.")
+
+
+class Target(FrozenModel):
+    """One object: a box, the surest way, or points, for one that a box does not tell from its neighbours."""
+
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
+
+    box: Box | None = Field(default=None, description="Tightly around the whole object.")
+    points: tuple[Point, ...] | None = Field(
+        default=None, min_length=1, max_length=MAX_POINTS, description="At least one on the object."
     )
 
-
-class BoxTarget(FrozenModel):
-    """The object in a box: the surest way."""
-
-    box: Box = Field(description="Drawn tightly around the whole object.")
-
-
-class PointsTarget(FrozenModel):
-    """The object at a point, for one that a box does not tell from its neighbours."""
-
-    points: list[Point] = Field(min_length=1, max_length=MAX_POINTS, description="At least one on the object.")
-
-
-def _form(value: Any) -> str | None:
-    """Which of the two a value is meant as; None where it is neither or both."""
-    named = [name for name in ("box", "points") if (name in value if isinstance(value, dict) else hasattr(value, name))]
-    return named[0] if len(named) == 1 else None
-
-
-AnyTarget: TypeAlias = BoxTarget | PointsTarget
-
-TargetArgument = Annotated[
-    Annotated[BoxTarget, Tag("box")] | Annotated[PointsTarget, Tag("points")],
-    Discriminator(
-        _form,
-        custom_error_type="target_form",
-        custom_error_message='give box or points, one of the two: {"box": {"x_min": 10, "y_min": 20, "x_max": 90, '
-        '"y_max": 80}} or {"points": [{"x": 50, "y": 40}]}',
-    ),
-]
-"""The ``target`` of ``measure_area``: exactly one form, by the schema already."""
+    @model_validator(mode="before")
+    @classmethod
+    def _one_form(cls, value: Any) -> Any:
+        named = sum(value.get(name) is not None for name in ("box", "points")) if isinstance(value, dict) else 0
+        if named != 1 and not isinstance(value, Target):
+            raise PydanticCustomError("target_form", _FORMS)  # type: ignore[misc]
+        return value

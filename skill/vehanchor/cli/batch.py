@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,14 +11,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vehanchor.cli.declared import Chosen, scale_command
-from vehanchor.cli.terminal import INTERRUPTED, exit_on_error, printable
+from vehanchor.cli.terminal import INTERRUPTED, exit_on_error, image_progress, printable
 
 if TYPE_CHECKING:
     from vehanchor.batch import BatchSummary
 
 __all__ = ["batch"]
 
-_LINE_EVERY_S = 10.0  # where stderr is no terminal
 _STATUSES = ("ok", "low_confidence", "no_anchor", "error")
 
 
@@ -69,7 +66,7 @@ def batch(
         from vehanchor.models.session import DEFAULT_PROVIDERS
 
         model, started = chosen.detector, time.monotonic()
-        with _progress() as progress:
+        with image_progress() as progress:
             try:
                 summary = run_batch(
                     inputs,
@@ -98,30 +95,3 @@ def _summary_text(summary: BatchSummary, seconds: float) -> str:
         f"{printable(str(summary.table))}: {summary.n_rows} rows ({', '.join(counts)}){resumed}; "
         f"{made} images in {seconds:.1f} s"
     )
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int], None]]:
-    """Images done on stderr: a bar on a terminal, a line now and then in a log."""
-    if not sys.stderr.isatty():
-        yield _lines()
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
-
-    columns = (MofNCompleteColumn(), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-def _lines() -> Callable[[int, int], None]:
-    last = time.monotonic()
-
-    def tell(done: int, total: int) -> None:
-        nonlocal last
-        if time.monotonic() - last >= _LINE_EVERY_S:
-            last = time.monotonic()
-            print(f"{done} of {total} images", file=sys.stderr, flush=True)
-
-    return tell

@@ -25,13 +25,18 @@ ScaleFile: TypeAlias = Annotated[
     typer.Option(
         "--scale",
         metavar="FILE",
-        help="What 'vehanchor estimate --json' printed for this image: its scale is taken, and no car is searched.",
+        help="What 'vehanchor estimate --json' printed for this image, or 'vehanchor flight --out' wrote: its scale is "
+        "taken, and no car is searched.",
     ),
 ]
 
 
-def read_scale(path: Path | None) -> KnownScale | None:
+def read_scale(path: Path | None, image: str) -> KnownScale | None:
     """Read the scale in a record's file; None without a file.
+
+    Args:
+        path: of the file.
+        image: that is to be measured: which photograph it is, of a flight.
 
     Raises:
         InvalidParameterError: it cannot be read, or holds no scale.
@@ -48,6 +53,10 @@ def read_scale(path: Path | None) -> KnownScale | None:
         raise InvalidParameterError(
             f"--scale {str(path)!r} cannot be read: {error}. Give what 'vehanchor estimate IMAGE --json' prints"
         ) from None
+    if isinstance(record, dict) and "photographs" in record:
+        from vehanchor.flight.written import photograph_in, read_record
+
+        return photograph_in(read_record(path), image).scale
     found = record.get("scale", record) if isinstance(record, dict) else record
     while isinstance(found, dict) and isinstance(found.get("scale"), dict):  # of a measurement: the scale of its scale
         found = found["scale"]

@@ -123,7 +123,11 @@ class CameraMetadata:
         taken_height_px: its rows.
         centre_x_px: column of the optical centre in the picture as it was taken.
         off_nadir_deg: angle between the camera's axis and straight down, 0 to 180.
+        roll_deg: by which a gimbal turned the picture about the camera's own axis, clockwise.
         digital_zoom: factor of enlarging in the camera; 1 for none.
+        latitude_deg: where it was, north is positive.
+        longitude_deg: east is positive.
+        altitude_m: metres above the sea.
         refused: why metadata were not read, as a clause; empty where they were.
     """
 
@@ -140,6 +144,10 @@ class CameraMetadata:
     centre_x_px: float | None = None
     off_nadir_deg: float | None = None
     digital_zoom: float = 1.0
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+    altitude_m: float | None = None
+    roll_deg: float | None = None
     refused: str = ""
 
 
@@ -191,8 +199,33 @@ def _combined(tags: ExifTags, properties: Mapping[tuple[str, str], str], refused
         centre_x_px=first("centre_px")[0],
         off_nadir_deg=_off_nadir(properties, _text(tags.get("Make"))),
         digital_zoom=_float(tags.get("DigitalZoomRatio")) or 1.0,  # 0 is "not used"
+        roll_deg=_gimbal_roll(properties),
+        **_position(tags),
         refused=refused,
     )
+
+
+def _gimbal_roll(properties: Mapping[tuple[str, str], str]) -> float | None:
+    """Roll of the first maker who tells a pitch, where it is a gimbal's; None where it says nothing, or nothing new."""
+    for maker in MAKERS:
+        if _number(properties.get((maker.namespace, maker.pitch))) is None:
+            continue
+        roll = _number(properties.get((maker.namespace, maker.roll)))
+        return roll or None if maker.zero_deg == _ZERO_IS_FORWARD else None
+    return None
+
+
+def _position(tags: ExifTags) -> dict[str, float | None]:
+    """Latitude, longitude and altitude; nothing where latitude or longitude has no meaning."""
+    north, east = _float(tags.get("GPSLatitude")), _float(tags.get("GPSLongitude"))
+    if north is None or east is None or north > 90 or east > 180 or north == east == 0:  # 0, 0 is "no fix"
+        return {}
+    above, below = _float(tags.get("GPSAltitude")), tags.get("GPSAltitudeRef") == 1
+    return {
+        "latitude_deg": -north if tags.get("GPSLatitudeRef") == "S" else north,
+        "longitude_deg": -east if tags.get("GPSLongitudeRef") == "W" else east,
+        "altitude_m": None if above is None else -above if below else above,
+    }
 
 
 def _off_nadir(properties: Mapping[tuple[str, str], str], make: str) -> float | None:

@@ -1,7 +1,7 @@
 """The few EXIF tags that tell a camera's geometry, read within bounds from anybody's bytes.
 
-Two directories are read, the first and the one with the camera's tags, and none that they point to: there is nothing
-to go round in. Only known tags are looked at, of each a bounded number of values.
+Three directories are read, the first and those with the camera's tags and its position, and none that they point to:
+there is nothing to go round in. Only known tags are looked at, of each a bounded number of values.
 """
 
 from __future__ import annotations
@@ -11,13 +11,16 @@ import struct
 from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from vehanchor.imagery.header import ReadAt
 
 __all__ = ["ExifTags", "ExifValue", "read_exif"]
 
 ExifValue: TypeAlias = "str | float | bytes"
 ExifTags: TypeAlias = dict[str, ExifValue]
-"""Values by the tag's name in the EXIF standard; of several numbers the first; fractions without a value are absent."""
+"""Values by the tag's name in the EXIF standard; of several numbers the first, of degrees, minutes and seconds the
+degrees; fractions without a value are absent."""
 
 _NAMES = {
     0x010F: "Make",
@@ -32,7 +35,17 @@ _NAMES = {
     0xA404: "DigitalZoomRatio",
     0xA405: "FocalLengthIn35mmFilm",
 }
-_CAMERA_DIRECTORY = 0x8769
+_POSITION_NAMES = {
+    1: "GPSLatitudeRef",
+    2: "GPSLatitude",
+    3: "GPSLongitudeRef",
+    4: "GPSLongitude",
+    5: "GPSAltitudeRef",
+    6: "GPSAltitude",
+}
+_CAMERA_DIRECTORY, _POSITION_DIRECTORY = 0x8769, 0x8825
+_POINTERS = (_CAMERA_DIRECTORY, _POSITION_DIRECTORY)
+_SEXAGESIMAL = ("GPSLatitude", "GPSLongitude")
 _MAX_ENTRIES = 512  # a real directory has some dozens
 _MAX_TEXT_BYTES = 64
 _BYTE, _ASCII, _LONG, _UNDEFINED, _RATIONAL, _SIGNED_RATIONAL = 1, 2, 4, 7, 5, 10
@@ -56,25 +69,29 @@ def read_exif(read_at: ReadAt, max_notes_bytes: int) -> ExifTags:
         return {}
     tags: ExifTags = {}
     (first,) = struct.unpack_from(order + "I", head, 4)
-    camera = _read_directory(read_at, order, first, max_notes_bytes, tags)
-    if camera is not None and camera != first:
-        _read_directory(read_at, order, camera, max_notes_bytes, tags)
+    further = _read_directory(read_at, order, first, max_notes_bytes, tags, _NAMES)
+    for pointer, names in ((_CAMERA_DIRECTORY, _NAMES), (_POSITION_DIRECTORY, _POSITION_NAMES)):
+        offset = further.get(pointer)
+        if offset is not None and offset != first:
+            _read_directory(read_at, order, offset, max_notes_bytes, tags, names)
     return tags
 
 
-def _read_directory(read_at: ReadAt, order: str, offset: int, max_notes_bytes: int, tags: ExifTags) -> int | None:
-    """Read one directory into ``tags``, first come first kept; gives the offset of the camera's directory."""
+def _read_directory(
+    read_at: ReadAt, order: str, offset: int, max_notes_bytes: int, tags: ExifTags, names: Mapping[int, str]
+) -> dict[int, int]:
+    """Read one directory into ``tags``, first come first kept; gives the offsets of the directories it points to."""
     count_bytes = read_at(offset, 2)
     if len(count_bytes) < 2:
-        return None
+        return {}
     (n_entries,) = struct.unpack(order + "H", count_bytes)
     table = read_at(offset + 2, 12 * min(n_entries, _MAX_ENTRIES))
-    camera = None
+    further: dict[int, int] = {}
     for at in range(0, len(table) - 11, 12):
         tag, kind, count = struct.unpack_from(order + "HHI", table, at)
-        if tag == _CAMERA_DIRECTORY and kind == _LONG and camera is None:
-            (camera,) = struct.unpack_from(order + "I", table, at + 8)
-        name = _NAMES.get(tag)
+        if tag in _POINTERS and kind == _LONG:
+            further.setdefault(tag, struct.unpack_from(order + "I", table, at + 8)[0])
+        name = names.get(tag)
         if name is None or name in tags or kind not in _SIZES or count == 0:
             continue
         limit = max_notes_bytes if name == "ApplicationNotes" else _MAX_TEXT_BYTES
@@ -82,12 +99,25 @@ def _read_directory(read_at: ReadAt, order: str, offset: int, max_notes_bytes: i
             continue
         whole = _SIZES[kind] * count
         wanted = min(whole, limit) if kind in (_BYTE, _ASCII, _UNDEFINED) else _SIZES[kind]
+        if name in _SEXAGESIMAL:
+            if kind != _RATIONAL or count != 3:
+                continue
+            wanted = whole
         (elsewhere,) = struct.unpack_from(order + "I", table, at + 8)
         raw = table[at + 8 : at + 8 + wanted] if whole <= 4 else read_at(elsewhere, wanted)
-        value = _value(raw, kind, order) if len(raw) == wanted else None
+        read = _degrees if name in _SEXAGESIMAL else _value
+        value = read(raw, kind, order) if len(raw) == wanted else None
         if value is not None:
             tags[name] = raw if name == "ApplicationNotes" else value
-    return camera
+    return further
+
+
+def _degrees(raw: bytes, _kind: int, order: str) -> ExifValue | None:
+    parts = struct.unpack(order + "6I", raw)
+    if not parts[1] or not all(parts[k + 1] or not parts[k] for k in (2, 4)):
+        return None
+    degrees: float = sum(parts[2 * k] / (parts[2 * k + 1] or 1) / 60.0**k for k in range(3))
+    return degrees
 
 
 def _value(raw: bytes, kind: int, order: str) -> ExifValue | None:

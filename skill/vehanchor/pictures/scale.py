@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
 """Texts of one line, each with the colour of the swatch before it."""
 
-__all__ = ["PICTURE_SUFFIXES", "check_picture_path", "draw_overlay", "read_reduced", "write_picture"]
+__all__ = ["PICTURE_SUFFIXES", "check_picture_path", "draw_overlay", "image_place", "read_reduced", "write_picture"]
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 KEPT_RGB = (86, 180, 233)  # Okabe and Ito's sky blue and orange: told apart with every kind of colour blindness
@@ -81,24 +81,43 @@ def fit_for_eyes(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return cv2.resize(image, size, interpolation=method).astype(np.uint8, copy=False)
 
 
-def read_reduced(raster: Raster) -> NDArray[np.uint8]:
-    """The whole of an image, reduced so that no side is above 4096 px, without holding it in full size.
+def image_place(width_px: int, height_px: int) -> tuple[float, float, float]:
+    """Tell where an image lies in its overlay, which may have margins.
+
+    Args:
+        width_px: of the image.
+        height_px: of it.
+
+    Returns:
+        Left, top and width of the image, all in shares of the overlay's width.
+    """
+    factor = _picture_factor(width_px, height_px)
+    width, height = max(1, round(width_px * factor)), max(1, round(height_px * factor))
+    across, down = _margins(width, height)
+    whole = width + across
+    return across // 2 / whole, down // 2 / whole, width / whole
+
+
+def read_reduced(raster: Raster, part: Window | None = None) -> NDArray[np.uint8]:
+    """An image or a part of it, reduced so that no side is above 4096 px, without holding it in full size.
 
     Args:
         raster: the image.
+        part: None for the whole.
 
     Returns:
-        ``[h, w, 3]`` RGB, all of the image.
+        ``[h, w, 3]`` RGB, all of the part.
     """
-    step = max(1, math.ceil(max(raster.width_px, raster.height_px) / (2 * MAX_SIDE_PX)))
+    part = part or Window(0, 0, raster.width_px, raster.height_px)
+    step = max(1, math.ceil(max(part.width_px, part.height_px) / (2 * MAX_SIDE_PX)))
     if step == 1:
-        return raster.read()
-    width, height = max(1, round(raster.width_px / step)), max(1, round(raster.height_px / step))
+        return raster.read(part)
+    width, height = max(1, round(part.width_px / step)), max(1, round(part.height_px / step))
     reduced = np.empty((height, width, 3), np.uint8)
     for top in range(0, height, _ROWS_A_READ // step + 1):
         bottom = min(height, top + _ROWS_A_READ // step + 1)
-        first, last = (round(row * raster.height_px / height) for row in (top, bottom))
-        strip = raster.read(Window(0, first, raster.width_px, last - first))
+        first, last = (round(row * part.height_px / height) for row in (top, bottom))
+        strip = raster.read(Window(part.x_px, part.y_px + first, part.width_px, last - first))
         reduced[top:bottom] = cv2.resize(strip, (width, bottom - top), interpolation=cv2.INTER_AREA)
     return reduced
 
@@ -177,13 +196,17 @@ def draw_vehicles(picture: NDArray[np.uint8], analysis: ScaleAnalysis, scale: ND
 
 def with_margins(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Room around a strip of an image for the scale bar and the caption."""
-    height, width = picture.shape[:2]
-    across = max(0, _MIN_CANVAS_PX - width)
-    down = max(0, 5 * text_px(width + across) - height)
+    across, down = _margins(picture.shape[1], picture.shape[0])
     if not across and not down:
         return picture
     sides = down // 2, down - down // 2, across // 2, across - across // 2
     return cv2.copyMakeBorder(picture, *sides, cv2.BORDER_CONSTANT, value=_PANEL_RGB).astype(np.uint8, copy=False)
+
+
+def _margins(width_px: int, height_px: int) -> tuple[int, int]:
+    """How many columns and rows a picture lacks."""
+    across = max(0, _MIN_CANVAS_PX - width_px)
+    return across, max(0, 5 * text_px(width_px + across) - height_px)
 
 
 def _round_length(metres: float) -> float:

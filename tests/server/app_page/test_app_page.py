@@ -37,12 +37,13 @@ def test_the_page_holds_every_script_of_its_folder() -> None:
 
 @pytest.mark.anyio
 @pytest.mark.parametrize("era", ERAS)
-async def test_both_tools_name_a_page_that_can_be_listed_and_read(server: MCPServer[object], era: str) -> None:
+async def test_tools_with_a_panel_name_a_page_that_can_be_read(server: MCPServer[object], era: str) -> None:
     async with Client(server, mode=era) as client:
         tools = (await client.list_tools()).tools
         listed = (await client.list_resources()).resources
         [page] = (await client.read_resource(APP_URI)).contents
-    assert [tool.meta for tool in tools] == [{"ui": {"resourceUri": APP_URI}}] * 2
+    shown = {tool.name for tool in tools if tool.meta == {"ui": {"resourceUri": APP_URI}}}
+    assert shown == {"estimate_gsd", "measure_area"}
     assert [(resource.uri, resource.mime_type) for resource in listed] == [(APP_URI, "text/html;profile=mcp-app")]
     assert isinstance(page, TextResourceContents)
     assert page.mime_type == "text/html;profile=mcp-app"
@@ -72,6 +73,22 @@ async def test_the_picture_goes_to_the_page_unless_the_model_asked_for_it(
     assert plain.content == shown.content == asked.content[:1]
     assert plain.structured_content == shown.structured_content == asked.structured_content
     assert panel_of(plain)["histogram"]["bins"]
+
+
+@pytest.mark.anyio
+async def test_the_page_gets_the_whole_record_where_the_model_gets_a_short_one(
+    server: MCPServer[object], images: Path
+) -> None:
+    arguments = by_path(images / "cars.png")
+    async with Client(server, extensions=SHOWS_PAGES) as client:
+        full = await client.call_tool("estimate_gsd", arguments)
+        short = await client.call_tool("estimate_gsd", {**arguments, "detail": "short"})
+    async with Client(server) as client:
+        plain = await client.call_tool("estimate_gsd", {**arguments, "detail": "short"})
+    assert panel_of(short)["record"] == full.structured_content
+    assert short.structured_content == plain.structured_content
+    assert panel_of(full)["record"] is None
+    assert panel_of(plain)["record"] is None
 
 
 @pytest.mark.anyio

@@ -22,6 +22,7 @@ from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.schemas import schema_files
 from vehanchor_server.services import Services
 from vehanchor_server.tools import registry
+from vehanchor_server.tools.scale_question import DetailArgument
 from vehanchor_server.tools.strict_tool import StrictTool
 
 pytestmark = pytest.mark.anyio
@@ -37,7 +38,9 @@ class Size(FrozenModel):
 def image_size_tool(services: Services) -> StrictTool:
     """What the module of a new tool holds."""
 
-    async def image_size(image: ImageArgument, ctx: Context[Any, Any]) -> Annotated[CallToolResult, Size]:
+    async def image_size(
+        image: ImageArgument, ctx: Context[Any, Any], detail: DetailArgument = "short"
+    ) -> Annotated[CallToolResult, Size]:
         answer = await run_call(services, ctx, image, _image_size)
         return answer.to_result(f"{answer.record.width_px} px wide.", include_overlay=False)
 
@@ -47,28 +50,28 @@ def image_size_tool(services: Services) -> StrictTool:
 def _image_size(services: Services, job: Job, source: OpenedImage) -> Answer[Size]:
     job.enter("decode")
     with open_raster(source, limits=services.settings.image_limits) as raster:
-        return Answer(Size(width_px=raster.width_px, height_px=raster.height_px))
+        return Answer((Size(width_px=raster.width_px, height_px=raster.height_px),))
 
 
 async def test_the_contract_names_every_hint(server: MCPServer[object], era: str) -> None:
     async with Client(server, mode=era) as client:
         listed = (await client.list_tools()).tools
         instructions = client.instructions
-    assert [tool.name for tool in listed] == ["estimate_gsd", "measure_area"]
+    assert [tool.name for tool in listed] == ["estimate_gsd", "measure_area", "measure_distance", "view_image"]
     for tool in listed:
         assert tool.title
         assert tool.description
         assert len(tool.description.encode()) < 2048
-        assert "confidence" in tool.description
-        assert "0.5" in tool.description
+        assert "confidence" in tool.description or "status ok: use it" in tool.description
         assert tool.annotations is not None
         assert tool.annotations.read_only_hint
         assert tool.annotations.idempotent_hint
         assert tool.annotations.destructive_hint is False
         assert tool.annotations.open_world_hint is False
     assert instructions is not None
-    assert "Below 0.5" in instructions
-    assert "Confidence 0 means" in instructions
+    assert "whose status is ok" in instructions
+    said = " ".join([instructions, *(tool.description or "" for tool in listed)])
+    assert said.count("Below 0.5") == said.count("Confidence 0 means") == 1, "the rule stands once"
 
 
 async def test_a_new_tool_needs_its_module_and_a_line_in_the_registry(
@@ -88,4 +91,4 @@ async def test_a_new_tool_needs_its_module_and_a_line_in_the_registry(
     assert set(files) - set(published) == {"image_size.input.json", "image_size.output.json"}
     for provider in ("anthropic", "openai"):
         names = [tool["name"] for tool in json.loads(files[f"{provider}.json"])]
-        assert names == ["estimate_gsd", "measure_area", "image_size"]
+        assert names == ["estimate_gsd", "measure_area", "measure_distance", "view_image", "image_size"]

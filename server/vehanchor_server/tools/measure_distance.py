@@ -1,0 +1,156 @@
+"""The tool that measures distances: its arguments, its work, its answer in words; as in ``estimate_gsd``."""
+
+# Annotations are evaluated here on purpose: the SDK reads the result's schema from them.
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any
+
+from mcp.server.mcpserver import Context
+from mcp.types import CallToolResult
+from pydantic import Field
+
+from vehanchor.records import DistanceMeasurement
+from vehanchor_server.calls.answer import Answer, Detail
+from vehanchor_server.calls.call import run_call
+from vehanchor_server.calls.job import Job
+from vehanchor_server.frozen import FrozenModel
+from vehanchor_server.images.argument import ImageArgument
+from vehanchor_server.images.source import OpenedImage
+from vehanchor_server.services import Services
+from vehanchor_server.tools.measuring import MeasuredBy, copy_hint
+from vehanchor_server.tools.scale_question import (
+    FLEET_ARGUMENTS,
+    CoordinatesArgument,
+    DetailArgument,
+    FocalLengthArgument,
+    FrameArgument,
+    GsdArgument,
+    HeightArgument,
+    KnownLengthsArgument,
+    KnownScaleArgument,
+    ReferenceLengthArgument,
+    RegionArgument,
+    ScaleQuestion,
+)
+from vehanchor_server.tools.sentences import (
+    OBEY,
+    interval,
+    not_to_be_used,
+    numbered,
+    rounded,
+    scale_origin,
+    warnings,
+)
+from vehanchor_server.tools.strict_tool import StrictTool
+from vehanchor_server.tools.target import MAX_POINTS, MAX_TARGETS
+
+__all__ = ["describe_distance", "measure_distance_tool"]
+
+_DESCRIPTION = (
+    "Measures distances on the ground (metres) in a near-nadir aerial or satellite image: how wide, how long, how far. "
+    "Give two points, or the corners of a line in order; up to 16 lines a call. Call it instead of multiplying pixels "
+    f"yourself. {OBEY}"
+)
+
+
+class Place(FrozenModel):
+    """A point of the line."""
+
+    x: float
+    y: float
+
+
+class Line(FrozenModel):
+    """Points in order; straight between them."""
+
+    points: tuple[Place, ...] = Field(min_length=2, max_length=MAX_POINTS)
+
+
+@dataclass(frozen=True)
+class _Question:
+    """A caller's words about the distances it asks for."""
+
+    lines: tuple[Line, ...]
+    by: MeasuredBy
+
+
+def measure_distance_tool(services: Services) -> StrictTool:
+    """The tool for a server."""
+
+    async def measure_distance(
+        image: ImageArgument,
+        lines: Annotated[
+            tuple[Line, ...],
+            Field(min_length=1, max_length=MAX_TARGETS, description="Each is measured by itself."),
+        ],
+        ctx: Context[Any, Any],
+        coordinates: CoordinatesArgument = "pixels",
+        frame: FrameArgument = None,
+        scale: KnownScaleArgument = None,
+        gsd_m_per_px: GsdArgument = None,
+        region: RegionArgument = None,
+        reference_length_m: ReferenceLengthArgument = None,
+        known_lengths: KnownLengthsArgument = None,
+        height_m: HeightArgument = None,
+        focal_35mm: FocalLengthArgument = None,
+        detail: DetailArgument = "short",
+    ) -> Annotated[CallToolResult, DistanceMeasurement]:
+        question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
+        asked = _Question(lines, MeasuredBy(gsd_m_per_px, scale, question))
+        answer = await run_call(services, ctx, image, partial(_measure, question=asked))
+        first = answer.record
+        places = ((point.x, point.y) for line in lines for point in line.points)
+        words = [
+            numbered([_distance_in_words(record) for record in answer.records]),
+            *warnings(first.warnings, detail),
+            *copy_hint(places, question, first.image_width_px, first.image_height_px),
+        ]
+        return answer.to_result(" ".join(words), include_overlay=False, detail=detail)
+
+    return StrictTool.read_only(
+        measure_distance,
+        title="Measure distances in an aerial image",
+        description=_DESCRIPTION,
+        answered=("status", "distance_m", "confidence"),
+        unlisted=FLEET_ARGUMENTS,
+    )
+
+
+def _measure(services: Services, job: Job, source: OpenedImage, question: _Question) -> Answer[DistanceMeasurement]:
+    """Measure the lines; in a worker's process or thread.
+
+    Raises:
+        VehAnchorError: the library refused.
+        CallError: a model cannot be loaded.
+        CallStoppedError: the call was asked to end.
+    """
+    from vehanchor.distance import analyse_paths, read_path
+    from vehanchor.imagery.raster import open_raster
+    from vehanchor_server.app_page.panel import length_histogram
+
+    paths = [read_path([(point.x, point.y) for point in line.points]) for line in question.lines]
+    options, scale = question.by.resolve(services)
+    job.enter("decode")
+    with open_raster(source, limits=options.reading.limits) as raster:
+        found = analyse_paths(raster, paths, scale, options, progress=job.searched, run_options=job.run_options)
+    histogram = None if found[0].scale is None else length_histogram(found[0].scale)
+    return Answer(tuple(each.measurement for each in found), None, histogram)
+
+
+def describe_distance(record: DistanceMeasurement, detail: Detail = "full") -> str:
+    """One sentence with the distance and whether to use it, and one for each warning."""
+    return " ".join([_distance_in_words(record), *warnings(record.warnings, detail)])
+
+
+def _distance_in_words(record: DistanceMeasurement) -> str:
+    if record.distance_m is None:
+        return (
+            f"The line is {record.length_px:.0f} px long, but no vehicles were found, confidence 0: no metric scale, "
+            "so no distance; use another anchor, and give its scale as gsd_m_per_px."
+        )
+    said = f"{rounded(record.distance_m)} m{interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
+    said += f"; {scale_origin(record)}: "
+    if record.status == "ok":
+        return said + ("as good as the given scale." if record.scale_source == "given" else "safe to use.")
+    return said + not_to_be_used(record.scale)

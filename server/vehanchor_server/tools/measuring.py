@@ -1,0 +1,69 @@
+"""What the tools that measure by a scale have in common: where the scale comes from, and a copy taken for the image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from vehanchor.found_scale import ScaleInput
+    from vehanchor.options import ScaleOptions
+    from vehanchor.records import KnownScale
+    from vehanchor_server.services import Services
+    from vehanchor_server.tools.scale_question import ScaleQuestion
+
+__all__ = ["MeasuredBy", "copy_hint"]
+
+_SEEN_SIDE_PX = 1568  # hosts reduce larger images for their models
+
+
+@dataclass(frozen=True)
+class MeasuredBy:
+    """A caller's words about the scale that it measures by.
+
+    Attributes:
+        gsd_m_per_px: the scale where the caller knows it.
+        scale: the scale of an earlier answer.
+        question: how the scale is found otherwise, and how places are written.
+    """
+
+    gsd_m_per_px: float | None
+    scale: KnownScale | None
+    question: ScaleQuestion
+
+    def resolve(self, services: Services) -> tuple[ScaleOptions, ScaleInput]:
+        """The method's options, and what finds the scale or is it; a model is loaded only where one is needed.
+
+        Raises:
+            CallError: a model cannot be loaded.
+            VehAnchorError: the arguments contradict each other.
+        """
+        from vehanchor.found_scale import choose_scale
+
+        searched = self.gsd_m_per_px is None and self.scale is None
+        options = self.question.options(services.settings, services.models if searched else None)
+        detector = services.models.detector() if searched else None
+        return options, choose_scale(self.gsd_m_per_px, self.scale, detector, options)
+
+
+def copy_hint(
+    places: Iterable[tuple[float, float]], question: ScaleQuestion, width_px: int, height_px: int
+) -> list[str]:
+    """A sentence for a caller whose pixels may be those of a reduced copy; none where they cannot be.
+
+    Args:
+        places: in the caller's coordinates.
+        question: says what these are.
+        width_px: of the image.
+        height_px: of the image.
+    """
+    factor = _SEEN_SIDE_PX / max(width_px, height_px)
+    if question.frame is not None or question.coordinates != "pixels" or factor >= 1:
+        return []
+    if any(x > width_px * factor or y > height_px * factor for x, y in places):
+        return []
+    return [
+        f"Check: the image has {width_px} x {height_px} px. If you pointed in a smaller copy, give its size as frame."
+    ]

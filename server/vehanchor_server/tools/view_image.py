@@ -1,0 +1,186 @@
+"""The tool that shows an image, or names those that there are, so that a model that knows a path can look and point."""
+
+# Annotations are evaluated here on purpose: the SDK reads the result's schema from them.
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any
+
+import anyio.to_thread
+from mcp.server.mcpserver import Context, Image
+from mcp.types import CallToolResult, TextContent
+from pydantic import Field
+
+from vehanchor.errors import PromptError
+from vehanchor.options import Coordinates, Frame, Reading
+from vehanchor_server.calls.call import run_call
+from vehanchor_server.calls.job import Job
+from vehanchor_server.frozen import FrozenModel
+from vehanchor_server.images.argument import ImageArgument
+from vehanchor_server.images.source import OpenedImage
+from vehanchor_server.services import Services
+from vehanchor_server.tools.scale_question import CoordinatesArgument
+from vehanchor_server.tools.strict_tool import StrictTool
+from vehanchor_server.tools.target import Box
+
+__all__ = ["view_image_tool"]
+
+_DESCRIPTION = (
+    "Shows an image, or a part of it, under a light grid numbered in the image's pixels: look before you point, and "
+    "again at a part where you must be exact. Without image it lists those that can be named by path. It measures "
+    "nothing: confidence in a metre comes from the other tools only."
+)
+_LEAST_SIDE_PX, _USUAL_SIDE_PX, _LONGEST_SIDE_PX = 256, 1024, 1568
+_LEAST_PART_PX = 16
+_IMAGES_A_PAGE = 50
+_LAST_PAGE = 2000
+
+
+class ViewedImage(FrozenModel):
+    """What is shown, or which images there are."""
+
+    image_width_px: int | None = Field(default=None, description="Width of the full image, pixels.")
+    image_height_px: int | None = Field(default=None, description="Height of the full image, pixels.")
+    part: Box | None = Field(default=None, description="What the picture shows, pixels of the full image.")
+    picture_width_px: int | None = Field(default=None, description="Width of the picture, pixels.")
+    picture_height_px: int | None = Field(default=None, description="Height of the picture, pixels.")
+    grid_px: int | None = Field(default=None, description="Between two lines of the grid, pixels of the full image.")
+    images: tuple[str, ...] | None = Field(default=None, description="Paths, where no image was named.")
+    next_page: int | None = Field(default=None, description="The next page of them; null on the last.")
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What a caller wants to see."""
+
+    part: Box | None
+    coordinates: Coordinates
+    long_side_px: int
+
+
+def view_image_tool(services: Services) -> StrictTool:
+    """The tool for a server."""
+
+    async def view_image(
+        ctx: Context[Any, Any],
+        image: ImageArgument | None = None,
+        part: Annotated[Box | None, Field(description="What to show; the whole by default.")] = None,
+        coordinates: CoordinatesArgument = "pixels",
+        long_side_px: Annotated[int, Field(ge=_LEAST_SIDE_PX, le=_LONGEST_SIDE_PX)] = _USUAL_SIDE_PX,
+        page: Annotated[int, Field(ge=1, le=_LAST_PAGE, description="Of the list of images.")] = 1,
+    ) -> Annotated[CallToolResult, ViewedImage]:
+        if image is None:
+            return await _list_images(services, page)
+        look = _Look(part, coordinates, long_side_px)
+        seen, jpeg = await run_call(services, ctx, image, partial(_view, look=look))
+        return _result(_words(seen), seen, jpeg)
+
+    return StrictTool.read_only(
+        view_image,
+        title="Look at an aerial image",
+        description=_DESCRIPTION,
+        answered=("image_width_px", "grid_px", "images"),
+    )
+
+
+async def _list_images(services: Services, page: int) -> CallToolResult:
+    first = (page - 1) * _IMAGES_A_PAGE
+    names, more = await anyio.to_thread.run_sync(services.sources.listed, first, _IMAGES_A_PAGE)
+    listed = ViewedImage(images=tuple(names), next_page=page + 1 if more else None)
+    head = f"{len(names)} images{f'; more on page {page + 1}' if more else ''}."
+    return _result("\n".join([head, *names]), listed, None)
+
+
+def _result(words: str, seen: ViewedImage, jpeg: bytes | None) -> CallToolResult:
+    content: list[Any] = [TextContent(type="text", text=words)]
+    if jpeg is not None:
+        content.append(Image(data=jpeg, format="jpeg").to_image_content())
+    return CallToolResult(content=content, structured_content=seen.model_dump(mode="json", exclude_none=True))
+
+
+def _view(services: Services, job: Job, source: OpenedImage, look: _Look) -> tuple[ViewedImage, bytes]:
+    """Draw the picture; in a worker's process or thread.
+
+    Raises:
+        VehAnchorError: the library refused.
+        CallStoppedError: the call was asked to end.
+    """
+    import cv2
+
+    from vehanchor.imagery.raster import Window, open_raster
+    from vehanchor.pictures.grid import draw_grid
+    from vehanchor.pointing import Pointing
+    from vehanchor_server.calls.overlay import small_jpeg, stoppable
+
+    job.enter("decode")
+    reading = Reading(limits=services.settings.image_limits)
+    with open_raster(source, limits=reading.limits) as raster:
+        window = Window(0, 0, raster.width_px, raster.height_px)
+        if look.part is not None:
+            pointing = Pointing(Frame(coordinates=look.coordinates), raster.width_px, raster.height_px)
+            window = Window(*_inside(look.part, pointing))
+        job.enter("overlay")
+        picture = draw_grid(stoppable(raster, job.stop), window, look.long_side_px)
+        jpeg = small_jpeg(picture.rgb)
+        shown = cv2.imdecode(_bytes(jpeg), cv2.IMREAD_COLOR)
+        assert shown is not None
+        height, width = shown.shape[:2]  # noisy pictures are reduced until they are small enough
+        seen = ViewedImage(
+            image_width_px=raster.width_px,
+            image_height_px=raster.height_px,
+            part=Box(
+                x_min=window.x_px,
+                y_min=window.y_px,
+                x_max=window.x_px + window.width_px,
+                y_max=window.y_px + window.height_px,
+            ),
+            picture_width_px=width,
+            picture_height_px=height,
+            grid_px=picture.step_px,
+        )
+    return seen, jpeg
+
+
+def _bytes(jpeg: bytes) -> Any:
+    import numpy as np
+
+    return np.frombuffer(jpeg, np.uint8)
+
+
+def _inside(part: Box, pointing: Any) -> tuple[int, int, int, int]:
+    """The part's first column and row, width and height, in whole pixels.
+
+    Raises:
+        PromptError: it is outside, or too small to be seen.
+    """
+    ends = ((part.x_min, part.y_min), (part.x_max, part.y_max))
+    if not pointing.inside(ends):
+        numbers = ", ".join(f"{value:g}" for end in ends for value in end)
+        raise PromptError(f"part {numbers} is not inside the {pointing.name}{pointing.other_reading(ends)}")
+    (left, top), (right, bottom) = (pointing.in_image(end) for end in ends)
+    x, y = int(left), int(top)
+    width, height = round(right) - x, round(bottom) - y
+    if min(width, height) < _LEAST_PART_PX:
+        raise PromptError(
+            f"the part is {width} x {height} px of the full image: at least {_LEAST_PART_PX} px a side are needed"
+            f"{pointing.other_reading(ends)}"
+        )
+    return x, y, width, height
+
+
+def _words(seen: ViewedImage) -> str:
+    assert seen.part is not None
+    part, size = seen.part, f"{seen.picture_width_px} x {seen.picture_height_px}"
+    assert seen.picture_width_px is not None
+    factor = (part.x_max - part.x_min) / seen.picture_width_px
+    words = f"Image of {seen.image_width_px} x {seen.image_height_px} px. "
+    whole = (part.x_max - part.x_min, part.y_max - part.y_min) == (seen.image_width_px, seen.image_height_px)
+    if whole:
+        words += f"All of it in a picture of {size} px: give that as frame if you point in the picture's pixels"
+    else:
+        words += (
+            f"The picture of {size} px shows x {part.x_min:.0f} to {part.x_max:.0f}, y {part.y_min:.0f} to "
+            f"{part.y_max:.0f}: a place in it is x = {part.x_min:.0f} + {factor:.4g} * column, "
+            f"y = {part.y_min:.0f} + {factor:.4g} * row of the image"
+        )
+    return f"{words}. The grid's lines are {seen.grid_px} px of the image apart, numbered in its pixels."

@@ -1,0 +1,182 @@
+"""``vehanchor flight``: the scales of the photographs of one flight, by the evidence of all of them."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vehanchor.cli.declared import Chosen, scale_command
+from vehanchor.cli.terminal import (
+    INTERRUPTED,
+    STATUS_TEXTS,
+    exit_on_error,
+    facts_table,
+    image_progress,
+    print_json,
+    print_table,
+    print_warnings,
+    printable,
+    scale_text,
+)
+from vehanchor.errors import InvalidParameterError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from rich.table import Table
+
+    from vehanchor.flight.taken import Taken
+    from vehanchor.records import FlightEstimate, FlightPhotograph
+
+__all__ = ["flight"]
+
+_EVERY_S = 2.0
+_MOST_NAMED = 3  # links that were dropped, in the table
+
+
+@scale_command(without=("frame", "known_lengths"))
+def flight(
+    inputs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="PHOTOS",
+            help="Photographs of one flight, directories of them, patterns such as 'flight/*.jpg'; or a video.",
+            show_default=False,
+        ),
+    ],
+    same_scale: Annotated[
+        bool,
+        typer.Option(
+            "--same-scale", help="All are of one scale, as a survey's at one height: their evidence is put together."
+        ),
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FLIGHT.json",
+            help="Write the record, for 'measure --scale'. Interrupted, the same command goes on where it stopped.",
+        ),
+    ] = None,
+    page: Annotated[
+        Path | None,
+        typer.Option("--report", metavar="OUT.html", help="Write a page with the track, the islands and all scales."),
+    ] = None,
+    every: Annotated[
+        float, typer.Option(metavar="S", help="Of a video: seconds from one photograph to the next.")
+    ] = _EVERY_S,
+    *,
+    chosen: Chosen,
+) -> None:
+    """Estimate the scales of the photographs of one flight by the evidence of all of them."""
+    with exit_on_error():
+        from vehanchor.flight.estimate import analyse_flight
+        from vehanchor.flight.report import check_report_path, write_report
+        from vehanchor.flight.written import check_record_path, write_record
+
+        options = chosen.options()
+        journal = None if out is None else check_record_path(out).with_name(out.name + ".journal")
+        if page is not None:
+            check_report_path(page)
+        images = _images(inputs, every, () if out is None else (out,))
+        with image_progress() as progress, _kept(journal):
+            record = analyse_flight(
+                images,
+                options,
+                same_scale=same_scale,
+                detector=chosen.open_detector(),
+                journal=journal,
+                progress=progress,
+            )
+        if out is not None:
+            write_record(out, record)
+        if page is not None:
+            write_report(page, record)
+        if as_json:
+            print_json(record.model_dump(mode="json"))
+        else:
+            print_table(facts_table(f"{len(record.photographs)} photographs", _facts(record)))
+            if not same_scale:
+                print_table(_photographs_table(record.photographs))
+            print_warnings(record, "")
+
+
+def _images(inputs: list[str], every_s: float, leave_out: tuple[Path, ...]) -> Sequence[str] | Iterator[Taken]:
+    """Files, or the frames of one video."""
+    from vehanchor.batch.files import find_images
+    from vehanchor.flight.video import is_video, sample_video
+
+    if not any(is_video(each) for each in inputs):
+        return find_images(inputs, leave_out=leave_out)
+    if len(inputs) > 1:
+        raise InvalidParameterError("a video is a flight by itself: give it alone")
+    return sample_video(inputs[0], every_s)
+
+
+@contextmanager
+def _kept(journal: Path | None) -> Iterator[None]:
+    """Ctrl-C ends quietly, and says what is left."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if journal is not None:
+            print("interrupted: what was found is kept; the same command goes on from there", file=sys.stderr)
+        raise typer.Exit(INTERRUPTED) from None
+
+
+def _facts(record: FlightEstimate) -> list[tuple[str, str]]:
+    facts = []
+    if record.same_scale:
+        low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
+        facts.append(("scale of all", scale_text(record.gsd_m_per_px, low, high)))
+    facts.append(("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"))
+    facts.append(("vehicles", str(record.n_vehicles)))
+    if not record.same_scale:
+        sizes = ", ".join(str(island.n_photographs) for island in record.islands)
+        facts.append(("tied together", f"{sizes} photographs" if len(record.islands) > 1 else "all of them"))
+        dropped = [link for link in record.links if link.dropped]
+        facts.append(("overlaps", f"{len(record.links) - len(dropped)} used, {len(dropped)} dropped"))
+        for link in dropped[:_MOST_NAMED]:
+            facts.append(("dropped", f"{link.first} and {link.second}: {link.dropped}"))
+    failed = [each.photograph for each in record.photographs if each.status == "error"]
+    if failed:
+        facts.append(("not readable", ", ".join(failed)))
+    return facts
+
+
+def _photographs_table(photographs: tuple[FlightPhotograph, ...]) -> Table:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("photograph", overflow="fold")
+    for heading in ("m/px", "95 %", "confidence"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("hangs on", overflow="fold")
+    table.add_column("status", no_wrap=True)
+    for each in photographs:
+        low, high = each.gsd_ci95_low_m_per_px, each.gsd_ci95_high_m_per_px
+        table.add_row(
+            Text(printable(each.photograph)),
+            "-" if each.gsd_m_per_px is None else f"{each.gsd_m_per_px:.4g}",
+            "-" if low is None or high is None else f"{low:.4g} to {high:.4g}",
+            "-" if each.confidence is None else f"{each.confidence:.2f}",
+            Text(printable(_hangs_on(each))),
+            each.status if each.error_code is None else f"error: {each.error_code}",
+        )
+    return table
+
+
+def _hangs_on(photograph: FlightPhotograph) -> str:
+    if not photograph.anchors:
+        return "-"
+    first = photograph.anchors[0]
+    if first.photograph == photograph.photograph:
+        return f"{first.ruler} of its own"
+    between = f" through {len(first.through)} more" if first.through else ""
+    return f"{first.ruler} of {Path(first.photograph).name}{between}"

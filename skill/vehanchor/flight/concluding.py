@@ -1,0 +1,279 @@
+"""From the photographs of a flight to its record."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from vehanchor.estimate import model_id
+from vehanchor.flight.pooling import pool
+from vehanchor.flight.positions import POSITIONS, places_of
+from vehanchor.records import FlightAnchor, FlightEstimate, FlightIsland, FlightPhotograph, KnownScale
+from vehanchor.scale.confidence import FALLBACK_CONFIDENCE, UNSURE_CONFIDENCE
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.errors import VehAnchorError
+    from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.flight.islands import Island
+    from vehanchor.flight.photograph import Photograph
+    from vehanchor.records import FlightLink, GsdEstimate, Notice, Status
+
+__all__ = ["Failure", "chief_member", "conclude_flight"]
+
+_MOST_ANCHORS = 3  # of a photograph, that are named
+_WIDEST_USABLE = 2.0  # high over low of an interval, as vehanchor.judgement has it
+_Z95 = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A photograph that cannot be used.
+
+    Attributes:
+        name: as the caller named it.
+        error: why.
+    """
+
+    name: str
+    error: VehAnchorError
+
+
+class _Support(NamedTuple):
+    """One ruler seen in one member of an island."""
+
+    ruler: str
+    member: int
+    strength: float
+
+
+def chief_member(members: Sequence[Photograph]) -> int:
+    """Index of the photograph with the most vehicles, the first of equals: what is measured in its pixels is sharp."""
+    return int(np.argmax([member.analysis.estimate.n_vehicles for member in members]))
+
+
+def conclude_flight(
+    looks: Sequence[Photograph | Failure],
+    islands: Sequence[Island],
+    card: DetectorCard,
+    *,
+    same_scale: bool,
+    links: Sequence[FlightLink] = (),
+    warnings: Sequence[Notice] = (),
+) -> FlightEstimate:
+    """Conclude from photographs in islands.
+
+    Args:
+        looks: the photographs; those that can be used are each in one island.
+        islands: the largest first.
+        card: of the detector.
+        same_scale: whether the caller said that all are of one scale.
+        links: overlaps.
+        warnings: what else there is to tell of the flight.
+
+    Returns:
+        The record.
+    """
+    positions = _positions(looks)
+    photographs: dict[int, FlightPhotograph] = {
+        place: _failed(each) for place, each in enumerate(looks) if isinstance(each, Failure)
+    }
+    pooled_islands = []
+    for number, island in enumerate(islands):
+        members = [look for place in island.members if not isinstance(look := looks[place], Failure)]
+        pooled = pool(members, island.log_scales, island.reference, island.extra)
+        estimate = pooled.estimate
+        pooled_islands.append(
+            FlightIsland(
+                number=number,
+                n_photographs=len(island),
+                reference=members[island.reference].name,
+                pooled=estimate,
+            )
+        )
+        anchors = _anchors(members, island, pooled)
+        for place, at in enumerate(island.members):
+            found = _photograph(members[place], island, place, number, estimate, anchors[place])
+            photographs[int(at)] = found.model_copy(update=_place(island, place, estimate, positions.get(int(at))))
+    ordered = tuple(photographs[place] for place in range(len(looks)))
+    whole = pooled_islands[0].pooled if same_scale else None
+    return FlightEstimate(
+        status=_status(ordered),
+        same_scale=same_scale,
+        gsd_m_per_px=whole and whole.gsd_m_per_px,
+        gsd_ci95_low_m_per_px=whole and whole.gsd_ci95_low_m_per_px,
+        gsd_ci95_high_m_per_px=whole and whole.gsd_ci95_high_m_per_px,
+        confidence=min(each.confidence for each in ordered if each.confidence is not None),
+        n_vehicles=sum(each.pooled.n_vehicles for each in pooled_islands),
+        photographs=ordered,
+        islands=tuple(pooled_islands),
+        links=tuple(links),
+        model=card.name,
+        model_sha256=card.sha256,
+        warnings=(*warnings, *(whole.warnings if whole else ())),
+    )
+
+
+def _positions(looks: Sequence[Photograph | Failure]) -> dict[int, tuple[float, float]]:
+    """Places by metadata, metres, of those photographs that have one."""
+    usable = [(place, look) for place, look in enumerate(looks) if not isinstance(look, Failure)]
+    if not usable or not usable[0][1].view.options.rulers.uses(POSITIONS):
+        return {}
+    places = places_of([look.view.image for _, look in usable])
+    if places is None:
+        return {}
+    return {
+        place: (float(east), float(north))
+        for (place, _), (east, north) in zip(usable, places, strict=True)
+        if math.isfinite(east)
+    }
+
+
+def _place(
+    island: Island, place: int, pooled: GsdEstimate, position: tuple[float, float] | None
+) -> dict[str, float | str]:
+    """Where a photograph was taken, as fields of its record; nothing where nobody knows."""
+    if position is not None:
+        return {"east_m": position[0], "north_m": position[1], "placed_by": "positions"}
+    if island.layout is None or pooled.gsd_m_per_px is None or len(island) < 2:
+        return {}
+    lies = complex(island.layout[place]) * pooled.gsd_m_per_px
+    return {"east_m": lies.real, "north_m": -lies.imag, "placed_by": "overlaps"}
+
+
+def _failed(failure: Failure) -> FlightPhotograph:
+    return FlightPhotograph(
+        photograph=failure.name,
+        status="error",
+        gsd_m_per_px=None,
+        gsd_ci95_low_m_per_px=None,
+        gsd_ci95_high_m_per_px=None,
+        confidence=None,
+        island=None,
+        anchors=(),
+        scale=None,
+        east_m=None,
+        north_m=None,
+        placed_by=None,
+        own=None,
+        error_code=failure.error.code,
+        error=str(failure.error),
+    )
+
+
+def _photograph(
+    photograph: Photograph,
+    island: Island,
+    place: int,
+    number: int,
+    pooled: GsdEstimate,
+    anchors: tuple[FlightAnchor, ...],
+) -> FlightPhotograph:
+    """The island's scale, carried over to one of its photographs."""
+    gsd = low = high = None
+    status, confidence = pooled.status, pooled.confidence
+    if pooled.gsd_m_per_px is not None:
+        gsd = pooled.gsd_m_per_px * math.exp(island.offsets[place])
+        carried = _Z95 * float(island.log_sds[place])
+        if pooled.gsd_ci95_low_m_per_px and pooled.gsd_ci95_high_m_per_px:
+            down = math.log(pooled.gsd_m_per_px / pooled.gsd_ci95_low_m_per_px)
+            up = math.log(pooled.gsd_ci95_high_m_per_px / pooled.gsd_m_per_px)
+            low, high = gsd * math.exp(-math.hypot(down, carried)), gsd * math.exp(math.hypot(up, carried))
+            if high > _WIDEST_USABLE * low:
+                confidence = min(confidence, UNSURE_CONFIDENCE)
+        status = "ok" if status == "ok" and confidence >= FALLBACK_CONFIDENCE else "low_confidence"
+    return FlightPhotograph(
+        photograph=photograph.name,
+        status=status,
+        gsd_m_per_px=gsd,
+        gsd_ci95_low_m_per_px=low,
+        gsd_ci95_high_m_per_px=high,
+        confidence=confidence,
+        island=number,
+        anchors=anchors,
+        scale=_given_back(photograph, gsd, low, high, confidence),
+        east_m=None,
+        north_m=None,
+        placed_by=None,
+        own=photograph.analysis.estimate,
+        error_code=None,
+        error=None,
+    )
+
+
+def _given_back(
+    photograph: Photograph, gsd: float | None, low: float | None, high: float | None, confidence: float
+) -> KnownScale | None:
+    image_id = photograph.view.image.image_id
+    if gsd is None or low is None or high is None or not image_id:
+        return None
+    return KnownScale(
+        gsd_m_per_px=gsd,
+        gsd_ci95_low_m_per_px=low,
+        gsd_ci95_high_m_per_px=high,
+        confidence=confidence,
+        image_id=image_id,
+        model_id=model_id(photograph.view.card),
+    )
+
+
+def _status(photographs: Sequence[FlightPhotograph]) -> Status:
+    said = [each.status for each in photographs if each.status != "error"]
+    if all(status == "no_anchor" for status in said):
+        return "no_anchor"
+    return "ok" if all(status == "ok" for status in said) else "low_confidence"
+
+
+def _anchors(members: Sequence[Photograph], island: Island, pooled: ScaleAnalysis) -> list[tuple[FlightAnchor, ...]]:
+    """For each member what it hangs on: its own rulers, those of the nearest that has some, and the strongest."""
+    supports = _supports(members, island, pooled)
+    for ruler in (each for each in island.extra if each.gsd_m_per_px is not None):
+        supports += [_Support(ruler.kind, place, 0.0) for place in range(len(members))]
+    if not supports:
+        return [()] * len(members)
+    by_member: dict[int, list[_Support]] = {}
+    for support in sorted(supports, key=lambda each: -each.strength):
+        by_member.setdefault(support.member, []).append(support)
+    nearest = island.paths(sorted(by_member))
+    strongest = max(supports, key=lambda each: each.strength).member
+    to_strongest = island.paths([strongest])
+    named = []
+    for place in range(len(members)):
+        chosen: dict[tuple[str, int], FlightAnchor] = {}
+        for way in (nearest[place], to_strongest[place]):
+            if way is None:
+                continue
+            for support in by_member[way[0]]:
+                through = tuple(members[each].name for each in way[1])
+                anchor = FlightAnchor(ruler=support.ruler, photograph=members[way[0]].name, through=through)
+                chosen.setdefault((support.ruler, way[0]), anchor)
+        named.append(tuple(chosen.values())[:_MOST_ANCHORS])
+    return named
+
+
+def _supports(members: Sequence[Photograph], island: Island, pooled: ScaleAnalysis) -> list[_Support]:
+    """The rulers that bear the island's scale, and in which of its photographs they were seen."""
+    supports = []
+    lengths = pooled.vehicles.fleet.lengths
+    for place, member in enumerate(members):
+        sighting = member.measured
+        own = sighting.boxes[:, 2] * math.exp(island.offsets[place])
+        among: NDArray[np.bool_] = (
+            (own >= lengths.min()) & (own <= lengths.max()) if len(lengths) else np.zeros(len(own), dtype=bool)
+        )
+        strength = float((sighting.scores[among] ** 2).sum())
+        if strength > 0:
+            supports.append(_Support("vehicles", place, strength))
+        supports += [
+            _Support(other.kind, place, other.confidence)
+            for other in member.analysis.others
+            if other.gsd_m_per_px is not None and other.confidence > 0
+        ]
+    return supports

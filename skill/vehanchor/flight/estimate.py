@@ -1,0 +1,204 @@
+"""The scales of a flight: every photograph looked at once, then all of the evidence together."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence, Sized
+from dataclasses import asdict, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vehanchor.batch.journal import Journal, Key, Source
+from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
+from vehanchor.estimate import analyse_raster, image_facts, open_detector
+from vehanchor.flight.concluding import Failure, chief_member, conclude_flight
+from vehanchor.flight.features import find_features
+from vehanchor.flight.islands import single_island
+from vehanchor.flight.photograph import Look, Photograph
+from vehanchor.flight.stored import from_json, to_json
+from vehanchor.flight.taken import Taken, named
+from vehanchor.flight.tying import tie
+from vehanchor.imagery.raster import open_raster
+from vehanchor.options import ScaleOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+    from typing import Unpack
+
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.detector import Detector
+    from vehanchor.flight.features import Features
+    from vehanchor.imagery.raster import ImageSource
+    from vehanchor.options import OptionKeywords
+    from vehanchor.records import FlightEstimate
+
+__all__ = ["analyse_flight", "conclude", "estimate_flight", "look_at_flight"]
+
+
+def estimate_flight(
+    images: Iterable[ImageSource | Taken],
+    *,
+    same_scale: bool = False,
+    detector: Detector | str | os.PathLike[str] | None = None,
+    threads: int | None = None,
+    journal: str | os.PathLike[str] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Unpack[OptionKeywords],
+) -> FlightEstimate:
+    """Estimate the scales of many photographs of one flight by the evidence of all of them.
+
+    Only one photograph is held in memory at a time. One that cannot be read has its error in the record.
+
+    Args:
+        images: the photographs, in the order in which they were taken, each as in ``estimate_gsd``; a ``Taken`` gives
+            one a name, which else is its path or its number.
+        same_scale: they are all of one scale, as those of a survey at one height: their evidence is one.
+        detector: as in ``estimate_gsd``.
+        threads: CPU threads for the models.
+        journal: file that keeps what was found in each photograph, so that the same call after an interruption goes on
+            where it stopped; removed at the end. Only photographs given as paths are kept.
+        progress: called with (photographs looked at, photographs in all).
+        **options: as in ``estimate_gsd``, without a frame and without lines of known length, which belong to one
+            photograph.
+
+    Returns:
+        The record; a photograph without evidence of its own, and that nothing ties to others, has no scale.
+
+    Raises:
+        ImageError: there is no photograph, or none that can be used.
+        ModelError: the detector cannot be used.
+        InvalidParameterError: an option has no meaning, or the journal is one of other options.
+        OutputError: the journal cannot be written.
+        CalibrationError: the calibration cannot be read, or was made for another detector.
+    """
+    return analyse_flight(
+        images,
+        ScaleOptions.of(options),
+        same_scale=same_scale,
+        detector=detector,
+        threads=threads,
+        journal=journal,
+        progress=progress,
+    )
+
+
+def analyse_flight(
+    images: Iterable[ImageSource | Taken],
+    options: ScaleOptions | None = None,
+    *,
+    same_scale: bool = False,
+    detector: Detector | str | os.PathLike[str] | None = None,
+    threads: int | None = None,
+    journal: str | os.PathLike[str] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> FlightEstimate:
+    """As ``estimate_flight``, with its options in groups; None for the defaults."""
+    chosen = options or ScaleOptions()
+    _check(chosen)
+    model = open_detector(detector, chosen, threads=threads)
+    taken = list(named(images)) if isinstance(images, Sequence) else named(images)
+    kept = _open_journal(None if journal is None else Path(journal), model, chosen)
+    looks = look_at_flight(taken, model, chosen, featured=not same_scale, journal=kept, progress=progress)
+    record = conclude(looks, model.card, same_scale=same_scale)
+    if kept is not None:
+        kept.remove()
+    return record
+
+
+def conclude(looks: Sequence[Photograph | Failure], card: DetectorCard, *, same_scale: bool) -> FlightEstimate:
+    """Conclude from photographs that were looked at, with their features unless they are of one scale."""
+    places = [place for place, look in enumerate(looks) if isinstance(look, Photograph)]
+    members = [look for look in looks if isinstance(look, Photograph)]
+    if same_scale:
+        return conclude_flight(looks, [single_island(places, chief_member(members))], card, same_scale=True)
+    tied = tie(members, [each.features for each in members if each.features is not None])
+    islands = [replace(island, members=np.asarray(places)[island.members]) for island in tied.islands]
+    return conclude_flight(looks, islands, card, same_scale=False, links=tied.links)
+
+
+def look_at_flight(
+    taken: Iterable[Taken],
+    detector: Detector,
+    options: ScaleOptions,
+    *,
+    featured: bool = False,
+    journal: Journal[Look] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Photograph | Failure]:
+    """Look at every photograph, one after the other.
+
+    Args:
+        taken: the photographs, one held at a time.
+        detector: finds the vehicles.
+        options: every choice of the method.
+        featured: whether features are wanted, by which photographs find those that overlap.
+        journal: what was found before; takes what is found now, at once.
+        progress: called with (photographs looked at, photographs in all); of a video nobody knows how many there are,
+            and both are the same.
+
+    Returns:
+        Each photograph with what it says by itself, or why it cannot be used.
+
+    Raises:
+        ImageError: there is none, or none that can be used.
+    """
+    tell = progress or (lambda _done, _total: None)
+    found: list[Photograph | Failure] = []
+    total = len(taken) if isinstance(taken, Sized) else 0
+    for done, (name, image) in enumerate(taken):
+        tell(done, max(total, done))
+        key = _key(name, image)
+        known = journal.get(key) if journal is not None and key is not None else None
+        try:
+            look, features = _look(image, detector, options, known, featured=featured)
+        except VehAnchorError as error:
+            found.append(Failure(name, error))
+            continue
+        if known is None and journal is not None and key is not None and key == _key(name, image):
+            journal.add(key, look)
+        found.append(Photograph.of(name, look, detector.card, options, features))
+    tell(len(found), len(found))
+    if not found:
+        raise ImageError("no photograph given: name at least one")
+    failures = [each for each in found if isinstance(each, Failure)]
+    if len(failures) == len(found):
+        raise failures[0].error
+    return found
+
+
+def _look(
+    image: ImageSource, detector: Detector, options: ScaleOptions, known: Look | None, *, featured: bool
+) -> tuple[Look, Features | None]:
+    """Look at one photograph; where that is known already, only at its features, which are quickly found again."""
+    if known is not None and not featured:
+        return known, None
+    with open_raster(image, bands=options.reading.bands, limits=options.reading.limits) as raster:
+        features = find_features(raster) if featured else None
+        if known is not None:
+            return known, features
+        analysis = analyse_raster(raster, detector, options)
+        return Look.of(image_facts(raster), analysis.detections, analysis), features
+
+
+def _check(options: ScaleOptions) -> None:
+    if options.frame.size is not None:
+        raise InvalidParameterError("a frame belongs to one image: a flight has none")
+    if options.rulers.known_lengths:
+        raise InvalidParameterError("a line of known length belongs to one image: estimate that image by itself")
+
+
+def _key(name: str, image: Any) -> Key | None:
+    return (name, *Source.of(image)) if isinstance(image, str | os.PathLike) else None
+
+
+def _open_journal(path: Path | None, detector: Detector, options: ScaleOptions) -> Journal[Look] | None:
+    if path is None:
+        return None
+    choices = asdict(options)
+    del choices["frame"]
+    settings = {"vehanchor": version("vehanchor"), "model_sha256": detector.card.sha256, "flight": 1, **choices}
+    remedy = "move the file away, or name another"
+    return Journal(path, settings, dump=to_json, load=from_json, sole=True, remedy=remedy)

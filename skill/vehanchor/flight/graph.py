@@ -1,0 +1,237 @@
+"""The graph of a flight: log scales of photographs from ratios of overlapping ones and from each one's own evidence.
+
+    minimise  sum over links rho((x_i + g_i p_ij - x_j - g_j p_ji - r_ij) / s_ij)  +  sum rho((x_i - u_i) / t_i)
+              +  sum (g_i / t)^2
+
+where x_i is the log scale at a photograph's centre and g_i how it changes from there: a camera that looks a few degrees
+aside sees one edge larger than the other, and two photographs overlap at their edges (at p_ij). The loss rho is that of
+Geman and McClure, whose pull goes to nothing far out. It is reached from the square by degrees (graduated
+non-convexity), each step a sparse least-squares problem, so that no lucky start is needed. How far apart ratios really
+are from each other, relief and tilt included, is measured on the flight itself.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_matrix, csr_matrix, diags
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+__all__ = ["Component", "Link", "Solution", "Unary", "contradiction", "solve"]
+
+_REACH = 3.0  # standard deviations: what is much further out pulls no more
+_DROP_SDS, _DROP_LOG = 4.0, 0.12  # a link that is off by more than both is dropped
+_ANNEAL, _STEPS = 1.4, 40
+_MOST_INFLATION = 8.0
+_GRADIENT_SD = 0.05  # log of scale from the centre to the edge: two to five degrees off straight down
+_LOOSE_SD = 3.0  # of a photograph without evidence: no problem is singular
+_MAD_PER_SD = 0.6745
+
+
+class Link(NamedTuple):
+    """Two photographs whose ratio of scales was measured.
+
+    Attributes:
+        first: index of one.
+        second: index of the other.
+        log_ratio: log scale of the first less that of the second.
+        log_sd: its standard deviation.
+        first_at: where the overlap lies in the first, x, y from its centre; 1 is half of the longer side.
+        second_at: where it lies in the second.
+    """
+
+    first: int
+    second: int
+    log_ratio: float
+    log_sd: float
+    first_at: tuple[float, float] = (0.0, 0.0)
+    second_at: tuple[float, float] = (0.0, 0.0)
+
+
+class Unary(NamedTuple):
+    """A photograph's own evidence.
+
+    Attributes:
+        log_scale: natural log of metres per pixel.
+        log_sd: its standard deviation.
+    """
+
+    log_scale: float
+    log_sd: float
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """Photographs that are tied to each other.
+
+    Attributes:
+        members: ``[m]`` indices, ascending.
+        log_scales: ``[m]`` natural logs of metres per pixel; without evidence but for a constant.
+        covariance: ``[m, m]`` of these.
+        ties: ``[m, m]`` sparse, standard deviations of the links that were used.
+    """
+
+    members: NDArray[np.intp]
+    log_scales: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    ties: Any
+
+    def sds_from(self, reference: int) -> NDArray[np.float64]:
+        """``[m]`` standard deviations of the members' log scales less that of one of them."""
+        own = np.diag(self.covariance)
+        variance = own + own[reference] - 2 * self.covariance[reference]
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+class Solution(NamedTuple):
+    """Scales of a flight.
+
+    Attributes:
+        components: the largest first; of equals that with the lower first index.
+        residuals: ``[l]`` of the links: what each says less what was found.
+        used: ``[l]`` bool, which of them were used.
+        inflation: how much further apart ratios are than each of them says of itself, at least 1.
+    """
+
+    components: tuple[Component, ...]
+    residuals: NDArray[np.float64]
+    used: NDArray[np.bool_]
+    inflation: float
+
+
+def solve(n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> Solution:
+    """Find the scales that agree with most of the links and the evidence.
+
+    Args:
+        n: photographs.
+        links: ratios.
+        unaries: ``[n]`` each photograph's own evidence; None without any.
+
+    Returns:
+        Components tied by links that agree, each with its scales; what the others are off by.
+    """
+    stated = np.array([link.log_sd for link in links], dtype=np.float64)
+    problem = _Problem(n, links, unaries)
+    alone = _at_an_end(n, links)
+    inflation = 1.0
+    for _ in range(2):
+        problem.anneal(stated * inflation)
+        looped = np.abs(problem.residuals[~alone]) / stated[~alone]
+        if len(looped):
+            inflation = float(np.clip(np.median(looped) / _MAD_PER_SD, 1.0, _MOST_INFLATION))
+    sds = stated * inflation
+    used = ~((np.abs(problem.residuals) > _DROP_SDS * sds) & (np.abs(problem.residuals) > _DROP_LOG))
+    residuals = problem.residuals
+    kept = [link for link, chosen in zip(links, used, strict=True) if chosen]
+    if not used.all():
+        problem = _Problem(n, kept, unaries)
+        problem.anneal(sds[used])
+        residuals = np.where(used, 0.0, residuals)
+        residuals[used] = problem.residuals
+    components = _components(n, kept, sds[used], problem)
+    return Solution(components, residuals, used, inflation)
+
+
+class _Problem:
+    """A robust sparse least-squares problem: unknown are ``[n]`` log scales, then ``[n, 2]`` their gradients."""
+
+    def __init__(self, n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> None:
+        self._n, self._n_links = n, len(links)
+        known = [(place, unary) for place, unary in enumerate(unaries) if unary is not None]
+        self._matrix = _equations(n, links, [place for place, _ in known])
+        said = [unary.log_scale for _, unary in known]
+        self._target = np.concatenate([[link.log_ratio for link in links], said])
+        self._own_sds = np.array([unary.log_sd for _, unary in known], dtype=np.float64)
+        middle = float(np.median(said)) if said else 0.0
+        self._prior = np.r_[np.full(n, 1e-3 / _LOOSE_SD**2), np.full(2 * n, 1 / _GRADIENT_SD**2)]
+        self._prior_pull = np.r_[np.full(n, middle * 1e-3 / _LOOSE_SD**2), np.zeros(2 * n)]
+        self._found = np.zeros(3 * n)
+
+    @property
+    def scales(self) -> NDArray[np.float64]:
+        """``[n]`` log scales."""
+        return np.asarray(self._found[: self._n])
+
+    @property
+    def residuals(self) -> NDArray[np.float64]:
+        """``[l]`` of the links: what each says less what was found."""
+        return np.asarray((self._target - self._matrix @ self._found)[: self._n_links])
+
+    def anneal(self, link_sds: NDArray[np.float64]) -> None:
+        """Solve, from the square loss by degrees to the robust one."""
+        sds = np.concatenate([link_sds, self._own_sds])
+        self._solve(np.ones(len(sds)), sds)
+        if not len(sds):
+            return
+        mu = max(1.0, 2 * float(np.max(self._off(sds) ** 2)) / _REACH**2)
+        for _ in range(_STEPS):
+            self._solve((mu * _REACH**2 / (self._off(sds) ** 2 + mu * _REACH**2)) ** 2, sds)
+            if mu == 1.0:
+                break
+            mu = max(1.0, mu / _ANNEAL)
+
+    def information(self, members: NDArray[np.intp], link_sds: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``[3 m, 3 m]`` inverse covariance of the members' unknowns."""
+        sds = np.concatenate([link_sds, self._own_sds])
+        which = np.r_[members, self._n + 2 * members, self._n + 2 * members + 1]
+        own = self._matrix.tocsc()[:, which]
+        whole = (own.T @ diags(1 / sds**2) @ own).toarray()
+        m = len(members)
+        return np.asarray(whole + np.diag(np.r_[np.full(m, 1 / _LOOSE_SD**2), np.full(2 * m, 1 / _GRADIENT_SD**2)]))
+
+    def _off(self, sds: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(np.abs(self._matrix @ self._found - self._target) / sds)
+
+    def _solve(self, weights: NDArray[np.float64], sds: NDArray[np.float64]) -> None:
+        precision = weights / sds**2
+        normal = self._matrix.T @ diags(precision) @ self._matrix + diags(self._prior)
+        right = self._matrix.T @ (precision * self._target) + self._prior_pull
+        self._found = np.asarray(splu(normal.tocsc()).solve(right))
+
+
+def _equations(n: int, links: Sequence[Link], known: Sequence[int]) -> Any:
+    """Sparse ``[links + known, 3 n]``: what each link and each photograph's own evidence should say."""
+    rows, columns, values = [], [], []
+    for row, link in enumerate(links):
+        for sign, place, at in ((1.0, link.first, link.first_at), (-1.0, link.second, link.second_at)):
+            rows += [row] * 3
+            columns += [place, n + 2 * place, n + 2 * place + 1]
+            values += [sign, sign * at[0], sign * at[1]]
+    rows += [len(links) + each for each in range(len(known))]
+    columns += known
+    values += [1.0] * len(known)
+    return coo_matrix((values, (rows, columns)), shape=(len(links) + len(known), 3 * n)).tocsr()
+
+
+def _at_an_end(n: int, links: Sequence[Link]) -> NDArray[np.bool_]:
+    """``[l]`` links to a photograph that has no other: they agree with whatever is left, and tell nothing of errors."""
+    ends = np.array([(link.first, link.second) for link in links], dtype=np.intp).reshape(-1, 2)
+    degree = np.bincount(ends.ravel(), minlength=n)
+    return np.asarray((degree[ends[:, 0]] == 1) | (degree[ends[:, 1]] == 1))
+
+
+def _components(n: int, links: Sequence[Link], sds: NDArray[np.float64], problem: _Problem) -> tuple[Component, ...]:
+    ends = np.array([(link.first, link.second) for link in links], dtype=np.intp).reshape(-1, 2)
+    ties = csr_matrix((sds, (ends[:, 0], ends[:, 1])), shape=(n, n))
+    count, labels = connected_components(ties, directed=False)
+    found = []
+    for label in range(count):
+        members = np.flatnonzero(labels == label)
+        m = len(members)
+        covariance = np.asarray(np.linalg.inv(problem.information(members, sds))[:m, :m], dtype=np.float64)
+        found.append(Component(members, problem.scales[members], covariance, ties[members][:, members]))
+    return tuple(sorted(found, key=lambda each: (-len(each.members), int(each.members[0]))))
+
+
+def contradiction(residual: float) -> str:
+    """Tell what a dropped link contradicts, as a clause."""
+    return f"the ratio is {math.exp(abs(residual)):.2g} times off what the other overlaps and rulers say"

@@ -1,0 +1,88 @@
+"""Where the photographs of an island lie beside each other: their centres in the pixels of one of them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_matrix, diags
+from scipy.sparse.linalg import splu
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+__all__ = ["Seam", "lay_out"]
+
+
+class Seam(NamedTuple):
+    """Two photographs of an island that overlap.
+
+    Attributes:
+        first: index of one among the members.
+        second: index of the other.
+        turn: ``[2, 3]`` similarity from pixels of the first to pixels of the second.
+        weight: how sure it is: points that were found in both.
+    """
+
+    first: int
+    second: int
+    turn: NDArray[np.float64]
+    weight: float
+
+
+def lay_out(
+    centres: NDArray[np.float64], offsets: NDArray[np.float64], reference: int, seams: Sequence[Seam]
+) -> NDArray[np.complex128]:
+    """Lay photographs out, those that overlap where they overlap.
+
+    Args:
+        centres: ``[m, 2]`` x, y of each one's centre in its own pixels.
+        offsets: ``[m]`` log of how much larger a pixel of each is than one of the reference.
+        reference: index of the photograph in whose pixels, and turned as it, the answer is.
+        seams: they tie all members together.
+
+    Returns:
+        ``[m]`` centres, x to the right as real and y down as imaginary part, that of the reference at 0.
+    """
+    m = len(centres)
+    if not seams:
+        return np.zeros(m, np.complex128)
+    first = np.array([seam.first for seam in seams])
+    second = np.array([seam.second for seam in seams])
+    weight = np.array([seam.weight for seam in seams], dtype=np.float64)
+    factor = np.array([seam.turn[0, 0] + 1j * seam.turn[1, 0] for seam in seams])
+    shift = np.array([seam.turn[0, 2] + 1j * seam.turn[1, 2] for seam in seams])
+    # a_first = a_second * turn, with the turns alone; lengths are known better from the graph of scales
+    unit = factor / np.abs(factor)
+    headings = _tied(m, first, second, np.ones(len(seams)), unit, np.zeros(len(seams)), weight, reference, 1.0)
+    headings /= np.maximum(np.abs(headings), 1e-9)
+    own = centres[:, 0] + 1j * centres[:, 1]
+    apart = headings[second] * np.exp(offsets[second]) * (factor * own[first] + shift - own[second])
+    ones = np.ones(len(seams))
+    return _tied(m, first, second, ones, ones, apart, weight, reference, 0.0)
+
+
+def _tied(
+    m: int,
+    first: NDArray[np.intp],
+    second: NDArray[np.intp],
+    of_first: NDArray[np.float64],
+    of_second: NDArray[np.complex128] | NDArray[np.float64],
+    target: NDArray[np.complex128] | NDArray[np.float64],
+    weight: NDArray[np.float64],
+    reference: int,
+    fixed: float,
+) -> NDArray[np.complex128]:
+    """Least squares of ``of_first * v[first] - of_second * v[second] = target`` with the reference's value fixed."""
+    rows = np.arange(len(first))
+    held = 1e6 * float(weight.sum())
+    values = np.concatenate([of_first.astype(np.complex128), -of_second.astype(np.complex128), [1.0]])
+    matrix = coo_matrix(
+        (values, (np.r_[rows, rows, len(first)], np.r_[first, second, reference])), shape=(len(first) + 1, m)
+    ).tocsr()
+    weights = diags(np.r_[weight, held])
+    adjoint = matrix.conj().T
+    right = adjoint @ (weights @ np.r_[target.astype(np.complex128), fixed])
+    return np.asarray(splu((adjoint @ weights @ matrix).tocsc()).solve(right))

@@ -1,0 +1,103 @@
+"""Two photographs that overlap: where a point of one lies in the other, and the ratio of their scales."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.flight.features import Features
+
+__all__ = ["Match", "match"]
+
+_LEAST_INLIERS, _LEAST_INLIER_SHARE = 14, 0.12
+_SECOND_BEST = 0.9  # a feature's best match is this much nearer than its second
+_TOLERANCE_PX = 4.0  # of the reduced copies: relief and lens move points that much
+_CONFIDENCE, _TRIALS = 0.999, 2000
+_WIDEST_RATIO = 6.0
+_LOG_SD = 0.01  # relief, lens, a camera that does not look straight down
+_SHAPE_SHARE = 0.25  # of the difference between the scales along and across: one of the two is tilted
+
+
+class Match(NamedTuple):
+    """Two overlapping photographs.
+
+    Attributes:
+        log_ratio: natural log of the metres per pixel of the first over those of the second.
+        log_sd: its standard deviation.
+        n: points of the ground that were found in both.
+        turn: ``[2, 3]`` similarity from pixels of the first to pixels of the second.
+        first_at: ``[2]`` middle of those points in the first, pixels.
+        second_at: ``[2]`` in the second.
+    """
+
+    log_ratio: float
+    log_sd: float
+    n: int
+    turn: NDArray[np.float64]
+    first_at: NDArray[np.float64]
+    second_at: NDArray[np.float64]
+
+
+def match(first: Features, second: Features) -> Match | None:
+    """Find the similarity between two photographs.
+
+    Args:
+        first: features of one.
+        second: features of the other.
+
+    Returns:
+        The match; None where too few points agree on one.
+    """
+    pairs = _nearest(first.descriptors, second.descriptors)
+    if len(pairs) < _LEAST_INLIERS:
+        return None
+    here, there = first.points[pairs[:, 0]], second.points[pairs[:, 1]]
+    tolerance = _TOLERANCE_PX * second.pixel
+    turn, inside = cv2.estimateAffinePartial2D(
+        here, there, method=cv2.RANSAC, ransacReprojThreshold=tolerance, maxIters=_TRIALS, confidence=_CONFIDENCE
+    )
+    if turn is None:
+        return None
+    inlier = inside.ravel().astype(bool)
+    n = int(inlier.sum())
+    if n < _LEAST_INLIERS or n < _LEAST_INLIER_SHARE * len(pairs):
+        return None
+    turn = np.asarray(turn, dtype=np.float64)
+    scale = math.hypot(turn[0, 0], turn[1, 0])
+    if not 1 / _WIDEST_RATIO <= scale <= _WIDEST_RATIO:
+        return None
+    here, there = here[inlier], there[inlier]
+    return Match(math.log(scale), _spread(here, there, turn), n, turn, here.mean(axis=0), there.mean(axis=0))
+
+
+def _nearest(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> NDArray[np.intp]:
+    """``[m, 2]`` pairs, each the other's best, and clearly better than the second best."""
+    if len(first) < 2 or len(second) < 2:
+        return np.zeros((0, 2), np.intp)
+    here, there = first.astype(np.float32), second.astype(np.float32)
+    closeness = here @ there.T  # RootSIFT: all of one length
+    best = closeness.argmax(axis=1)
+    mutual = closeness.argmax(axis=0)[best] == np.arange(len(here))
+    two = np.partition(closeness, -2, axis=1)[:, -2:]
+    length = 255.0**2
+    near = np.maximum(2 * (length - two[:, 1]), 0.0)
+    next_near = np.maximum(2 * (length - two[:, 0]), 1e-6)
+    chosen = np.flatnonzero(mutual & (near <= _SECOND_BEST**2 * next_near))
+    return np.column_stack([chosen, best[chosen]])
+
+
+def _spread(here: NDArray[np.float64], there: NDArray[np.float64], turn: NDArray[np.float64]) -> float:
+    """Standard deviation of the log of the ratio: of the points, of the shape of what they cover, and of relief."""
+    off = here @ turn[:, :2].T + turn[:, 2] - there
+    radius = math.sqrt(float(((there - there.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    by_points = math.sqrt(float((off**2).sum(axis=1).mean())) / (radius * math.sqrt(2 * len(here)))
+    flat = np.column_stack([here - here.mean(axis=0), np.ones(len(here))])
+    stretch = np.linalg.svd(np.linalg.lstsq(flat, there, rcond=None)[0][:2], compute_uv=False)
+    by_shape = _SHAPE_SHARE * math.log(max(stretch[0], 1e-9) / max(stretch[1], 1e-9))
+    return math.sqrt(by_points**2 + min(by_shape, 0.2) ** 2 + _LOG_SD**2)

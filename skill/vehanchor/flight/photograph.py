@@ -1,0 +1,78 @@
+"""One photograph of a flight: what is kept of it when its pixels are gone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from vehanchor.anchors.evidence import ImageFacts, View
+from vehanchor.detection.sighting import Sighting
+from vehanchor.estimate import analyse_sighting
+
+if TYPE_CHECKING:
+    from vehanchor.anchors.evidence import Evidence
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.flight.features import Features
+    from vehanchor.options import ScaleOptions
+
+__all__ = ["Look", "Photograph", "fixed_view"]
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """The findings in one photograph, as a journal keeps them.
+
+    Attributes:
+        image: facts of the file.
+        sighting: what was found in it.
+        resolved: share of the pixels' resolution at which there is detail around its vehicles.
+        others: evidence of the rulers beside vehicles, some of which look at pixels.
+    """
+
+    image: ImageFacts
+    sighting: Sighting
+    resolved: float
+    others: tuple[Evidence, ...] | None = None
+
+    @classmethod
+    def of(cls, image: ImageFacts, sighting: Sighting, analysis: ScaleAnalysis) -> Look:
+        """The findings that an analysis was made from."""
+        return cls(image, sighting, analysis.resolved, analysis.others)
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """A photograph with what it says by itself.
+
+    Attributes:
+        name: as the caller named it.
+        view: all that rulers were shown, without its pixels.
+        analysis: what they said.
+        features: by which it finds those that overlap; None where nobody asked.
+    """
+
+    name: str
+    view: View
+    analysis: ScaleAnalysis
+    features: Features | None = None
+
+    @property
+    def measured(self) -> Sighting:
+        """What was found, levelled where the camera looked aside."""
+        return self.view.sighting if self.analysis.in_image is None else self.analysis.vehicles.fleet.sighting
+
+    @classmethod
+    def of(
+        cls, name: str, look: Look, card: DetectorCard, options: ScaleOptions, features: Features | None = None
+    ) -> Photograph:
+        """Lead the findings through the second half of the skill."""
+        view = fixed_view(look.image, look.sighting, card, options, look.resolved)
+        return cls(name, view, analyse_sighting(view, look.others), features)
+
+
+def fixed_view(
+    image: ImageFacts, sighting: Sighting, card: DetectorCard, options: ScaleOptions, resolved: float
+) -> View:
+    """A view of which the detail is known already, so that no pixel is needed."""
+    return View(image, sighting, card, options, lambda _centres, _scale: resolved)

@@ -1,0 +1,211 @@
+"""Many photographs as one body of evidence: boxes and densities brought to the pixels of one of them.
+
+Where the ratios of the scales are known, a box of one photograph is as good as a box of another: all of them vote for
+one scale. What the photographs of one flight get wrong they get wrong alike, though: ten pictures of the same fields
+say less of the ground than ten places do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.anchors.evidence import Evidence
+from vehanchor.anchors.scene_scale import SceneScale
+from vehanchor.detection.scene import SceneSighting
+from vehanchor.detection.sighting import Objects, Sighting
+from vehanchor.estimate import analyse_sighting
+from vehanchor.flight.photograph import fixed_view
+from vehanchor.records import Notice
+from vehanchor.scale.fusion import GRID, TOLERANCE, credible_interval, mass_within
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from vehanchor.anchors.evidence import ImageFacts
+    from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.flight.photograph import Photograph
+
+__all__ = ["combined_density", "pool", "pooled_sighting", "shifted"]
+
+_SCENE_GAIN = 0.5  # n photographs of the ground say as much as n ** 0.5 places: benchmarks/flights.py, train split
+_GAINS = {SceneScale.kind: _SCENE_GAIN, "camera": 0.0, "height": 0.0}  # one camera, one take-off: one error
+_OTHER_GAIN = 0.5
+_LEAST = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class _PooledScene(SceneSighting):
+    """What was seen of the ground in many photographs, in the pixels of one.
+
+    Attributes:
+        pooled: ``[g]`` their density.
+    """
+
+    pooled: NDArray[np.float64]
+
+    @cached_property
+    def density(self) -> NDArray[np.float64]:
+        """Probabilities on ``vehanchor.scale.fusion.GRID``."""
+        return self.pooled
+
+
+def pool(
+    members: Sequence[Photograph], log_scales: ArrayLike, reference: int, extra: Iterable[Evidence] = ()
+) -> ScaleAnalysis:
+    """Put the evidence of photographs together whose ratios of scales are known.
+
+    Args:
+        members: the photographs, at least one.
+        log_scales: ``[n]`` natural logs of their metres per pixel, but for a constant.
+        reference: index of the member in whose pixels the answer is.
+        extra: evidence of rulers that only a flight has, in those pixels.
+
+    Returns:
+        The analysis, as if all had been seen in that photograph.
+    """
+    added = tuple(extra)
+    if len(members) == 1 and not added:
+        return members[0].analysis
+    logs = np.asarray(log_scales, dtype=np.float64)
+    offsets = logs - logs[reference]
+    chief = members[reference].view
+    sighting = pooled_sighting([member.measured for member in members], offsets)
+    resolved = _resolved(members)
+    view = fixed_view(_facts(members, reference), sighting, chief.card, chief.options, resolved)
+    return analyse_sighting(view, (*_pooled_others(members, offsets), *added), level=False)
+
+
+def pooled_sighting(sightings: Sequence[Sighting], offsets: ArrayLike) -> Sighting:
+    """Put boxes together: those whose look is known first, best first, as a sighting has them.
+
+    Args:
+        sightings: of the photographs.
+        offsets: ``[n]`` log of how much larger a pixel of each is than one of the pixels that the answer is in.
+
+    Returns:
+        Boxes in those pixels; their places mean nothing any more.
+    """
+    factors = np.exp(np.asarray(offsets, dtype=np.float64))
+    scores = np.concatenate([each.scores for each in sightings])
+    looked = [0 if each.fleet_log_odds is None else len(each.fleet_log_odds) for each in sightings]
+    known = np.concatenate([np.arange(len(each.boxes)) < n for each, n in zip(sightings, looked, strict=True)])
+    order = np.lexsort((-scores, ~known))
+    boxes = np.concatenate(
+        [each.boxes * [k, k, k, k, 1.0] for each, k in zip(sightings, factors, strict=True)], dtype=np.float64
+    )
+    scaled = any(each.scales is not None for each in sightings)
+    scales = [
+        (np.ones(len(each.boxes)) if each.scales is None else each.scales) / k
+        for each, k in zip(sightings, factors, strict=True)
+    ]
+    odds = [each.fleet_log_odds for each in sightings if each.fleet_log_odds is not None]
+    order_known = order[: int(known.sum())]
+    all_odds = np.full(len(scores), np.nan)
+    all_odds[known] = np.concatenate(odds) if odds else []
+    named = all(each.classes is not None for each in sightings)
+    classes = np.concatenate([each.classes for each in sightings if each.classes is not None] or [np.zeros(0, np.intp)])
+    return Sighting(
+        boxes[order],
+        scores[order],
+        sum(each.n_tiles for each in sightings),
+        sum(each.n_capped_tiles for each in sightings),
+        np.concatenate(scales)[order] if scaled else None,
+        all_odds[order_known] if odds else None,
+        classes[order] if named else None,
+        Objects.joined(),
+        _scene(sightings, np.log(factors)),
+    )
+
+
+def combined_density(densities: Sequence[NDArray[np.float64]], gain: float) -> NDArray[np.float64]:
+    """Multiply densities of one ruler in many photographs, which err alike.
+
+    Args:
+        densities: ``[g]`` probabilities each.
+        gain: n of them are worth n ** gain: 0 where they say the same thing, 1 where they are independent.
+
+    Returns:
+        ``[g]`` probabilities.
+    """
+    mean = np.mean([np.log(np.maximum(density, _LEAST)) for density in densities], axis=0)
+    total = mean * len(densities) ** gain
+    combined = np.exp(total - total.max())
+    return np.asarray(combined / combined.sum())
+
+
+def shifted(density: NDArray[np.float64], offset: float) -> NDArray[np.float64]:
+    """A density of one photograph's log scale as one of another's, whose own is less by ``offset``."""
+    if offset == 0:
+        return density
+    moved = np.interp(GRID + offset, GRID, density)
+    return np.asarray(moved / moved.sum())
+
+
+def _resolved(members: Sequence[Photograph]) -> float:
+    """Share of the resolution with detail: the median photograph's, each counted by its vehicles."""
+    counts = np.array([member.analysis.estimate.n_vehicles for member in members], dtype=np.float64)
+    if not counts.any():
+        return 1.0
+    values = np.array([member.analysis.resolved for member in members])
+    order = np.argsort(values, kind="stable")
+    return float(values[order][np.searchsorted(np.cumsum(counts[order]), counts.sum() / 2)])
+
+
+def _scene(sightings: Sequence[Sighting], offsets: NDArray[np.float64]) -> SceneSighting | None:
+    seen = [(each.scene, offset) for each, offset in zip(sightings, offsets, strict=True) if each.scene is not None]
+    if not seen:
+        return None
+    density = combined_density([shifted(scene.density, offset) for scene, offset in seen], _SCENE_GAIN)
+    levels = tuple(level for scene, _ in seen for level in scene.levels)
+    return _PooledScene(levels, seen[0][0].calibration, density)
+
+
+def _pooled_others(members: Sequence[Photograph], offsets: NDArray[np.float64]) -> list[Evidence]:
+    """The other rulers, each ruler's photographs put together."""
+    kinds = dict.fromkeys(other.kind for member in members for other in member.analysis.others)
+    pooled = []
+    for kind in kinds:
+        found = [
+            (other, float(offset))
+            for member, offset in zip(members, offsets, strict=True)
+            for other in member.analysis.others
+            if other.kind == kind
+        ]
+        pooled.append(_pooled_evidence(kind, found))
+    return pooled
+
+
+def _pooled_evidence(kind: str, found: Sequence[tuple[Evidence, float]]) -> Evidence:
+    notices = _distinct(notice for other, _ in found for notice in other.notices)
+    said = [(other, offset) for other, offset in found if other.density is not None and other.gsd_m_per_px is not None]
+    if not said:
+        return Evidence(kind, None, None, 0, 0.0, notices)
+    if len(said) == 1 and said[0][1] == 0.0:
+        return said[0][0]
+    densities = [shifted(other.density, offset) for other, offset in said if other.density is not None]
+    density = combined_density(densities, _GAINS.get(kind, _OTHER_GAIN))
+    median = credible_interval(density, probability=0.0).low
+    witness = all(other.confidence == 0 for other, _ in said)
+    confidence = 0.0 if witness else min(1.0, mass_within(density, median, TOLERANCE))
+    n = sum(other.n for other, _ in said)
+    return Evidence(kind, median, credible_interval(density), n, confidence, notices, density)
+
+
+def _facts(members: Sequence[Photograph], reference: int) -> ImageFacts:
+    """Facts of the reference, with the notices of all."""
+    notices = _distinct(notice for member in members for notice in member.view.image.notices)
+    return members[reference].view.image._replace(notices=notices)
+
+
+def _distinct(notices: Iterable[Notice]) -> tuple[Notice, ...]:
+    """One notice of each kind, the first: a hundred photographs of one camera say the same a hundred times."""
+    first: dict[str, Notice] = {}
+    for notice in notices:
+        first.setdefault(notice.code, notice)
+    return tuple(first.values())

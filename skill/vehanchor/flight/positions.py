@@ -1,0 +1,114 @@
+"""Positions as a ruler: how far apart photographs were taken, in metres, against how far they lie apart in pixels."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from vehanchor.anchors.stated import on_grid, stated
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from vehanchor.anchors.evidence import Evidence, ImageFacts
+
+__all__ = ["POSITIONS", "Baseline", "baseline", "places_of", "positions_evidence"]
+
+POSITIONS = "positions"
+_EARTH_M = 6_371_009.0
+_LEAST = 2
+_POSITION_SD_M = 2.0  # of a small receiver, against its neighbour's moment
+_AIM_SHARE = 0.05  # of the picture's width: a camera three degrees off looks that far beside itself
+_FLOOR_LOG_SD = 0.02  # relief, lens
+_LEAST_AGREEMENT = 0.9  # of the two constellations: below, they are not the same
+_CHANCE_WRONG = 0.05
+_REACH, _STEPS = 3.0, 10
+
+
+class Baseline(NamedTuple):
+    """The scale of a constellation.
+
+    Attributes:
+        gsd_m_per_px: metres per pixel.
+        log_sd: standard deviation of its log.
+        n: photographs that it was taken from.
+    """
+
+    gsd_m_per_px: float
+    log_sd: float
+    n: int
+
+
+def places_of(images: Sequence[ImageFacts]) -> NDArray[np.float64] | None:
+    """Where photographs were taken.
+
+    Args:
+        images: their facts.
+
+    Returns:
+        ``[n, 2]`` metres east and north of the first that says it, NaN for those that do not; None where none does.
+    """
+    known = [
+        (math.nan, math.nan)
+        if (camera := image.camera) is None or camera.latitude_deg is None or camera.longitude_deg is None
+        else (camera.latitude_deg, camera.longitude_deg)
+        for image in images
+    ]
+    degrees = np.array(known, dtype=np.float64).reshape(-1, 2)
+    said = np.flatnonzero(np.isfinite(degrees[:, 0]))
+    if not len(said):
+        return None
+    north, east = np.radians(degrees - degrees[said[0]]).T
+    east = np.where(east > math.pi, east - 2 * math.pi, np.where(east < -math.pi, east + 2 * math.pi, east))
+    return np.column_stack([east * math.cos(math.radians(degrees[said[0], 0])), north]) * _EARTH_M
+
+
+def baseline(layout: NDArray[np.complex128], places: NDArray[np.float64], width_px: float) -> Baseline | None:
+    """Compare where photographs lie with where they were taken.
+
+    Args:
+        layout: ``[m]`` centres in pixels, y down (see ``vehanchor.flight.layout``).
+        places: ``[m, 2]`` metres east and north, NaN where it is not known.
+        width_px: of a photograph, in these pixels.
+
+    Returns:
+        The scale; None for fewer than two places, or where the two are not one constellation.
+    """
+    known = np.isfinite(places).all(axis=1)
+    seen, taken = layout[known], places[known, 0] - 1j * places[known, 1]
+    if len(seen) < _LEAST:
+        return None
+    weight = np.ones(len(seen))
+    for _ in range(_STEPS):
+        total = weight.sum()
+        in_px, in_m = seen - (weight @ seen) / total, taken - (weight @ taken) / total
+        spread_px, spread_m = float(weight @ np.abs(in_px) ** 2), float(weight @ np.abs(in_m) ** 2)
+        if spread_px <= 0 or spread_m <= 0:
+            return None
+        product = complex(weight @ (np.conj(in_px) * in_m))
+        agreement = abs(product) / math.sqrt(spread_px * spread_m)
+        gsd = math.sqrt(spread_m / spread_px)  # neither of the two is exact: the line in the middle
+        off = np.abs(in_m - gsd * (product / max(abs(product), 1e-12)) * in_px)
+        typical = max(
+            float(np.median(off)) / 0.8326, 1e-6
+        )  # median of a Rayleigh distribution over its scale, / sqrt 2
+        weight = 1.0 / (1.0 + (off / (_REACH * typical)) ** 2) ** 2
+    n = float(weight.sum())
+    if agreement < _LEAST_AGREEMENT or n < _LEAST - 0.5:
+        return None
+    radius = math.sqrt(spread_m / n)
+    stated_sd = math.hypot(_POSITION_SD_M, _AIM_SHARE * width_px * gsd) / (radius * math.sqrt(n))
+    seen_sd = math.sqrt((1 - agreement**2) / (2 * max(n - 2, 0.5))) / agreement
+    return Baseline(gsd, math.sqrt(max(stated_sd, seen_sd) ** 2 + _FLOOR_LOG_SD**2), int(known.sum()))
+
+
+def positions_evidence(found: Baseline | None) -> tuple[Evidence, ...]:
+    """A baseline as evidence, with a notice that tells it; nothing for none."""
+    if found is None or not on_grid(found.gsd_m_per_px):
+        return ()
+    said = f"The positions of {found.n} overlapping photographs say {{}}."
+    return (stated(POSITIONS, found.gsd_m_per_px, found.log_sd, _CHANCE_WRONG, said, n=found.n),)

@@ -1,0 +1,138 @@
+"""A flight as one HTML page that needs nothing else: the track, the islands, every photograph, what was dropped."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vehanchor.errors import OutputError
+from vehanchor.output import whole_file
+from vehanchor.pictures.track import draw_tracks
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from vehanchor.records import FlightAnchor, FlightEstimate, FlightPhotograph
+
+__all__ = ["check_report_path", "report_page", "write_report"]
+
+_STYLE = """
+body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 68rem; padding: 0 1rem; color: #1b1b1b }
+h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem }
+svg { width: 100%; background: #fafafa; border: 1px solid #ddd; margin: .5rem 0 }
+svg text { font: 12px system-ui, sans-serif; fill: #333 } svg .title { font-size: 14px; font-weight: 600 }
+svg .name { font-size: 10.5px; paint-order: stroke; stroke: #fafafa; stroke-width: 3px }
+svg .link { stroke: #bbb; stroke-width: 1 }
+svg .dropped { stroke: #d55e00; stroke-width: 1.5; stroke-dasharray: 5 4 } svg .bar { stroke: #222; stroke-width: 4 }
+table { border-collapse: collapse; width: 100% } th, td { text-align: left; padding: .25rem .6rem .25rem 0;
+border-bottom: 1px solid #e3e3e3; vertical-align: top } td.number { text-align: right; white-space: nowrap }
+td { overflow-wrap: anywhere } .bad { color: #b34700 }
+"""
+
+
+def check_report_path(path: Path) -> Path:
+    """Make sure, before the work, that a page can be written there.
+
+    Raises:
+        OutputError: another suffix than .html, no such folder, or a folder of that name.
+    """
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise OutputError(f"cannot write a report as {str(path)!r}: use the suffix .html")
+    if not path.parent.is_dir() or path.is_dir():
+        raise OutputError(f"cannot write {str(path)!r}: name a file in a folder that is there")
+    return path
+
+
+def write_report(path: Path, record: FlightEstimate) -> None:
+    """Write the page.
+
+    Raises:
+        OutputError: the disk refuses.
+    """
+    with whole_file(path) as partial:
+        partial.write_text(report_page(record), encoding="utf-8", errors="backslashreplace")
+
+
+def report_page(record: FlightEstimate) -> str:
+    """Make the page, without scripts and without anything from elsewhere."""
+    dropped = [link for link in record.links if link.dropped]
+    sections = [
+        f"<h1>Flight of {len(record.photographs)} photographs</h1>",
+        f"<p>{escape(_summary(record))}</p>",
+        draw_tracks(record) or "<p>No photograph has a place, so there is no track to draw.</p>",
+    ]
+    if record.warnings:
+        sections.append("<h2>Warnings</h2>" + _list(f"{each.code}: {each.message}" for each in record.warnings))
+    if dropped:
+        named = (f"{each.first} and {each.second}: {each.dropped}" for each in dropped)
+        sections.append(f"<h2>Overlaps that were dropped</h2>{_list(named)}")
+    sections.append(_islands(record))
+    sections.append(_photographs(record.photographs))
+    sections.append(f"<p>Detector {escape(record.model)}, {escape(record.model_sha256[:12])}.</p>")
+    body = "\n".join(sections)
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Flight</title>'
+        f"<style>{_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
+    )
+
+
+def _summary(record: FlightEstimate) -> str:
+    said = (
+        "All are of one scale, as the caller said"
+        if record.same_scale
+        else (f"{len(record.islands)} islands" if len(record.islands) > 1 else "All are tied together")
+    )
+    if record.same_scale and record.gsd_m_per_px is not None:
+        said += f": {_scale(record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px)}"
+    return f"{said}. {record.n_vehicles} vehicles, confidence {record.confidence:.2f}, {record.status}."
+
+
+def _islands(record: FlightEstimate) -> str:
+    rows = []
+    for island in record.islands:
+        pooled = island.pooled
+        rulers = ", ".join(f"{each.kind} ({100 * each.weight:.0f} %)" for each in pooled.rulers if each.agrees)
+        scale = _scale(pooled.gsd_m_per_px, pooled.gsd_ci95_low_m_per_px, pooled.gsd_ci95_high_m_per_px)
+        rows.append((str(island.number), str(island.n_photographs), island.reference, scale, rulers, pooled.status))
+    heads = ("island", "photographs", "measured in the pixels of", "its scale", "rulers", "status")
+    return f"<h2>Islands</h2>{_table(heads, rows)}"
+
+
+def _photographs(photographs: Sequence[FlightPhotograph]) -> str:
+    rows = [
+        (
+            each.photograph,
+            _scale(each.gsd_m_per_px, each.gsd_ci95_low_m_per_px, each.gsd_ci95_high_m_per_px),
+            "-" if each.confidence is None else f"{each.confidence:.2f}",
+            "-" if each.island is None else str(each.island),
+            "; ".join(_anchor(anchor, each) for anchor in each.anchors) or "-",
+            each.status if each.error is None else f"{each.error_code}: {each.error}",
+        )
+        for each in photographs
+    ]
+    heads = ("photograph", "scale", "confidence", "island", "hangs on", "status")
+    return f"<h2>Photographs</h2>{_table(heads, rows)}"
+
+
+def _anchor(anchor: FlightAnchor, of: FlightPhotograph) -> str:
+    if anchor.photograph == of.photograph:
+        return f"its own {anchor.ruler}"
+    through = f" through {', '.join(Path(each).name for each in anchor.through)}" if anchor.through else ""
+    return f"{anchor.ruler} of {Path(anchor.photograph).name}{through}"
+
+
+def _scale(gsd: float | None, low: float | None, high: float | None) -> str:
+    if gsd is None:
+        return "none"
+    return f"{gsd:.4g} m/px" + (f" ({low:.4g} to {high:.4g})" if low and high else "")
+
+
+def _list(lines: Iterable[str]) -> str:
+    return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    head = "".join(f"<th>{escape(each)}</th>" for each in heads)
+    body = "".join("<tr>" + "".join(f"<td>{escape(each)}</td>" for each in row) + "</tr>" for row in rows)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

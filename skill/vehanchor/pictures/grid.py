@@ -1,0 +1,90 @@
+"""The picture to point in: an image, or a part of it, under a light grid that is numbered in the image's pixels."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+
+from vehanchor.pictures.scale import read_reduced
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.imagery.raster import Raster, Window
+
+__all__ = ["GridPicture", "draw_grid"]
+
+_LINES = 11  # about so many along the longer side
+_LIGHT = 0.35  # how much of a line's white lies over the image
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_TEXT_SHARE = 95  # of the longer side, one of the capitals' heights
+_MIN_TEXT_PX, _MAX_TEXT_PX = 8, 14
+
+
+class GridPicture(NamedTuple):
+    """A picture and where it lies in the image.
+
+    Attributes:
+        rgb: ``[h, w, 3]``.
+        step_px: between two lines of the grid, pixels of the image.
+    """
+
+    rgb: NDArray[np.uint8]
+    step_px: int
+
+
+def draw_grid(raster: Raster, part: Window, long_side_px: int) -> GridPicture:
+    """Show a part of an image at a given size, never enlarged beyond four times.
+
+    Args:
+        raster: the image.
+        part: of it.
+        long_side_px: longer side of the picture.
+    """
+    picture = read_reduced(raster, part)
+    factor = min(4.0, long_side_px / max(part.width_px, part.height_px))
+    size = max(1, round(part.width_px * factor)), max(1, round(part.height_px * factor))
+    method = cv2.INTER_AREA if size[0] < picture.shape[1] else cv2.INTER_CUBIC
+    rgb = np.array(cv2.resize(picture, size, interpolation=method), dtype=np.uint8)
+    step = _round_step(max(part.width_px, part.height_px) / _LINES)
+    across, down = size[0] / part.width_px, size[1] / part.height_px
+    columns = [(x, round((x - part.x_px) * across)) for x in _multiples(step, part.x_px, part.width_px)]
+    rows = [(y, round((y - part.y_px) * down)) for y in _multiples(step, part.y_px, part.height_px)]
+    for _, at in columns:
+        _lighten(rgb[:, at : at + 1])
+    for _, at in rows:
+        _lighten(rgb[at : at + 1])
+    capital = min(_MAX_TEXT_PX, max(_MIN_TEXT_PX, max(size) // _TEXT_SHARE))
+    for x, at in columns:
+        _write(rgb, f"{x}", (at + 3, capital + 3), capital)
+    for y, at in rows:
+        _write(rgb, f"{y}", (3, at - 3), capital)
+    return GridPicture(rgb, step)
+
+
+def _round_step(pixels: float) -> int:
+    """The next of 1, 2, 5 times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(max(1.0, pixels)))
+    return int(next(m * power for m in (1, 2, 5, 10) if m * power >= pixels - 1e-9))
+
+
+def _multiples(step: int, start: int, length: int) -> range:
+    """Those inside, both edges left out."""
+    return range((start // step + 1) * step, start + length, step)
+
+
+def _lighten(line: NDArray[np.uint8]) -> None:
+    line[:] = np.rint((1 - _LIGHT) * line + _LIGHT * 255).astype(np.uint8)
+
+
+def _write(rgb: NDArray[np.uint8], text: str, origin: tuple[int, int], capital_px: int) -> None:
+    """White with a black rim: read on any ground."""
+    scale = capital_px / float(cv2.getTextSize("M", _FONT, 1.0, 1)[0][1])
+    cover = np.zeros(rgb.shape[:2], np.uint8)
+    cv2.putText(cover, text, origin, _FONT, scale, 255, 1, cv2.LINE_AA)
+    rim = cv2.dilate(cover, np.ones((3, 3), np.uint8))
+    rgb[:] = np.rint(rgb * (1 - rim[:, :, None] / 255.0)).astype(np.uint8)
+    rgb[:] = np.maximum(rgb, cover[:, :, None])

@@ -1,0 +1,168 @@
+"""The track of a flight as SVG: where its photographs were taken, their scale, and what anchors each of them."""
+
+from __future__ import annotations
+
+import math
+from html import escape
+from pathlib import PurePath
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from vehanchor.records import FlightEstimate, FlightPhotograph
+
+__all__ = ["draw_tracks"]
+
+_WIDTH, _HEIGHT, _MARGIN, _LEGEND = 860, 520, 46, 88  # pixels of a panel
+_RADIUS = 8.0
+_MOST_LABELS, _SHORTEST_LABEL = 45, 3
+_SCALE_COLOURS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))  # viridis, fine to coarse
+_RINGS = {  # Okabe and Ito's colours, told apart with every kind of colour blindness
+    "vehicles of its own": "#0072b2",
+    "other rulers of its own": "#009e73",
+    "positions": "#e69f00",
+    "another photograph": "#7a7a7a",
+    "nothing": "#d55e00",
+}
+
+
+class _Panel(NamedTuple):
+    """Photographs in one frame of places."""
+
+    title: str
+    photographs: list[FlightPhotograph]
+
+
+def draw_tracks(record: FlightEstimate) -> str:
+    """Draw a panel for each frame of places: one for those by metadata, one for each island without.
+
+    The disc's colour is the scale, its rim what the scale hangs on; lines are overlaps, dashed where they were dropped.
+
+    Args:
+        record: of a flight.
+
+    Returns:
+        SVG elements, one a panel; empty where no photograph has a place.
+    """
+    scales = [each.gsd_m_per_px for each in record.photographs if each.gsd_m_per_px is not None]
+    bounds = (min(scales), max(scales)) if scales else (1.0, 1.0)
+    return "\n".join(_draw(panel, record, bounds) for panel in _panels(record))
+
+
+def _panels(record: FlightEstimate) -> list[_Panel]:
+    placed = [each for each in record.photographs if each.placed_by == "positions"]
+    panels = [_Panel("Where the photographs were taken, by their metadata", placed)] if placed else []
+    for island in record.islands:
+        members = [each for each in record.photographs if each.island == island.number and each.placed_by == "overlaps"]
+        if members:
+            panels.append(_Panel(f"Island {island.number}: how its photographs lie beside each other", members))
+    return panels
+
+
+def _draw(panel: _Panel, record: FlightEstimate, bounds: tuple[float, float]) -> str:
+    east = [each.east_m or 0.0 for each in panel.photographs]
+    north = [each.north_m or 0.0 for each in panel.photographs]
+    across, down = max(east) - min(east), max(north) - min(north)
+    factor = min((_WIDTH - 2 * _MARGIN) / max(across, 1e-9), (_HEIGHT - 2 * _MARGIN) / max(down, 1e-9), 1e4)
+    left = (_WIDTH - factor * across) / 2
+    top = (_HEIGHT - factor * down) / 2
+    at = {
+        each.photograph: (left + factor * (x - min(east)), top + factor * (max(north) - y))
+        for each, x, y in zip(panel.photographs, east, north, strict=True)
+    }
+    parts = [
+        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT + _LEGEND}" role="img" aria-label="{escape(panel.title)}">',
+        f'<text x="10" y="20" class="title">{escape(panel.title)}</text>',
+    ]
+    for link in record.links:
+        if link.first in at and link.second in at:
+            kind = "dropped" if link.dropped else "link"
+            (x1, y1), (x2, y2) = at[link.first], at[link.second]
+            parts.append(f'<line class="{kind}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"/>')
+    parts += [_disc(each, at[each.photograph], bounds) for each in panel.photographs]
+    if len(panel.photographs) <= _MOST_LABELS:
+        names = _short_names([PurePath(each.photograph).stem for each in panel.photographs])
+        parts += [_label(name, at[each.photograph]) for each, name in zip(panel.photographs, names, strict=True)]
+    return "\n".join([*parts, _bar(factor), *_legend(bounds), "</svg>"])
+
+
+def _disc(each: FlightPhotograph, at: tuple[float, float], bounds: tuple[float, float]) -> str:
+    scale = "no scale" if each.gsd_m_per_px is None else f"{each.gsd_m_per_px:.4g} m/px"
+    told = f"{each.photograph}: {scale}, {each.status}, hangs on {_hangs_on(each)}"
+    fill = "none" if each.gsd_m_per_px is None else _colour(each.gsd_m_per_px, bounds)
+    return (
+        f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="{_RADIUS}" fill="{fill}" '
+        f'stroke="{_RINGS[_hangs_on(each)]}" stroke-width="3.5"><title>{escape(told)}</title></circle>'
+    )
+
+
+def _label(name: str, at: tuple[float, float]) -> str:
+    return f'<text class="name" x="{at[0] + _RADIUS + 4:.1f}" y="{at[1] + 3.5:.1f}">{escape(name)}</text>'
+
+
+def _short_names(stems: Sequence[str]) -> list[str]:
+    """The ends of names, without what all of them end with, and no more of them than tells them apart."""
+    shared = 0
+    while len(stems) > 1 and shared < min(map(len, stems)) and len({stem[-shared - 1] for stem in stems}) == 1:
+        shared += 1
+    bare = [stem[: len(stem) - shared] or stem for stem in stems]
+    for length in range(_SHORTEST_LABEL, max(map(len, bare))):
+        ends = [stem[-length:] for stem in bare]
+        if len(set(ends)) == len(set(bare)):
+            return ends
+    return bare
+
+
+def _hangs_on(each: FlightPhotograph) -> str:
+    if not each.anchors or each.gsd_m_per_px is None:
+        return "nothing"
+    first = each.anchors[0]
+    if first.photograph != each.photograph:
+        return "another photograph"
+    if first.ruler in ("vehicles", "positions"):
+        return "positions" if first.ruler == "positions" else "vehicles of its own"
+    return "other rulers of its own"
+
+
+def _colour(gsd_m_per_px: float, bounds: tuple[float, float]) -> str:
+    low, high = bounds
+    share = 0.5 if high <= low else math.log(gsd_m_per_px / low) / math.log(high / low)
+    place = min(max(share, 0.0), 1.0) * (len(_SCALE_COLOURS) - 1)
+    first = min(int(place), len(_SCALE_COLOURS) - 2)
+    mixed = (
+        round(a + (b - a) * (place - first))
+        for a, b in zip(_SCALE_COLOURS[first], _SCALE_COLOURS[first + 1], strict=True)
+    )
+    return "#" + "".join(f"{each:02x}" for each in mixed)
+
+
+def _bar(px_per_m: float) -> str:
+    """A bar of round length at the lower right."""
+    metres = 10.0 ** math.floor(math.log10(160 / px_per_m))
+    metres *= next(step for step in (5, 2, 1) if step * metres * px_per_m <= 160)
+    right, bottom = _WIDTH - 14, _HEIGHT + 6
+    start = right - metres * px_per_m
+    return (
+        f'<line class="bar" x1="{start:.1f}" y1="{bottom}" x2="{right}" y2="{bottom}"/>'
+        f'<text class="name" x="{start:.1f}" y="{bottom - 7}">{metres:g} m</text>'
+    )
+
+
+def _legend(bounds: tuple[float, float]) -> Sequence[str]:
+    stops = "".join(
+        f'<stop offset="{100 * k / (len(_SCALE_COLOURS) - 1):g}%" stop-color="rgb{colour}"/>'
+        for k, colour in enumerate(_SCALE_COLOURS)
+    )
+    row = _HEIGHT + 24
+    parts = [
+        f'<defs><linearGradient id="scale">{stops}</linearGradient></defs>',
+        f'<rect x="14" y="{row}" width="180" height="12" fill="url(#scale)"/>',
+        f'<text class="name" x="14" y="{row + 27}">{bounds[0]:.3g} m/px</text>',
+        f'<text class="name" x="194" y="{row + 27}" text-anchor="end">{bounds[1]:.3g} m/px</text>',
+    ]
+    for number, (name, colour) in enumerate(_RINGS.items()):
+        x, y = 240 + 210 * (number % 3), row + 6 + 24 * (number // 3)
+        parts.append(f'<circle cx="{x}" cy="{y}" r="6" fill="none" stroke="{colour}" stroke-width="3.5"/>')
+        parts.append(f'<text class="name" x="{x + 13}" y="{y + 4}">{name}</text>')
+    return parts

@@ -1,0 +1,95 @@
+"""What the server costs a model's context, at four characters a token."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcp import Client
+from mcp.server import MCPServer
+from mcp.types import CallToolResult
+
+from tests.server.conftest import POOL_BOX
+from tests.server.conversation import by_path, text_of
+
+pytestmark = pytest.mark.anyio
+
+CHARACTERS_A_TOKEN = 4
+LISTED, ESTIMATE, AREA, DISTANCE = 2500, 200, 300, 200
+FRAME = {"width_px": 320, "height_px": 256}
+SMALL_BOX = {name: value / 2 for name, value in POOL_BOX.items()}
+LINES = [{"points": [{"x": 10, "y": 20}, {"x": 300, "y": 120}]}]
+KNOWN = {"x1": 0, "y1": 0, "x2": 90, "y2": 0, "metres": 14}
+CALLS: list[tuple[str, str, dict[str, Any], int]] = [
+    ("estimate_gsd", "cars.png", {}, ESTIMATE),
+    ("estimate_gsd", "cars.png", {"frame": FRAME}, ESTIMATE),
+    ("estimate_gsd", "cars.png", {"region": "europe"}, ESTIMATE),
+    (
+        "estimate_gsd",
+        "cars.png",
+        {"known_lengths": [{"x1": 0, "y1": 0, "x2": 90, "y2": 0, "metres": 14}]},
+        2 * ESTIMATE,
+    ),
+    ("estimate_gsd", "two.png", {}, ESTIMATE),
+    ("estimate_gsd", "small.png", {}, ESTIMATE),
+    ("estimate_gsd", "empty.png", {}, ESTIMATE),
+    ("estimate_gsd", "large.png", {}, ESTIMATE),
+    ("measure_area", "pool.png", {"targets": [{"box": POOL_BOX}]}, AREA),
+    ("measure_area", "pool.png", {"target": {"box": POOL_BOX}}, AREA),
+    ("measure_area", "pool.png", {"targets": [{"box": SMALL_BOX}], "frame": FRAME}, AREA),
+    ("measure_area", "pool.png", {"targets": [{"points": [{"x": 324, "y": 378}]}]}, AREA),
+    ("measure_area", "pool.png", {"targets": [{"box": POOL_BOX}], "gsd_m_per_px": 0.15}, AREA),
+    ("measure_area", "pool_two.png", {"targets": [{"box": POOL_BOX}]}, AREA),
+    ("measure_area", "pool_alone.png", {"targets": [{"box": POOL_BOX}]}, AREA),
+    ("measure_area", "pool_large.png", {"targets": [{"box": POOL_BOX}]}, AREA),
+    ("measure_distance", "cars.png", {"lines": LINES}, DISTANCE),
+    ("measure_distance", "two.png", {"lines": LINES}, DISTANCE),
+    ("measure_distance", "empty.png", {"lines": LINES}, DISTANCE),
+    ("measure_distance", "cars.png", {"lines": LINES, "gsd_m_per_px": 0.1}, DISTANCE),
+]
+
+
+def tokens_of(value: Any) -> float:
+    text = value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
+    return len(text) / CHARACTERS_A_TOKEN
+
+
+def cost(result: CallToolResult) -> float:
+    return tokens_of(text_of(result)) + tokens_of(result.structured_content)
+
+
+async def test_the_list_of_tools_is_short(server: MCPServer[object]) -> None:
+    async with Client(server) as client:
+        listed = await client.list_tools()
+    said = [tool.model_dump(mode="json", by_alias=True, exclude_none=True) for tool in listed.tools]
+    assert tokens_of(said) <= LISTED
+
+
+async def test_twenty_answers_are_short(server: MCPServer[object], images: Path) -> None:
+    costs = []
+    async with Client(server) as client:
+        for tool, image, more, limit in CALLS:
+            arguments = {"image": by_path(images / image)["image"], **more}
+            result = await client.call_tool(tool, arguments)
+            assert not result.is_error, text_of(result)
+            costs.append(cost(result))
+            assert costs[-1] <= limit, (tool, image, more, text_of(result), result.structured_content)
+            full = await client.call_tool(tool, {**arguments, "detail": "full"})
+            assert result.structured_content is not None
+            assert full.structured_content is not None
+            assert set(result.structured_content) <= {*full.structured_content, "reason"}
+            assert result.structured_content["status"] == full.structured_content["status"]
+    assert len(costs) == 20
+
+
+async def test_a_short_answer_never_rounds_a_confidence_over_the_limit() -> None:
+    from tests.analyses import make_analysis
+    from tests.server.app_page.test_app_page import boxes_of
+    from vehanchor_server.calls.short import short_answer
+
+    estimate = make_analysis(boxes_of(30, 31, 32), 1000, 1000).estimate
+    short = short_answer([estimate.model_copy(update={"confidence": 0.49996, "gsd_m_per_px": 0.123456})])
+    assert (short["confidence"], short["gsd_m_per_px"]) == (0.499, 0.123)
+    assert "model_sha256" not in short

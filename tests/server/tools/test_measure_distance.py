@@ -1,0 +1,142 @@
+"""What differs from ``estimate_gsd``: the lines, a scale that is given back, several answers a call."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcp import Client
+from mcp.server import MCPServer
+from mcp.types import CallToolResult
+
+import vehanchor
+from tests.server.conftest import POOL_BOX
+from tests.server.conversation import by_path, error_of, text_of
+from vehanchor.detection.detector import load_detector
+from vehanchor_server.app import create_server
+from vehanchor_server.services import create_services
+from vehanchor_server.settings import Settings
+
+pytestmark = pytest.mark.anyio
+
+LINE = {"points": [{"x": 20, "y": 500}, {"x": 320, "y": 100}]}
+CORNER = {"points": [{"x": 20, "y": 500}, {"x": 320, "y": 500}, {"x": 320, "y": 100}]}
+
+
+async def asked(server: MCPServer[object], tool: str, image: Path, **more: Any) -> CallToolResult:
+    async with Client(server) as client:
+        return await client.call_tool(tool, {**by_path(image), **more})
+
+
+def record_of(result: CallToolResult) -> dict[str, Any]:
+    assert not result.is_error, text_of(result)
+    assert isinstance(result.structured_content, dict)
+    return result.structured_content
+
+
+async def test_a_call_gives_the_librarys_record_and_a_sentence(
+    server: MCPServer[object], images: Path, detector_path: Path
+) -> None:
+    expected = vehanchor.measure_distance(
+        images / "cars.png", [(20, 500), (320, 100)], detector=load_detector(detector_path, threads=1)
+    )
+    result = await asked(server, "measure_distance", images / "cars.png", lines=[LINE])
+    assert record_of(result) == expected.model_dump(mode="json")
+    assert text_of(result).startswith(f"{expected.distance_m:.3g} m (95 % interval ")
+    assert f"confidence {expected.confidence:.2f} from 24 vehicles: safe to use." in text_of(result)
+
+
+async def test_several_lines_are_several_answers_after_one_search(server: MCPServer[object], images: Path) -> None:
+    reports: list[str] = []
+
+    async def on_progress(progress: float, total: float | None, message: str | None) -> None:
+        reports.append(message or "")
+
+    arguments = {"image": by_path(images / "cars.png")["image"], "lines": [LINE, CORNER]}
+    async with Client(server) as client:
+        result = await client.call_tool("measure_distance", arguments, progress_callback=on_progress)
+    record = record_of(result)
+    first, second = record["measurements"]
+    assert second["distance_m"] == pytest.approx(1.4 * first["distance_m"], rel=0.01)
+    assert set(record) == {"measurements", "scale"}
+    assert "scale" not in first
+    assert text_of(result).splitlines()[1].startswith(f"2. {second['distance_m']:.3g} m")
+    assert sum("searched 0" in report for report in reports) <= 1
+
+
+async def test_a_scale_that_is_given_back_needs_no_detector(settings: Settings, images: Path) -> None:
+    server = create_server(create_services(settings))
+    scale = record_of(await asked(server, "estimate_gsd", images / "pool.png", detail="short"))["scale"]
+    searched = record_of(await asked(server, "measure_distance", images / "pool.png", lines=[LINE], detail="short"))
+    assert searched["scale"] == scale
+    blind = create_server(create_services(replace(settings, detector="/nowhere.onnx")))
+    again = await asked(blind, "measure_distance", images / "pool.png", lines=[LINE], scale=scale, detail="short")
+    same = ("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "status", "confidence")
+    assert [record_of(again)[name] for name in same] == [searched[name] for name in same]
+    assert "given back, confidence " in text_of(again)
+    area = await asked(blind, "measure_area", images / "pool.png", targets=[{"box": POOL_BOX}] * 2, scale=scale)
+    assert [each["scale_source"] for each in record_of(area)["measurements"]] == ["reused", "reused"]
+    other = await asked(blind, "measure_distance", images / "cars.png", lines=[LINE], scale=scale)
+    assert error_of(other) == "scale_mismatch"
+
+
+async def test_places_mean_the_same_in_every_kind_of_coordinates(server: MCPServer[object], images: Path) -> None:
+    whole = record_of(await asked(server, "measure_distance", images / "cars.png", lines=[LINE], gsd_m_per_px=0.1))
+    for coordinates, reach in (("fraction", 1), ("per_mille", 1000)):
+        points = [{"x": at["x"] / 640 * reach, "y": at["y"] / 512 * reach} for at in LINE["points"]]
+        told = await asked(
+            server,
+            "measure_distance",
+            images / "cars.png",
+            lines=[{"points": points}],
+            gsd_m_per_px=0.1,
+            coordinates=coordinates,
+        )
+        assert record_of(told)["distance_m"] == pytest.approx(whole["distance_m"])
+
+
+async def test_no_vehicle_is_a_result_without_a_distance(server: MCPServer[object], images: Path) -> None:
+    result = await asked(server, "measure_distance", images / "empty.png", lines=[LINE])
+    assert (record_of(result)["status"], record_of(result)["distance_m"]) == ("no_anchor", None)
+    assert text_of(result).startswith("The line is 500 px long, but no vehicles were found, confidence 0")
+
+
+async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCPServer[object], images: Path) -> None:
+    result = await asked(server, "measure_distance", images / "two.png", lines=[LINE])
+    assert record_of(result)["status"] == "low_confidence"
+    assert "from 2 vehicles: do not rely on it (" in text_of(result)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        ({"lines": []}, "invalid_arguments", "at least 1"),
+        ({"lines": [LINE] * 17}, "invalid_arguments", "at most 16"),
+        ({"lines": [{"points": [{"x": 1, "y": 1}]}]}, "invalid_arguments", "at least 2"),
+        ({"lines": [LINE], "scale": {"gsd_m_per_px": 1}}, "invalid_arguments", "scale."),
+        ({"lines": [{"points": [{"x": 1, "y": 1}, {"x": 900, "y": 5}]}]}, "invalid_prompt", "copy of 1024 x 819 px"),
+        ({"lines": [{"points": [{"x": 0.1, "y": 0}, {"x": 0.9, "y": 1}]}]}, "invalid_prompt", '"fraction"'),
+    ],
+)
+async def test_what_has_no_meaning_is_told_with_what_may_have_been_meant(
+    server: MCPServer[object], images: Path, arguments: dict[str, Any], code: str, words: str
+) -> None:
+    result = await asked(server, "measure_distance", images / "cars.png", **arguments)
+    assert error_of(result) == code
+    assert words in text_of(result)
+
+
+async def test_a_place_that_may_be_one_of_a_copy_is_questioned(server: MCPServer[object], tmp_path: Path) -> None:
+    from tests.server.conftest import paint_scene, write_image
+
+    image = write_image(tmp_path / "large.png", paint_scene(3136, 1000, 0))
+    settings = Settings(roots=(tmp_path.resolve(),))
+    server = create_server(create_services(settings))
+    near = await asked(server, "measure_distance", image, lines=[LINE], gsd_m_per_px=0.1)
+    assert "If you pointed in a smaller copy, give its size as frame" in text_of(near)
+    far = {"points": [{"x": 20, "y": 500}, {"x": 3000, "y": 900}]}
+    for more in ({"lines": [far]}, {"lines": [LINE], "frame": {"width_px": 3136, "height_px": 1000}}):
+        told = await asked(server, "measure_distance", image, gsd_m_per_px=0.1, **more)
+        assert "smaller copy" not in text_of(told)

@@ -1,0 +1,158 @@
+"""Looking at an image before pointing, and finding out which images there are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcp import Client
+from mcp.server import MCPServer
+from mcp.types import CallToolResult
+
+from tests.server.conftest import POOL, POOL_BOX, paint_scene, with_pool, write_image
+from tests.server.conversation import error_of, picture_of, text_of
+from vehanchor_server.app import create_server
+from vehanchor_server.services import create_services
+from vehanchor_server.settings import Settings
+
+pytestmark = pytest.mark.anyio
+
+
+async def asked(server: MCPServer[object], image: Path | None = None, **more: Any) -> CallToolResult:
+    named = {} if image is None else {"image": {"kind": "path", "path": str(image)}}
+    async with Client(server) as client:
+        return await client.call_tool("view_image", {**named, **more})
+
+
+def seen_in(result: CallToolResult) -> dict[str, Any]:
+    assert not result.is_error, text_of(result)
+    assert result.structured_content is not None
+    return result.structured_content
+
+
+async def test_the_picture_has_the_size_that_is_declared(server: MCPServer[object], images: Path) -> None:
+    for long_side_px in (256, 500, 1024, 1568):
+        result = await asked(server, images / "pool.png", long_side_px=long_side_px)
+        seen, picture = seen_in(result), picture_of(result)
+        assert (seen["picture_width_px"], seen["picture_height_px"]) == picture.shape[1::-1]
+        assert seen["picture_width_px"] == long_side_px
+        assert (seen["image_width_px"], seen["image_height_px"]) == (640, 512)
+        assert f"picture of {long_side_px} x " in text_of(result)
+
+
+async def test_what_is_pointed_at_in_the_picture_is_there_in_the_image(server: MCPServer[object], images: Path) -> None:
+    result = await asked(server, images / "pool.png", long_side_px=320)
+    seen, picture = seen_in(result), picture_of(result)[:, :, ::-1].astype(int)
+    pool = np.argwhere(np.abs(picture - [40, 140, 210]).max(2) < 40)
+    (top, left), (bottom, right) = pool.min(0), pool.max(0) + 1
+    box = {"x_min": float(left) - 2, "y_min": float(top) - 2, "x_max": float(right) + 2, "y_max": float(bottom) + 2}
+    frame = {"width_px": seen["picture_width_px"], "height_px": seen["picture_height_px"]}
+    arguments = {
+        "image": {"kind": "path", "path": str(images / "pool.png")},
+        "targets": [{"box": box}],
+        "frame": frame,
+        "detail": "full",
+    }
+    async with Client(server) as client:
+        area = await client.call_tool("measure_area", arguments)
+    assert area.structured_content is not None
+    found = area.structured_content["bounding_box"]
+    assert [found[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")] == pytest.approx(POOL_CORNERS, abs=2)
+
+
+POOL_CORNERS = [POOL[0], POOL[1], POOL[2], POOL[3]]
+
+
+async def test_a_part_is_shown_enlarged_with_the_way_back_in_words(server: MCPServer[object], images: Path) -> None:
+    result = await asked(server, images / "pool.png", part=POOL_BOX, long_side_px=400)
+    seen, picture = seen_in(result), picture_of(result)
+    assert seen["part"] == POOL_BOX
+    assert max(picture.shape) == 400
+    assert "shows x 294 to 354, y 324 to 432: a place in it is x = 294 + " in text_of(result)
+    factor = (POOL_BOX["x_max"] - POOL_BOX["x_min"]) / seen["picture_width_px"]
+    middle = picture[round((378 - 324) / factor) + 3, round((324 - 294) / factor) + 3, ::-1].astype(int)
+    assert np.abs(middle - [40, 140, 210]).max() < 30
+    share = {name: value / (640 if name[0] == "x" else 512) for name, value in POOL_BOX.items()}
+    again = seen_in(await asked(server, images / "pool.png", part=share, coordinates="fraction", long_side_px=400))
+    assert again == seen
+
+
+async def test_the_grids_lines_lie_where_their_numbers_say(server: MCPServer[object], images: Path) -> None:
+    result = await asked(server, images / "empty.png", long_side_px=640)
+    step = seen_in(result)["grid_px"]
+    assert step == 100
+    grey = picture_of(result).astype(int).mean(2)[300:380]  # between the numbers along the edges
+    lighter = [x for x in range(2, 638) if grey[:, x].mean() > grey[:, [x - 2, x + 2]].mean() + 5]
+    assert {round(x / step) * step for x in lighter} == {100, 200, 300, 400, 500, 600}
+    assert all(abs(x - round(x / step) * step) <= 1 for x in lighter)
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "words"),
+    [
+        ({"long_side_px": 1569}, "invalid_arguments", "less than or equal to 1568"),
+        ({"part": {"x_min": 5, "y_min": 5, "x_max": 9, "y_max": 9}}, "invalid_prompt", "at least 16 px"),
+        ({"part": {"x_min": 5, "y_min": 5, "x_max": 950, "y_max": 700}}, "invalid_prompt", "copy of 1024 x 819 px"),
+        ({"part": {"x_min": 90, "y_min": 5, "x_max": 50, "y_max": 90}}, "invalid_prompt", "at least 16 px"),
+    ],
+)
+async def test_what_cannot_be_shown_is_told(
+    server: MCPServer[object], images: Path, more: dict[str, Any], code: str, words: str
+) -> None:
+    result = await asked(server, images / "pool.png", **more)
+    assert error_of(result) == code
+    assert words in text_of(result)
+
+
+# --- Which images there are ------------------------------------------------------------------------------------------
+
+
+def _served(*roots: Path) -> MCPServer[object]:
+    return create_server(create_services(Settings(roots=tuple(root.resolve() for root in roots))))
+
+
+async def test_without_an_image_those_below_the_roots_are_named(server: MCPServer[object], images: Path) -> None:
+    named = seen_in(await asked(server))["images"]
+    assert [Path(name).relative_to(images).as_posix() for name in named] == [
+        "cars.png", "empty.png", "large.png", "pool.png", "pool_alone.png", "pool_large.png", "pool_two.png",
+        "small.png", "two.png", "sub dir/cars é.png",
+    ]  # fmt: skip
+    assert seen_in(await asked(server, Path(named[-1])))["image_width_px"] == 640
+
+
+async def test_many_images_come_in_pages(tmp_path: Path) -> None:
+    for number in range(120):
+        (tmp_path / f"{number:03}.jpg").touch()
+    server, seen, page = _served(tmp_path), [], 1
+    while page:
+        listed = seen_in(await asked(server, page=page))
+        seen += listed["images"]
+        page = listed.get("next_page", 0)
+    assert seen == [str(tmp_path.resolve() / f"{number:03}.jpg") for number in range(120)]
+    assert text_of(await asked(server, page=1)).startswith("50 images; more on page 2.")
+
+
+async def test_what_links_lead_to_is_not_named(tmp_path: Path) -> None:
+    inside, outside = tmp_path / "inside", tmp_path / "outside"
+    for folder in (inside, outside, inside / ".hidden"):
+        folder.mkdir()
+        (folder / "a.jpg").touch()
+    (inside / "notes.txt").touch()
+    (inside / "folder").symlink_to(outside, target_is_directory=True)
+    (inside / "file.jpg").symlink_to(outside / "a.jpg")
+    assert seen_in(await asked(_served(inside)))["images"] == [str(inside.resolve() / "a.jpg")]
+
+
+async def test_a_server_without_roots_names_none() -> None:
+    assert error_of(await asked(create_server(create_services(Settings())))) == "source_disabled"
+
+
+async def test_a_part_of_a_large_image_is_read_alone(tmp_path: Path) -> None:
+    image = write_image(tmp_path / "large.png", with_pool(paint_scene(5000, 4200, 0)))
+    server = _served(tmp_path)
+    whole, part = await asked(server, image), await asked(server, image, part=POOL_BOX)
+    assert seen_in(whole)["picture_width_px"] == 1024
+    assert "give that as frame" in text_of(whole)
+    assert seen_in(part)["grid_px"] == 10

@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tests.models import write_detector
+from tests.skill.flight.photographs import write_flight
+from vehanchor.cli import app as cli
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from typer.testing import Result
+
+FLEET = list(30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3))
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Runs ``vehanchor`` in a folder with a flight of four photographs, one of them without cars."""
+    write_flight(tmp_path, [FLEET[0::3], FLEET[1::3], [], FLEET[2::3]])
+    write_detector(tmp_path / "detector.onnx")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("NO_COLOR", "1")
+
+    def invoke(command: str, *arguments: object) -> Result:
+        return CliRunner().invoke(cli.app, [command, *map(str, arguments), "--detector", "detector.onnx"])
+
+    return invoke
+
+
+def test_a_folder_of_one_scale_is_told_in_a_table(run: Any) -> None:
+    done = run("flight", ".", "--same-scale")
+    assert done.exit_code == 0, done.output
+    assert "scale of all" in done.stdout
+    assert "0.168" in done.stdout
+
+
+def test_json_is_the_record_and_nothing_else(run: Any, tmp_path: Path) -> None:
+    done = run("flight", "*.png", "--same-scale", "--json", "--out", "flight.json")
+    record = json.loads(done.stdout)
+    assert record == json.loads((tmp_path / "flight.json").read_text())
+    assert [each["photograph"] for each in record["photographs"]] == ["0.png", "1.png", "2.png", "3.png"]
+    assert not (tmp_path / "flight.json.journal").exists()
+
+
+def test_photographs_of_unknown_ratio_each_have_a_line(run: Any) -> None:
+    done = run("flight", "0.png", "2.png")
+    assert "vehicles of its own" in done.stdout
+    assert "no_anchor" in done.stdout
+
+
+@pytest.mark.parametrize("out", ["flight.txt", "nowhere/flight.json"])
+def test_an_output_that_cannot_be_written_is_told_before_the_work(run: Any, out: str) -> None:
+    done = run("flight", ".", "--out", out)
+    assert done.exit_code == 2
+    assert "output_unwritable" in done.stderr
+
+
+def test_the_scale_of_a_photograph_without_cars_is_given_back(run: Any, tmp_path: Path) -> None:
+    assert run("flight", ".", "--same-scale", "--out", "flight.json").exit_code == 0
+    scale = json.loads((tmp_path / "flight.json").read_text())["gsd_m_per_px"]
+    line = ["--point", "100", "100", "--point", "200", "100"]
+    done = run("distance", "2.png", *line, "--scale", "flight.json", "--json")
+    assert done.exit_code == 0, done.output
+    record = json.loads(done.stdout)
+    assert record["distance_m"] == pytest.approx(100 * scale)
+    assert record["scale_source"] == "reused"
+    assert record["distance_ci95_low_m"] < 0.97 * record["distance_m"]
+    (tmp_path / "2.png").rename(tmp_path / "other.png")
+    refused = run("distance", "other.png", *line, "--scale", "flight.json")
+    assert refused.exit_code == 2
+    assert "not there in the flight" in refused.stderr

@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import vehanchor
+from tests.models import write_detector
+from tests.skill.flight.photographs import car_park, write_flight
+from vehanchor.detection.detector import Detector
+from vehanchor.errors import ImageDecodeError, ImageError, InvalidParameterError
+from vehanchor.flight import estimate as flight_estimate
+from vehanchor.flight.taken import Taken
+
+FLEET = list(30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3))
+
+
+@pytest.fixture(scope="module")
+def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
+    return Detector(write_detector(tmp_path_factory.mktemp("model") / "painted.onnx"))
+
+
+@pytest.fixture
+def flight(tmp_path: Path) -> list[str]:
+    return write_flight(tmp_path, [FLEET[0::3], FLEET[1::3], [], FLEET[2::3]])
+
+
+def test_photographs_of_one_scale_share_it(flight: list[str], detector: Detector) -> None:
+    record = vehanchor.estimate_flight(flight, same_scale=True, detector=detector)
+    assert record.status == "ok"
+    assert record.gsd_m_per_px == pytest.approx(5.045 / 30, rel=0.01)
+    assert {each.gsd_m_per_px for each in record.photographs} == {record.gsd_m_per_px}
+    assert record.n_vehicles == 9
+    assert [each.own and each.own.status for each in record.photographs][2] == "no_anchor"
+    (island,) = record.islands
+    assert (island.n_photographs, island.pooled.n_vehicles) == (4, 9)
+    assert record.confidence > max(each.own.confidence for each in record.photographs if each.own)
+
+
+def test_a_photograph_without_a_car_hangs_on_those_with_cars(flight: list[str], detector: Detector) -> None:
+    record = vehanchor.estimate_flight(flight, same_scale=True, detector=detector)
+    first = [each.anchors[0] for each in record.photographs]
+    assert [anchor.ruler for anchor in first] == ["vehicles"] * 4
+    assert [first[place].photograph for place in (0, 1, 3)] == [flight[0], flight[1], flight[3]]
+    assert first[2].photograph in (flight[0], flight[1], flight[3])
+
+
+def test_a_photograph_that_cannot_be_read_is_told_and_stops_nothing(flight: list[str], detector: Detector) -> None:
+    Path(flight[2]).write_bytes(b"no image")
+    record = vehanchor.estimate_flight(flight, same_scale=True, detector=detector)
+    broken = record.photographs[2]
+    assert (broken.status, broken.error_code, broken.gsd_m_per_px) == ("error", "image_undecodable", None)
+    assert record.status == "ok"
+
+
+def test_a_flight_of_nothing_readable_is_an_error(tmp_path: Path, detector: Detector) -> None:
+    (tmp_path / "a.png").write_bytes(b"no image")
+    with pytest.raises(ImageDecodeError):
+        vehanchor.estimate_flight([str(tmp_path / "a.png")], detector=detector)
+    with pytest.raises(ImageError, match="no photograph given"):
+        vehanchor.estimate_flight([], detector=detector)
+
+
+def test_arrays_have_numbers_and_may_have_names(detector: Detector) -> None:
+    images = [car_park(FLEET[::2]), Taken("frame at 3 s", car_park(FLEET[1::2]))]
+    record = vehanchor.estimate_flight(images, same_scale=True, detector=detector)
+    assert [each.photograph for each in record.photographs] == ["#1", "frame at 3 s"]
+    with pytest.raises(InvalidParameterError, match="given twice"):
+        vehanchor.estimate_flight([images[1], images[1]], detector=detector)
+
+
+@pytest.mark.parametrize(
+    "option", [{"frame_width_px": 4, "frame_height_px": 3}, {"known_lengths": [(0, 0, 50, 0, 5.0)]}]
+)
+def test_what_belongs_to_one_image_is_refused(flight: list[str], detector: Detector, option: dict[str, object]) -> None:
+    with pytest.raises(InvalidParameterError, match="one image"):
+        vehanchor.estimate_flight(flight, detector=detector, **option)  # type: ignore[arg-type]
+
+
+def test_an_interrupted_flight_goes_on_where_it_stopped(
+    flight: list[str], detector: Detector, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = vehanchor.estimate_flight(flight, same_scale=True, detector=detector)
+    looked: list[int] = []
+
+    def stop(done: int, _total: int) -> None:
+        looked.append(done)
+        if done == 2:
+            raise KeyboardInterrupt
+
+    journal = tmp_path / "flight.journal"
+    with pytest.raises(KeyboardInterrupt):
+        vehanchor.estimate_flight(flight, same_scale=True, detector=detector, journal=journal, progress=stop)
+    searched: list[object] = []
+    real = flight_estimate.analyse_raster
+    monkeypatch.setattr(flight_estimate, "analyse_raster", lambda *a: searched.append(a) or real(*a))
+    again = vehanchor.estimate_flight(flight, same_scale=True, detector=detector, journal=journal)
+    assert len(searched) == 2
+    assert again == whole
+    assert not journal.exists()
+    with pytest.raises(KeyboardInterrupt):
+        vehanchor.estimate_flight(flight, same_scale=True, detector=detector, journal=journal, progress=stop)
+    with pytest.raises(InvalidParameterError, match="unfinished run"):
+        vehanchor.estimate_flight(flight, same_scale=True, detector=detector, journal=journal, alpha=2.0)
