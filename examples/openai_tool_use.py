@@ -18,10 +18,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import openai
-from agents import Agent, Runner, ToolCallItem, ToolCallOutputItem, set_tracing_disabled
-from agents.mcp import MCPServerStdio
-from mcp import Client, StdioServerParameters
+try:
+    import openai
+    from agents import Agent, Runner, ToolCallItem, ToolCallOutputItem, set_tracing_disabled
+    from agents.mcp import MCPServerStdio
+    from mcp import Client, StdioServerParameters
+except ModuleNotFoundError as missing:
+    sys.exit(f"this example needs the package {missing.name!r}: pip install -r examples/requirements.txt")
 
 MAX_TURNS = 8
 SCHEMAS = Path(__file__).parent.parent / "schemas" / "openai.json"

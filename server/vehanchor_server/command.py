@@ -1,4 +1,4 @@
-"""``vehanchor serve`` and ``vehanchor schemas``, for the command line to mount."""
+"""``vehanchor serve``, ``schemas`` and ``skill``, for the command line to mount."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from vehanchor_server.settings import Settings, SettingsError
 if TYPE_CHECKING:
     from vehanchor.choices import Choice
 
-__all__ = ["schemas", "serve"]
+__all__ = ["schemas", "serve", "skill"]
 
 
 def _parameters() -> list[inspect.Parameter]:
@@ -101,3 +101,30 @@ def schemas(
 
     for path in write_schemas(directory):
         typer.echo(path)
+
+
+def skill(
+    install: Annotated[
+        Path | None,
+        typer.Option(
+            "--install",
+            metavar="DIR",
+            help="Folder of an agent's skills, such as ~/.claude/skills: writes DIR/vehanchor/SKILL.md.",
+        ),
+    ] = None,
+) -> None:
+    """Print the skill file for agents, or install it where an agent looks for its skills."""
+    from importlib.resources import files
+
+    text = files("vehanchor_server").joinpath("SKILL.md").read_text(encoding="utf-8")
+    if install is None:
+        typer.echo(text, nl=False)
+        return
+    target = install / "vehanchor" / "SKILL.md"
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(text, encoding="utf-8")
+    except OSError as error:
+        typer.echo(f"error[output_unwritable]: cannot write {str(target)!r}: {error.strerror or error}", err=True)
+        raise typer.Exit(2) from None
+    typer.echo(target)

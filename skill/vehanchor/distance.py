@@ -117,6 +117,7 @@ def analyse_distance(
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
+    run_options: onnxruntime.RunOptions | None = None,
 ) -> DistanceAnalysis:
     """As ``measure_distance``, with the vehicles behind the number.
 
@@ -129,6 +130,7 @@ def analyse_distance(
         detector: of vehicles.
         threads: CPU threads.
         progress: of the search for vehicles.
+        run_options: ONNX Runtime's, for a caller that may have to end a running model (``terminate``).
 
     Returns:
         The record and the scale's analysis.
@@ -139,8 +141,8 @@ def analyse_distance(
     chosen = options or ScaleOptions()
     places = read_path(path)
     source = choose_scale(gsd_m_per_px, scale, detector, chosen, threads=threads)
-    with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits) as raster:
-        (analysis,) = analyse_paths(raster, [places], source, chosen, progress=progress)
+    with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits, bgr=chosen.reading.bgr) as raster:
+        (analysis,) = analyse_paths(raster, [places], source, chosen, progress=progress, run_options=run_options)
     return analysis
 
 
@@ -228,9 +230,8 @@ def _length_sd(places: Sequence[Place], unit_px: tuple[float, float]) -> float:
 def _conclude(places: Sequence[Place], pointing: Pointing, scale: FoundScale) -> DistanceMeasurement:
     """Path and scale to record."""
     length_px, gsd, estimate = _length(places), scale.gsd_m_per_px, scale.estimate
-    distance, low, high = None, None, None
-    if gsd is not None:
-        distance = length_px * gsd
+    distance, low, high = scale.length_m(places), None, None
+    if distance is not None:
         low, high = interval_around(
             distance, math.hypot(scale.log_sd, _length_sd(places, pointing.unit_px) / length_px)
         )

@@ -11,6 +11,7 @@
     - ImageDecodeError                   ``image_undecodable``  empty, truncated, or not an image at all
     - ImageTooLargeError                 ``image_too_large``    more bytes or declared pixels than the limits allow
     - ImageFormatError                   ``image_unsupported``  decodable, not measurable: 1 x 1 px, NaN, odd dtype
+    - TooObliqueError                    ``too_oblique``        the horizon is in sight, or nearly so: no scale holds
   x ModelError
     - ModelNotFoundError                 ``model_not_found``    no such file, and no model of that name
     - ModelContractError (ValueError)    ``model_contract``     not ONNX, or not a model this code can read
@@ -51,6 +52,7 @@ __all__ = [
     "PromptError",
     "ProviderUnavailableError",
     "ScaleMismatchError",
+    "TooObliqueError",
     "VehAnchorError",
     "WorkerDiedError",
 ]
@@ -120,6 +122,12 @@ class ImageFormatError(ImageError):
     """The image decodes but cannot be measured: a single pixel, NaN values, an unsupported dtype or shape."""
 
     code = "image_unsupported"
+
+
+class TooObliqueError(ImageError):
+    """The camera looked so far aside that no scale holds: the horizon is in sight, or a place is too near to it."""
+
+    code = "too_oblique"
 
 
 class ModelError(VehAnchorError):

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.anchors.agreement import disagreements
+from vehanchor.anchors.attitude import attitude, levelled, tilt_record
 from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.registry import OTHER_ANCHORS
 from vehanchor.anchors.scene_scale import SceneScale
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     import onnxruntime
     from numpy.typing import NDArray
 
+    from vehanchor.anchors.attitude import Attitude
     from vehanchor.anchors.evidence import Evidence, Mark
     from vehanchor.anchors.fused import RulerShare
     from vehanchor.detection.card import DetectorCard
@@ -73,16 +75,19 @@ class ScaleAnalysis:
         estimate: the record.
         vehicles: their evidence, that of those that were dropped included.
         others: the evidence of the other rulers.
+        in_image: the vehicles as they are in the image, where the camera looked aside and their evidence has them
+            levelled; None where it has them as they are.
     """
 
     estimate: GsdEstimate
     vehicles: VehicleEvidence
     others: tuple[Evidence, ...] = ()
+    in_image: Sighting | None = None
 
     @property
     def detections(self) -> Sighting:
         """All vehicles that were found: ``boxes`` and ``scores``, best first."""
-        return self.vehicles.fleet.sighting
+        return self.in_image or self.vehicles.fleet.sighting
 
     @property
     def kept(self) -> NDArray[np.bool_]:
@@ -116,16 +121,17 @@ def estimate_gsd(
     """Estimate the ground sampling distance of an aerial image from the cars in it, and from what other rulers say.
 
     Args:
-        image: path, encoded bytes, binary file object, or array (H x W x 3 RGB or H x W; uint8, uint16 or float).
+        image: path, encoded bytes, binary file object, Pillow image, rasterio dataset, or array (H x W x 3 RGB or
+            H x W; uint8, uint16 or float).
         detector: a bundled model's name, the path of an ONNX oriented-box model, or a loaded ``Detector``; default the
             bundled one.
         threads: CPU threads for the model; None leaves it to ONNX Runtime. Ignored for a loaded ``Detector``.
         progress: called with (tiles done, tiles in all).
         **options: the fields of ``vehanchor.options``' groups: ``min_score``, ``nms_iou``, ``search_scales``,
             ``tile_px``, ``stride_px`` (``Search``), ``aggregation``, ``alpha`` (``Lengths``), ``reference_length_m``,
-            ``region``, ``calibration`` (``Reference``), ``frame_width_px``, ``frame_height_px`` (``Frame``), ``bands``,
-            ``limits`` (``Reading``), ``rulers``, ``metadata``, ``known_lengths``, ``height_m``, ``focal_35mm``
-            (``Rulers``).
+            ``region``, ``calibration`` (``Reference``), ``frame_width_px``, ``frame_height_px``, ``coordinates``
+            (``Frame``), ``bands``, ``limits``, ``bgr``, ``max_megapixels`` (``Reading``), ``rulers``, ``metadata``,
+            ``known_lengths``, ``height_m``, ``focal_35mm`` (``Rulers``).
 
     Returns:
         The record; ``gsd_m_per_px`` is None, never a guess, where no ruler finds anything.
@@ -168,7 +174,7 @@ def analyse_scale(
     """
     chosen = options or ScaleOptions()
     model = open_detector(detector, chosen, threads=threads)
-    with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits) as raster:
+    with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits, bgr=chosen.reading.bgr) as raster:
         return analyse_raster(raster, model, chosen, progress=progress, run_options=run_options)
 
 
@@ -194,6 +200,8 @@ def analyse_raster(
     """As ``analyse_scale``, of an image that is open already."""
     options.frame.check(raster.width_px, raster.height_px)
     options = options.in_pixels(raster.width_px, raster.height_px)
+    facts = image_facts(raster)
+    attitude(facts, options)  # a horizon in sight is refused before the work
     sighting = _NOT_SEARCHED
     if options.rulers.searches:
         sighting = search(raster, detector, options.search, progress=progress, run_options=run_options)
@@ -201,7 +209,7 @@ def analyse_raster(
     network = load_scene_scale() if weighed and options.rulers.uses(SceneScale.kind) else None
     if network is not None:
         sighting = replace(sighting, scene=network.look(raster, run_options=run_options))
-    view = View(image_facts(raster), sighting, detector.card, options, partial(resolved_share, raster), raster)
+    view = View(facts, sighting, detector.card, options, partial(resolved_share, raster), raster)
     return analyse_sighting(view)
 
 
@@ -222,26 +230,37 @@ def image_notices(raster: Raster) -> tuple[Notice, ...]:
     return tuple(Notice(code=note.code, message=note.message) for note in raster.warnings)
 
 
-def analyse_sighting(view: View, others: Sequence[Evidence] | None = None) -> ScaleAnalysis:
+def analyse_sighting(view: View, others: Sequence[Evidence] | None = None, *, level: bool = True) -> ScaleAnalysis:
     """As ``analyse_raster``, of an image that has been searched: one search can serve several options.
 
     Args:
         view: of the image.
         others: evidence of the rulers beside vehicles, where they have looked already; None has them look.
+        level: measure vehicles on the plane of the ground where the camera looked aside; False where they were.
 
     Raises:
         InvalidParameterError: the model does not know the region.
         CalibrationMismatchError: the calibration was made for another model.
+        TooObliqueError: the horizon is in sight, or nearly so.
     """
+    looked = attitude(view.image, view.options) if level else None
+    seen = view
+    if looked is not None:  # the network of the ground was never shown such a view
+        view = replace(view, sighting=replace(view.sighting, scene=None))
+        seen = replace(view, sighting=levelled(view.sighting, looked, view.image))
     rulers = view.options.rulers
     if others is None:
         others = tuple(ruler.look(view) for ruler in OTHER_ANCHORS if rulers.uses(ruler.kind))
-    seen = view if rulers.uses(Vehicles.kind) else replace(view, sighting=_NOT_SEARCHED)
-    vehicles = Vehicles().look(seen)
-    return ScaleAnalysis(conclude(vehicles, others, view), vehicles, tuple(others))
+    used = rulers.uses(Vehicles.kind)
+    vehicles = Vehicles().look(seen if used else replace(view, sighting=_NOT_SEARCHED))
+    estimate = conclude(vehicles, others, view, looked)
+    in_image = view.sighting if looked is not None and used else None
+    return ScaleAnalysis(estimate, vehicles, tuple(others), in_image)
 
 
-def conclude(vehicles: VehicleEvidence, others: Sequence[Evidence], view: View) -> GsdEstimate:
+def conclude(
+    vehicles: VehicleEvidence, others: Sequence[Evidence], view: View, looked: Attitude | None = None
+) -> GsdEstimate:
     """Conclude from the evidence to the caller's record."""
     image, judgement = view.image, judge(vehicles, others)
     gsd, interval = judgement.gsd_m_per_px, judgement.interval
@@ -273,6 +292,7 @@ def conclude(vehicles: VehicleEvidence, others: Sequence[Evidence], view: View) 
         image_width_px=image.width_px,
         image_height_px=image.height_px,
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
+        tilt=None if looked is None else tilt_record(looked, image, gsd),
         frame=_frame_scale(view.options.frame, image.width_px, gsd, interval),
         scale=_known_scale(view, gsd, interval, judgement.confidence),
         model=view.card.name,

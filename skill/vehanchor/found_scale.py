@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pydantic import ValidationError
 
+from vehanchor.anchors.attitude import attitude, plane_with
+from vehanchor.anchors.evidence import ImageFacts
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError
 from vehanchor.estimate import analyse_raster, georeference_notice, image_notices, open_detector
@@ -18,14 +21,17 @@ from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
+    import numpy as np
     import onnxruntime
+    from numpy.typing import NDArray
 
     from vehanchor.estimate import ScaleAnalysis
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
     from vehanchor.records import Notice, ScaleSource, Status
+    from vehanchor.scale.plane import GroundPlane
 
 __all__ = ["FoundScale", "ScaleInput", "choose_scale", "find_scale", "interval_around"]
 
@@ -46,6 +52,7 @@ class FoundScale:
         source: where it comes from.
         analysis: of the vehicles behind it; None where none was searched.
         notices: doubts about the image and the scale.
+        plane: the ground, where the camera looked aside: the scale is that of its centre; None where one scale holds.
     """
 
     gsd_m_per_px: float | None
@@ -54,6 +61,28 @@ class FoundScale:
     source: ScaleSource
     analysis: ScaleAnalysis | None
     notices: tuple[Notice, ...]
+    plane: GroundPlane | None = None
+
+    def gsd_over(self, mask: NDArray[np.bool_], left: int, top: int) -> float | None:
+        """Metres per pixel over a mask: root of the mean area that its pixels show; None without a scale or a mask.
+
+        Args:
+            mask: ``[h, w]`` bool.
+            left: column of the image at which it begins.
+            top: row at which it begins.
+        """
+        n_px = int(mask.sum())
+        if self.gsd_m_per_px is None or not n_px:
+            return None
+        return self.gsd_m_per_px if self.plane is None else math.sqrt(self.plane.area(mask, left, top) / n_px)
+
+    def length_m(self, places: Sequence[tuple[float, float]]) -> float | None:
+        """Length of a path through places of the image, metres; None without a scale."""
+        if self.gsd_m_per_px is None:
+            return None
+        if self.plane is None:
+            return self.gsd_m_per_px * sum(math.dist(first, second) for first, second in pairwise(places))
+        return float(self.plane.length(places[:-1], places[1:]).sum())
 
     @property
     def estimate(self) -> GsdEstimate | None:
@@ -132,13 +161,15 @@ def find_scale(
 
     Raises:
         ScaleMismatchError: the scale was measured on another image.
+        TooObliqueError: the horizon is in sight, or nearly so.
         VehAnchorError: as ``estimate_gsd``.
     """
     if isinstance(scale, Detector):
         analysis = analyse_raster(raster, scale, options, progress=progress, run_options=run_options)
         found = analysis.estimate
         log_sd = _log_sd(found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px)
-        return FoundScale(found.gsd_m_per_px, log_sd, found.confidence, "estimated", analysis, found.warnings)
+        plane = _plane(raster, options, found.gsd_m_per_px)
+        return FoundScale(found.gsd_m_per_px, log_sd, found.confidence, "estimated", analysis, found.warnings, plane)
     told = image_notices(raster)
     own = raster.georeference_gsd_m_per_px
     if isinstance(scale, KnownScale):
@@ -150,8 +181,17 @@ def find_scale(
             )
         log_sd = _log_sd(scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)
         notices = (*told, *georeference_notice(own, scale.gsd_m_per_px, "the one given back is"))
-        return FoundScale(scale.gsd_m_per_px, log_sd, scale.confidence, "reused", None, notices)
-    return FoundScale(scale, 0.0, None, "given", None, (*told, *georeference_notice(own, scale, "the one given is")))
+        plane = _plane(raster, options, scale.gsd_m_per_px)
+        return FoundScale(scale.gsd_m_per_px, log_sd, scale.confidence, "reused", None, notices, plane)
+    notices = (*told, *georeference_notice(own, scale, "the one given is"))
+    return FoundScale(scale, 0.0, None, "given", None, notices, _plane(raster, options, scale))
+
+
+def _plane(raster: Raster, options: ScaleOptions, gsd_m_per_px: float | None) -> GroundPlane | None:
+    """The ground under a camera that looked aside, with this scale at the image's centre."""
+    image = ImageFacts(raster.width_px, raster.height_px, camera=raster.camera)
+    looked = None if gsd_m_per_px is None else attitude(image, options)
+    return None if looked is None or gsd_m_per_px is None else plane_with(looked, image, gsd_m_per_px)
 
 
 def _log_sd(low: float | None, high: float | None) -> float:

@@ -67,7 +67,8 @@ def judge(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judgement:
     Returns:
         The judgement; of vehicles alone without a fitted density their own interval and confidence stand.
     """
-    fused = fuse_rulers((vehicles, *others)) if anchors_among(others) else None
+    makers = [each for each in anchors_among(others) if each.fusable_density is not None]
+    fused = fuse_rulers((vehicles, *others)) if makers else None
     return _of_vehicles(vehicles, others) if fused is None else _of_all(fused, vehicles, others)
 
 
@@ -107,7 +108,7 @@ def _of_vehicles(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judge
         confidence,
         None if usable else _reason(vehicles, others),
         None if gsd is None else "vehicles",
-        () if gsd is None else shares((vehicles, *others), gsd),
+        () if gsd is None else shares((vehicles, *(each for each in others if each.density is not None)), gsd),
     )
 
 

@@ -172,7 +172,7 @@ def analyse_area(
     prompt = read_prompt(box, points)
     segmenting = _open_segmenter(segmenter, threads)
     source = choose_scale(gsd_m_per_px, scale, detector, chosen, threads=threads)
-    with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits) as raster:
+    with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits, bgr=chosen.reading.bgr) as raster:
         (analysis,) = analyse_objects(
             raster, [prompt], segmenting, source, chosen, progress=progress, run_options=run_options
         )
@@ -246,7 +246,7 @@ def _conclude(
     n_px = int(mask.sum())
     gsd, estimate = scale.gsd_m_per_px, scale.estimate
     outline_px, (length_px, width_px) = perimeter(mask), rotated_extents(mask)
-    measured = gsd if n_px else None  # an empty mask has no size, rather than a size of zero
+    measured = scale.gsd_over(mask, left, top)  # an empty mask has no size, rather than a size of zero
     size = _Size()
     if measured is not None and circle is not None:
         size = _size(n_px, outline_px, circle.diameter, measured, scale.log_sd, card.mask_area_log_sd)

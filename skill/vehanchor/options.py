@@ -39,6 +39,8 @@ Coordinates: TypeAlias = Literal["pixels", "fraction", "per_mille"]
 """How places in a picture are written."""
 
 _MIB = 1 << 20
+_MEGAPIXEL = 1_000_000
+_DECODED_BYTES_PER_PIXEL = 10  # what 8-bit RGB takes while it is decoded, and a little
 _SHARES: dict[Coordinates, int] = {"fraction": 1, "per_mille": 1000}  # how far they reach along either side
 
 
@@ -275,9 +277,11 @@ class Reading:
     Attributes:
         bands: three 1-based bands to take as red, green, blue; None takes the first three.
         limits: what an image may cost, checked before decoding.
+        bgr: arrays have blue, green and red, as OpenCV reads them.
+        max_megapixels: in the place of the limits' pixels and of the memory that decoding them takes; None leaves them.
 
     Raises:
-        InvalidParameterError: the bands are not three whole numbers >= 1.
+        InvalidParameterError: a number has no meaning, or the bands are not three whole numbers >= 1.
     """
 
     bands: tuple[int, int, int] | None = field(
@@ -285,6 +289,11 @@ class Reading:
         metadata=choice("Bands to take as red, green and blue, from 1. Default: the first three.", metavar="R G B"),
     )
     limits: ImageLimits = field(default_factory=ImageLimits)
+    bgr: bool = False
+    max_megapixels: float | None = field(
+        default=None,
+        metadata=choice("Decode images of up to so many megapixels whole. Default: 100.", metavar="MP"),
+    )
 
     def __post_init__(self) -> None:
         if self.bands is not None:
@@ -293,6 +302,13 @@ class Reading:
             except (TypeError, ValueError):
                 raise InvalidParameterError(f"bands is {self.bands!r}: give three, from 1") from None
             settle(self, "bands", tuple(whole("bands", band) for band in (first, second, third)))
+        if not isinstance(self.bgr, bool):
+            raise InvalidParameterError(f"bgr is {self.bgr!r}: use True or False")
+        if self.max_megapixels is not None:
+            settle(self, "max_megapixels", positive("max_megapixels", self.max_megapixels))
+            pixels = max(1, round(self.max_megapixels * _MEGAPIXEL))
+            memory = max(self.limits.max_decoded_bytes, _DECODED_BYTES_PER_PIXEL * pixels)
+            settle(self, "limits", replace(self.limits, max_pixels=pixels, max_decoded_bytes=memory))
 
 
 class OptionKeywords(TypedDict, total=False):
@@ -313,6 +329,8 @@ class OptionKeywords(TypedDict, total=False):
     coordinates: Coordinates
     bands: tuple[int, int, int] | None
     limits: ImageLimits
+    bgr: bool
+    max_megapixels: float | None
     rulers: Sequence[RulerName] | None
     metadata: bool
     known_lengths: Sequence[tuple[float, float, float, float, float]]

@@ -5,11 +5,12 @@ Numbers are finite or null, units are in the names, and nothing is a bare array 
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.defaults import Aggregation
+from vehanchor.exchange import as_frame, as_html, line_geometry, outline_geometry
 from vehanchor.ruler_options import RulerName
 
 __all__ = [
@@ -36,6 +37,7 @@ __all__ = [
     "ScaleSource",
     "SceneScaleEstimate",
     "Status",
+    "TiltEstimate",
 ]
 
 Status = Literal["ok", "low_confidence", "no_anchor"]
@@ -46,6 +48,18 @@ ReferenceSource = Literal["model", "appearance", "region", "given", "calibration
 
 class _Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    def to_frame(self) -> Any:
+        """Make a pandas table of one row, nested fields as ``outer_inner``.
+
+        Raises:
+            MissingExtraError: there is no pandas.
+        """
+        return as_frame([self.model_dump(mode="json")])
+
+    def _repr_html_(self) -> str:
+        """Show the single values in a notebook."""
+        return as_html(self.model_dump(mode="json"))
 
 
 class Notice(_Record):
@@ -99,6 +113,19 @@ class RulerScale(_Record):
     )
     agrees: bool = Field(description="Whether it agrees with the scale that is given out.")
     says: str | None = Field(description="What it was measured by, in a sentence; null where numbers say it all.")
+
+
+class TiltEstimate(_Record):
+    """A camera that looked aside: scales differ over the image, and lengths and areas are measured on a plane."""
+
+    tilt_deg: float = Field(ge=0, le=90, description="Angle between the camera's axis and straight down.")
+    tilt_ci95_low_deg: float = Field(ge=0, le=90, description="Lower end of its 95 % interval.")
+    tilt_ci95_high_deg: float = Field(ge=0, le=90, description="Upper end of its 95 % interval.")
+    roll_deg: float = Field(description="Direction in which it looked aside, clockwise from the image's upper side.")
+    focal_length_px: float = Field(gt=0, description="Focal length, pixels of the full image.")
+    source: str = Field(description="Where the tilt is from: metadata.")
+    gsd_least_m_per_px: float | None = Field(description="Least metres per pixel in the image; null without a scale.")
+    gsd_largest_m_per_px: float | None = Field(description="Largest metres per pixel in the image.")
 
 
 class KnownScale(_Record):
@@ -171,6 +198,10 @@ class GsdEstimate(_Record):
     georeference_gsd_m_per_px: float | None = Field(
         description="Scale that the file itself carries (geotransform), for comparison; never used for the estimate."
     )
+    tilt: TiltEstimate | None = Field(
+        description="Where the camera looked more than 10 degrees aside, by its metadata: gsd_m_per_px is then that of "
+        "the image's centre. Null where it looked down, or nobody knows."
+    )
     frame: FrameScale | None = Field(description="The scale in the caller's resized copy, where one was named.")
     scale: KnownScale | None = Field(
         default=None,
@@ -227,7 +258,10 @@ class AreaMeasurement(_Record):
         description="ok. low_confidence: the scale's confidence is below 0.5, or the mask's score below the model's "
         "limit, or there is no mask. no_anchor: no scale, so pixels only."
     )
-    area_m2: float | None = Field(description="mask_area_px times GSD squared, square metres; null without a scale.")
+    area_m2: float | None = Field(
+        description="mask_area_px times GSD squared, square metres, summed over the ground's plane where the camera "
+        "looked aside; null without a scale."
+    )
     area_ci95_low_m2: float | None = Field(description="Lower end of its 95 % interval: scale and mask together.")
     area_ci95_high_m2: float | None = Field(description="Upper end of its 95 % interval.")
     confidence: float | None = Field(
@@ -270,6 +304,11 @@ class AreaMeasurement(_Record):
     segmenter_sha256: str = Field(description="SHA-256 of the segmenter's encoder file followed by its decoder file.")
     warnings: tuple[Notice, ...] = Field(description="What else to know about this result, the scale's included.")
 
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        """The outline as a GeoJSON MultiPolygon, which shapely, geopandas and fiona take; pixels, y down."""
+        return outline_geometry(self.model_dump(mode="json", include={"outline"})["outline"])
+
 
 class DistanceMeasurement(_Record):
     """Length of a line on the ground: its pixels times the scale, and where that comes from."""
@@ -301,6 +340,11 @@ class DistanceMeasurement(_Record):
         description="The whole estimate of the scale; null for one that was given or given back."
     )
     warnings: tuple[Notice, ...] = Field(description="What else to know about this result, the scale's included.")
+
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        """The path as a GeoJSON LineString, which shapely, geopandas and fiona take; pixels, y down."""
+        return line_geometry(self.model_dump(mode="json", include={"path"})["path"])
 
 
 class FlightAnchor(_Record):

@@ -20,7 +20,7 @@ from tests.conftest import ROOT
 
 CLIENTS = ROOT / "examples" / "clients"
 BUNDLE = CLIENTS / "mcpb"
-TOOLS = {"estimate_gsd", "measure_area"}
+TOOLS = {"estimate_gsd", "measure_area", "measure_distance", "view_image"}
 _MCPB = "@anthropic-ai/mcpb@2.1.2"
 
 

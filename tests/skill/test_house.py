@@ -16,9 +16,22 @@ from tests.conftest import ROOT
 
 MODULE_LINES, FUNCTION_LINES = 450, 60
 FOLDERS = (ROOT / "skill", ROOT / "server")
-COMMANDS = ("vehanchor.cli", "vehanchor_evaluation.commands", "vehanchor_scenes.command", "vehanchor_server.command")
+COMMANDS = (
+    "vehanchor.cli",
+    "vehanchor_doctor.command",
+    "vehanchor_evaluation.commands",
+    "vehanchor_scenes.command",
+    "vehanchor_server.command",
+)
 FORBIDDEN = {  # what the modules of a package never import, not even inside a function
-    "vehanchor": ("vehanchor_scenes", "vehanchor_evaluation", "vehanchor_server", "mcp", "starlette"),
+    "vehanchor": (
+        "vehanchor_doctor",
+        "vehanchor_scenes",
+        "vehanchor_evaluation",
+        "vehanchor_server",
+        "mcp",
+        "starlette",
+    ),
     "vehanchor_scenes": ("vehanchor_evaluation", "vehanchor_server", "mcp"),
     "vehanchor_evaluation": ("vehanchor_scenes",),
     "vehanchor_server": ("vehanchor_scenes", "vehanchor_evaluation", "vehanchor.cli"),

@@ -140,6 +140,12 @@ def test_cars_that_are_too_small_to_be_measured_do_not_outvote_a_line(votes: Vot
     assert record.gsd_m_per_px == pytest.approx(0.6, rel=0.02)
 
 
+def test_a_ruler_that_says_next_to_nothing_leaves_the_papers_scale_where_it_was() -> None:
+    paper = _record(30)
+    vague = _record(30, height_m=300.0, focal_35mm=26.0)  # 0.1 m/px, as the cars say
+    assert vague.gsd_m_per_px == pytest.approx(paper.gsd_m_per_px, rel=0.02)
+
+
 def test_rulers_without_vehicles_need_no_search(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
     import vehanchor
     import vehanchor.estimate as module

@@ -48,6 +48,8 @@ def test_the_verbs_keywords_are_the_groups_fields() -> None:
         {"frame_width_px": 320.5, "frame_height_px": 240},
         {"frame_width_px": 320},
         {"coordinates": "percent"},
+        {"bgr": 1},
+        {"max_megapixels": 0},
         {"bands": (1, 2)},
         {"bands": (0, 1, 2)},
         {"scale": 3},
@@ -99,4 +101,6 @@ def test_a_command_gets_every_field_of_every_group_and_its_own_options_first() -
     names = list(scale_command(without=("bands",))(shown).__annotations__)
     fields = {field.name for group in (Search, Lengths, Reference, Rulers) for field in dataclasses.fields(group)}
     assert names[0] == "image"
-    assert fields | {"detector", "classes", "threads", "providers", "frame", "coordinates"} == set(names[1:])
+    assert fields | {"detector", "classes", "threads", "providers", "frame", "coordinates", "max_megapixels"} == set(
+        names[1:]
+    )

@@ -21,6 +21,7 @@ _SCRIPT = (
     "elements",
     "sections",
     "picture",
+    "rulers",
     "histogram",
     "plan",
     "record",
@@ -36,7 +37,7 @@ def app_extension() -> Apps:
         page_html(),
         name="panel",
         title="VehAnchor panel",
-        description="Shows a result to people: the picture, the histogram of vehicle lengths, the record in words.",
+        description="Shows a result to people: the picture, all rulers, the histogram of vehicle lengths, the record.",
         csp=ResourceCsp(connect_domains=[], resource_domains=[]),  # it loads nothing from anywhere
         prefers_border=True,
     )

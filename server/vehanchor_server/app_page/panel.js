@@ -11,7 +11,7 @@ function show(result) {
   if (!record) return byId("sections").replaceChildren();
   const scale = isArea(record) ? record.scale : record;
   const histogram = result._meta?.[PANEL_KEY]?.histogram;
-  byId("subject").textContent = isArea(record) ? "area of an object" : "metric scale from vehicles";
+  byId("subject").textContent = isArea(record) ? "area of an object" : "metric scale";
   flag(record.status);
   const plan = isArea(record) ? planSection(record) : undefined;
   const lengths = scale && histogram ? histogramSection(scale, histogram) : undefined;
@@ -21,6 +21,7 @@ function show(result) {
   const sections = [
     readings(record),
     warningSection(record),
+    scale ? rulersSection(scale) : undefined,
     html(
       "div", { class: "columns" },
       left.length ? html("div", { class: "column seen" }, ...left) : undefined,

@@ -16,7 +16,7 @@ from vehanchor_server.frozen import FrozenModel
 if TYPE_CHECKING:
     from vehanchor.estimate import ScaleAnalysis
 
-__all__ = ["PANEL_KEY", "LengthHistogram", "PanelData", "length_histogram", "panel_meta"]
+__all__ = ["PANEL_KEY", "LengthHistogram", "PanelData", "length_histogram", "panel_meta", "place_of_image"]
 
 PANEL_KEY = "vehanchor/panel"
 
@@ -46,22 +46,35 @@ class LengthHistogram(FrozenModel):
     guard_px: float = Field(description="P_thresh: below it the resolution guard holds.")
 
 
+class ImagePlace(FrozenModel):
+    """Where the image lies in the picture, in shares of the picture's width: a small one has margins around it."""
+
+    left: float
+    top: float
+    width: float
+
+
 class PanelData(FrozenModel):
     """Data of one result.
 
     Attributes:
         histogram: of the lengths behind the scale; null without vehicles.
         picture_jpeg: the overlay in base64; null where the result's content has it, or the host shows no pages.
+        image_place: where the image lies in the overlay; null where there is none.
         record: the whole record, where the result has a short one and the host shows pages.
     """
 
     histogram: LengthHistogram | None = None
     picture_jpeg: str | None = None
+    image_place: ImagePlace | None = None
     record: dict[str, Any] | None = None
 
 
 def panel_meta(
-    histogram: LengthHistogram | None, picture: bytes | None, record: dict[str, Any] | None = None
+    histogram: LengthHistogram | None,
+    picture: bytes | None,
+    record: dict[str, Any] | None = None,
+    image_place: ImagePlace | None = None,
 ) -> dict[str, Any]:
     """The ``_meta`` of a result.
 
@@ -69,10 +82,19 @@ def panel_meta(
         histogram: of the lengths that the scale rests on.
         picture: the overlay as JPEG, unless the result's content has it.
         record: the whole record, unless the result has it.
+        image_place: where the image lies in the overlay.
     """
     encoded = None if picture is None else base64.b64encode(picture).decode()
-    data = PanelData(histogram=histogram, picture_jpeg=encoded, record=record)
+    data = PanelData(histogram=histogram, picture_jpeg=encoded, image_place=image_place, record=record)
     return {PANEL_KEY: data.model_dump(mode="json")}
+
+
+def place_of_image(width_px: int, height_px: int) -> ImagePlace:
+    """Where an image of some size lies in its overlay."""
+    from vehanchor.pictures.scale import image_place
+
+    left, top, width = image_place(width_px, height_px)
+    return ImagePlace(left=left, top=top, width=width)
 
 
 def length_histogram(analysis: ScaleAnalysis) -> LengthHistogram | None:

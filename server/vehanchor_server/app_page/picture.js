@@ -4,7 +4,7 @@ function picture(record, result) {
   const shown = html("div", {});
   const place = section("Picture", "picture", shown);
   const source = pictureOf(result);
-  if (source) shown.replaceChildren(...framed(record, source));
+  if (source) shown.replaceChildren(...framed(record, source, result));
   else if (canCallTools && call.arguments) shown.replaceChildren(asker(record, shown));
   else return undefined;
   return place;
@@ -17,7 +17,7 @@ function pictureOf(result) {
   return jpeg ? `data:image/jpeg;base64,${jpeg}` : undefined;
 }
 
-function framed(record, source) {
+function framed(record, source, result) {
   const scale = isArea(record) ? record.scale : record;
   const dropped = scale ? scale.n_detections - scale.n_vehicles : 0;
   const drawn = [];
@@ -26,7 +26,8 @@ function framed(record, source) {
   if (dropped) drawn.push(`${counted(dropped, "outlier")} crossed in orange`);
   if (record.gsd_m_per_px !== null) drawn.push("a scale bar");
   const image = html("img", { src: source, alt: `The aerial image${drawn.length ? `, with ${drawn.join(", ")}` : ""}.` });
-  const frame = html("div", { class: "frame" }, image);
+  const sheet = html("div", { class: "sheet" }, image);
+  const frame = html("div", { class: "frame" }, sheet);
   const zoom = html(
     "button",
     {
@@ -48,7 +49,11 @@ function framed(record, source) {
     scale?.n_vehicles ? html("span", { class: "kept" }, "measured vehicle") : undefined,
     dropped ? html("span", { class: "dropped" }, "outlier, left out") : undefined,
   ];
-  return [frame, html("div", { class: "row" }, html("p", { class: "legend" }, ...legend), zoom)];
+  const marked = scale?.rulers?.some(({ kind }) => kind === "known_length");
+  if (marked) legend.push(html("span", { class: "ruler-line" }, "known length"));
+  const place = result?._meta?.[PANEL_KEY]?.image_place;
+  const drawer = canCallTools && call.arguments && scale && place ? lineDrawer(record, sheet, image, place) : [];
+  return [frame, html("div", { class: "row" }, html("p", { class: "legend" }, ...legend), zoom), ...drawer];
 }
 
 // The model did not ask for a picture, and the server could not know that this page would show one.
@@ -67,7 +72,7 @@ function asker(record, shown) {
             const result = await request("tools/call", { name, arguments: { ...call.arguments, include_overlay: true } });
             const source = result.isError ? undefined : pictureOf(result);
             if (!source) throw new Error(textOf(result) || "the server sent none");
-            shown.replaceChildren(...framed(record, source));
+            shown.replaceChildren(...framed(record, source, result));
             shown.querySelector("button").focus();
           } catch (error) {
             words.textContent = `No picture: ${error.message}`;

@@ -10,10 +10,11 @@ from mcp.types import CallToolResult, TextContent
 from pydantic import BaseModel
 
 from vehanchor_server.app_page import panel_meta
+from vehanchor_server.app_page.panel import place_of_image
 from vehanchor_server.calls.short import short_answer
 
 if TYPE_CHECKING:
-    from vehanchor_server.app_page.panel import LengthHistogram
+    from vehanchor_server.app_page.panel import ImagePlace, LengthHistogram
 
 __all__ = ["Answer", "Detail"]
 
@@ -42,6 +43,11 @@ class Answer(Generic[Record]):
         """The first of them."""
         return self.records[0]
 
+    def _image_place(self) -> ImagePlace | None:
+        """Where the image lies in the overlay; None without one."""
+        width, height = (getattr(self.record, name, None) for name in ("image_width_px", "image_height_px"))
+        return None if self.overlay is None or not width or not height else place_of_image(width, height)
+
     def to_result(
         self, sentence: str, *, include_overlay: bool, detail: Detail = "full", paged: bool = False
     ) -> CallToolResult:
@@ -65,5 +71,6 @@ class Answer(Generic[Record]):
                 self.histogram,
                 None if include_overlay else self.overlay,
                 whole[0] if paged and detail == "short" else None,
+                self._image_place(),
             ),
         )

@@ -49,7 +49,5 @@ class UrlImage(FrozenModel):
 
 AnyImage: TypeAlias = PathImage | Base64Image | UrlImage
 
-ImageArgument = Annotated[
-    AnyImage, Field(discriminator="kind", description="The whole image, uncropped; paths are absolute.")
-]
+ImageArgument = Annotated[AnyImage, Field(discriminator="kind", description="Whole, uncropped; path absolute.")]
 """The ``image`` of every tool; ``kind`` has no default, so that the published schema requires it."""

@@ -67,16 +67,14 @@ ReferenceLengthArgument: TypeAlias = Annotated[
         description="Car length there, if better known; not with region.",
     ),
 ]
-FrameArgument: TypeAlias = Annotated[
-    FrameSize | None, Field(description="Size of the resized copy that you see, if you see one.")
-]
+FrameArgument: TypeAlias = Annotated[FrameSize | None, Field(description="Size of the copy that you see.")]
 CoordinatesArgument: TypeAlias = Annotated[
     Coordinates,
-    Field(description="Of places: pixels (of the image, or of frame), fraction (0 to 1) or per_mille (0 to 1000)."),
+    Field(description="Of places: pixels (of image or frame), fraction (0 to 1), per_mille (0 to 1000)."),
 ]
 KnownScaleArgument: TypeAlias = Annotated[
     KnownScale | None,
-    Field(description="scale of an earlier answer about this image, unchanged: far quicker."),
+    Field(description="Of an earlier answer about this image."),
 ]
 GsdArgument: TypeAlias = Annotated[
     float | None,
@@ -145,6 +143,7 @@ class ScaleQuestion:
             CallError: the calibration cannot be loaded.
             InvalidParameterError: the caller's options contradict each other.
         """
+        size = (self.frame.width_px, self.frame.height_px) if self.frame else (None, None)
         fleet_unknown = self.region is None and self.reference_length_m is None
         return ScaleOptions(
             search=Search(min_score=settings.min_score),
@@ -153,7 +152,7 @@ class ScaleQuestion:
                 region=self.region,
                 calibration=models.calibration() if models and fleet_unknown else None,
             ),
-            frame=Frame(self.frame and self.frame.width_px, self.frame and self.frame.height_px, self.coordinates),
+            frame=Frame(*size, self.coordinates),
             reading=Reading(limits=settings.image_limits),
             rulers=Rulers(
                 known_lengths=tuple(

@@ -45,6 +45,7 @@ _RULERS = {
     "camera": "the camera's metadata",
     "known_length": "known length",
     "height": "the given height",
+    "courts": "sports courts",
 }
 
 

@@ -16,7 +16,12 @@ if TYPE_CHECKING:
 __all__ = ["AGREEMENT", "disagreements"]
 
 AGREEMENT = 0.2  # two scales agree where the larger is at most this share above the smaller
-_NAMES = {"vehicles": "the vehicles say", "camera": "the camera's height says", "height": "the given height says"}
+_NAMES = {
+    "vehicles": "the vehicles say",
+    "camera": "the camera's height says",
+    "height": "the given height says",
+    "courts": "the courts say",
+}
 _CHECK = "Check which of them is wrong before using either."
 
 

@@ -18,14 +18,16 @@ if TYPE_CHECKING:
     from vehanchor.anchors.stated import StatedEvidence
     from vehanchor.imagery.camera_metadata import CameraMetadata
 
-__all__ = ["Camera", "Lens", "equivalent_lens", "lens", "taken_ratio"]
+__all__ = ["MAX_OFF_NADIR_DEG", "Camera", "Lens", "equivalent_lens", "lens", "taken_ratio"]
 
 _HEIGHT_LOG_SD = 0.12  # ground below is not the ground of the take-off: 10 to 15 %
 _HEIGHT_SD_M = 2.0  # barometer and the height of the hand or roof it started from
 _MAX_HEIGHT_M = 20_000.0
 _UNKNOWN_PITCH_LOG_SD = 0.10
 _CHANCE_WRONG, _CHANCE_WRONG_PITCH_UNKNOWN = 0.05, 0.25
-_MAX_OFF_NADIR_DEG = 10.0
+MAX_OFF_NADIR_DEG = 10.0  # up to which a picture counts as taken straight down
+_MAX_TILT_DEG = 85.0
+_TILT_SD = math.radians(1.5)  # of a gimbal's own angle, and of ground that is not quite level
 _MAX_DIGITAL_ZOOM = 1.01
 
 _FILM_DIAGONAL_MM = math.hypot(36.0, 24.0)
@@ -67,23 +69,32 @@ class Camera:
             return self._unusable(f"{camera.height_tag} is {camera.height_m:g} m")
         if camera.digital_zoom > _MAX_DIGITAL_ZOOM:
             return self._unusable(f"the picture was enlarged {camera.digital_zoom:g} times in the camera")
-        if camera.off_nadir_deg is not None and camera.off_nadir_deg > _MAX_OFF_NADIR_DEG:
-            return says_nothing(self.kind, _tilted(camera.off_nadir_deg))
         if taken_ratio(view.image, camera) is None:
             return says_nothing(self.kind, _cropped(view.image, camera))
         seen = lens(view.image, camera)
         if seen is None:
+            if camera.off_nadir_deg is not None and camera.off_nadir_deg > MAX_OFF_NADIR_DEG:
+                return says_nothing(self.kind, _tilted(camera.off_nadir_deg, "and without a focal length"))
             zero = camera.focal_mm is not None and camera.focal_mm <= 0
             return self._unusable("the focal length is 0") if zero else says_nothing(self.kind)
         return self._measure(camera, camera.height_m, seen)
 
     def _measure(self, camera: CameraMetadata, height_m: float, seen: Lens) -> StatedEvidence:
-        gsd = height_m / seen.pixels
+        tilt = math.radians(camera.off_nadir_deg or 0.0)
+        tilted = tilt > math.radians(MAX_OFF_NADIR_DEG)
+        if tilt >= math.radians(_MAX_TILT_DEG):
+            return says_nothing(self.kind, _tilted(math.degrees(tilt), "so far that"))
+        gsd = height_m / seen.pixels * (math.cos(tilt) ** -1.5 if tilted else 1.0)  # vehanchor.scale.plane
         if not on_grid(gsd):
             return self._unusable(f"{height_m:g} m and {seen.source} would make {gsd:.3g} m/px")
         aimed = camera.off_nadir_deg is not None
         log_sd = math.hypot(math.hypot(_HEIGHT_LOG_SD, _HEIGHT_SD_M / height_m), seen.log_sd)
         said = f"The camera's metadata say {{}}: {height_m:g} m ({camera.height_tag}) and {seen.source}."
+        if tilted:
+            log_sd = math.hypot(log_sd, 1.5 * math.tan(tilt) * _TILT_SD)
+            notices = [_tilted(math.degrees(tilt))]
+            said += " At the image's centre."
+            return stated(self.kind, gsd, log_sd, _CHANCE_WRONG, said, notices=notices)
         if aimed:
             return stated(self.kind, gsd, log_sd, _CHANCE_WRONG, said)
         log_sd = math.hypot(log_sd, _UNKNOWN_PITCH_LOG_SD)
@@ -166,12 +177,14 @@ def _centred(image: ImageFacts, camera: CameraMetadata) -> bool:
     return any(abs(2 * camera.centre_x_px / width - 1) <= _CENTRE_TOLERANCE for width in widths)
 
 
-def _tilted(off_nadir_deg: float) -> Notice:
-    return Notice(
-        code=NoticeCode.CAMERA_TILTED,
-        message=f"The camera looked {off_nadir_deg:.0f} degrees away from straight down: one scale does not hold for "
-        "the whole picture, and its metadata are not used as a ruler.",
-    )
+def _tilted(off_nadir_deg: float, unusable: str = "") -> Notice:
+    looked = f"The camera looked {off_nadir_deg:.0f} degrees away from straight down"
+    if unusable:
+        rest = f", {unusable} its metadata are not used as a ruler: one scale does not hold for the whole picture."
+    else:
+        rest = ": scales differ over the picture. The one given is that of its centre; areas and distances are "
+        rest += "measured on the ground as a plane."
+    return Notice(code=NoticeCode.CAMERA_TILTED, message=looked + rest)
 
 
 def _cropped(image: ImageFacts, camera: CameraMetadata) -> Notice:

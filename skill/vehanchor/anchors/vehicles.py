@@ -13,7 +13,7 @@ from vehanchor.anchors.stated import lognormal, on_grid
 from vehanchor.notices import FLEET_DOUBTS, NoticeCode
 from vehanchor.records import Notice
 from vehanchor.scale.confidence import composite, confidence_terms, fleet_doubts, guard_length
-from vehanchor.scale.fusion import GRID, flat, floored, vehicle_density
+from vehanchor.scale.fusion import GRID, credible_interval, flat, floored, vehicle_density
 from vehanchor.scale.lengths import dominant_group, gsd_interval, inlier_mask, modal_length
 from vehanchor.scale.reference import reference_length
 
@@ -35,6 +35,7 @@ __all__ = ["Fleet", "VehicleEvidence", "Vehicles", "select"]
 _LEAST_SCORE = 1e-3  # below it a detection is no evidence, but still one
 _CAR_LENGTH_M = 4.6  # of any fleet, to a fifth
 _Z95 = 1.959963984540054
+_MODE_REACH, _MODE_SHARE = 0.25, 0.3  # of log scale, and of the density
 _DOUBTS: dict[NoticeCode, str] = {
     NoticeCode.LENGTHS_DISAGREE: "Vehicles of two sizes were found, and the evidence for the other size is not much "
     "weaker than for the one that was used. One of them is not cars: the scale may be off by the ratio of the sizes.",
@@ -153,15 +154,16 @@ class VehicleEvidence(Evidence):
 
     @property
     def fusable_density(self) -> NDArray[np.float64] | None:
-        """What the boxes say, or, where nobody has fitted how they vote, the scale spread over its own interval.
+        """What the boxes say, around the paper's scale; where nobody has fitted how they vote, that over its interval.
 
         The confidence bounds how far they are believed where they are guarded, or may not be cars, or are not fitted:
         other rulers may then outvote any number of them.
         """
         if self.gsd_m_per_px is None or self.interval is None:
             return None
-        density = self.density
-        if density is None:
+        if self.density is not None:
+            density = _recentred(self.density, self.gsd_m_per_px)
+        else:
             log_sd = math.log(self.interval.high / self.interval.low) / (2 * _Z95)
             density = lognormal(self.gsd_m_per_px, log_sd) if on_grid(self.gsd_m_per_px) else flat()
         doubted = self.density is None or self.guarded or any(each.code in FLEET_DOUBTS for each in self.notices)
@@ -216,6 +218,16 @@ class Vehicles:
             guarded=guarded,
             resolved=resolved,
         )
+
+
+def _recentred(density: NDArray[np.float64], gsd_m_per_px: float) -> NDArray[np.float64]:
+    """A density moved so that its mode around a scale has its median there; as it is where it has no mode there."""
+    near = np.where(np.abs(GRID - math.log(gsd_m_per_px)) <= _MODE_REACH, density, 0.0)
+    if near.sum() < _MODE_SHARE:
+        return density
+    median = credible_interval(near / near.sum(), probability=0.0).low
+    moved = np.interp(GRID - math.log(gsd_m_per_px / median), GRID, density)
+    return np.asarray(moved / moved.sum())
 
 
 def _scale(

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 __all__ = ["COLUMNS", "BatchRow"]
 
 # The only fields of an estimate that are no single value.
-_NESTED = ("confidence_terms", "frame", "rulers", "scale", "scene_scale", "warnings")
+_NESTED = ("confidence_terms", "frame", "rulers", "scale", "scene_scale", "tilt", "warnings")
+_OF_TILT = ("tilt_deg", "gsd_least_m_per_px", "gsd_largest_m_per_px")
 
 
 class BatchRow(BaseModel):
@@ -50,6 +51,8 @@ class BatchRow(BaseModel):
             if self.estimate.scene_scale is not None:
                 for name, value in self.estimate.scene_scale.model_dump().items():
                     values[f"scene_{name}"] = value
+            if self.estimate.tilt is not None:
+                values.update(self.estimate.tilt.model_dump(include=set(_OF_TILT)))
             for ruler in self.estimate.rulers:
                 values[f"ruler_{ruler.kind}_gsd_m_per_px"] = ruler.gsd_m_per_px
                 values[f"ruler_{ruler.kind}_agrees"] = ruler.agrees
@@ -64,10 +67,21 @@ def _columns() -> dict[str, type]:
     }
     terms: dict[str, type] = dict.fromkeys((f"confidence_{name}" for name in ConfidenceTerms.model_fields), float)
     scene: dict[str, type] = dict.fromkeys((f"scene_{name}" for name in SceneScaleEstimate.model_fields), float)
+    tilt: dict[str, type] = dict.fromkeys(_OF_TILT, float)
     rulers: dict[str, type] = {}
     for kind in get_args(RulerName):
         rulers |= {f"ruler_{kind}_gsd_m_per_px": float, f"ruler_{kind}_agrees": bool}
-    return {"file": str, **estimate, **terms, **scene, **rulers, "warning_codes": str, "error_code": str, "error": str}
+    return {
+        "file": str,
+        **estimate,
+        **terms,
+        **scene,
+        **tilt,
+        **rulers,
+        "warning_codes": str,
+        "error_code": str,
+        "error": str,
+    }
 
 
 def _kind(annotation: Any) -> type:

@@ -1,8 +1,8 @@
 """The command line: one command an entry point of the group ``vehanchor.commands``, loaded when it is called.
 
 Results go to stdout, everything else (progress, errors, warnings) to stderr. Exit status: 0 with a result, also where
-an image has no anchor; 2 for bad input, bad options or an output that cannot be written; 130 after Ctrl-C; 1 for
-anything unforeseen.
+an image has no anchor; 3 there, and with low confidence, for ``--strict``; 2 for bad input, bad options or an output
+that cannot be written; 130 after Ctrl-C; 1 for anything unforeseen, and for a self-test that fails.
 
 A command is a function for Typer, or a ``typer.Typer`` of several. The library's own are listed in ``pyproject.toml``
 beside those of the scenes, the evaluation and the server, none of which is imported before it is asked for; whatever is
@@ -28,13 +28,22 @@ if TYPE_CHECKING:
 __all__ = ["app", "main"]
 
 _GROUP = "vehanchor.commands"
+_PANELS = {
+    **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "scalebar"), "Measure"),
+    **dict.fromkeys(("serve", "schemas", "skill"), "For agents"),
+    **dict.fromkeys(("doctor", "models"), "This installation"),
+}
+_OTHER_PANEL = "Calibrate and evaluate"
 _FIRST = (
     "estimate",
     "distance",
     "measure",
     "batch",
     "flight",
+    "scalebar",
+    "doctor",
     "models",
+    "serve",
 )  # in --help; what other packages bring follows
 _SETTINGS = {"help_option_names": ["-h", "--help"]}
 
@@ -65,6 +74,7 @@ class _Commands(TyperGroup):
             loaded = single
         command = typer.main.get_command(loaded)
         command.name = cmd_name
+        command.rich_help_panel = _PANELS.get(cmd_name, _OTHER_PANEL)  # type: ignore[attr-defined] # typer reads it
         return command
 
 
@@ -75,7 +85,8 @@ def _declared() -> dict[str, EntryPoint]:
 app = typer.Typer(
     name="vehanchor",
     cls=_Commands,
-    help="Metric scale for aerial images without metadata: cars as the ruler.",
+    help="Metric scale for aerial images without metadata: cars as the ruler. Ends with 0 (done), 2 (bad input), "
+    "3 (with --strict: a result not to be used), 1 (a defect) or 130 (interrupted).",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

@@ -11,7 +11,9 @@ from vehanchor.cli.given_scale import GivenGsd, ScaleFile, read_scale
 from vehanchor.cli.spaced import SpacedCommand
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
+    Strict,
     exit_on_error,
+    exit_strictly,
     facts_table,
     failure,
     print_json,
@@ -42,6 +44,7 @@ def _distance(
     gsd: GivenGsd = None,
     scale: ScaleFile = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
+    strict: Strict = False,
     *,
     chosen: Chosen,
 ) -> None:
@@ -70,6 +73,7 @@ def _distance(
         else:
             print_table(facts_table(image, _facts(record)))
             print_warnings(record, "")
+        exit_strictly(strict, [record.status])
 
 
 distance = typer.Typer(add_completion=False)

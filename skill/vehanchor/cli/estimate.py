@@ -15,7 +15,9 @@ from vehanchor.cli.declared import Chosen, scale_command
 from vehanchor.cli.terminal import (
     BAD_INPUT,
     STATUS_TEXTS,
+    Strict,
     exit_on_error,
+    exit_strictly,
     facts_table,
     failure,
     print_json,
@@ -26,7 +28,7 @@ from vehanchor.cli.terminal import (
     scale_text,
     tile_progress,
 )
-from vehanchor.errors import InvalidParameterError, VehAnchorError
+from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAnchorError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -65,12 +67,14 @@ def estimate(
             metavar="OUT.png", help="Write the plot of lengths, mode and interval (extra 'plots'). '{stem}' too."
         ),
     ] = None,
+    strict: Strict = False,
     *,
     chosen: Chosen,
 ) -> None:
     """Estimate the ground sampling distance (metres per pixel) of aerial images from the cars in them."""
     with exit_on_error():
         try:
+            _refuse_folders(images)
             outputs = _outputs(images, overlay, plot)
             options, model = chosen.options(), chosen.open_detector()
         except VehAnchorError as error:
@@ -85,6 +89,15 @@ def estimate(
                 print_warnings(record, source if len(images) > 1 else "")
         if n_failed:
             raise typer.Exit(BAD_INPUT)
+        exit_strictly(strict, (record.status for _, record in rows))
+
+
+def _refuse_folders(images: Sequence[str]) -> None:
+    folder = next((source for source in images if Path(source).is_dir()), None)
+    if folder is not None:
+        raise ImageNotFoundError(
+            f"{folder!r} is a folder: 'vehanchor batch {folder} -o scales.csv' measures all images in it"
+        )
 
 
 def _estimate_all(

@@ -12,7 +12,9 @@ from vehanchor.cli.given_scale import GivenGsd, ScaleFile, read_scale
 from vehanchor.cli.spaced import SpacedCommand
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
+    Strict,
     exit_on_error,
+    exit_strictly,
     facts_table,
     failure,
     print_json,
@@ -72,6 +74,7 @@ def _measure(
         typer.Option(metavar="OUT.png", help="Write the object's mask, white on black, as large as the image."),
     ] = None,
     segmenter: SegmenterFiles = None,
+    strict: Strict = False,
     *,
     chosen: Chosen,
 ) -> None:
@@ -102,6 +105,7 @@ def _measure(
             print_table(facts_table(image, _facts(analysis.measurement)))
             print_warnings(analysis.measurement, "")
         _write_pictures(image, analysis, options, *outputs)
+        exit_strictly(strict, [analysis.measurement.status])
 
 
 measure = typer.Typer(add_completion=False)

@@ -6,10 +6,10 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeAlias
 
 import typer
 
@@ -22,10 +22,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BAD_INPUT",
+    "FAILED_TEST",
     "INTERRUPTED",
+    "NOT_OK",
     "STATUS_TEXTS",
     "UNFORESEEN",
+    "Strict",
     "exit_on_error",
+    "exit_strictly",
     "facts_table",
     "failure",
     "image_progress",
@@ -35,12 +39,38 @@ __all__ = [
     "printable",
     "report",
     "scale_text",
+    "seldom",
     "tile_progress",
 ]
 
 BAD_INPUT, UNFORESEEN, INTERRUPTED = 2, 1, 130  # exit statuses
-
+NOT_OK = 3  # with --strict: a result that is not to be used
+FAILED_TEST = 1
 _LINE_EVERY_S = 10.0  # where stderr is no terminal
+
+Strict: TypeAlias = Annotated[
+    bool,
+    typer.Option("--strict", help=f"End with status {NOT_OK} where a result is not ok: low confidence, no anchor."),
+]
+
+
+def exit_strictly(strict: bool, statuses: Iterable[str]) -> None:
+    """End with ``NOT_OK`` where the caller wants that and a result is not to be used."""
+    if strict and any(status != "ok" for status in statuses):
+        raise typer.Exit(NOT_OK)
+
+
+def seldom(words: Callable[[int, int], str], stream: TextIO) -> Callable[[int, int], None]:
+    """Tell progress in a line every ten seconds: for logs."""
+    last = time.monotonic()
+
+    def tell(done: int, total: int) -> None:
+        nonlocal last
+        if time.monotonic() - last >= _LINE_EVERY_S:
+            last = time.monotonic()
+            print(words(done, total), file=stream, flush=True)
+
+    return tell
 
 
 def report(error: VehAnchorError, about: str = "") -> None:
@@ -79,7 +109,10 @@ def tile_progress(
 ) -> Iterator[Callable[[int, str], Callable[[int, int], None] | None]]:
     """A progress bar on stderr where that is a terminal free for it; gives, per image, the callback of its tiles."""
     if lines_on_terminal or not sys.stderr.isatty():
-        yield lambda _number, _source: None
+        yield lambda number, source: seldom(
+            lambda done, total: f"{printable(source)}: {done} of {total} tiles (image {number + 1} of {n_images})",
+            sys.stderr,
+        )
         return
     from rich.console import Console
     from rich.markup import escape
@@ -167,7 +200,7 @@ def print_warnings(record: GsdEstimate | AreaMeasurement | DistanceMeasurement |
 def image_progress() -> Iterator[Callable[[int, int], None]]:
     """Images done on stderr: a bar on a terminal, a line now and then in a log."""
     if not sys.stderr.isatty():
-        yield _count_lines()
+        yield seldom(lambda done, total: f"{done} of {total} images", sys.stderr)
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
@@ -176,15 +209,3 @@ def image_progress() -> Iterator[Callable[[int, int], None]]:
     with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
         task = bar.add_task("", total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-def _count_lines() -> Callable[[int, int], None]:
-    last = time.monotonic()
-
-    def tell(done: int, total: int) -> None:
-        nonlocal last
-        if time.monotonic() - last >= _LINE_EVERY_S:
-            last = time.monotonic()
-            print(f"{done} of {total} images", file=sys.stderr, flush=True)
-
-    return tell

@@ -29,10 +29,11 @@ if TYPE_CHECKING:
 
 __all__ = ["find_courts", "measure_court"]
 
-_FAR = Reach(math.radians(20), math.radians(4), 0.24, 0.03, 14, 2)
+_FAR = Reach(math.radians(20), math.radians(4), 0.24, 0.04, 15, 3)
 _NEAR = Reach(math.radians(4), math.radians(2), 0.045, 0.015, 3, 1)
 _THERE = Reach(0.0, 1.0, 0.01, 0.01, 1, 1)
-_MOST_PROPOSALS, _MOST_COURTS = 16, 4
+_MOST_COURTS = 4
+_MOST_IN_VAIN = 8  # proposals one after the other that are no courts: the surest come first
 _PERSPECTIVE_PX = 150.0  # least length of a court for a homography
 _FITTED_PX = 220.0  # a court is fitted at the coarsest resolution at which it is at least so long, if there is one
 _MARGIN = 1.35  # of the patch that is read, over the court's half diagonal
@@ -40,6 +41,7 @@ _MARGIN = 1.35  # of the patch that is read, over the court's half diagonal
 _WORTH_A_FIT = 0.3
 _LEAST_SCORE = 0.55  # of 2,000 places without a court none came to 0.52
 _LEAST_COVERAGE = 0.6
+_LEAST_COVERAGE_WITH_ARCS, _SEEN_ARCS = 0.68, 0.5  # straight lines alone make grids on yards and car parks, too
 _SEEN_LINE = 0.4
 _UNSEEN_LINES = 2
 _MOST_DISTORTION = 0.06
@@ -88,14 +90,16 @@ def find_courts(
         for factor in coarse_factors(raster, sighting):
             proposals += network.propose(raster, factor, run_options=run_options)
     found: list[Court] = []
-    for proposal in _apart(proposals)[:_MOST_PROPOSALS]:
+    in_vain = 0
+    for proposal in _apart(proposals):
+        if in_vain == _MOST_IN_VAIN or len(found) == _MOST_COURTS:
+            break
         if any(_lies_in(proposal.pose, court) for court in found):
             continue
         court = measure_court(raster, proposal)
+        in_vain = 0 if court else in_vain + 1
         if court is not None and not any(_lies_in(_pose_of(court), other) for other in found):
             found.append(court)
-        if len(found) == _MOST_COURTS:
-            break
     return tuple(sorted(found, key=lambda court: -court.score))
 
 
@@ -117,25 +121,24 @@ def measure_court(raster: Raster, proposal: Proposal) -> Court | None:
 
     Args:
         raster: the image.
-        proposal: where it may be. The game that it names is tried first, the other one after it.
+        proposal: where it may be. That it names the wrong game does no harm.
     """
-    for templates in ((TENNIS,), BASKETBALL)[:: -1 if proposal.which else 1]:
-        court = _measured(raster, proposal, templates)
+    games = ((TENNIS,), BASKETBALL)[:: -1 if proposal.which else 1]
+    firsts = [game[0] for game in games]  # each stands for its game while it is searched for
+    patch = _read(raster, proposal.pose, firsts[0], max(1, proposal.factor // 2))
+    matched = match(patch.grey, firsts, patch.inside(proposal.pose), _FAR)
+    for (score, pose), game in sorted(zip(matched, games, strict=True), key=lambda each: -each[0][0]):
+        court = _measured(raster, patch, pose, game) if score >= _WORTH_A_FIT else None
         if court is not None:
             return court
     return None
 
 
-def _measured(raster: Raster, proposal: Proposal, templates: tuple[Template, ...]) -> Court | None:
-    """The court of the template that fits best; the first one stands for all of them while it is searched for."""
-    template = templates[0]
-    patch = _read(raster, proposal.pose, template, max(1, proposal.factor // 2))
-    score, pose = match(patch.grey, template, patch.inside(proposal.pose), _FAR)
-    if score < _WORTH_A_FIT:
-        return None
-    _, pose = match(patch.grey, template, pose, _NEAR)
-    first = fit(patch.grey, template, pose_matrix(pose), SIMILARITY)
-    score, pose = match(patch.grey, template, _pose(first.matrix), _THERE)
+def _measured(raster: Raster, patch: _Patch, pose: Pose, templates: tuple[Template, ...]) -> Court | None:
+    """The court of the template that fits best near a pose of a patch."""
+    ((_, pose),) = match(patch.grey, templates[:1], pose, _NEAR)
+    first = fit(patch.grey, templates[0], pose_matrix(pose), SIMILARITY)
+    ((score, pose),) = match(patch.grey, templates[:1], _pose(first.matrix), _THERE)
     if score < _LEAST_SCORE:
         return None
     fits = [(kind, *_fitted(raster, kind, patch, pose)) for kind in templates]
@@ -147,7 +150,7 @@ def _measured(raster: Raster, proposal: Proposal, templates: tuple[Template, ...
     corners = (outline + (patch.left, patch.top) + 0.5) * patch.factor
     if (corners < 0).any() or (corners > (raster.width_px, raster.height_px)).any():
         return None
-    gsd = 1.0 / (seen.px_per_m * patch.factor)
+    gsd = float(1.0 / (seen.px_per_m * patch.factor))
     size = template.length_m, template.width_m
     return Court(template.kind, corners, *size, gsd, seen.log_sd, score, seen.coverage, seen.distortion)
 
@@ -165,9 +168,11 @@ def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tu
 
 
 def _borne_out(template: Template, seen: Fit) -> bool:
-    unseen = int((seen.line_coverage[: len(template.lines)] < _SEEN_LINE).sum())
+    lines, arcs = np.split(seen.line_coverage, [len(template.lines)])
+    unseen = int((lines < _SEEN_LINE).sum())
     return (
-        seen.coverage >= _LEAST_COVERAGE
+        seen.coverage >= (_LEAST_COVERAGE_WITH_ARCS if len(arcs) else _LEAST_COVERAGE)
+        and (not len(arcs) or float(arcs.mean()) >= _SEEN_ARCS)
         and unseen <= _UNSEEN_LINES
         and seen.distortion <= _MOST_DISTORTION
         and math.isfinite(seen.log_sd)

@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from vehanchor.courts.template import Template
@@ -75,37 +77,45 @@ def ridges(grey: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.f
     return np.clip(along / contrast, 0, 1), np.clip(across / contrast, 0, 1)
 
 
-def match(grey: NDArray[np.float32], template: Template, start: Pose, reach: Reach) -> tuple[float, Pose]:
-    """Lay a template over the lines near a pose.
+def match(
+    grey: NDArray[np.float32], templates: Sequence[Template], start: Pose, reach: Reach
+) -> list[tuple[float, Pose]]:
+    """Lay templates over the lines near a pose.
 
     Args:
         grey: ``[h, w]`` grey levels around it.
-        template: of the court.
-        start: where to search.
+        templates: of the courts that it may be.
+        start: where to search; its size is that of the first template, that of the others makes courts as long.
         reach: how far.
 
     Returns:
-        The best score, and its pose: the share of the template under which there are lines, less that of where no line
-        should be. 1 at most.
+        For each template the best score and its pose: the share of the template under which there are lines, less that
+        of where no line should be. 1 at most.
     """
-    best, pose = -1.0, start
-    sizes = start.px_per_m * np.exp(_steps(reach.log_size, reach.log_size_step))
-    half_m = np.array([template.length_m, template.width_m]) / 2 + _MARGIN_M
-    half_x, half_y = (int(half) for half in np.ceil(half_m * sizes[-1]) + reach.place + 2)
+    best = [(-1.0, start)] * len(templates)
+    sizes = [
+        start.px_per_m * templates[0].length_m / template.length_m * np.exp(_steps(reach.log_size, reach.log_size_step))
+        for template in templates
+    ]
+    halves = [
+        (np.array([template.length_m, template.width_m]) / 2 + _MARGIN_M) * each[-1]
+        for template, each in zip(templates, sizes, strict=True)
+    ]
+    half_x, half_y = (int(half) for half in np.ceil(np.max(halves, axis=0)) + reach.place + 2)
     places = np.arange(-reach.place, reach.place + 1, reach.place_step)
-    ends = _Ends.of(template, sizes, half_x, half_y)
+    ends = [_Ends.of(template, each, half_x, half_y) for template, each in zip(templates, sizes, strict=True)]
     for angle in start.angle + _steps(reach.angle, reach.angle_step):
-        scores = ends.scores(_turned_sums(grey, start, float(angle), half_x, half_y), places)
-        size, row, column = np.unravel_index(int(scores.argmax()), scores.shape)
-        if scores[size, row, column] > best:
-            best = float(scores[size, row, column])
-            cos, sin = np.cos(angle), np.sin(angle)
-            x, y = (
-                start.x + cos * places[column] - sin * places[row],
-                start.y + sin * places[column] + cos * places[row],
-            )
-            pose = Pose(float(x), float(y), float(angle), float(sizes[size]))
-    return best, pose
+        sums = _turned_sums(grey, start, float(angle), half_x, half_y)
+        cos, sin = np.cos(angle), np.sin(angle)
+        for index, template_ends in enumerate(ends):
+            scores = template_ends.scores(sums, places)
+            size, row, column = np.unravel_index(int(scores.argmax()), scores.shape)
+            score = float(scores[size, row, column])
+            if score > best[index][0]:
+                dx, dy = places[column], places[row]
+                x, y = start.x + cos * dx - sin * dy, start.y + sin * dx + cos * dy
+                best[index] = score, Pose(float(x), float(y), float(angle), float(sizes[index][size]))
+    return best
 
 
 def _steps(reach: float, step: float) -> NDArray[np.float64]:

@@ -227,7 +227,7 @@ def _components(n: int, links: Sequence[Link], sds: NDArray[np.float64], problem
     for label in range(count):
         members = np.flatnonzero(labels == label)
         m = len(members)
-        covariance = np.linalg.inv(problem.information(members, sds))[:m, :m]
+        covariance = np.asarray(np.linalg.inv(problem.information(members, sds))[:m, :m], dtype=np.float64)
         found.append(Component(members, problem.scales[members], covariance, ties[members][:, members]))
     return tuple(sorted(found, key=lambda each: (-len(each.members), int(each.members[0]))))
 

@@ -57,6 +57,11 @@ class Photograph:
     analysis: ScaleAnalysis
     features: Features | None = None
 
+    @property
+    def measured(self) -> Sighting:
+        """What was found, levelled where the camera looked aside."""
+        return self.view.sighting if self.analysis.in_image is None else self.analysis.vehicles.fleet.sighting
+
     @classmethod
     def of(
         cls, name: str, look: Look, card: DetectorCard, options: ScaleOptions, features: Features | None = None

@@ -15,6 +15,7 @@ import numpy as np
 
 from vehanchor.anchors.evidence import Evidence
 from vehanchor.anchors.scene_scale import SceneScale
+from vehanchor.detection.look import FleetLook
 from vehanchor.detection.scene import SceneSighting
 from vehanchor.detection.sighting import Objects, Sighting
 from vehanchor.estimate import analyse_sighting
@@ -75,10 +76,10 @@ def pool(
     logs = np.asarray(log_scales, dtype=np.float64)
     offsets = logs - logs[reference]
     chief = members[reference].view
-    sighting = pooled_sighting([member.view.sighting for member in members], offsets)
+    sighting = pooled_sighting([member.measured for member in members], offsets)
     resolved = _resolved(members)
     view = fixed_view(_facts(members, reference), sighting, chief.card, chief.options, resolved)
-    return analyse_sighting(view, (*_pooled_others(members, offsets), *added))
+    return analyse_sighting(view, (*_pooled_others(members, offsets), *added), level=False)
 
 
 def pooled_sighting(sightings: Sequence[Sighting], offsets: ArrayLike) -> Sighting:
@@ -93,7 +94,7 @@ def pooled_sighting(sightings: Sequence[Sighting], offsets: ArrayLike) -> Sighti
     """
     factors = np.exp(np.asarray(offsets, dtype=np.float64))
     scores = np.concatenate([each.scores for each in sightings])
-    looked = [0 if each.fleet_log_odds is None else len(each.fleet_log_odds) for each in sightings]
+    looked = [0 if each.fleet is None else len(each.fleet.log_odds) for each in sightings]
     known = np.concatenate([np.arange(len(each.boxes)) < n for each, n in zip(sightings, looked, strict=True)])
     order = np.lexsort((-scores, ~known))
     boxes = np.concatenate(
@@ -104,10 +105,8 @@ def pooled_sighting(sightings: Sequence[Sighting], offsets: ArrayLike) -> Sighti
         (np.ones(len(each.boxes)) if each.scales is None else each.scales) / k
         for each, k in zip(sightings, factors, strict=True)
     ]
-    odds = [each.fleet_log_odds for each in sightings if each.fleet_log_odds is not None]
-    order_known = order[: int(known.sum())]
-    all_odds = np.full(len(scores), np.nan)
-    all_odds[known] = np.concatenate(odds) if odds else []
+    looks = [each.fleet for each in sightings if each.fleet is not None]
+    place = (np.cumsum(known) - 1)[order[: int(known.sum())]]  # among those whose look is known
     named = all(each.classes is not None for each in sightings)
     classes = np.concatenate([each.classes for each in sightings if each.classes is not None] or [np.zeros(0, np.intp)])
     return Sighting(
@@ -116,7 +115,7 @@ def pooled_sighting(sightings: Sequence[Sighting], offsets: ArrayLike) -> Sighti
         sum(each.n_tiles for each in sightings),
         sum(each.n_capped_tiles for each in sightings),
         np.concatenate(scales)[order] if scaled else None,
-        all_odds[order_known] if odds else None,
+        FleetLook(*(np.concatenate(part)[place] for part in zip(*looks, strict=True))) if looks else None,
         classes[order] if named else None,
         Objects.joined(),
         _scene(sightings, np.log(factors)),

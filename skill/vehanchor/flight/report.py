@@ -22,7 +22,8 @@ body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 68re
 h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem }
 svg { width: 100%; background: #fafafa; border: 1px solid #ddd; margin: .5rem 0 }
 svg text { font: 12px system-ui, sans-serif; fill: #333 } svg .title { font-size: 14px; font-weight: 600 }
-svg .name { font-size: 10.5px } svg .link { stroke: #bbb; stroke-width: 1 }
+svg .name { font-size: 10.5px; paint-order: stroke; stroke: #fafafa; stroke-width: 3px }
+svg .link { stroke: #bbb; stroke-width: 1 }
 svg .dropped { stroke: #d55e00; stroke-width: 1.5; stroke-dasharray: 5 4 } svg .bar { stroke: #222; stroke-width: 4 }
 table { border-collapse: collapse; width: 100% } th, td { text-align: left; padding: .25rem .6rem .25rem 0;
 border-bottom: 1px solid #e3e3e3; vertical-align: top } td.number { text-align: right; white-space: nowrap }
@@ -77,7 +78,11 @@ def report_page(record: FlightEstimate) -> str:
 
 
 def _summary(record: FlightEstimate) -> str:
-    said = "All are of one scale, as the caller said" if record.same_scale else f"{len(record.islands)} islands"
+    said = (
+        "All are of one scale, as the caller said"
+        if record.same_scale
+        else (f"{len(record.islands)} islands" if len(record.islands) > 1 else "All are tied together")
+    )
     if record.same_scale and record.gsd_m_per_px is not None:
         said += f": {_scale(record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px)}"
     return f"{said}. {record.n_vehicles} vehicles, confidence {record.confidence:.2f}, {record.status}."

@@ -123,6 +123,7 @@ class CameraMetadata:
         taken_height_px: its rows.
         centre_x_px: column of the optical centre in the picture as it was taken.
         off_nadir_deg: angle between the camera's axis and straight down, 0 to 180.
+        roll_deg: by which a gimbal turned the picture about the camera's own axis, clockwise.
         digital_zoom: factor of enlarging in the camera; 1 for none.
         latitude_deg: where it was, north is positive.
         longitude_deg: east is positive.
@@ -146,6 +147,7 @@ class CameraMetadata:
     latitude_deg: float | None = None
     longitude_deg: float | None = None
     altitude_m: float | None = None
+    roll_deg: float | None = None
     refused: str = ""
 
 
@@ -197,9 +199,20 @@ def _combined(tags: ExifTags, properties: Mapping[tuple[str, str], str], refused
         centre_x_px=first("centre_px")[0],
         off_nadir_deg=_off_nadir(properties, _text(tags.get("Make"))),
         digital_zoom=_float(tags.get("DigitalZoomRatio")) or 1.0,  # 0 is "not used"
+        roll_deg=_gimbal_roll(properties),
         **_position(tags),
         refused=refused,
     )
+
+
+def _gimbal_roll(properties: Mapping[tuple[str, str], str]) -> float | None:
+    """Roll of the first maker who tells a pitch, where it is a gimbal's; None where it says nothing, or nothing new."""
+    for maker in MAKERS:
+        if _number(properties.get((maker.namespace, maker.pitch))) is None:
+            continue
+        roll = _number(properties.get((maker.namespace, maker.roll)))
+        return roll or None if maker.zero_deg == _ZERO_IS_FORWARD else None
+    return None
 
 
 def _position(tags: ExifTags) -> dict[str, float | None]:

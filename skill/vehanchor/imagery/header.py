@@ -127,11 +127,29 @@ def read_header(read_at: ReadAt) -> ImageHeader:
     elif start.startswith(b"BM"):
         name, parse = "BMP", _read_bmp
     else:
-        raise ImageDecodeError(f"not a JPEG, PNG, TIFF, WebP or BMP image: it starts with {start[:8]!r}")
+        raise ImageDecodeError(f"not a JPEG, PNG, TIFF, WebP or BMP image: {_instead(start)}")
     try:
         return parse(read_at)
     except struct.error:
         raise ImageDecodeError(f"the {name} ends within its header: truncated") from None
+
+
+_INSTEAD = (  # what is often handed over, by its first bytes, and what to do with it
+    (0, b"GIF8", "a GIF has 256 colours at most; send the photograph that it was made of"),
+    (0, b"%PDF", "it is a PDF; save its picture by 'pdfimages -all FILE OUT' and send that"),
+    (4, b"ftypheic", _HEIC := "it is HEIC; convert it to JPEG, or open it by pillow-heif and pass the array"),
+    (4, b"ftypmif1", _HEIC),
+    (4, b"ftypavif", "it is AVIF; open it by Pillow and pass the image, or convert it to JPEG"),
+    (4, b"jP  ", "it is JPEG 2000; open it by rasterio and pass the dataset, or convert it to a tiled TIFF"),
+    (4, b"ftyp", _VIDEO := "it is a video; save a frame of it by 'ffmpeg -i FILE -frames:v 1 OUT.png' and send that"),
+    (8, b"AVI ", _VIDEO),
+    (0, b"\x1a\x45\xdf\xa3", _VIDEO),
+)
+
+
+def _instead(start: bytes) -> str:
+    told = next((words for at, mark, words in _INSTEAD if start[at : at + len(mark)] == mark), None)
+    return told or f"it starts with {start[:8]!r}"
 
 
 def _read_jpeg(read_at: ReadAt) -> ImageHeader:

@@ -91,7 +91,8 @@ def read_checked_header(read_at: ReadAt, limits: ImageLimits) -> ImageHeader:
     if header.tiff is None and header.width_px * header.height_px > limits.max_pixels:
         raise ImageTooLargeError(
             f"the {header.format} declares {header.width_px} x {header.height_px} px, the limit is "
-            f"{limits.max_pixels} pixels; convert it to a tiled TIFF, which is read by windows"
+            f"{limits.max_pixels} pixels (--max-megapixels, ImageLimits.max_pixels); convert it to a tiled TIFF, "
+            "which is read by windows, or raise the limit"
         )
     if header.tiff is None and header.decoding_bytes > limits.max_decoded_bytes:
         raise ImageTooLargeError(

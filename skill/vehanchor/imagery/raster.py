@@ -22,6 +22,7 @@ from vehanchor.imagery.datasets import Dataset, is_dataset, open_dataset, open_t
 from vehanchor.imagery.decoding import decode, decodes_tiff
 from vehanchor.imagery.header import is_tiff
 from vehanchor.imagery.limits import MIN_SIDE_PX, check_bytes, read_checked_header
+from vehanchor.imagery.pillow import PillowImage, is_pillow, pillow_pixels
 from vehanchor.imagery.windows import Raster, RasterNote, Window
 from vehanchor.options import ImageLimits
 
@@ -31,15 +32,21 @@ if TYPE_CHECKING:
 
 __all__ = ["MIN_SIDE_PX", "ImageSource", "Raster", "RasterNote", "Window", "open_raster"]
 
-ImageSource: TypeAlias = str | os.PathLike[str] | bytes | bytearray | memoryview | BinaryIO | NDArray[Any] | Dataset
-"""A path, an encoded image in memory, a binary file object, an array [h, w] or [h, w, bands] with RGB order, or an open
-rasterio dataset."""
+ImageSource: TypeAlias = (
+    str | os.PathLike[str] | bytes | bytearray | memoryview | BinaryIO | NDArray[Any] | Dataset | PillowImage
+)
+"""A path, an encoded image in memory, a binary file object, an array [h, w] or [h, w, bands] with RGB order, an open
+rasterio dataset, or a Pillow image."""
 
 _MIB = 1 << 20
 
 
 def open_raster(
-    image: ImageSource, *, bands: tuple[int, int, int] | None = None, limits: ImageLimits | None = None
+    image: ImageSource,
+    *,
+    bands: tuple[int, int, int] | None = None,
+    limits: ImageLimits | None = None,
+    bgr: bool = False,
 ) -> Raster:
     """Open an image of any kind for reading by windows.
 
@@ -50,9 +57,10 @@ def open_raster(
     Args:
         image: a path to a local file, an encoded image (bytes or a binary file object, read from where it stands), an
             array [h, w] or [h, w, bands], RGB, of uint8, uint16 or floats, or an open rasterio dataset; arrays are
-            neither copied nor changed, datasets are left open.
+            neither copied nor changed, datasets are left open. Or a Pillow image, which is turned as its EXIF says.
         bands: which bands are red, green and blue; they count from 1.
         limits: what to refuse; None stands for the defaults.
+        bgr: an array's first three bands are blue, green and red, as OpenCV reads them; files say it themselves.
 
     Raises:
         InvalidParameterError: ``bands`` names a band that is not there, or ``image`` is of no known kind.
@@ -66,18 +74,21 @@ def open_raster(
     if bands is not None and (len(bands) != 3 or not all(isinstance(band, int) and band >= 1 for band in bands)):
         raise InvalidParameterError(f"bands must be three numbers from 1 up, got {bands!r}")
     if isinstance(image, np.ndarray):
-        return ArrayRaster(image, "array", bands)
+        return ArrayRaster(image, "array", bands, bgr=bgr)
     if isinstance(image, str | os.PathLike):
         return _open_path(os.fspath(image), bands, limits)
     if isinstance(image, bytes | bytearray | memoryview):
         check_bytes(memoryview(image).nbytes, limits)
         return _open_bytes(bytes(image), "bytes", bands, limits)
+    if is_pillow(image):
+        return ArrayRaster(pillow_pixels(image, limits), "image", bands)
     if is_dataset(image):
         return open_dataset(image, bands, limits)
     if hasattr(image, "read"):
         return _open_bytes(_read_stream(cast("BinaryIO", image), limits), "file", bands, limits)
     raise InvalidParameterError(
-        f"image must be a path, bytes, a binary file, a numpy array or a rasterio dataset, got {type(image).__name__}"
+        "image must be a path, bytes, a binary file, a numpy array, a Pillow image or a rasterio dataset, got "
+        f"{type(image).__name__}"
     )
 
 

@@ -22,8 +22,9 @@ _COLOURS = {  # Okabe and Ito's; the vehicles' as in the histogram
     "camera": "#E69F00",
     "known_length": "#009E73",
     "height": "#CC79A7",
+    "courts": "#D55E00",
 }
-_OTHERS = ("#D55E00", "#8C6D31", "#56B4E9", "#7A5195")
+_OTHERS = ("#8C6D31", "#56B4E9", "#7A5195")
 _INK = "#222222"
 _PAD = 1.25  # beyond the widest interval, as a factor
 _DRAWN = 0.004  # of the highest point: below it a curve is not drawn

@@ -16,7 +16,7 @@ __all__ = ["draw_tracks"]
 
 _WIDTH, _HEIGHT, _MARGIN, _LEGEND = 860, 520, 46, 88  # pixels of a panel
 _RADIUS = 8.0
-_MOST_LABELS = 45
+_MOST_LABELS, _SHORTEST_LABEL = 45, 3
 _SCALE_COLOURS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))  # viridis, fine to coarse
 _RINGS = {  # Okabe and Ito's colours, told apart with every kind of colour blindness
     "vehicles of its own": "#0072b2",
@@ -82,7 +82,8 @@ def _draw(panel: _Panel, record: FlightEstimate, bounds: tuple[float, float]) ->
             parts.append(f'<line class="{kind}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"/>')
     parts += [_disc(each, at[each.photograph], bounds) for each in panel.photographs]
     if len(panel.photographs) <= _MOST_LABELS:
-        parts += [_label(each, at[each.photograph]) for each in panel.photographs]
+        names = _short_names([PurePath(each.photograph).stem for each in panel.photographs])
+        parts += [_label(name, at[each.photograph]) for each, name in zip(panel.photographs, names, strict=True)]
     return "\n".join([*parts, _bar(factor), *_legend(bounds), "</svg>"])
 
 
@@ -96,9 +97,21 @@ def _disc(each: FlightPhotograph, at: tuple[float, float], bounds: tuple[float, 
     )
 
 
-def _label(each: FlightPhotograph, at: tuple[float, float]) -> str:
-    name = escape(PurePath(each.photograph).stem[-12:])
-    return f'<text class="name" x="{at[0] + _RADIUS + 4:.1f}" y="{at[1] + 3.5:.1f}">{name}</text>'
+def _label(name: str, at: tuple[float, float]) -> str:
+    return f'<text class="name" x="{at[0] + _RADIUS + 4:.1f}" y="{at[1] + 3.5:.1f}">{escape(name)}</text>'
+
+
+def _short_names(stems: Sequence[str]) -> list[str]:
+    """The ends of names, without what all of them end with, and no more of them than tells them apart."""
+    shared = 0
+    while len(stems) > 1 and shared < min(map(len, stems)) and len({stem[-shared - 1] for stem in stems}) == 1:
+        shared += 1
+    bare = [stem[: len(stem) - shared] or stem for stem in stems]
+    for length in range(_SHORTEST_LABEL, max(map(len, bare))):
+        ends = [stem[-length:] for stem in bare]
+        if len(set(ends)) == len(set(bare)):
+            return ends
+    return bare
 
 
 def _hangs_on(each: FlightPhotograph) -> str:

@@ -12,6 +12,7 @@ import typer
 from vehanchor.cli.terminal import printable
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor_evaluation.commands.area import area
+from vehanchor_evaluation.commands.questions import questions
 from vehanchor_evaluation.commands.request import measuring_command
 from vehanchor_evaluation.commands.sources import FilesCommand, KnownScaleRequest, open_shared, tell_issues
 from vehanchor_evaluation.commands.vlm import vlm
@@ -164,3 +165,4 @@ def evaluate_figures(request: ScaleRequest, chosen: Chosen) -> None:
 # --- Commands of their own modules -----------------------------------------------------------------------------------
 evaluate.command("area")(area)
 evaluate.command("vlm")(vlm)
+evaluate.command("questions")(questions)

@@ -62,6 +62,7 @@ function show(html, itsContext, itsCapabilities) {
 }
 </script>"""
 
+LINE = {"x1": 20, "y1": 20, "x2": 420, "y2": 20, "metres": 400}  # ten times what the cars say
 Call = tuple[str, dict[str, Any]]
 PATIENCE_MS = 60_000
 
@@ -160,6 +161,10 @@ def calls(tmp_path_factory: pytest.TempPathFactory, _images: Path) -> dict[str, 
         "guarded": ("estimate_gsd", by_path(write_image(folder / "short.png", short))),
         "outliers": ("estimate_gsd", by_path(write_image(folder / "long.png", long))),
         "few": ("estimate_gsd", {**by_path(_images / "two.png"), "frame": {"width_px": 320, "height_px": 256}}),
+        "rulers": (
+            "estimate_gsd",
+            {**by_path(_images / "cars.png"), "known_lengths": [LINE], "height_m": 70, "focal_35mm": 24},
+        ),
         "no anchor": ("estimate_gsd", by_path(_images / "empty.png")),
         "failed": ("estimate_gsd", by_path(folder / "nothing.png")),
         "area": ("measure_area", pool),
@@ -416,12 +421,62 @@ def test_the_keyboard_reaches_the_picture_and_the_table(
     host.page.locator("table").wait_for()
 
 
+def test_every_ruler_is_listed_with_what_it_says_and_who_disagrees(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    rulers = results["rulers"]["structuredContent"]["rulers"]
+    host.show()
+    host.result(calls["rulers"], results["rulers"])
+    rows = host.page.locator(".rulers li")
+    rows.first.wait_for()
+    assert [row.split("\n")[0] for row in rows.all_inner_texts()] == ["Vehicles", "Known length", "Given height"]
+    for row, ruler in zip(rows.all_inner_texts(), rulers, strict=True):
+        assert f"{ruler['gsd_m_per_px']:.3g} m/px" in row
+        assert ("disagrees" in row) == (not ruler["agrees"])
+    assert [ruler["agrees"] for ruler in rulers].count(False) == 1
+    host.result(calls["good"], results["good"])
+    host.says("#sentence", results["good"]["content"][0]["text"])
+    assert rows.count() == 0
+
+
+@pytest.mark.parametrize("copy", [None, {"width_px": 320, "height_px": 256}])
+def test_a_known_length_is_drawn_with_two_clicks_and_measured_with(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]], copy: dict[str, int] | None
+) -> None:
+    tool, arguments = calls["good"]
+    arguments = {**arguments, **({"frame": copy} if copy else {})}
+    host.show(tools=True)
+    host.result((tool, arguments), results["good"])
+    image = host.page.locator(".picture img")
+    width = image.bounding_box()["width"]
+    per_pixel = width / 640  # of the image of 640 x 512 px
+    host.tab.evaluate("(result) => { answer = { result }; }", results["rulers"])
+    host.page.get_by_role("button", name="Draw a known length").click()
+    image.click(position={"x": 10, "y": image.bounding_box()["height"] - 4})  # the caption is no ground
+    image.click(position={"x": 100 * per_pixel, "y": 200 * per_pixel})
+    host.says(".picture [role=status]", "Now the other end.")
+    image.click(position={"x": 101 * per_pixel, "y": 200 * per_pixel})
+    host.says(".picture [role=status]", re.compile("too short"))
+    image.click(position={"x": 100 * per_pixel, "y": 200 * per_pixel})
+    image.click(position={"x": 500 * per_pixel, "y": 400 * per_pixel})
+    host.page.get_by_role("spinbutton").fill("38.5")
+    host.page.get_by_role("button", name="Measure again").click()
+    host.says("#sentence", results["rulers"]["content"][0]["text"])
+    (asked,) = [message["params"] for message in host.heard() if message.get("method") == "tools/call"]
+    assert asked["name"] == tool
+    line = asked["arguments"].pop("known_lengths")[0]
+    assert asked["arguments"] == {**arguments, "include_overlay": True}
+    share = 0.5 if copy else 1.0
+    assert line.pop("metres") == 38.5
+    assert list(line.values()) == pytest.approx([100 * share, 200 * share, 500 * share, 400 * share], abs=1.0)
+
+
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_every_letter_can_be_read_in_both_themes(
     host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]], theme: str
 ) -> None:
     host.show(theme=theme)
-    for name in ("guarded", "good", "area", "no anchor", "failed"):
+    for name in ("guarded", "good", "rulers", "area", "no anchor", "failed"):
         host.result(calls[name], results[name])
         host.says("#sentence", results[name]["content"][0]["text"])
         for where, ink, ground in host.in_page(_LETTERS):

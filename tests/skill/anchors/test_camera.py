@@ -97,9 +97,17 @@ def test_a_wide_picture_is_a_full_width_with_rows_left_out() -> None:
     assert wide.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.05)
 
 
-def test_a_camera_that_looks_aslant_is_no_ruler_yet() -> None:
-    assert _look(_but(off_nadir_deg=9.9)).gsd_m_per_px is not None
-    evidence = _look(_but(off_nadir_deg=10.1))
+def test_a_camera_that_looks_aslant_measures_the_centre() -> None:
+    straight, aslant = _look(_but(off_nadir_deg=9.9)), _look(_but(off_nadir_deg=40.0))
+    assert straight.gsd_m_per_px is not None
+    assert aslant.gsd_m_per_px == pytest.approx(straight.gsd_m_per_px * math.cos(math.radians(40)) ** -1.5)
+    assert _spread(aslant) > _spread(straight)
+    assert [notice.code for notice in aslant.notices] == ["camera_tilted"]
+    assert straight.notices == ()
+
+
+def test_a_camera_that_looks_at_the_horizon_is_no_ruler() -> None:
+    evidence = _look(_but(off_nadir_deg=88.0))
     assert evidence.gsd_m_per_px is None
     assert [notice.code for notice in evidence.notices] == ["camera_tilted"]
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -12,6 +14,7 @@ from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import analyse_sighting
 from vehanchor.options import Lengths, ScaleOptions
 from vehanchor.records import Notice
+from vehanchor.scale.fusion import Votes, credible_interval
 from vehanchor.scale.lengths import Interval
 
 _LENGTHS = [40.0, 41.0, 42.0, 40.0, 41.0, 90.0]
@@ -57,6 +60,8 @@ def test_a_ruler_in_the_registry_is_heard(monkeypatch: pytest.MonkeyPatch) -> No
     analysis = analyse_sighting(_view(_LENGTHS))
     assert [(each.kind, each.gsd_m_per_px) for each in analysis.others] == [("shadow", 0.125)]
     assert [notice.code for notice in analysis.estimate.warnings] == ["shadow_short"]
+    assert analysis.estimate.scale_source == "vehicles"  # without a density there is nothing to multiply
+    assert analysis.estimate.gsd_m_per_px == analysis.vehicles.gsd_m_per_px
 
 
 def test_the_look_of_the_kept_vehicles_is_what_was_asked_of_them() -> None:
@@ -67,3 +72,16 @@ def test_the_look_of_the_kept_vehicles_is_what_was_asked_of_them() -> None:
     assert fleet.look is not None
     assert fleet.look.log_odds.tolist() == [2.0, 3.0]  # the longest comes first and is dropped
     assert fleet.look.log_lengths.tolist() == [1.0, 1.5]
+
+
+def test_among_other_rulers_the_boxes_speak_around_the_papers_scale() -> None:
+    votes = Votes(share_at_zero=-2.0, share_slope=6.0, log_sd=0.15, clutter_density=1.0, trust=0.6, chance_wrong=0.02)
+    lengths = [*np.linspace(27, 33, 12), 40.0, 41.0, 42.0]  # a few long ones: mean and mode part
+    view = _view(lengths)
+    evidence = Vehicles().look(replace(view, card=view.card.model_copy(update={"votes": votes})))
+    assert evidence.density is not None
+    assert evidence.fusable_density is not None
+    assert evidence.gsd_m_per_px is not None
+    own, among = (credible_interval(each, 0.0).low for each in (evidence.density, evidence.fusable_density))
+    assert among == pytest.approx(evidence.gsd_m_per_px, rel=0.01)
+    assert abs(among / evidence.gsd_m_per_px - 1) < abs(own / evidence.gsd_m_per_px - 1)

@@ -117,7 +117,7 @@ def test_nothing_found_is_an_error_before_the_work(nothing: list[str], monkeypat
 
 
 def test_every_value_of_an_estimate_has_its_column() -> None:
-    nested = {"confidence_terms", "frame", "rulers", "scale", "scene_scale", "warnings"}
+    nested = {"confidence_terms", "frame", "rulers", "scale", "scene_scale", "tilt", "warnings"}
     assert set(GsdEstimate.model_fields) - nested < set(COLUMNS)
     assert {"file", "confidence_sample", "scene_gsd_m_per_px", "warning_codes", "error_code", "error"} < set(COLUMNS)
     assert COLUMNS["gsd_m_per_px"] is float
@@ -468,7 +468,7 @@ def test_no_cluster_at_the_address_is_told_in_a_line(detector: Path, table: Path
 
 
 def test_the_command_tells_what_it_did(detector: Path, table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vehanchor.cli.batch._LINE_EVERY_S", 0.0)
+    monkeypatch.setattr("vehanchor.cli.terminal._LINE_EVERY_S", 0.0)
     result = _batch(".", "no such.png", "--output", table, "--detector", detector, "--workers", 1)
     assert result.exit_code == 0, result.output
     assert result.stdout == ""

@@ -68,3 +68,26 @@ def test_one_point_is_no_distance(place: tuple[Path, Path]) -> None:
     assert code == 2
     assert json.loads(out)["error"]["code"] == "invalid_prompt"
     assert "give two" in told
+
+
+def test_a_result_that_is_not_ok_ends_with_3_where_that_is_asked_for(place: tuple[Path, Path], tmp_path: Path) -> None:
+    empty = tmp_path / "empty.png"
+    assert cv2.imwrite(str(empty), blank_image(800, 600))
+    for command in (["estimate", empty], ["distance", empty, *POINTS]):
+        assert run(*command, "--detector", place[1])[0] == 0
+        assert run(*command, "--detector", place[1], "--strict")[0] == 3
+    assert run("estimate", place[0], "--detector", place[1], "--strict")[0] == 0
+
+
+def test_estimate_of_a_folder_names_batch(tmp_path: Path) -> None:
+    code, _, told = run("estimate", tmp_path)
+    assert code == 2
+    assert f"error[image_not_found]: {str(tmp_path)!r} is a folder: 'vehanchor batch {tmp_path} -o" in told
+
+
+def test_help_shows_commands_in_panels() -> None:
+    code, out, _ = run("--help")
+    assert code == 0
+    panels = ["Measure", "For agents", "This installation", "Calibrate and evaluate"]
+    for panel, command in zip(panels, ("distance", "skill", "doctor", "calibrate"), strict=True):
+        assert out.index(panel) < out.index(command, out.index(panel))

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from tests.analyses import made_card
 from vehanchor.anchors.evidence import Evidence, ImageFacts
+from vehanchor.detection.look import FleetLook
 from vehanchor.detection.sighting import Sighting
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.pooling import combined_density, pool, pooled_sighting, shifted
@@ -53,11 +54,16 @@ def test_one_photograph_says_what_it_says_alone() -> None:
 
 
 def test_looks_at_vehicles_stay_with_their_boxes() -> None:
-    first = Sighting(np.full((3, 5), 1.0), np.array([0.9, 0.5, 0.3]), fleet_log_odds=np.array([9.0, 5.0]))
-    second = Sighting(np.full((2, 5), 2.0), np.array([0.8, 0.4]), fleet_log_odds=np.array([8.0, 4.0]))
+    first = Sighting(
+        np.full((3, 5), 1.0), np.array([0.9, 0.5, 0.3]), fleet=FleetLook(np.array([9.0, 5.0]), np.array([1.9, 1.5]))
+    )
+    second = Sighting(
+        np.full((2, 5), 2.0), np.array([0.8, 0.4]), fleet=FleetLook(np.array([8.0, 4.0]), np.array([1.8, 1.4]))
+    )
     both = pooled_sighting([first, second], np.zeros(2))
-    assert both.fleet_log_odds is not None
-    assert list(both.fleet_log_odds) == [9.0, 8.0, 5.0, 4.0]
+    assert both.fleet is not None
+    assert list(both.fleet.log_odds) == [9.0, 8.0, 5.0, 4.0]
+    assert list(both.fleet.log_lengths) == [1.9, 1.8, 1.5, 1.4]
     assert list(both.scores) == [0.9, 0.8, 0.5, 0.4, 0.3]
     assert list(both.boxes[:, 0]) == [1, 2, 1, 2, 1]
 

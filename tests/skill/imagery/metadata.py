@@ -23,20 +23,37 @@ _TAGS = {
     "DigitalZoomRatio": (0xA404, "rational", True),
     "FocalLengthIn35mmFilm": (0xA405, "short", True),
 }
+_POSITION_TAGS = {
+    "GPSLatitudeRef": (1, "ascii"),
+    "GPSLatitude": (2, "degrees"),
+    "GPSLongitudeRef": (3, "ascii"),
+    "GPSLongitude": (4, "degrees"),
+    "GPSAltitudeRef": (5, "bytes"),
+    "GPSAltitude": (6, "rational"),
+}
 
 
 def exif(tags: Mapping[str, Any], order: str = "<") -> bytes:
     """A TIFF structure with these tags, those of the camera in a directory of their own."""
-    first = [_entry(name, value, order) for name, value in tags.items() if not _TAGS[name][2]]
-    camera = [_entry(name, value, order) for name, value in tags.items() if _TAGS[name][2]]
-    camera_at = 8 + 2 + 12 * (len(first) + 1) + 4 + sum(len(raw) for *_, raw in first if len(raw) > 4)
+    position = [_entry(name, value, order) for name, value in tags.items() if name in _POSITION_TAGS]
+    first = [_entry(name, value, order) for name, value in tags.items() if name in _TAGS and not _TAGS[name][2]]
+    camera = [_entry(name, value, order) for name, value in tags.items() if name in _TAGS and _TAGS[name][2]]
+    further = 2 if position else 1
+    camera_at = 8 + 2 + 12 * (len(first) + further) + 4 + sum(len(raw) for *_, raw in first if len(raw) > 4)
     first.append((0x8769, 4, 1, struct.pack(order + "I", camera_at)))
     start = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "I", 8)
-    return start + _directory(first, order, 8) + _directory(camera, order, camera_at)
+    of_camera = _directory(camera, order, camera_at)
+    if not position:
+        return start + _directory(first, order, 8) + of_camera
+    position_at = camera_at + len(of_camera)
+    first.append((0x8825, 4, 1, struct.pack(order + "I", position_at)))
+    return start + _directory(first, order, 8) + of_camera + _directory(position, order, position_at)
 
 
 def _entry(name: str, value: Any, order: str) -> tuple[int, int, int, bytes]:
-    tag, kind, _ = _TAGS[name]
+    tag, kind = _POSITION_TAGS[name] if name in _POSITION_TAGS else _TAGS[name][:2]
+    if kind == "degrees":
+        return tag, 5, 3, struct.pack(order + "6I", *value)
     if kind in ("ascii", "bytes"):
         raw = value if isinstance(value, bytes) else value.encode() + b"\0"
         return tag, 2 if kind == "ascii" else 1, len(raw), raw + b"\0" * (-len(raw) % 4)

@@ -192,3 +192,42 @@ def test_a_flipped_byte_never_makes_it_fail(at: int, value: int) -> None:
     data = bytearray(jpeg(exif=PHANTOM, xmp=xmp(DJI, NADIR_DJI)))
     data[at] = value
     _read(bytes(data))
+
+
+_PLACE = {
+    "GPSLatitudeRef": "N",
+    "GPSLatitude": (41, 1, 25, 1, 4325, 100),
+    "GPSLongitudeRef": "W",
+    "GPSLongitude": (81, 1, 36, 1, 2118, 100),
+    "GPSAltitudeRef": b"\0\0\0\0",
+    "GPSAltitude": 347.7,
+}
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_the_position_is_read_in_degrees(order: str) -> None:
+    camera = _known(jpeg(exif=exif(_PLACE, order)))
+    assert camera.latitude_deg == pytest.approx(41 + 25 / 60 + 43.25 / 3600)
+    assert camera.longitude_deg == pytest.approx(-(81 + 36 / 60 + 21.18 / 3600))
+    assert camera.altitude_m == pytest.approx(347.7)
+    south = _known(jpeg(exif=exif({**_PLACE, "GPSLatitudeRef": "S", "GPSLongitudeRef": "E"}, order)))
+    assert south.latitude_deg is not None
+    assert south.longitude_deg is not None
+    assert south.latitude_deg < 0 < south.longitude_deg
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"GPSLatitude": (0, 1, 0, 1, 0, 1), "GPSLongitude": (0, 1, 0, 1, 0, 1)},  # no fix
+        {"GPSLatitude": (91, 1, 0, 1, 0, 1)},
+        {"GPSLatitude": (41, 0, 0, 1, 0, 1)},
+        {"GPSLatitude": (41, 1, 7, 0, 0, 1)},
+        {"GPSLongitude": (181, 1, 0, 1, 0, 1)},
+    ],
+)
+def test_a_position_without_meaning_is_none(damage: dict[str, object]) -> None:
+    camera = _read(jpeg(exif=exif({"Make": "DJI", **_PLACE, **damage})))
+    assert camera is not None
+    assert camera.latitude_deg is None
+    assert camera.altitude_m is None

@@ -1,0 +1,130 @@
+"""Where the camera looked, and what that does to lengths: vehicles are measured on the plane of the ground.
+
+Beyond ten degrees from straight down nearer cars are longer in the image than farther ones, those that point away are
+foreshortened, and all of them show their ends: a car's far end stands about a fifth of its length high.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, lens, taken_ratio
+from vehanchor.records import TiltEstimate
+from vehanchor.scale.plane import GroundPlane
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.anchors.evidence import ImageFacts
+    from vehanchor.detection.sighting import Sighting
+    from vehanchor.options import ScaleOptions
+
+__all__ = ["Attitude", "attitude", "levelled", "plane_with", "tilt_record"]
+
+TILT_SD_DEG = 1.5  # of a gimbal's own angle, and of ground that is not quite level
+_END_HEIGHT = 0.2  # of a car's length: how high its far end stands
+_Z95 = 1.959963984540054
+
+
+class Attitude(NamedTuple):
+    """A camera that looked aside.
+
+    Attributes:
+        tilt_deg: angle between its axis and straight down.
+        roll_deg: by which the direction in which it looks aside is turned clockwise from the image's upper side.
+        focal_px: focal length, pixels of the image.
+        source: where the tilt is from, as words.
+    """
+
+    tilt_deg: float
+    roll_deg: float
+    focal_px: float
+    source: str
+
+
+def attitude(image: ImageFacts, options: ScaleOptions) -> Attitude | None:
+    """Read where the camera looked.
+
+    Args:
+        image: with its camera.
+        options: whether metadata are to be read.
+
+    Returns:
+        None where it looked down to ten degrees, or does not say, or is a crop, or has no lens.
+
+    Raises:
+        TooObliqueError: the horizon is in sight, or nearly so.
+    """
+    camera = image.camera
+    if camera is None or camera.off_nadir_deg is None or not options.rulers.metadata:
+        return None
+    if camera.off_nadir_deg <= MAX_OFF_NADIR_DEG or taken_ratio(image, camera) is None:
+        return None
+    seen = lens(image, camera)
+    if seen is None:
+        return None
+    found = Attitude(camera.off_nadir_deg, camera.roll_deg or 0.0, seen.pixels, "metadata")
+    plane_with(found, image, 1.0).check()
+    return found
+
+
+def plane_with(looked: Attitude, image: ImageFacts, gsd_m_per_px: float) -> GroundPlane:
+    """The plane with a scale at the centre."""
+    return GroundPlane(gsd_m_per_px, looked.tilt_deg, looked.focal_px, image.width_px, image.height_px, looked.roll_deg)
+
+
+def levelled(sighting: Sighting, looked: Attitude, image: ImageFacts) -> Sighting:
+    """Vehicles as long as they would be at the image's centre, seen from straight above at the centre's scale.
+
+    Args:
+        sighting: in pixels of the image.
+        looked: where the camera looked.
+        image: its size.
+
+    Returns:
+        The same, with other lengths and widths; without what a network says of the ground, which was shown no such
+        view.
+    """
+    plane = plane_with(looked, image, 1.0)
+    boxes = sighting.boxes
+    along = np.column_stack([np.cos(boxes[:, 4]), np.sin(boxes[:, 4])])
+    across = np.column_stack([-along[:, 1], along[:, 0]])
+    middle = boxes[:, :2] - [image.width_px / 2, image.height_px / 2]
+    rays = np.column_stack([middle / looked.focal_px, np.ones(len(boxes))])
+    measured = boxes.copy()
+    for column, direction in ((2, along), (3, across)):
+        reach = direction * boxes[:, column : column + 1] / 2
+        lengths = plane.length(boxes[:, :2] - reach, boxes[:, :2] + reach)
+        measured[:, column] = lengths / (1 + _END_HEIGHT * _shown_end(boxes, reach, plane, rays))
+    return replace(sighting, boxes=measured, scene=None)
+
+
+def _shown_end(
+    boxes: NDArray[np.float64], reach: NDArray[np.float64], plane: GroundPlane, rays: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """How far what stands upright leans over along each box, by its height: tangent of the view times the cosine."""
+    down = plane.down
+    flat = rays - (rays @ down)[:, None] * down  # the way in which the view goes over the ground
+    tangent = np.linalg.norm(flat, axis=1) / (rays @ down)
+    heading = plane.ground(boxes[:, :2] + reach) - plane.ground(boxes[:, :2] - reach)
+    sizes = np.linalg.norm(flat, axis=1) * np.linalg.norm(heading, axis=1)
+    cosine = np.abs((flat * heading).sum(axis=1)) / np.maximum(sizes, 1e-12)
+    return np.asarray(tangent * cosine)
+
+
+def tilt_record(looked: Attitude, image: ImageFacts, gsd_m_per_px: float | None) -> TiltEstimate:
+    """The tilt as records tell it."""
+    least, largest = (None, None) if gsd_m_per_px is None else plane_with(looked, image, gsd_m_per_px).gsd_range
+    return TiltEstimate(
+        tilt_deg=looked.tilt_deg,
+        tilt_ci95_low_deg=max(0.0, looked.tilt_deg - _Z95 * TILT_SD_DEG),
+        tilt_ci95_high_deg=min(90.0, looked.tilt_deg + _Z95 * TILT_SD_DEG),
+        roll_deg=looked.roll_deg,
+        focal_length_px=looked.focal_px,
+        source=looked.source,
+        gsd_least_m_per_px=least,
+        gsd_largest_m_per_px=largest,
+    )

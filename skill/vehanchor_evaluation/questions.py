@@ -1,0 +1,240 @@
+"""Questions that a planner asks of an image (how far, how large, does it fit), answered with tools and without.
+
+The images are scenes of known scale, as ``vehanchor scene`` writes them; the planner is a script, so that what is
+counted is the tools' answers and their cost, not a model's luck. Without tools it takes every pixel for one of a
+usual size.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import cv2
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from vehanchor.errors import InvalidParameterError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from vehanchor_evaluation.agent_tools import ToolCaller
+
+__all__ = ["Outcome", "PlannerScore", "Question", "ask_blindly", "ask_with_tools", "read_questions", "score"]
+
+Kind: TypeAlias = Literal["distance", "area", "fit"]
+Verdict: TypeAlias = Literal["right", "wrong", "no answer"]
+
+CHARACTERS_A_TOKEN = 4
+USUAL_GSD_M = 0.15  # what a planner without tools takes a pixel for
+USUAL_ERROR = 0.3  # and how far it trusts that
+_FIT_SHARES = (0.6, 1.6)  # what is to fit, of the room that there is: one that does and one that does not
+_LEAST_OBJECT_PX = 900
+_CATEGORIES = ("swimming-pool", "building", "sports-court")  # things with an edge of their own
+_FALLBACK = 0.5
+
+
+@dataclass(frozen=True)
+class Question:
+    """One question and its truth.
+
+    Attributes:
+        kind: distance and area are answered by a number, fit by yes or no.
+        image: the scene.
+        words: as a user would ask.
+        places: x, y of the ends of a line, or of a box' corners, as fractions of the sides.
+        truth: metres, square metres, or whether it fits (1 or 0).
+        needed_m: what is to fit.
+        size_px: of the image.
+    """
+
+    kind: Kind
+    image: Path
+    words: str
+    places: tuple[tuple[float, float], tuple[float, float]]
+    truth: float
+    size_px: tuple[int, int]
+    needed_m: float = 0.0
+
+
+@dataclass
+class Outcome:
+    """What became of a question.
+
+    Attributes:
+        question: the question.
+        verdict: no answer where the tool said not to rely on it, or an interval leaves "does it fit" open.
+        acted_on_low: a number was used although its confidence was low.
+        calls: of tools.
+        characters: of what was said to tools and read from them.
+    """
+
+    question: Question
+    verdict: Verdict
+    acted_on_low: bool = False
+    calls: int = 0
+    characters: int = 0
+
+
+class PlannerScore(BaseModel):
+    """A row of the table."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    name: str
+    questions: int
+    right: int = Field(description="The truth lies in the interval that was answered, or yes and no are right.")
+    wrong: int
+    no_answer: int
+    acted_on_low: int = Field(description="Numbers that were used although their confidence was low.")
+    calls_per_right: float | None
+    tokens_per_right: float | None
+
+
+def read_questions(folder: Path, limit: int) -> list[Question]:
+    """Make the same questions of the same scenes: two distances, an area and a fit of each, as far as it has them.
+
+    Args:
+        folder: scenes with their truth beside them.
+        limit: so many at most.
+
+    Raises:
+        InvalidParameterError: there is no scene.
+    """
+    questions: list[Question] = []
+    for record_path in sorted(folder.glob("*.json")):
+        image = next((p for s in (".png", ".jpg") if (p := record_path.with_suffix(s)).is_file()), None)
+        if image is None:
+            continue
+        record = json.loads(record_path.read_text(encoding="utf-8"))
+        if isinstance(record, dict) and "gsd_m_per_px" in record:
+            questions += [*_distances(image, record), *_areas(image, record)]
+    if not questions:
+        raise InvalidParameterError(f"{str(folder)!r} has no scene: write some by 'vehanchor scene {folder}/a.png ...'")
+    return questions[:limit]
+
+
+def _distances(image: Path, record: dict[str, Any]) -> list[Question]:
+    width, height, gsd = record["width_px"], record["height_px"], record["gsd_m_per_px"]
+    ends = {
+        "How wide is what the picture shows, from the left tenth to the right tenth?": ((0.1, 0.5), (0.9, 0.5)),
+        "How far is it from the upper left to the lower right quarter?": ((0.25, 0.25), (0.75, 0.75)),
+    }
+    questions = []
+    for words, places in ends.items():
+        metres = gsd * math.hypot(*((b - a) * side for a, b, side in zip(*places, (width, height), strict=True)))
+        questions.append(Question("distance", image, words, places, metres, (width, height)))
+    metres = gsd * 0.5 * width
+    for share in _FIT_SHARES[: 1 + len(record["objects"]) % 2]:
+        needed = share * metres
+        words = f"Does a row of {needed:.0f} m fit between the left and the right quarter?"
+        places = ((0.25, 0.4), (0.75, 0.4))
+        questions.append(Question("fit", image, words, places, float(needed <= metres), (width, height), needed))
+    return questions
+
+
+def _areas(image: Path, record: dict[str, Any]) -> list[Question]:
+    """The largest object that lies wholly inside, by its mask."""
+    width, height = record["width_px"], record["height_px"]
+    whole = [
+        item
+        for item in record["objects"]
+        if item["category"] in _CATEGORIES
+        and item["area_m2"] >= 0.999 * item["full_area_m2"]
+        and item["area_m2"] >= _LEAST_OBJECT_PX * record["gsd_m_per_px"] ** 2
+    ]
+    for item in sorted(whole, key=lambda each: -each["area_m2"]):
+        masks = image.with_name(f"{image.stem}_{item['category']}.png")
+        numbers = cv2.imread(str(masks), cv2.IMREAD_UNCHANGED)
+        if numbers is None:
+            continue
+        rows, columns = np.nonzero(numbers == item["instance"])
+        x1, y1, x2, y2 = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
+        if min(x1, y1) < 1 or x2 >= width or y2 >= height:
+            continue
+        box = ((float(x1 / width), float(y1 / height)), (float(x2 / width), float(y2 / height)))
+        words = f"How large is the {item['category']}?"
+        return [Question("area", image, words, box, item["area_m2"], (width, height))]
+    return []
+
+
+@dataclass
+class _Talk:
+    """The planner's talk with the tools: what it costs, and the scale that it gives back."""
+
+    tools: ToolCaller
+    scales: dict[Path, Any] = field(default_factory=dict)
+
+    def ask(self, question: Question) -> Outcome:
+        (x1, y1), (x2, y2) = question.places
+        arguments: dict[str, Any] = {
+            "image": {"kind": "path", "path": str(question.image.resolve())},
+            "coordinates": "fraction",
+        }
+        if question.kind == "area":
+            tool, arguments["targets"] = "measure_area", [{"box": {"x_min": x1, "y_min": y1, "x_max": x2, "y_max": y2}}]
+        else:
+            tool, arguments["lines"] = "measure_distance", [{"points": [{"x": x1, "y": y1}, {"x": x2, "y": y2}]}]
+        if question.image in self.scales:
+            arguments["scale"] = self.scales[question.image]
+        answer, is_error = self.tools.call(tool, arguments)
+        characters = len(json.dumps(arguments)) + len(answer)
+        record: dict[str, Any] = {} if is_error else json.loads(answer.splitlines()[-1])
+        if record.get("scale") is not None:
+            self.scales[question.image] = record["scale"]
+        verdict: Verdict = "no answer"
+        if record.get("status") == "ok":
+            unit = "area_ci95_{}_m2" if question.kind == "area" else "distance_ci95_{}_m"
+            verdict = _judged(question, record[unit.format("low")], record[unit.format("high")])
+        confidence = record.get("confidence")
+        low = verdict != "no answer" and confidence is not None and confidence < _FALLBACK
+        return Outcome(question, verdict, low, 1, characters)
+
+
+def ask_with_tools(questions: Iterable[Question], tools: ToolCaller) -> list[Outcome]:
+    """Ask the tools, giving each image's scale back; a result that is not ok is no answer."""
+    talk = _Talk(tools)
+    return [talk.ask(question) for question in questions]
+
+
+def ask_blindly(questions: Iterable[Question]) -> list[Outcome]:
+    """Multiply pixels by a usual size."""
+    outcomes = []
+    for question in questions:
+        (x1, y1), (x2, y2) = question.places
+        across, down = ((b - a) * side for a, b, side in zip((x1, y1), (x2, y2), question.size_px, strict=True))
+        if question.kind == "area":
+            value, spread = across * down * USUAL_GSD_M**2, (1 + USUAL_ERROR) ** 2
+        else:
+            value, spread = math.hypot(across, down) * USUAL_GSD_M, 1 + USUAL_ERROR
+        outcomes.append(Outcome(question, _judged(question, value / spread, value * spread)))
+    return outcomes
+
+
+def _judged(question: Question, low: float, high: float) -> Verdict:
+    if question.kind != "fit":
+        return "right" if low <= question.truth <= high else "wrong"
+    if low < question.needed_m < high:
+        return "no answer"
+    return "right" if (question.needed_m <= low) == bool(question.truth) else "wrong"
+
+
+def score(name: str, outcomes: Sequence[Outcome]) -> PlannerScore:
+    """Count."""
+    verdicts = [outcome.verdict for outcome in outcomes]
+    right = verdicts.count("right")
+    calls, characters = sum(each.calls for each in outcomes), sum(each.characters for each in outcomes)
+    return PlannerScore(
+        name=name,
+        questions=len(outcomes),
+        right=right,
+        wrong=verdicts.count("wrong"),
+        no_answer=verdicts.count("no answer"),
+        acted_on_low=sum(outcome.acted_on_low for outcome in outcomes),
+        calls_per_right=calls / right if right else None,
+        tokens_per_right=characters / CHARACTERS_A_TOKEN / right if right else None,
+    )

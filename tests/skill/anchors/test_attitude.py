@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.analyses import made_card
+from vehanchor.anchors.attitude import Attitude, attitude, levelled, plane_with
+from vehanchor.anchors.evidence import ImageFacts, View
+from vehanchor.detection.sighting import Sighting
+from vehanchor.errors import TooObliqueError
+from vehanchor.estimate import analyse_sighting
+from vehanchor.imagery.camera_metadata import CameraMetadata
+from vehanchor.options import ScaleOptions
+
+WIDTH, HEIGHT, FOCAL, CAR_M, GSD = 3000, 2000, 2400.0, 5.0, 0.05
+CAMERA = CameraMetadata(focal_px=FOCAL, taken_width_px=WIDTH, taken_height_px=HEIGHT, off_nadir_deg=35.0)
+FACTS = ImageFacts(WIDTH, HEIGHT, camera=CAMERA)
+
+
+def _cars(looked: Attitude, n: int = 60) -> Sighting:
+    """Flat cars of one length, any heading, all over the image, as the camera sees them."""
+    rng = np.random.default_rng(7)
+    plane = plane_with(looked, FACTS, GSD)
+    boxes = []
+    for _ in range(n):
+        x, y, heading = rng.uniform(200, WIDTH - 200), rng.uniform(200, HEIGHT - 200), rng.uniform(0, np.pi)
+        way = np.array([np.cos(heading), np.sin(heading)])
+        metres = plane.length([(x, y) - 0.5 * way], [(x, y) + 0.5 * way])[0]
+        boxes.append((x, y, CAR_M / metres, 2 / metres, heading))
+    return Sighting(np.array(boxes), np.full(n, 0.8))
+
+
+def test_flat_cars_are_of_one_length_on_the_plane(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vehanchor.anchors.attitude._END_HEIGHT", 0.0)
+    looked = Attitude(35.0, 20.0, FOCAL, "metadata")
+    seen = _cars(looked)
+    assert seen.boxes[:, 2].max() > 1.6 * seen.boxes[:, 2].min()
+    assert levelled(seen, looked, FACTS).boxes[:, 2] == pytest.approx(CAR_M / GSD, rel=0.01)
+
+
+def test_a_car_that_points_away_shows_its_end_and_one_across_does_not() -> None:
+    looked = Attitude(35.0, 0.0, FOCAL, "metadata")
+    away, across = [WIDTH / 2, HEIGHT / 2, 90, 40, np.pi / 2], [WIDTH / 2, HEIGHT / 2, 90, 40, 0.0]
+    lengths = levelled(Sighting(np.array([away, across]), np.ones(2)), looked, FACTS).boxes[:, 2]
+    end = 1 + 0.2 * np.tan(np.radians(35))
+    stretch = np.cos(np.radians(35)) ** 0.5  # of a pixel across the view, over the root of its area
+    assert lengths == pytest.approx([90 / end / stretch, 90 * stretch], rel=0.01)
+
+
+def test_the_record_is_that_of_the_centre_and_tells_the_tilt() -> None:
+    looked = Attitude(35.0, 0.0, FOCAL, "metadata")
+    view = View(FACTS, _cars(looked), made_card(CAR_M), ScaleOptions(), lambda *_: 1.0)
+    analysis = analyse_sighting(view)
+    estimate = analysis.estimate
+    assert estimate.gsd_m_per_px == pytest.approx(GSD, rel=0.12)  # they are flat, and taken for cars with an end
+    assert estimate.tilt is not None
+    assert estimate.gsd_m_per_px is not None
+    assert (estimate.tilt.tilt_deg, estimate.tilt.source) == (35.0, "metadata")
+    assert estimate.tilt.tilt_ci95_low_deg < 35 < estimate.tilt.tilt_ci95_high_deg
+    assert estimate.tilt.gsd_least_m_per_px is not None
+    assert estimate.tilt.gsd_largest_m_per_px is not None
+    assert estimate.tilt.gsd_least_m_per_px < estimate.gsd_m_per_px < estimate.tilt.gsd_largest_m_per_px
+    assert np.array_equal(analysis.detections.boxes, view.sighting.boxes)  # for pictures, as they are
+    ignored = analyse_sighting(replace(view, options=ScaleOptions.of({"metadata": False}))).estimate
+    assert ignored.tilt is None
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        None,
+        replace(CAMERA, off_nadir_deg=None),
+        replace(CAMERA, off_nadir_deg=9.9),
+        replace(CAMERA, focal_px=None),
+        replace(CAMERA, taken_width_px=4000),
+    ],
+)
+def test_without_tilt_or_lens_or_of_a_crop_there_is_no_plane(camera: CameraMetadata | None) -> None:
+    assert attitude(FACTS._replace(camera=camera), ScaleOptions()) is None
+
+
+def test_a_horizon_in_sight_is_refused() -> None:
+    with pytest.raises(TooObliqueError, match="horizon"):
+        attitude(FACTS._replace(camera=replace(CAMERA, off_nadir_deg=70.0)), ScaleOptions())

@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+import vehanchor
+from tests.analyses import make_analysis
+from vehanchor.errors import MissingExtraError
+from vehanchor.exchange import as_frame, flat, outline_geometry
+from vehanchor.records import Notice
+
+
+def _estimate() -> vehanchor.GsdEstimate:
+    boxes = np.array([[50.0 + 60 * k, 50.0, 30.0 + 0.3 * k, 12.0, 0.0] for k in range(6)])
+    return make_analysis(boxes, 600, 300).estimate
+
+
+def test_a_record_is_one_row_of_single_values() -> None:
+    record = _estimate().model_copy(
+        update={"warnings": (Notice(code="a", message="A."), Notice(code="b", message="B."))}
+    )
+    row = flat(record.model_dump(mode="json"))
+    assert row["gsd_m_per_px"] == record.gsd_m_per_px
+    assert row["confidence_terms_sample"] == record.confidence_terms.sample
+    assert row["warnings"] == "a b"
+    assert not [value for value in row.values() if isinstance(value, dict | list)]
+
+
+def test_a_table_needs_pandas_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(MissingExtraError, match="pip install pandas"):
+        _estimate().to_frame()
+
+
+def test_a_table_has_a_row_a_record() -> None:
+    pytest.importorskip("pandas")
+    record = _estimate()
+    table = record.to_frame()
+    assert (len(table), table.gsd_m_per_px[0]) == (1, record.gsd_m_per_px)
+    assert len(as_frame([record.model_dump(), record.model_dump()])) == 2
+
+
+def test_a_notebook_shows_a_record_without_trusting_its_texts() -> None:
+    attack = "<img src=x onerror=alert(1)>"
+    record = _estimate().model_copy(update={"model": attack, "warnings": (Notice(code="x", message=attack),)})
+    shown = record._repr_html_()
+    assert f"{record.gsd_m_per_px:.4g}" in shown
+    assert "<img" not in shown
+    assert shown.count("&lt;img") == 2
+
+
+def test_an_outline_is_a_geometry_with_closed_rings_and_holes() -> None:
+    def ring(*corners: tuple[float, float]) -> dict[str, object]:
+        return {"points": [{"x_px": x, "y_px": y} for x, y in corners]}
+
+    piece = {"exterior": ring((0, 0), (9, 0), (9, 9), (0, 9)), "holes": [ring((2, 2), (4, 2), (4, 4))]}
+    geometry = outline_geometry([piece])
+    assert geometry["type"] == "MultiPolygon"
+    ((exterior, hole),) = geometry["coordinates"]
+    assert exterior[0] == exterior[-1] == [0, 0]
+    assert hole == [[2, 2], [4, 2], [4, 4], [2, 2]]
+
+
+def test_a_distance_is_a_line_that_shapely_takes() -> None:
+    record = vehanchor.measure_distance(np.zeros((100, 200, 3), np.uint8), [(10, 20), (40, 60)], gsd_m_per_px=0.1)
+    assert record.__geo_interface__ == {"type": "LineString", "coordinates": [[10, 20], [40, 60]]}
+    shapely = pytest.importorskip("shapely.geometry")
+    assert shapely.shape(record).length == pytest.approx(50)
