@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
 _SCALES = (0.05, 0.1, 0.15, 0.2, 0.3)
-_VIEW_M = 120.0
+_VIEW_M = 90.0
 _HIDDEN_SHARE = 0.05  # a court of which trees hide more is not in sight
 _FIRST_SEED = 5000  # training has other ones
 _TOLERANCE = 0.1
@@ -88,10 +88,10 @@ def tiles(card: DetectorCard) -> list[str]:
     return [row("tennis tiles, held out", held), row("tennis tiles, others", seen)]
 
 
-def scenes(card: DetectorCard, number: int) -> list[str]:
+def scenes(card: DetectorCard, scales: Sequence[float], number: int) -> list[str]:
     """Rendered sports grounds with a whole court in sight, by scale and game."""
     lines, total = [], []
-    for gsd in _SCALES:
+    for gsd in scales:
         cases: list[Case] = []
         side, seed = round(_VIEW_M / gsd), _FIRST_SEED
         while len(cases) < number:
@@ -154,6 +154,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("parts", nargs="*", choices=_PARTS, default=_PARTS)
     parser.add_argument("--scenes", type=int, default=12, help="of each scale")
+    parser.add_argument("--scales", type=float, nargs="+", default=_SCALES, metavar="M/PX")
     parser.add_argument("--rounds", type=int, default=5)
     options = parser.parse_args()
     cv2.setNumThreads(1)
@@ -162,7 +163,7 @@ def main() -> None:
     if "tiles" in options.parts:
         print(*tiles(card), sep="\n", flush=True)
     if "scenes" in options.parts:
-        print(*scenes(card, options.scenes), sep="\n", flush=True)
+        print(*scenes(card, options.scales, options.scenes), sep="\n", flush=True)
     if "val" in options.parts:
         print(*val(card), sep="\n", flush=True)
     if "time" in options.parts:

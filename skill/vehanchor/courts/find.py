@@ -41,6 +41,7 @@ _MARGIN = 1.35  # of the patch that is read, over the court's half diagonal
 _WORTH_A_FIT = 0.3
 _LEAST_SCORE = 0.55  # of 2,000 places without a court none came to 0.52
 _LEAST_COVERAGE = 0.6
+_LEAST_COVERAGE_WITH_ARCS, _SEEN_ARCS = 0.68, 0.5  # straight lines alone make grids on yards and car parks, too
 _SEEN_LINE = 0.4
 _UNSEEN_LINES = 2
 _MOST_DISTORTION = 0.06
@@ -149,7 +150,7 @@ def _measured(raster: Raster, patch: _Patch, pose: Pose, templates: tuple[Templa
     corners = (outline + (patch.left, patch.top) + 0.5) * patch.factor
     if (corners < 0).any() or (corners > (raster.width_px, raster.height_px)).any():
         return None
-    gsd = 1.0 / (seen.px_per_m * patch.factor)
+    gsd = float(1.0 / (seen.px_per_m * patch.factor))
     size = template.length_m, template.width_m
     return Court(template.kind, corners, *size, gsd, seen.log_sd, score, seen.coverage, seen.distortion)
 
@@ -167,9 +168,11 @@ def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tu
 
 
 def _borne_out(template: Template, seen: Fit) -> bool:
-    unseen = int((seen.line_coverage[: len(template.lines)] < _SEEN_LINE).sum())
+    lines, arcs = np.split(seen.line_coverage, [len(template.lines)])
+    unseen = int((lines < _SEEN_LINE).sum())
     return (
-        seen.coverage >= _LEAST_COVERAGE
+        seen.coverage >= (_LEAST_COVERAGE_WITH_ARCS if len(arcs) else _LEAST_COVERAGE)
+        and (not len(arcs) or float(arcs.mean()) >= _SEEN_ARCS)
         and unseen <= _UNSEEN_LINES
         and seen.distortion <= _MOST_DISTORTION
         and math.isfinite(seen.log_sd)

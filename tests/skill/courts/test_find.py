@@ -64,6 +64,12 @@ def test_an_outline_alone_is_no_court() -> None:
     assert _measured(draw_court(TENNIS, 0.25, missing=(2, 3, 6, 7, 8)), 0.25, factor=2) is None
 
 
+def test_lines_of_basketball_without_its_arcs_are_no_court() -> None:
+    template = BASKETBALL[0]
+    arcs = tuple(range(len(template.lines), len(template.lines) + len(template.arcs)))
+    assert _measured(draw_court(template, 0.15, side_px=384, missing=arcs), 0.15, which=1, factor=4) is None
+
+
 def test_bays_of_a_car_park_are_no_court() -> None:
     image = np.full((256, 256, 3), 90, np.uint8)
     image[60:200, 20:240:9] = 220
