@@ -47,6 +47,11 @@ def tiles(data: Path, name: str, split: str) -> list[tuple[Path, float]]:
     return [((data / "gsd" / row["file"]).resolve(), float(row["gsd_m_per_px"])) for row in rows]
 
 
+def read(path: Path) -> NDArray[np.uint8]:
+    """An image, ``[h, w, 3]`` BGR."""
+    return np.asarray(cv2.imread(str(path)), dtype=np.uint8)
+
+
 def spoiled(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
     """Another exposure, noise and JPEG."""
     seen = image.astype(np.float64) * rng.uniform(0.75, 1.25) + rng.uniform(-12, 12)
@@ -60,7 +65,7 @@ def turned(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uin
     """The largest square inside the image turned by any angle; a quarter turn of a small one."""
     side = min(image.shape[:2])
     if side < 400:
-        return np.ascontiguousarray(np.rot90(image, rng.integers(4)))
+        return np.ascontiguousarray(np.rot90(image, int(rng.integers(4))))
     inner = int(side / math.sqrt(2))
     move = cv2.getRotationMatrix2D((side / 2, side / 2), float(rng.uniform(0, 360)), 1.0)
     move[:, 2] += (inner - side) / 2
@@ -86,7 +91,7 @@ def pooled(data: Path, split: str, flights: int) -> None:
         for seed in range(flights):
             rng = np.random.default_rng([seed, 20261121])
             chosen = rng.choice(len(files), min(_PHOTOGRAPHS, len(files)), replace=False)
-            taken = [Taken(str(k), spoiled(turned(cv2.imread(str(files[k][0])), rng), rng)[:, :, ::-1]) for k in chosen]
+            taken = [Taken(str(k), spoiled(turned(read(files[k][0]), rng), rng)[:, :, ::-1]) for k in chosen]
             looks = look_at_flight(taken, detector, ScaleOptions())
             rows["unknown"].append(pooled_flight(looks, detector))
             if _REGIONS[name] in detector.card.region_lengths_m:
@@ -124,12 +129,12 @@ def worlds(data: Path) -> dict[str, NDArray[np.uint8]]:
     folder = data / "vehicles" / "images"
     strips = {"cannes 846 to 850": range(846, 851), "cannes 911 to 914": range(911, 915)}
     found = {
-        name: np.hstack([cv2.imread(str(folder / f"cannes_{n}.jpg")) for n in numbers])
+        name: np.hstack([read(folder / f"cannes_{n}.jpg") for n in numbers])
         for name, numbers in strips.items()
         if all((folder / f"cannes_{n}.jpg").exists() for n in numbers)
     }
     for name in ("0_04_05", "2_01_05", "2_05_05"):
-        found[f"estonia {name}"] = cv2.imread(str(data / "upright" / "images" / f"estonia_{name}.jpg"))
+        found[f"estonia {name}"] = read(data / "upright" / "images" / f"estonia_{name}.jpg")
     return found
 
 
@@ -138,7 +143,8 @@ def cut_flight(
 ) -> tuple[list[NDArray[np.uint8]], NDArray[np.float64]]:
     """Photographs of 480 x 360 px at random places, turns and scales of 0.6 to 1.7, and their scales."""
     width, height = 480, 360
-    photographs, scales = [], []
+    photographs: list[NDArray[np.uint8]] = []
+    scales: list[float] = []
     while len(photographs) < n:
         scale = float(np.exp(rng.uniform(np.log(0.6), np.log(1.7))))
         turn = float(rng.uniform(0, 2 * np.pi))

@@ -200,6 +200,8 @@ def analyse_raster(
     """As ``analyse_scale``, of an image that is open already."""
     options.frame.check(raster.width_px, raster.height_px)
     options = options.in_pixels(raster.width_px, raster.height_px)
+    facts = image_facts(raster)
+    attitude(facts, options)  # a horizon in sight is refused before the work
     sighting = _NOT_SEARCHED
     if options.rulers.searches:
         sighting = search(raster, detector, options.search, progress=progress, run_options=run_options)
@@ -207,7 +209,7 @@ def analyse_raster(
     network = load_scene_scale() if weighed and options.rulers.uses(SceneScale.kind) else None
     if network is not None:
         sighting = replace(sighting, scene=network.look(raster, run_options=run_options))
-    view = View(image_facts(raster), sighting, detector.card, options, partial(resolved_share, raster), raster)
+    view = View(facts, sighting, detector.card, options, partial(resolved_share, raster), raster)
     return analyse_sighting(view)
 
 

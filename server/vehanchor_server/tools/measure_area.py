@@ -123,7 +123,7 @@ def _named(target: Target | None, targets: tuple[Target, ...] | None) -> tuple[T
     if (target is None) == (targets is None):
         found = "both are given" if target else "target: it is required"
         raise CallError("invalid_arguments", f"{found}, or targets instead. Give one of the two.")
-    return targets or (target,) if target is None else (target,)
+    return (target,) if target is not None else targets or ()
 
 
 def _places(targets: Iterable[Target]) -> Iterator[tuple[float, float]]:

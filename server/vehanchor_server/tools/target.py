@@ -52,5 +52,5 @@ class Target(FrozenModel):
     def _one_form(cls, value: Any) -> Any:
         named = sum(value.get(name) is not None for name in ("box", "points")) if isinstance(value, dict) else 0
         if named != 1 and not isinstance(value, Target):
-            raise PydanticCustomError("target_form", _FORMS)  # type: ignore[misc]
+            raise PydanticCustomError("target_form", _FORMS)
         return value

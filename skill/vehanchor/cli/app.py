@@ -29,7 +29,7 @@ __all__ = ["app", "main"]
 
 _GROUP = "vehanchor.commands"
 _PANELS = {
-    **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight"), "Measure"),
+    **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "scalebar"), "Measure"),
     **dict.fromkeys(("serve", "schemas", "skill"), "For agents"),
     **dict.fromkeys(("doctor", "models"), "This installation"),
 }
@@ -40,6 +40,7 @@ _FIRST = (
     "measure",
     "batch",
     "flight",
+    "scalebar",
     "doctor",
     "models",
     "serve",

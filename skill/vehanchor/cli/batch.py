@@ -12,8 +12,11 @@ import typer
 
 from vehanchor.cli.declared import Chosen, scale_command
 from vehanchor.cli.terminal import INTERRUPTED, exit_on_error, image_progress, printable
+from vehanchor.errors import InvalidParameterError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from vehanchor.batch import BatchSummary
 
 __all__ = ["batch"]
@@ -54,6 +57,9 @@ def batch(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Start anew, whatever an earlier run left at FILE.")
     ] = False,
+    same_scale: Annotated[
+        bool, typer.Option("--same-scale", help="All are of one scale: their evidence is put together (one worker).")
+    ] = False,
     *,
     chosen: Chosen,
 ) -> None:
@@ -62,29 +68,73 @@ def batch(
     Interrupted, the same command goes on where it stopped.
     """
     with exit_on_error():
-        from vehanchor.batch import run_batch
-        from vehanchor.models.session import DEFAULT_PROVIDERS
-
-        model, started = chosen.detector, time.monotonic()
+        started = time.monotonic()
         with image_progress() as progress:
             try:
-                summary = run_batch(
-                    inputs,
-                    output,
-                    engine=engine.value,
-                    address=address,
-                    workers=workers,
-                    detector=model.detector,
-                    classes=model.names_and_indices,
-                    options=chosen.options(),
-                    providers=model.providers or DEFAULT_PROVIDERS,
-                    overwrite=overwrite,
-                    progress=progress,
-                )
+                if same_scale:
+                    summary = _of_one_scale(inputs, output, engine, workers, chosen, progress, overwrite=overwrite)
+                else:
+                    summary = _of_any_scale(
+                        inputs, output, engine, address, workers, chosen, progress, overwrite=overwrite
+                    )
             except KeyboardInterrupt:
                 print("interrupted: the rows so far are kept; the same command goes on from there", file=sys.stderr)
                 raise typer.Exit(INTERRUPTED) from None
         print(_summary_text(summary, time.monotonic() - started), file=sys.stderr)
+
+
+def _of_any_scale(
+    inputs: list[str],
+    output: Path,
+    engine: _Engine,
+    address: str | None,
+    workers: int | None,
+    chosen: Chosen,
+    progress: Callable[[int, int], None],
+    *,
+    overwrite: bool,
+) -> BatchSummary:
+    from vehanchor.batch import run_batch
+    from vehanchor.models.session import DEFAULT_PROVIDERS
+
+    model = chosen.detector
+    return run_batch(
+        inputs,
+        output,
+        engine=engine.value,
+        address=address,
+        workers=workers,
+        detector=model.detector,
+        classes=model.names_and_indices,
+        options=chosen.options(),
+        providers=model.providers or DEFAULT_PROVIDERS,
+        overwrite=overwrite,
+        progress=progress,
+    )
+
+
+def _of_one_scale(
+    inputs: list[str],
+    output: Path,
+    engine: _Engine,
+    workers: int | None,
+    chosen: Chosen,
+    progress: Callable[[int, int], None],
+    *,
+    overwrite: bool,
+) -> BatchSummary:
+    from vehanchor.flight.table import run_same_scale
+
+    if engine is not _Engine.local or workers not in (None, 1):
+        raise InvalidParameterError("--same-scale works in one process here: leave out --engine and --workers")
+    return run_same_scale(
+        inputs,
+        output,
+        detector=chosen.open_detector(),
+        options=chosen.options(),
+        overwrite=overwrite,
+        progress=progress,
+    )
 
 
 def _summary_text(summary: BatchSummary, seconds: float) -> str:

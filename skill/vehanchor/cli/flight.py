@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
@@ -38,7 +38,16 @@ _EVERY_S = 2.0
 _MOST_NAMED = 3  # links that were dropped, in the table
 
 
-@scale_command(without=("frame", "known_lengths"))
+ReportFile: TypeAlias = Annotated[
+    Path | None,
+    typer.Option("--report", metavar="OUT.html", help="Write a page with the track, the islands and all scales."),
+]
+Seconds: TypeAlias = Annotated[
+    float, typer.Option(metavar="S", help="Of a video: seconds from one photograph to the next.")
+]
+
+
+@scale_command(without=("frame", "coordinates", "known_lengths"))
 def flight(
     inputs: Annotated[
         list[str],
@@ -62,13 +71,8 @@ def flight(
             help="Write the record, for 'measure --scale'. Interrupted, the same command goes on where it stopped.",
         ),
     ] = None,
-    page: Annotated[
-        Path | None,
-        typer.Option("--report", metavar="OUT.html", help="Write a page with the track, the islands and all scales."),
-    ] = None,
-    every: Annotated[
-        float, typer.Option(metavar="S", help="Of a video: seconds from one photograph to the next.")
-    ] = _EVERY_S,
+    page: ReportFile = None,
+    every: Seconds = _EVERY_S,
     *,
     chosen: Chosen,
 ) -> None:
@@ -96,13 +100,17 @@ def flight(
             write_record(out, record)
         if page is not None:
             write_report(page, record)
-        if as_json:
-            print_json(record.model_dump(mode="json"))
-        else:
-            print_table(facts_table(f"{len(record.photographs)} photographs", _facts(record)))
-            if not same_scale:
-                print_table(_photographs_table(record.photographs))
-            print_warnings(record, "")
+        _tell(record, as_json=as_json)
+
+
+def _tell(record: FlightEstimate, *, as_json: bool) -> None:
+    if as_json:
+        print_json(record.model_dump(mode="json"))
+        return
+    print_table(facts_table(f"{len(record.photographs)} photographs", _facts(record)))
+    if not record.same_scale:
+        print_table(_photographs_table(record.photographs))
+    print_warnings(record, "")
 
 
 def _images(inputs: list[str], every_s: float, leave_out: tuple[Path, ...]) -> Sequence[str] | Iterator[Taken]:

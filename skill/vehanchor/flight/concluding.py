@@ -107,9 +107,9 @@ def conclude_flight(
     return FlightEstimate(
         status=_status(ordered),
         same_scale=same_scale,
-        gsd_m_per_px=whole and whole.gsd_m_per_px,
-        gsd_ci95_low_m_per_px=whole and whole.gsd_ci95_low_m_per_px,
-        gsd_ci95_high_m_per_px=whole and whole.gsd_ci95_high_m_per_px,
+        gsd_m_per_px=whole.gsd_m_per_px if whole else None,
+        gsd_ci95_low_m_per_px=whole.gsd_ci95_low_m_per_px if whole else None,
+        gsd_ci95_high_m_per_px=whole.gsd_ci95_high_m_per_px if whole else None,
         confidence=min(each.confidence for each in ordered if each.confidence is not None),
         n_vehicles=sum(each.pooled.n_vehicles for each in pooled_islands),
         photographs=ordered,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -59,7 +59,8 @@ def find_features(raster: Raster) -> Features:
         rows = min(_ROWS_A_READ, height - top)
         strip = read_reduced_window(raster, Window(0, top, width, rows), factor)
         grey[top : top + rows] = cv2.cvtColor(strip, cv2.COLOR_RGB2GRAY)
-    sift = cv2.SIFT_create(nfeatures=_MOST_FEATURES, contrastThreshold=_CONTRAST)
+    cv: Any = cv2  # its stubs lack SIFT
+    sift = cv.SIFT_create(nfeatures=_MOST_FEATURES, contrastThreshold=_CONTRAST)
     found, described = sift.detectAndCompute(grey, None)
     if not found:
         return Features(np.zeros((0, 2)), np.zeros((0, 128), np.uint8), float(factor))

@@ -59,16 +59,16 @@ def match(first: Features, second: Features) -> Match | None:
         return None
     here, there = first.points[pairs[:, 0]], second.points[pairs[:, 1]]
     tolerance = _TOLERANCE_PX * second.pixel
-    turn, inside = cv2.estimateAffinePartial2D(
+    found, inside = cv2.estimateAffinePartial2D(
         here, there, method=cv2.RANSAC, ransacReprojThreshold=tolerance, maxIters=_TRIALS, confidence=_CONFIDENCE
     )
-    if turn is None:
+    if found is None:
         return None
     inlier = inside.ravel().astype(bool)
     n = int(inlier.sum())
     if n < _LEAST_INLIERS or n < _LEAST_INLIER_SHARE * len(pairs):
         return None
-    turn = np.asarray(turn, dtype=np.float64)
+    turn: NDArray[np.float64] = np.asarray(found, dtype=np.float64)
     scale = math.hypot(turn[0, 0], turn[1, 0])
     if not 1 / _WIDEST_RATIO <= scale <= _WIDEST_RATIO:
         return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, cast
 
 import numpy as np
 
@@ -55,7 +55,7 @@ def pillow_pixels(image: PillowImage, limits: ImageLimits) -> NDArray[Any]:
             "(--max-megapixels, ImageLimits.max_pixels)"
         )
     try:
-        upright: Any = ImageOps.exif_transpose(image)  # type: ignore[type-var]
+        upright: Any = ImageOps.exif_transpose(cast("Any", image))
         if upright.mode not in _AS_THEY_ARE:
             upright = upright.convert("RGB")
         return np.asarray(upright)

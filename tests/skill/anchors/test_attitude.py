@@ -56,6 +56,7 @@ def test_the_record_is_that_of_the_centre_and_tells_the_tilt() -> None:
     estimate = analysis.estimate
     assert estimate.gsd_m_per_px == pytest.approx(GSD, rel=0.12)  # they are flat, and taken for cars with an end
     assert estimate.tilt is not None
+    assert estimate.gsd_m_per_px is not None
     assert (estimate.tilt.tilt_deg, estimate.tilt.source) == (35.0, "metadata")
     assert estimate.tilt.tilt_ci95_low_deg < 35 < estimate.tilt.tilt_ci95_high_deg
     assert estimate.tilt.gsd_least_m_per_px is not None

@@ -76,3 +76,24 @@ def test_the_scale_of_a_photograph_without_cars_is_given_back(run: Any, tmp_path
     refused = run("distance", "other.png", *line, "--scale", "flight.json")
     assert refused.exit_code == 2
     assert "not there in the flight" in refused.stderr
+
+
+def test_a_batch_of_one_scale_has_it_in_every_row(run: Any, tmp_path: Path) -> None:
+    (tmp_path / "4.png").write_bytes(b"no image")
+    done = run("batch", ".", "--same-scale", "--output", "scales.jsonl")
+    assert done.exit_code == 0, done.output
+    rows = [json.loads(line) for line in (tmp_path / "scales.jsonl").read_text().splitlines()]
+    assert len({row["gsd_m_per_px"] for row in rows[:4]}) == 1
+    assert [row["status"] for row in rows[:4]] == ["ok"] * 4
+    assert [row["n_vehicles"] for row in rows[:4]] == [3, 3, 0, 3]
+    assert rows[4]["error_code"] == "image_undecodable"
+    assert run("batch", ".", "--same-scale", "--output", "scales.jsonl").exit_code == 2  # it is there already
+    assert run("batch", ".", "--same-scale", "--workers", "2", "--output", "other.jsonl").exit_code == 2
+
+
+def test_the_report_is_written_and_a_wrong_name_told_before_the_work(run: Any, tmp_path: Path) -> None:
+    assert run("flight", ".", "--same-scale", "--report", "flight.html").exit_code == 0
+    assert "All are of one scale" in (tmp_path / "flight.html").read_text()
+    refused = run("flight", ".", "--report", "flight.pdf")
+    assert refused.exit_code == 2
+    assert "output_unwritable" in refused.stderr

@@ -34,7 +34,7 @@ def photograph_of(
     world: NDArray[np.uint8], x: float, y: float, *, turn_deg: float = 0.0, scale: float = 1.0, side_px: int = 500
 ) -> NDArray[np.uint8]:
     """The ground around (x, y): ``scale`` pixels of the ground a pixel, turned."""
-    move = cv2.getRotationMatrix2D((x, y), turn_deg, 1 / scale)
+    move = np.array(cv2.getRotationMatrix2D((x, y), turn_deg, 1 / scale), dtype=np.float64)
     move[:, 2] += side_px / 2 - np.array([x, y])
     flags = cv2.INTER_AREA if scale > 1 else cv2.INTER_LINEAR
     blurred = cv2.GaussianBlur(world, (0, 0), 0.4 * scale) if scale > 1 else world

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ from tests.models import write_detector
 from tests.skill.flight.photographs import car_park, write_flight
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ImageDecodeError, ImageError, InvalidParameterError
+from vehanchor.estimate import analyse_raster
 from vehanchor.flight import estimate as flight_estimate
 from vehanchor.flight.taken import Taken
+from vehanchor.imagery.raster import ImageSource
 
 FLEET = list(30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3))
 
@@ -63,7 +66,7 @@ def test_a_flight_of_nothing_readable_is_an_error(tmp_path: Path, detector: Dete
 
 
 def test_arrays_have_numbers_and_may_have_names(detector: Detector) -> None:
-    images = [car_park(FLEET[::2]), Taken("frame at 3 s", car_park(FLEET[1::2]))]
+    images: list[ImageSource | Taken] = [car_park(FLEET[::2]), Taken("frame at 3 s", car_park(FLEET[1::2]))]
     record = vehanchor.estimate_flight(images, same_scale=True, detector=detector)
     assert [each.photograph for each in record.photographs] == ["#1", "frame at 3 s"]
     with pytest.raises(InvalidParameterError, match="given twice"):
@@ -93,8 +96,12 @@ def test_an_interrupted_flight_goes_on_where_it_stopped(
     with pytest.raises(KeyboardInterrupt):
         vehanchor.estimate_flight(flight, same_scale=True, detector=detector, journal=journal, progress=stop)
     searched: list[object] = []
-    real = flight_estimate.analyse_raster
-    monkeypatch.setattr(flight_estimate, "analyse_raster", lambda *a: searched.append(a) or real(*a))
+
+    def counted(*arguments: Any) -> Any:
+        searched.append(arguments)
+        return analyse_raster(*arguments)
+
+    monkeypatch.setattr(flight_estimate, "analyse_raster", counted)
     again = vehanchor.estimate_flight(flight, same_scale=True, detector=detector, journal=journal)
     assert len(searched) == 2
     assert again == whole

@@ -1,0 +1,85 @@
+"""``vehanchor scalebar``: the photograph with a bar of round length, and a world file for programs of maps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vehanchor.cli.declared import Chosen, scale_command
+from vehanchor.cli.given_scale import GivenGsd, ScaleFile, read_scale
+from vehanchor.cli.terminal import NOT_OK, exit_on_error, tile_progress
+from vehanchor.errors import InvalidParameterError
+
+if TYPE_CHECKING:
+    from vehanchor.records import Status
+
+__all__ = ["scalebar"]
+
+_WORLD_SUFFIXES = {".png": ".pgw", ".jpg": ".jgw", ".jpeg": ".jgw"}
+
+
+@scale_command()
+def scalebar(
+    image: Annotated[
+        str,
+        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, BMP, TIFF, GeoTIFF.", show_default=False),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="OUT.png", help="The picture with its bar, .png or .jpg.")
+    ],
+    world_file: Annotated[
+        bool,
+        typer.Option(
+            "--world-file", help="Write a world file beside it: local metres, the upper left corner at 0, 0, y upwards."
+        ),
+    ] = False,
+    gsd: GivenGsd = None,
+    scale: ScaleFile = None,
+    *,
+    chosen: Chosen,
+) -> None:
+    """Write the photograph with a scale bar; nothing is written where the scale is not to be used (status 3)."""
+    with exit_on_error():
+        from vehanchor.found_scale import choose_scale, find_scale
+        from vehanchor.imagery.raster import open_raster
+        from vehanchor.output import whole_file
+        from vehanchor.pictures.scale import (
+            check_picture_path,
+            draw_scale_bar,
+            fit_for_eyes,
+            read_reduced,
+            write_picture,
+        )
+
+        if check_picture_path(output).resolve() == Path(image).resolve():
+            raise InvalidParameterError(f"{str(output)!r} is the image itself: choose another name")
+        options, known = chosen.options(), read_scale(scale, image)
+        source = choose_scale(gsd, known, chosen.detector.open() if gsd is None and known is None else None, options)
+        reading = options.reading
+        with (
+            open_raster(image, bands=reading.bands, limits=reading.limits) as raster,
+            tile_progress(1, lines_on_terminal=False) as step,
+        ):
+            found = find_scale(raster, source, options, progress=step(0, image))
+            picture = fit_for_eyes(read_reduced(raster))
+            width_px = raster.width_px
+        if found.gsd_m_per_px is None or found.status != "ok":
+            typer.echo(f"no bar: {_refusal(found.status)}; nothing was written", err=True)
+            raise typer.Exit(NOT_OK)
+        drawn_gsd = found.gsd_m_per_px * width_px / picture.shape[1]
+        draw_scale_bar(picture, drawn_gsd)
+        write_picture(output, picture)
+        if world_file:
+            with whole_file(output.with_suffix(_WORLD_SUFFIXES[output.suffix.lower()])) as partial:
+                partial.write_text(_world(drawn_gsd), encoding="ascii")
+
+
+def _refusal(status: Status) -> str:
+    return "there is no scale" if status == "no_anchor" else "the scale's confidence is below 0.5"
+
+
+def _world(gsd_m: float) -> str:
+    """The six lines of a world file: the middle of the first pixel lies half a pixel off the corner."""
+    return "".join(f"{value:.10g}\n" for value in (gsd_m, 0, 0, -gsd_m, gsd_m / 2, -gsd_m / 2))

@@ -1,0 +1,80 @@
+"""A batch of one scale: the table of ``vehanchor.batch`` with the scale of all in every row."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vehanchor.batch.files import find_images
+from vehanchor.batch.row import BatchRow
+from vehanchor.batch.run import BatchSummary, journal_path
+from vehanchor.batch.table import check_table_path, write_table
+from vehanchor.errors import OutputError
+from vehanchor.flight.estimate import analyse_flight
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable, Sequence
+
+    from vehanchor.detection.detector import Detector
+    from vehanchor.options import ScaleOptions
+    from vehanchor.records import FlightPhotograph, GsdEstimate
+
+__all__ = ["run_same_scale"]
+
+
+def run_same_scale(
+    inputs: Sequence[str],
+    output: str | os.PathLike[str],
+    *,
+    detector: Detector,
+    options: ScaleOptions,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> BatchSummary:
+    """Estimate the one scale of many images, and write a table with a row for each.
+
+    Until the table is complete, what was found is kept in ``<output>.journal``, as ``run_batch`` does.
+
+    Args:
+        inputs: directories, patterns and files.
+        output: ``.parquet``, ``.csv`` or ``.jsonl``.
+        detector: finds the vehicles.
+        options: every choice of the method, without a frame.
+        overwrite: start anew; a complete table there is replaced once the new one is complete.
+        progress: called with (images done, images in all).
+
+    Raises:
+        VehAnchorError: as ``run_batch`` and ``estimate_flight``.
+    """
+    table = check_table_path(Path(output))
+    journal = journal_path(table)
+    if table.exists() and not journal.exists() and not overwrite:
+        raise OutputError(f"{str(table)!r} is there already and complete: name another file, or pass --overwrite")
+    images = find_images(inputs, leave_out=(table, journal))
+    if overwrite:
+        journal.unlink(missing_ok=True)
+    record = analyse_flight(images, options, same_scale=True, detector=detector, journal=journal, progress=progress)
+    pooled = record.islands[0].pooled
+    write_table(table, (_row(each, pooled) for each in record.photographs))
+    return BatchSummary(table, len(images), 0, Counter(each.status for each in record.photographs))
+
+
+def _row(photograph: FlightPhotograph, pooled: GsdEstimate) -> BatchRow:
+    """The photograph's own row with the scale of all in it."""
+    if photograph.own is None:
+        return BatchRow(file=photograph.photograph, error_code=photograph.error_code, error=photograph.error)
+    shared = ("p_within_20", "reason", "scale_source", "rulers")
+    estimate = photograph.own.model_copy(
+        update={
+            **{name: getattr(pooled, name) for name in shared},
+            "status": photograph.status,
+            "gsd_m_per_px": photograph.gsd_m_per_px,
+            "gsd_ci95_low_m_per_px": photograph.gsd_ci95_low_m_per_px,
+            "gsd_ci95_high_m_per_px": photograph.gsd_ci95_high_m_per_px,
+            "confidence": photograph.confidence,
+            "scale": photograph.scale,
+        }
+    )
+    return BatchRow(file=photograph.photograph, estimate=estimate)
