@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Courts", "evidence_of"]
 
-_RULES_LOG_SD = 0.006  # lines 2.5 to 10 cm wide, courts laid out to a tape: half a per cent on 180 real courts
+_RULES_LOG_SD = 0.006  # lines 2.5 to 10 cm wide, courts laid out to a tape: half a per cent on the tennis tiles
 _UNKNOWN_RULES_LOG_SD = 0.012  # of a basketball court: FIBA's 28 m and the NBA's 28.65 m are told apart by little
 _CHANCE_WRONG = 0.02
 _APART = 0.06  # of the log of the scale: a court further than that from the median is something else

@@ -35,11 +35,9 @@ __all__ = ["CourtNetwork", "Proposal", "boxes_of_courts", "coarse_factors", "loa
 
 _CELL_PX = 8  # side of the network's cells, and what its length is told in: training/courts/network.py
 _LENGTH_PX = 44.0
-_SEEN_M = (0.38, 0.88)  # metres per pixel that it was trained on: training/courts/data.py
+_SEEN_BEST_M = 0.58  # metres per pixel, in the middle of what it was trained on: training/courts/data.py
 _FACTORS = (2, 4, 8, 16)  # an octave of scales each: images of 0.02 to 0.44 m/px
 _MOST_PIXELS_UNASKED = 1_500_000  # of an image in which all factors are searched, whatever the ground says
-_SCENE_PROBABILITY = 0.95
-_SCENE_MARGIN = 1.25
 _TILE_PX, _STRIDE_PX = 1088, 960  # of the reduced image: they overlap by two courts
 _LEAST_SHARE = 0.25
 _MIN_SIDE_PX = 24
@@ -64,7 +62,7 @@ class Proposal(NamedTuple):
 
 
 def coarse_factors(raster: Raster, sighting: Sighting) -> list[int]:
-    """By what an image is reduced to look for courts: in a large one only as the ground says, where it was looked at.
+    """By what an image is reduced to look for courts: in a large one by what the ground says, where it was looked at.
 
     Args:
         raster: the image.
@@ -77,9 +75,8 @@ def coarse_factors(raster: Raster, sighting: Sighting) -> list[int]:
     factors = [factor for factor in _FACTORS if side // factor >= _MIN_SIDE_PX]
     if sighting.scene is None or raster.width_px * raster.height_px <= _MOST_PIXELS_UNASKED:
         return factors
-    low, high = credible_interval(sighting.scene.density, _SCENE_PROBABILITY)
-    low, high = low / _SCENE_MARGIN, high * _SCENE_MARGIN
-    return [factor for factor in factors if low * factor <= _SEEN_M[1] and high * factor >= _SEEN_M[0]]
+    median = credible_interval(sighting.scene.density, probability=0.0).low
+    return [min(factors, key=lambda factor: abs(math.log(median * factor / _SEEN_BEST_M)))] if factors else []
 
 
 class CourtNetwork:
