@@ -80,7 +80,8 @@ def row(name: str, cases: Sequence[Case]) -> str:
 
 def tiles(card: DetectorCard) -> list[str]:
     """The real tiles."""
-    held, seen = [], []
+    held: list[Case] = []
+    seen: list[Case] = []
     for place in places(DATA):
         if place.kind == "tenniscourt":
             case = Case(place.gsd_m_per_px, *look(str(place.path), card))

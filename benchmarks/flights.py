@@ -213,7 +213,7 @@ def without_vehicles(look: Photograph | Failure) -> Photograph | Failure:
         boxes=seen.boxes[:0],
         scores=seen.scores[:0],
         scales=None if seen.scales is None else seen.scales[:0],
-        fleet_log_odds=None if seen.fleet_log_odds is None else seen.fleet_log_odds[:0],
+        fleet=None if seen.fleet is None else seen.fleet.take(np.zeros(len(seen.fleet.log_odds), bool)),
         classes=None if seen.classes is None else seen.classes[:0],
     )
     again = Look(look.view.image, bare, 1.0, look.analysis.others)

@@ -46,7 +46,7 @@ def test_a_network_that_has_learned_one_court_proposes_it(tmp_path: Path) -> Non
     optimizer = torch.optim.AdamW(network.parameters(), lr=4e-3)
     for step in range(60):
         parts = [torch.stack(each) for each in zip(*(stream[step * 8 + k] for k in range(8)), strict=True)]
-        loss = sum(losses(network, (parts[0], parts[1], parts[2]), torch.device("cpu")).values())
+        loss = torch.stack([*losses(network, (parts[0], parts[1], parts[2]), torch.device("cpu")).values()]).sum()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

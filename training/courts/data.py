@@ -57,7 +57,10 @@ class Picture(NamedTuple):
 
 
 def _read(path: Path) -> NDArray[np.uint8]:
-    return np.ascontiguousarray(cv2.imread(str(path))[:, :, ::-1])
+    image = cv2.imread(str(path))
+    if image is None:
+        raise FileNotFoundError(path)
+    return np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8, copy=False)
 
 
 def load_real(data: Path) -> list[Picture]:
@@ -118,8 +121,8 @@ class CropStream:
         gsd = math.exp(rng.uniform(math.log(FINEST_M), math.log(COARSEST_M)))
         pixels, courts = _crop(picture, gsd, rng)
         targets, weights = _targets(courts, gsd, sure=picture.sure)
-        pixels = _recoloured(pixels, rng)
-        return torch.from_numpy(pixels.transpose(2, 0, 1).copy()), torch.from_numpy(targets), torch.from_numpy(weights)
+        seen = _recoloured(pixels, rng)
+        return torch.from_numpy(seen.transpose(2, 0, 1).copy()), torch.from_numpy(targets), torch.from_numpy(weights)
 
 
 def _crop(picture: Picture, gsd: float, rng: np.random.Generator) -> tuple[NDArray[np.uint8], list[Court]]:

@@ -3,7 +3,8 @@
 MODEL is the exported detector. Writes ``RUN/fleet_lengths.json``, which ``training.fleet.export`` puts into the file of
 the network. Of a few settings it takes the one with the smallest mean error on the train images, every set counting
 alike, each judged by the network of the fold that has not learned from it. How far that holds elsewhere tell those
-that have never seen an image's set: what is left between places with them is the standard deviation.
+networks that have never seen an image's set. The standard deviation is of both together, as if half of the photographs
+to come were of fleets that are known.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ def collect(images: list[KnownScaleImage], detector: Detector, run: Path) -> tup
     """
     names = [f"fold-{fold}" for fold in range(N_FOLDS)] + [f"without-{name}" for name in MEASURED]
     networks = {name: onnxruntime.InferenceSession(run / f"{name}.onnx") for name in names}
-    known, unseen = [], []
+    known: list[FleetCase] = []
+    unseen: list[FleetCase] = []
     for image in images:
         if image.split != "train" or image.set not in MEASURED or (image.labelled_vehicles or 0) < _LABELLED:
             continue
@@ -94,6 +96,16 @@ def mean_error(cases: list[FleetCase], errors: NDArray[np.float64]) -> float:
     return float(np.mean([wrong[names == name].mean() for name in np.unique(names)]))
 
 
+def spread(cases: list[FleetCase], lengths: FleetLengths) -> float:
+    """Root mean square of the log errors on images with many cars, every set counting alike."""
+    many = [case for case in cases if len(case.log_lengths) >= _MANY_CARS]
+    squares = [
+        np.mean(np.square(log_errors([case for case in many if case.set == name], lengths)))
+        for name in sorted({case.set for case in many})
+    ]
+    return float(np.sqrt(np.mean(squares)))
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -114,9 +126,7 @@ def main() -> None:
     for error, gain, lengths in ranked[:5]:
         print(f"{error:.4f} gain {gain} {lengths}")
     best = ranked[0][2]
-    rest = log_errors([case for case in unseen if len(case.log_lengths) >= _MANY_CARS], best)
-    spread = float(np.sqrt(np.mean(np.square(rest))))
-    best = best._replace(sd_m=round(spread * detector.card.reference_length_m, 4))
+    best = best._replace(sd_m=round(spread(known + unseen, best) * detector.card.reference_length_m, 4))
     fixed = best._replace(length_m=(detector.card.reference_length_m,) * 2)
     for name, cases, choice in (("one length", known, fixed), ("set known", known, best), ("set unseen", unseen, best)):
         wrong = np.abs(np.expm1(log_errors(cases, choice)))

@@ -143,7 +143,7 @@ class ScaleQuestion:
             CallError: the calibration cannot be loaded.
             InvalidParameterError: the caller's options contradict each other.
         """
-        size = (self.frame.width_px, self.frame.height_px) if self.frame else (None, None)
+        width_px, height_px = (self.frame.width_px, self.frame.height_px) if self.frame else (None, None)
         fleet_unknown = self.region is None and self.reference_length_m is None
         return ScaleOptions(
             search=Search(min_score=settings.min_score),
@@ -152,7 +152,7 @@ class ScaleQuestion:
                 region=self.region,
                 calibration=models.calibration() if models and fleet_unknown else None,
             ),
-            frame=Frame(*size, self.coordinates),
+            frame=Frame(width_px, height_px, self.coordinates),
             reading=Reading(limits=settings.image_limits),
             rulers=Rulers(
                 known_lengths=tuple(

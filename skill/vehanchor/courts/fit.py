@@ -63,7 +63,7 @@ class Fit(NamedTuple):
         """Pixels for each metre at the court's centre: the root of its area's scale."""
         (a, b, x), (c, d, y), (e, f, w) = self.matrix
         determinant = (a - x * e / w) * (d - y * f / w) - (b - x * f / w) * (c - y * e / w)
-        return math.sqrt(abs(determinant)) / abs(w)
+        return math.sqrt(abs(determinant)) / abs(float(w))
 
 
 def pose_matrix(pose: Pose) -> NDArray[np.float64]:
@@ -87,7 +87,7 @@ class _Pieces(NamedTuple):
 
     @property
     def lengths(self) -> NDArray[np.float64]:
-        return np.hypot(*(self.ends - self.starts).T)
+        return np.asarray(np.hypot(*(self.ends - self.starts).T))
 
 
 def _cut(lines: Sequence[Line]) -> _Pieces:
@@ -190,7 +190,7 @@ def _seen(
 
 def _normals(starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.float64]:
     along = ends - starts
-    return np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
+    return np.asarray(np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None])
 
 
 def _jacobian(pieces: _Pieces, matrix: NDArray[np.float64], freedom: int) -> NDArray[np.float64]:
@@ -208,7 +208,7 @@ def _solve(
     """The motion that brings the pieces to where they are seen, outliers left out (Tukey's biweight)."""
     if (weights > 0).sum() <= jacobian.shape[1]:
         return None
-    motion = np.zeros(jacobian.shape[1])
+    motion: NDArray[np.float64] = np.zeros(jacobian.shape[1])
     for turn in range(4):
         off = offsets - jacobian @ motion
         width = _TUKEY_PX * (3 - min(turn, 2))
@@ -216,7 +216,7 @@ def _solve(
         left = (jacobian * trust[:, None]).T @ jacobian
         left += 1e-9 * np.trace(left) / len(left) * np.eye(len(left))
         try:
-            motion = np.linalg.solve(left, (jacobian * trust[:, None]).T @ offsets)
+            motion = np.asarray(np.linalg.solve(left, (jacobian * trust[:, None]).T @ offsets), np.float64)
         except np.linalg.LinAlgError:
             return None
     return motion

@@ -120,7 +120,7 @@ def match(
 
 def _steps(reach: float, step: float) -> NDArray[np.float64]:
     count = round(reach / step)
-    return np.arange(-count, count + 1) * step
+    return np.arange(-count, count + 1, dtype=np.float64) * step
 
 
 def _turned_sums(grey: NDArray[np.float32], start: Pose, angle: float, half_x: int, half_y: int) -> NDArray[np.float32]:
@@ -187,4 +187,4 @@ class _Ends(NamedTuple):
         shift = shift.reshape(len(shift), -1)
         seen = sums[self.last[:, :, None] + shift] - sums[self.first[:, :, None] + shift]
         total = np.einsum("sl,slp->sp", self.weights, seen)
-        return total.reshape(len(total), len(places), len(places))
+        return np.asarray(total.reshape(len(total), len(places), len(places)), np.float32)

@@ -21,8 +21,13 @@ _AS_THEY_ARE = ("L", "RGB", "RGBA", "I;16", "I;16B", "F")
 class PillowImage(Protocol):
     """What is used of ``PIL.Image.Image``."""
 
-    mode: str
-    size: tuple[int, int]
+    @property
+    def mode(self) -> str:
+        """The kind of its pixels."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, pixels."""
 
     def getexif(self) -> Any:
         """The EXIF data."""

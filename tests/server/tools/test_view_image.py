@@ -28,8 +28,9 @@ async def asked(server: MCPServer[object], image: Path | None = None, **more: An
 
 def seen_in(result: CallToolResult) -> dict[str, Any]:
     assert not result.is_error, text_of(result)
-    assert result.structured_content is not None
-    return result.structured_content
+    structured: dict[str, Any] | None = result.structured_content
+    assert structured is not None
+    return structured
 
 
 async def test_the_picture_has_the_size_that_is_declared(server: MCPServer[object], images: Path) -> None:
