@@ -186,7 +186,7 @@ def test_by_default_it_serves_http_to_who_has_the_token_and_its_health_is_seen(i
     ) as process:
         wait_until_ready(port, process)
         assert _healthcheck(image, port) == 0
-        assert tools_over_http(port, TOKEN) == ["estimate_gsd", "measure_area"]
+        assert tools_over_http(port, TOKEN) == ["estimate_gsd", "measure_area", "measure_distance", "view_image"]
         with pytest.raises(OSError, match="401"):
             tools_over_http(port)
 

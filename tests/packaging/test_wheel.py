@@ -109,7 +109,12 @@ def test_its_server_lists_and_runs_the_tools(run: Run, wheel: Path) -> None:
         ("tools/list", {}),
         ("tools/call", {"name": "estimate_gsd", "arguments": {"image": image}}),
     )
-    assert [tool["name"] for tool in listed["tools"]] == ["estimate_gsd", "measure_area"]
+    assert [tool["name"] for tool in listed["tools"]] == [
+        "estimate_gsd",
+        "measure_area",
+        "measure_distance",
+        "view_image",
+    ]
     assert called["structuredContent"]["status"] == "ok"
 
 

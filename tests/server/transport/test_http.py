@@ -101,7 +101,8 @@ async def test_tools_are_listed_and_called(base: str, images: Path, era: str) ->
         reports.append(progress)
 
     async with Client(f"{base}/mcp", mode=era) as client:
-        assert [tool.name for tool in (await client.list_tools()).tools] == ["estimate_gsd", "measure_area"]
+        listed = [tool.name for tool in (await client.list_tools()).tools]
+        assert listed == ["estimate_gsd", "measure_area", "measure_distance", "view_image"]
         result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"), progress_callback=on_progress)
         refused = await client.call_tool("estimate_gsd", by_path("/etc/passwd"))
     assert result.structured_content is not None

@@ -78,7 +78,8 @@ def ended(process: subprocess.Popen[bytes], seconds: float = 60) -> tuple[int, s
 async def test_tools_are_listed_and_called_over_pipes(settings: Settings, images: Path, era: str) -> None:
     executable, *arguments = command(settings)
     async with Client(StdioServerParameters(command=executable, args=arguments), mode=era) as client:
-        assert [tool.name for tool in (await client.list_tools()).tools] == ["estimate_gsd", "measure_area"]
+        listed = [tool.name for tool in (await client.list_tools()).tools]
+        assert listed == ["estimate_gsd", "measure_area", "measure_distance", "view_image"]
         result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
         refused = await client.call_tool("estimate_gsd", by_path("/etc/passwd"))
     assert result.structured_content is not None
