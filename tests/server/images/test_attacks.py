@@ -27,7 +27,7 @@ from vehanchor_server.settings import Settings
 
 pytestmark = pytest.mark.anyio
 
-TOOLS = ("estimate_gsd", "measure_area", "view_image")
+TOOLS = ("estimate_gsd", "measure_area")
 INSIDE_PX, OUTSIDE_PX = 64, 96  # widths: an answer tells which image was read
 
 
@@ -56,8 +56,6 @@ def walled(settings: Settings, root: Path) -> MCPServer[object]:
 
 def arguments_for(tool: str, image: dict[str, Any]) -> dict[str, Any]:
     """A call that nothing but its image can fail."""
-    if tool == "view_image":
-        return {"image": image}
     if tool == "estimate_gsd":
         return {"image": image, "detail": "full"}
     box = {"x_min": 16, "y_min": 16, "x_max": 48, "y_max": 48}
@@ -72,7 +70,7 @@ async def called(server: MCPServer[object], image: dict[str, Any]) -> list[CallT
 
 
 async def test_the_image_inside_is_measured(walled: MCPServer[object], root: Path) -> None:
-    for result in (await called(walled, by_path(root / "a.png")["image"]))[:2]:
+    for result in await called(walled, by_path(root / "a.png")["image"]):
         assert not result.is_error, text_of(result)
         assert result.structured_content is not None
         assert result.structured_content["image_width_px"] == INSIDE_PX
