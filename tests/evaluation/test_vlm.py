@@ -340,12 +340,11 @@ def test_a_missing_client_names_the_extra(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def box_target(tools: list[dict[str, Any]], corners: list[float]) -> dict[str, Any]:
-    """The target of ``measure_area`` as its schema wants it."""
+    """A target of ``measure_area`` as its schema wants it."""
     schema = next(tool["schema"] for tool in tools if tool["name"] == "measure_area")
-    target = schema["properties"]["target"]
-    form = next(form for form in target.get("anyOf", [target]) if "box" in form["properties"])
-    fixed = {name: value["const"] for name, value in form["properties"].items() if "const" in value}
-    return {**fixed, "box": dict(zip(form["properties"]["box"]["properties"], corners, strict=True))}
+    targets = schema["properties"]["targets"]
+    form = next(each for each in targets.get("anyOf", [targets]) if "items" in each)["items"]
+    return {"box": dict(zip(form["properties"]["box"]["properties"], corners, strict=True))}
 
 
 class Planner:
@@ -366,7 +365,7 @@ class Planner:
         assert size
         arguments = {
             "image": {"kind": "path", "path": path[1]},
-            "target": box_target(asked.tools, corners),
+            "targets": [box_target(asked.tools, corners)],
             "frame": {"width_px": int(size[1]), "height_px": int(size[2])},
         }
         return UseTool("measure_area", arguments)
@@ -382,7 +381,12 @@ def test_an_agent_states_what_the_tools_measure(run: Any, data: Path, service: M
     words += ["--segmenter", data / "encoder.onnx", data / "decoder.onnx"]
     result = run(*words, provider=provider)
     assert result.exit_code == 0, result.output
-    assert {tool["name"] for tool in planner.seen[0].tools} == {"estimate_gsd", "measure_area"}
+    assert {tool["name"] for tool in planner.seen[0].tools} == {
+        "estimate_gsd",
+        "measure_area",
+        "measure_distance",
+        "view_image",
+    }
     schemas = json.loads(Path(__file__).parents[2].joinpath("schemas", "anthropic.json").read_text())
     if provider == "anthropic":
         assert service.requests[0][2]["tools"] == schemas
@@ -396,7 +400,7 @@ def test_an_agent_states_what_the_tools_measure(run: Any, data: Path, service: M
             detector=str(data / "detector.onnx"),
             segmenter=(data / "encoder.onnx", data / "decoder.onnx"),
         )
-        assert float(row["stated_area_m2"]) == pytest.approx(measured.area_m2, rel=1e-4)
+        assert float(row["stated_area_m2"]) == pytest.approx(measured.area_m2, rel=5e-3)  # three digits
         assert (row["turns"], row["tool_calls"]) == ("2", "measure_area")
     assert "outline" not in planner.seen[1].tool_results[0]
     assert "tool calls: 3 measure_area; 6 turns" in result.stdout
