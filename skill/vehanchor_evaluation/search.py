@@ -19,6 +19,7 @@ from vehanchor.batch.journal import Journal, Source
 from vehanchor.batch.pool import finished_in_threads
 from vehanchor.defaults import OUTLIER_ALPHA
 from vehanchor.detection.look import FleetLook
+from vehanchor.detection.scene import SceneCalibration, SceneLevel, SceneSighting
 from vehanchor.detection.sighting import Objects, Sighting
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.estimate import ScaleAnalysis, analyse_raster, analyse_sighting, image_facts
@@ -124,6 +125,7 @@ def _record(searched: SearchedImage) -> dict[str, Any]:
         "scales": None if found.scales is None else found.scales.tolist(),
         "fleet": None if found.fleet is None else [values.tolist() for values in found.fleet],
         "classes": None if found.classes is None else found.classes.tolist(),
+        "scene": None if found.scene is None else _scene_record(found.scene),
         "other_boxes": found.others.boxes.tolist(),
         "other_scores": found.others.scores.tolist(),
         "other_classes": found.others.classes.tolist(),
@@ -135,6 +137,16 @@ def _record(searched: SearchedImage) -> dict[str, Any]:
         "camera": None if image.camera is None else asdict(image.camera),
         "resolved": list(searched.resolved.items()),
     }
+
+
+def _scene_record(scene: SceneSighting) -> dict[str, Any]:
+    levels = [(level.factor, level.n_tiles, level.log_probs.tolist()) for level in scene.levels]
+    return {"levels": levels, "calibration": asdict(scene.calibration)}
+
+
+def _scene_sighting(record: dict[str, Any]) -> SceneSighting:
+    levels = (SceneLevel(factor, n_tiles, np.array(log_probs)) for factor, n_tiles, log_probs in record["levels"])
+    return SceneSighting(tuple(levels), SceneCalibration(**record["calibration"]))
 
 
 def _searched(record: dict[str, Any]) -> SearchedImage:
@@ -152,6 +164,7 @@ def _searched(record: dict[str, Any]) -> SearchedImage:
                 np.array(record["other_scores"], dtype=np.float64),
                 np.array(record["other_classes"], dtype=np.intp),
             ),
+            None if record["scene"] is None else _scene_sighting(record["scene"]),
         ),
         ImageFacts(
             record["width_px"],

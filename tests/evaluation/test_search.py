@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from tests.known_scale_data import cars, paint
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.look import FleetLengths
+from vehanchor.detection.scene import SceneCalibration, SceneLevel, SceneSighting
 from vehanchor.detection.search import search
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.estimate import analyse_scale, image_facts
@@ -158,6 +160,8 @@ def test_a_log_keeps_all_that_was_seen(tmp_path: Path) -> None:
     paint_vehicles(image, [[50 + 70 * k, 50, 30, 12, 0.4] for k in range(4)], classes=[0, 0, 1, 0])
     with open_raster(image) as raster:
         found, facts = search(raster, telling), image_facts(raster)
+    ground = SceneSighting((SceneLevel(1, 9, np.log([0.25, 0.5, 0.25])),), SceneCalibration(-2.0, 0.1, doubt=0.1))
+    found = replace(found, scene=ground)
     _log(tmp_path / "log.jsonl", telling).add(("a.png",), SearchedImage(found, facts))
     again = _log(tmp_path / "log.jsonl", telling).get(("a.png",))
     assert again is not None
@@ -167,4 +171,6 @@ def test_a_log_keeps_all_that_was_seen(tmp_path: Path) -> None:
             np.testing.assert_array_equal(getattr(kept, name), getattr(seen, name))
     assert found.fleet is not None
     np.testing.assert_array_equal(again.detections.fleet, found.fleet)
+    assert again.detections.scene is not None
+    np.testing.assert_array_equal(again.detections.scene.density, ground.density)
     assert _log(tmp_path / "log.jsonl", model).get(("a.png",)) is None  # of another fleet network: none
