@@ -344,7 +344,9 @@ def box_target(tools: list[dict[str, Any]], corners: list[float]) -> dict[str, A
     schema = next(tool["schema"] for tool in tools if tool["name"] == "measure_area")
     targets = schema["properties"]["targets"]
     form = next(each for each in targets.get("anyOf", [targets]) if "items" in each)["items"]
-    return {"box": dict(zip(form["properties"]["box"]["properties"], corners, strict=True))}
+    box = form["properties"]["box"]
+    sides = next(each for each in box.get("anyOf", [box]) if "properties" in each)["properties"]
+    return {"box": dict(zip(sides, corners, strict=True))}
 
 
 class Planner:

@@ -113,7 +113,7 @@ async def _answer(url: str, image: dict[str, Any], tally: Counter[str]) -> float
         result = None
         try:
             async with Client(url, read_timeout_seconds=120) as client:
-                result = await client.call_tool("estimate_gsd", {"image": image})
+                result = await client.call_tool("estimate_gsd", {"image": image, "detail": "full"})
         except* (httpx2.RemoteProtocolError, httpx2.ReadError, httpx2.HTTPStatusError, MCPError):
             tally["broken off"] += 1
         if result is None:

@@ -40,11 +40,12 @@ def test_a_crop_tells_where_its_court_is_and_how_it_lies() -> None:
     assert all(each[1].max() == 0 for each in with_court)  # none of them is of basketball
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter
 def test_a_network_that_has_learned_one_court_proposes_it(tmp_path: Path) -> None:
     torch.manual_seed(0)
     network, stream = CourtNet(), CropStream(_groups(), 0)
     optimizer = torch.optim.AdamW(network.parameters(), lr=4e-3)
-    for step in range(60):
+    for step in range(200):
         parts = [torch.stack(each) for each in zip(*(stream[step * 8 + k] for k in range(8)), strict=True)]
         loss = torch.stack([*losses(network, (parts[0], parts[1], parts[2]), torch.device("cpu")).values()]).sum()
         optimizer.zero_grad()

@@ -85,8 +85,8 @@ def test_vehicles_of_unknown_length_teach_no_length() -> None:
     network = FleetNet()
     chips, american = torch.zeros(2, 1, *CHIP_SHAPE), torch.tensor([0.0, 1.0])
     parts = losses(network, (chips, american, torch.full((2,), torch.nan)), torch.device("cpu"))
-    assert float(parts["length"]) == 0
-    assert float(parts["entropy"]) > 0
+    assert parts["length"].item() == 0
+    assert parts["entropy"].item() > 0
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter
@@ -116,8 +116,8 @@ def test_neighbours_are_in_one_fold_and_no_fold_is_empty() -> None:
 
 @pytest.mark.data
 def test_vehicles_are_those_of_the_train_split(real_data: Path) -> None:
-    vehicles = load_vehicles(real_data / "vehicles")
-    assert {v.set for v in vehicles} == {"cannes", "saopaulo", "jekhor", "ucm"}
+    vehicles = load_vehicles(real_data)
+    assert {v.set for v in vehicles} == {"cannes", "saopaulo", "jekhor", "ucm", "estonia"}
     assert len(vehicles) > 5000
     for vehicle in vehicles[:: len(vehicles) // 50]:
         height, width = vehicle.pixels.shape[:2]
@@ -129,4 +129,4 @@ def test_vehicles_are_those_of_the_train_split(real_data: Path) -> None:
 def test_the_middle_of_the_lengths_leaves_the_sets_without_a_bias() -> None:
     cases = [FleetCase("a", np.full(5, np.log(4.2)), 4.0)] * 9 + [FleetCase("b", np.full(5, np.log(4.8)), 5.0)]
     errors = log_errors(cases, lengths_for(1.0, 1e-9, cases))
-    assert np.median(errors[:9]) == pytest.approx(-np.median(errors[9:]), abs=0.01)
+    assert np.median(errors[:9]) == pytest.approx(-np.median(errors[9:]), abs=0.04)  # twice 0.02, of the straight line

@@ -45,7 +45,7 @@ def test_a_chip_at_the_border_repeats_it() -> None:
     assert (surroundings(image, np.array([1.0, 59.0, 30.0, 12.0, 0.3])) == 80).all()
 
 
-def test_a_box_on_a_car_is_a_hit_beside_it_no_lesson_and_elsewhere_a_false_alarm() -> None:
+def test_a_box_on_a_car_is_a_hit_beside_it_no_lesson_on_a_part_of_it_and_elsewhere_a_false_alarm() -> None:
     label = np.array([[100.0, 100, 30, 12, 0.2]])
     boxes = np.array(
         [
@@ -57,7 +57,7 @@ def test_a_box_on_a_car_is_a_hit_beside_it_no_lesson_and_elsewhere_a_false_alarm
         ]
     )
     ignore = np.array([[[30.0, 30], [50, 30], [50, 50], [30, 50]]])
-    assert truth_of(boxes, label, ignore).tolist() == [1, -1, -1, 0, -1]
+    assert truth_of(boxes, label, ignore).tolist() == [1, -1, 0, 0, -1]
 
 
 def _candidates() -> Candidates:

@@ -73,7 +73,7 @@ def collect(images: list[KnownScaleImage], detector: Detector, run: Path) -> tup
 def lengths_for(gain: float, neutral: float, cases: list[FleetCase]) -> FleetLengths:
     """The lengths of a gain, their middle such that the sets' median errors have no mean; ends where fleets end.
 
-    The reference length is linear between the ends, as their logs are to a hundredth.
+    The reference length is linear between the ends, as their logs are to two hundredths.
     """
     errors = {
         name: np.median([np.log(case.length_m) - gain * case.log_lengths.mean() for case in cases if case.set == name])
