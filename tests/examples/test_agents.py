@@ -83,7 +83,7 @@ def variables(script: str, stand_in: StandIn) -> dict[str, str]:
 def _check_answer(done: subprocess.CompletedProcess[str], stand_in: StandIn) -> None:
     """The server measured, and what it measured reached the model and came back."""
     assert done.returncode == 0, done.stderr
-    assert stand_in.tool_names() == {"estimate_gsd", "measure_area"}
+    assert stand_in.tool_names() == {"estimate_gsd", "measure_area", "measure_distance", "view_image"}
     assert len(stand_in.requests) == len(stand_in.calls) + 1
     scale = re.search(r'(?:"gsd_m_per_px": )?([\d.]+)(?: m/px)?', done.stdout.rpartition("The tool says:")[2])
     assert scale, done.stdout
