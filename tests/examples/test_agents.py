@@ -31,7 +31,19 @@ ESTIMATE = ToolCall("estimate_gsd", {"image": _PATH})
 MEASURE = ToolCall("measure_area", {"image": _PATH, "target": _BOX})
 STRICT = [  # in strict mode a model fills in every argument
     ToolCall("estimate_gsd", {**ESTIMATE.arguments, **_REST}),
-    ToolCall("measure_area", {**MEASURE.arguments, **_REST, "gsd_m_per_px": None}),
+    ToolCall(
+        "measure_area",
+        {
+            "image": _PATH,
+            "targets": [{**_BOX, "points": None}],
+            "coordinates": "pixels",
+            "frame": None,
+            "scale": None,
+            "gsd_m_per_px": None,
+            "include_overlay": False,
+            "detail": "short",
+        },
+    ),
 ]
 
 

@@ -27,6 +27,9 @@ HANG_S = 2.0
 MEMORY_MIB = 1024
 """Most that the process may hold, libraries included."""
 
+GROWTH_MIB = 256
+"""Most that one input may add to a process that held as much before, as that of the tests does."""
+
 _EDGES = (0, 1, 255, 2**16 - 1, 2**31 - 1, 2**32 - 1, 2**63, 2**64 - 1)
 
 
@@ -58,7 +61,7 @@ class Checked:
             self.slowest_s = max(self.slowest_s, taken)
             if taken > HANG_S:
                 raise Slow(f"{taken:.1f} s")
-            if _peak_mib() > max(MEMORY_MIB, held_mib):  # what the process held before is no fault of this input
+            if _peak_mib() > max(MEMORY_MIB, held_mib + GROWTH_MIB):  # what it held before is no fault of this input
                 raise MemoryError(f"{_peak_mib():.0f} MiB")
         except (Exception, Slow) as error:
             self.n_failures += 1
