@@ -1,9 +1,8 @@
-"""Flights of known scale, made from real pixels: ``python benchmarks/flights.py {pooled,matched,real,cost} DATA``.
+"""Flights of known scale, made from real pixels: ``python benchmarks/flights.py {pooled,matched} DATA``.
 
 ``pooled`` turns, dims, blurs and JPEG-codes tiles of one scale into flights of 24 photographs and compares the scale by
 all of them with the truth, with the region unknown and given. ``matched`` cuts overlapping photographs of mixed scales
-out of mosaics; two thirds of them lose their vehicles. ``real`` compares the scales of the flights in ``flights/`` with
-the heights above the sea, ``cost`` times matching and solving.
+out of mosaics; two thirds of them lose their vehicles.
 """
 
 from __future__ import annotations

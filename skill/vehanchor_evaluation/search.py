@@ -11,23 +11,18 @@ from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import numpy as np
-
 from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.vehicles import select
 from vehanchor.batch.journal import Journal, Source
 from vehanchor.batch.pool import finished_in_threads
+from vehanchor.batch.stored import from_json, to_json
 from vehanchor.defaults import OUTLIER_ALPHA
-from vehanchor.detection.look import FleetLook
-from vehanchor.detection.scene import SceneCalibration, SceneLevel, SceneSighting
-from vehanchor.detection.sighting import Objects, Sighting
+from vehanchor.detection.sighting import Sighting
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.estimate import ScaleAnalysis, analyse_raster, analyse_sighting, image_facts
-from vehanchor.imagery.camera_metadata import CameraMetadata
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.raster import open_raster
 from vehanchor.options import Lengths, ScaleOptions
-from vehanchor.records import Notice
 from vehanchor_evaluation.known_scale import DATASET_LIMITS, FileIssue
 
 if TYPE_CHECKING:
@@ -89,6 +84,9 @@ def default_workers() -> int:
     return min(MAX_WORKERS, os.cpu_count() or 1)
 
 
+_FORM = 2  # of what is kept of an image: a log of another form is refused
+
+
 def open_detection_log(
     path: Path | None, detector: Detector, options: ScaleOptions, classes: Sequence[str | int] | None = None
 ) -> DetectionLog:
@@ -106,76 +104,23 @@ def open_detection_log(
     """
     settings = {
         "vehanchor": version("vehanchor"),
+        "form": _FORM,
         "model_sha256": detector.card.sha256,
         "fleet_sha256": detector.card.fleet_sha256,
         "classes": classes,
         "search": asdict(options.search) if options.rulers.searches else None,
         "bands": options.reading.bands,
     }
-    return Journal(path, settings, dump=_record, load=_searched)
+    return Journal(path, settings, dump=_dumped, load=_loaded)
 
 
-def _record(searched: SearchedImage) -> dict[str, Any]:
-    found, image = searched.detections, searched.image
-    return {
-        "boxes": found.boxes.tolist(),
-        "scores": found.scores.tolist(),
-        "n_tiles": found.n_tiles,
-        "n_capped_tiles": found.n_capped_tiles,
-        "scales": None if found.scales is None else found.scales.tolist(),
-        "fleet": None if found.fleet is None else [values.tolist() for values in found.fleet],
-        "classes": None if found.classes is None else found.classes.tolist(),
-        "scene": None if found.scene is None else _scene_record(found.scene),
-        "other_boxes": found.others.boxes.tolist(),
-        "other_scores": found.others.scores.tolist(),
-        "other_classes": found.others.classes.tolist(),
-        "width_px": image.width_px,
-        "height_px": image.height_px,
-        "georeference_gsd_m_per_px": image.georeference_gsd_m_per_px,
-        "notices": [notice.model_dump(mode="json") for notice in image.notices],
-        "image_id": image.image_id,
-        "camera": None if image.camera is None else asdict(image.camera),
-        "resolved": list(searched.resolved.items()),
-    }
+def _dumped(searched: SearchedImage) -> Any:
+    return to_json((searched.detections, searched.image, list(searched.resolved.items())))
 
 
-def _scene_record(scene: SceneSighting) -> dict[str, Any]:
-    levels = [(level.factor, level.n_tiles, level.log_probs.tolist()) for level in scene.levels]
-    return {"levels": levels, "calibration": asdict(scene.calibration)}
-
-
-def _scene_sighting(record: dict[str, Any]) -> SceneSighting:
-    levels = (SceneLevel(factor, n_tiles, np.array(log_probs)) for factor, n_tiles, log_probs in record["levels"])
-    return SceneSighting(tuple(levels), SceneCalibration(**record["calibration"]))
-
-
-def _searched(record: dict[str, Any]) -> SearchedImage:
-    return SearchedImage(
-        Sighting(
-            np.array(record["boxes"], dtype=np.float64).reshape(-1, 5),
-            np.array(record["scores"], dtype=np.float64),
-            record["n_tiles"],
-            record["n_capped_tiles"],
-            None if record["scales"] is None else np.array(record["scales"], dtype=np.float64),
-            None if record["fleet"] is None else FleetLook(*np.array(record["fleet"], dtype=np.float64)),
-            None if record["classes"] is None else np.array(record["classes"], dtype=np.intp),
-            Objects(
-                np.array(record["other_boxes"], dtype=np.float64).reshape(-1, 5),
-                np.array(record["other_scores"], dtype=np.float64),
-                np.array(record["other_classes"], dtype=np.intp),
-            ),
-            None if record["scene"] is None else _scene_sighting(record["scene"]),
-        ),
-        ImageFacts(
-            record["width_px"],
-            record["height_px"],
-            record["georeference_gsd_m_per_px"],
-            tuple(Notice(**notice) for notice in record["notices"]),
-            CameraMetadata(**record["camera"]) if record.get("camera") else None,
-            record.get("image_id", ""),
-        ),
-        dict(record["resolved"]),
-    )
+def _loaded(stored: Any) -> SearchedImage:
+    detections, image, resolved = from_json(stored)
+    return SearchedImage(detections, image, dict(resolved))
 
 
 def search_images(

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehanchor.batch.journal import Journal, Key, Source
+from vehanchor.batch.stored import from_json, to_json
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
 from vehanchor.estimate import analyse_raster, image_facts, open_detector
 from vehanchor.flight.concluding import Failure, chief_member, conclude_flight
 from vehanchor.flight.features import find_features
 from vehanchor.flight.islands import single_island
 from vehanchor.flight.photograph import Look, Photograph
-from vehanchor.flight.stored import from_json, to_json
 from vehanchor.flight.taken import Taken, named
 from vehanchor.flight.tying import tie
 from vehanchor.imagery.raster import open_raster

@@ -1,4 +1,4 @@
-"""Findings as JSON and back, exactly: for the journal of a flight.
+"""Findings as JSON and back, exactly: for the journals of flights and evaluations.
 
 Frozen dataclasses, named tuples and records of this package, arrays, and what JSON has itself. A class is named by its
 module and its name; only classes of ``vehanchor`` are made again, so that a journal from elsewhere can start nothing.

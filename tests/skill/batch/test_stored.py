@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from vehanchor.anchors.evidence import ImageFacts
+from vehanchor.batch.stored import from_json, to_json
 from vehanchor.detection.scene import SceneCalibration, SceneLevel, SceneSighting
 from vehanchor.detection.sighting import Sighting
 from vehanchor.flight.photograph import Look
-from vehanchor.flight.stored import from_json, to_json
 from vehanchor.imagery.camera_metadata import CameraMetadata
 from vehanchor.records import Notice
 
