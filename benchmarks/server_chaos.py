@@ -34,7 +34,7 @@ async def chaos(n_calls: int, n_clients: int, period_s: float) -> None:
         ]
         known = {**target(middle_box(images[0])), "gsd_m_per_px": 0.15}
         questions.append(("measure_area", {**questions[0][1], **known}))
-        flags = ("--root", directory, "--threads", "1", "--workers-isolated", "--max-connections-per-address", "400")
+        flags = ("--root", directory, "--threads", "1", "--max-connections-per-address", "400")
         with http_server(*flags) as server:
             expected = [(await _answer(server.url, *question))[0] for question in questions]
             tally: Counter[str] = Counter()

@@ -115,10 +115,12 @@ def child_processes(pid: int) -> list[int]:
     """The children of a process that serve or work (Linux); multiprocessing's resource tracker is not one of them."""
     found = []
     for thread in Path(f"/proc/{pid}/task").iterdir():
-        for child in (thread / "children").read_text().split():
-            with contextlib.suppress(OSError):  # it has just ended
-                if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
-                    found.append(int(child))
+        with contextlib.suppress(OSError):  # a thread or child has just ended
+            found += [
+                int(child)
+                for child in (thread / "children").read_text().split()
+                if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()
+            ]
     return found
 
 

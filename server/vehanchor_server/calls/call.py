@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import anyio.from_thread
 
 from vehanchor_server.calls.job import PERCENT_DONE, Job, Stages
-from vehanchor_server.calls.workers import Task, perform
+from vehanchor_server.calls.task import Task, perform
 
 if TYPE_CHECKING:
     from mcp.server.mcpserver import Context
