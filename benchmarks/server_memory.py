@@ -16,7 +16,7 @@ from typing import Any
 import anyio
 from mcp import Client
 
-from benchmarks.server_process import child_processes, http_server, middle_box, target, write_images
+from benchmarks.server_process import http_server, memory_mib, middle_box, target, write_images
 
 
 async def measure(*flags: str, n_rounds: int, n_calls: int) -> None:
@@ -26,7 +26,7 @@ async def measure(*flags: str, n_rounds: int, n_calls: int) -> None:
         by_path: dict[str, Any] = {"image": {"kind": "path", "path": str(images[0])}}
         box = target(middle_box(images[0]))
         with http_server("--root", directory, *flags) as server:
-            loaded = _memory(server.pid)
+            loaded = memory_mib(server.pid)
             async with Client(server.url, read_timeout_seconds=120) as client:
 
                 async def call(tool: str, arguments: dict[str, Any]) -> None:
@@ -38,7 +38,7 @@ async def measure(*flags: str, n_rounds: int, n_calls: int) -> None:
                         async with anyio.create_task_group() as group:
                             for _ in range(2):
                                 group.start_soon(call, tool, arguments)
-                called = _memory(server.pid)
+                called = memory_mib(server.pid)
                 taken_ms = []
                 for _ in range(n_calls):
                     started = time.perf_counter()
@@ -49,18 +49,6 @@ async def measure(*flags: str, n_rounds: int, n_calls: int) -> None:
     print(
         f"measure_area with a known scale: median {statistics.median(taken_ms):.1f} ms, fastest {min(taken_ms):.1f} ms"
     )
-
-
-def _memory(pid: int) -> list[float]:
-    """Of the server and of all below it, MiB; what processes share is counted once."""
-    return [_pss_mib(pid), *(each for child in child_processes(pid) for each in _memory(child))]
-
-
-def _pss_mib(pid: int) -> float:
-    for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
-        if line.startswith("Pss:"):
-            return int(line.split()[1]) / 1024
-    return 0.0
 
 
 def _shown(parts: list[float]) -> str:

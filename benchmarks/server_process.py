@@ -22,6 +22,7 @@ __all__ = [
     "HttpServer",
     "child_processes",
     "http_server",
+    "memory_mib",
     "middle_box",
     "resident_mib",
     "target",
@@ -114,7 +115,7 @@ def http_server(*flags: str) -> Iterator[HttpServer]:
 def child_processes(pid: int) -> list[int]:
     """The children of a process that serve or work (Linux); multiprocessing's resource tracker is not one of them."""
     found = []
-    for thread in Path(f"/proc/{pid}/task").iterdir():
+    for thread in Path(f"/proc/{pid}/task").glob("*"):
         with contextlib.suppress(OSError):  # a thread or child has just ended
             found += [
                 int(child)
@@ -122,6 +123,19 @@ def child_processes(pid: int) -> list[int]:
                 if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()
             ]
     return found
+
+
+def memory_mib(pid: int) -> list[float]:
+    """Memory of a process and of all below it, MiB (Linux); what they share is counted once (PSS)."""
+    return [_pss_mib(pid), *(each for child in child_processes(pid) for each in memory_mib(child))]
+
+
+def _pss_mib(pid: int) -> float:
+    with contextlib.suppress(OSError):  # it has just ended
+        for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
+            if line.startswith("Pss:"):
+                return int(line.split()[1]) / 1024
+    return 0.0
 
 
 def resident_mib(pid: int) -> float:

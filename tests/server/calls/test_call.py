@@ -121,6 +121,18 @@ async def test_the_librarys_refusals_keep_their_code(
     assert error_of(result) == code
 
 
+async def test_want_of_memory_outside_decoding_and_models_is_told_by_its_code(
+    server: MCPServer[object], images: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def hungry(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("vehanchor.detection.detector.Detector.detect_tile", hungry)
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
+    assert error_of(result) == "out_of_memory"
+
+
 async def test_a_missing_model_is_the_operators_business(images: Path, caplog: pytest.LogCaptureFixture) -> None:
     server = create_server(create_services(Settings(roots=(images,), detector="/nowhere/secret.onnx", in_process=True)))
     async with Client(server) as client:
