@@ -111,7 +111,7 @@ async def _ask(
                     tally.ends["right" if reply == expected[k] else "wrong"] += 1
                     break
                 tally.codes[str(reply[1])] += 1
-                await anyio.sleep(random.uniform(0.5, 3.0))
+                await anyio.sleep(random.uniform(2.0, 6.0))
             if time.monotonic() >= ends:
                 return
 

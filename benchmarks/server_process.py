@@ -115,19 +115,27 @@ def http_server(*flags: str) -> Iterator[HttpServer]:
 def child_processes(pid: int) -> list[int]:
     """The children of a process that serve or work (Linux); multiprocessing's resource tracker is not one of them."""
     found = []
+    for child in _children(pid):
+        with contextlib.suppress(OSError):  # it has just ended
+            command = Path(f"/proc/{child}/cmdline").read_bytes()
+            if b"spawn_main" in command:
+                found.append(child)
+            elif b"forkserver" in command:
+                found += _children(child)
+    return found
+
+
+def _children(pid: int) -> list[int]:
+    found: list[int] = []
     for thread in Path(f"/proc/{pid}/task").glob("*"):
-        with contextlib.suppress(OSError):  # a thread or child has just ended
-            found += [
-                int(child)
-                for child in (thread / "children").read_text().split()
-                if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()
-            ]
+        with contextlib.suppress(OSError):  # a thread has just ended
+            found += map(int, (thread / "children").read_text().split())
     return found
 
 
 def memory_mib(pid: int) -> list[float]:
     """Memory of a process and of all below it, MiB (Linux); what they share is counted once (PSS)."""
-    return [_pss_mib(pid), *(each for child in child_processes(pid) for each in memory_mib(child))]
+    return [_pss_mib(pid), *(each for child in _children(pid) for each in memory_mib(child))]
 
 
 def _pss_mib(pid: int) -> float:

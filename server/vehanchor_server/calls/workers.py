@@ -15,15 +15,19 @@ from __future__ import annotations
 import contextlib
 import logging
 import multiprocessing
+import sys
+import tempfile
 import threading
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from vehanchor_server.calls.worker_process import serve_tasks
 from vehanchor_server.errors import CallError
+from vehanchor_server.models import SLOW_IMPORTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from multiprocessing.connection import Connection
+    from multiprocessing.context import BaseContext
     from multiprocessing.process import BaseProcess
 
     from vehanchor_server.calls.capacity import Stop
@@ -144,7 +148,7 @@ class _Worker:
             if self.process is not None and self.process.is_alive():
                 return
             self._reap()
-            context = multiprocessing.get_context("spawn")
+            context = _start_context()
             ours, theirs = context.Pipe()
             process = context.Process(
                 target=serve_tasks,
@@ -277,6 +281,20 @@ class _Worker:
             self._connection.close()
         self.process = self._connection = None
         self.loaded = False
+
+
+def _start_context() -> BaseContext:
+    """How processes start: on Linux from one that has imported everything, so that a killed one is soon replaced.
+
+    That one opens no model, as sessions have threads, which a fork would lose; and it needs a place for its socket.
+    """
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):  # a read-only file system: each process imports for itself
+            tempfile.gettempdir()
+            context = multiprocessing.get_context("forkserver")
+            context.set_forkserver_preload([serve_tasks.__module__, "vehanchor_server.services", *SLOW_IMPORTS])
+            return context
+    return multiprocessing.get_context("spawn")
 
 
 class _KilledOnRequest:
