@@ -27,7 +27,7 @@ from vehanchor_server.models import SLOW_IMPORTS
 if TYPE_CHECKING:
     from collections.abc import Callable
     from multiprocessing.connection import Connection
-    from multiprocessing.context import BaseContext
+    from multiprocessing.context import ForkServerContext, SpawnContext
     from multiprocessing.process import BaseProcess
 
     from vehanchor_server.calls.capacity import Stop
@@ -283,7 +283,7 @@ class _Worker:
         self.loaded = False
 
 
-def _start_context() -> BaseContext:
+def _start_context() -> ForkServerContext | SpawnContext:
     """How processes start: on Linux from one that has imported everything, so that a killed one is soon replaced.
 
     That one opens no model, as sessions have threads, which a fork would lose; and it needs a place for its socket.
