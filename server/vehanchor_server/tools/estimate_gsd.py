@@ -36,6 +36,7 @@ from vehanchor_server.tools.sentences import (
     POLICY,
     interval,
     not_to_be_used,
+    nothing_found,
     rounded,
     sources,
     warnings,
@@ -125,7 +126,7 @@ def describe_estimate(estimate: GsdEstimate, detail: Detail = "full") -> str:
 
 def _scale_in_words(estimate: GsdEstimate) -> str:
     if estimate.gsd_m_per_px is None:
-        return "No vehicles found, confidence 0: no metric scale; use another anchor."
+        return f"{nothing_found(estimate).capitalize()}."
     scale = f"{rounded(estimate.gsd_m_per_px)} m/px"
     scale += interval(estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px)
     scale += f", confidence {estimate.confidence:.2f} from {sources(estimate)}: "

@@ -41,6 +41,7 @@ from vehanchor_server.tools.sentences import (
     OBEY,
     interval,
     not_to_be_used,
+    nothing_found,
     numbered,
     rounded,
     scale_origin,
@@ -202,8 +203,8 @@ def _area_in_words(area: AreaMeasurement) -> str:
         return "No object found there: no area. Draw a box tightly around one that can be seen."
     if area.area_m2 is None:
         return (
-            f"The object covers {area.mask_area_px} px, but no vehicles were found, confidence 0: no metric scale, so "
-            "no area; use another anchor, and give its scale as gsd_m_per_px."
+            f"No area: the object covers {area.mask_area_px} px, but {nothing_found(area.scale)}, and give its scale "
+            "as gsd_m_per_px."
         )
     size = f"{rounded(area.area_m2)} m2{interval(area.area_ci95_low_m2, area.area_ci95_high_m2)}"
     if area.length_m is not None and area.width_m is not None and area.inscribed_diameter_m is not None:

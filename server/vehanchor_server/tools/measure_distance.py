@@ -37,6 +37,7 @@ from vehanchor_server.tools.sentences import (
     OBEY,
     interval,
     not_to_be_used,
+    nothing_found,
     numbered,
     rounded,
     scale_origin,
@@ -146,8 +147,8 @@ def describe_distance(record: DistanceMeasurement, detail: Detail = "full") -> s
 def _distance_in_words(record: DistanceMeasurement) -> str:
     if record.distance_m is None:
         return (
-            f"The line is {record.length_px:.0f} px long, but no vehicles were found, confidence 0: no metric scale, "
-            "so no distance; use another anchor, and give its scale as gsd_m_per_px."
+            f"No distance: the line is {record.length_px:.0f} px long, but {nothing_found(record.scale)}, and give its "
+            "scale as gsd_m_per_px."
         )
     said = f"{rounded(record.distance_m)} m{interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
     said += f"; {scale_origin(record)}: "
