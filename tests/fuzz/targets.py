@@ -21,7 +21,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 
 from tests import bombs
-from vehanchor.detection.card import read_detector_card, read_fleet_card, read_second_look_card
+from vehanchor.detection.card import FleetCard, SecondLookCard, read_companion_card, read_detector_card
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.header import read_header
 from vehanchor.imagery.raster import open_raster
@@ -81,9 +81,12 @@ def card(data: bytes) -> None:
     if not isinstance(stated, dict):
         return
     metadata = {key: value if isinstance(value, str) else json.dumps(value) for key, value in stated.items()}
-    for read in (read_detector_card, read_fleet_card, read_second_look_card):
+    file = Path("fuzzed.onnx"), "0" * 64
+    with contextlib.suppress(VehAnchorError):
+        read_detector_card(*file, metadata)
+    for kind in (FleetCard, SecondLookCard):
         with contextlib.suppress(VehAnchorError):
-            read(Path("fuzzed.onnx"), "0" * 64, metadata)
+            read_companion_card(kind, *file, metadata)
 
 
 def graph(data: bytes) -> None:
