@@ -60,6 +60,12 @@ def batch(
     same_scale: Annotated[
         bool, typer.Option("--same-scale", help="All are of one scale: their evidence is put together (one worker).")
     ] = False,
+    known_lengths: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv", help="Lines of known length: file,x1,y1,x2,y2,metres, files relative to the table."
+        ),
+    ] = None,
     *,
     chosen: Chosen,
 ) -> None:
@@ -72,10 +78,22 @@ def batch(
         with image_progress() as progress:
             try:
                 if same_scale:
+                    if known_lengths is not None:
+                        raise InvalidParameterError(
+                            "--same-scale takes no --known-lengths: give the scale of one photograph instead"
+                        )
                     summary = _of_one_scale(inputs, output, engine, workers, chosen, progress, overwrite=overwrite)
                 else:
                     summary = _of_any_scale(
-                        inputs, output, engine, address, workers, chosen, progress, overwrite=overwrite
+                        inputs,
+                        output,
+                        engine,
+                        address,
+                        workers,
+                        known_lengths,
+                        chosen,
+                        progress,
+                        overwrite=overwrite,
                     )
             except KeyboardInterrupt:
                 print("interrupted: the rows so far are kept; the same command goes on from there", file=sys.stderr)
@@ -89,6 +107,7 @@ def _of_any_scale(
     engine: _Engine,
     address: str | None,
     workers: int | None,
+    known_lengths: Path | None,
     chosen: Chosen,
     progress: Callable[[int, int], None],
     *,
@@ -107,6 +126,7 @@ def _of_any_scale(
         detector=model.detector,
         classes=model.names_and_indices,
         options=chosen.options(),
+        known_lengths=known_lengths,
         providers=model.providers or DEFAULT_PROVIDERS,
         overwrite=overwrite,
         progress=progress,
