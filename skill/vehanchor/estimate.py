@@ -56,6 +56,7 @@ __all__ = [
     "analyse_sighting",
     "conclude",
     "estimate_gsd",
+    "frame_scale",
     "georeference_notice",
     "image_facts",
     "image_notices",
@@ -293,7 +294,7 @@ def conclude(
         image_height_px=image.height_px,
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
         tilt=None if looked is None else tilt_record(looked, image, gsd),
-        frame=_frame_scale(view.options.frame, image.width_px, gsd, interval),
+        frame=frame_scale(view.options.frame, image.width_px, gsd, interval),
         scale=_known_scale(view, gsd, interval, judgement.confidence),
         model=view.card.name,
         model_sha256=view.card.sha256,
@@ -368,9 +369,10 @@ def georeference_notice(own: float | None, gsd_m_per_px: float, who_says: str) -
     ]
 
 
-def _frame_scale(
+def frame_scale(
     frame: Frame, width_px: int, gsd: float | None, interval: tuple[float, float] | None
 ) -> FrameScale | None:
+    """The scale in the caller's copy of an image, of so many columns; None where there is no copy."""
     if frame.size is None:
         return None
     factor = width_px / frame.size[0]

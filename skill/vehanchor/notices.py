@@ -30,6 +30,8 @@ class NoticeCode(StrEnum):
     CAMERA_UNUSABLE = "camera_unusable"
     KNOWN_LENGTHS_DISAGREE = "known_lengths_disagree"
     FOCAL_LENGTH_MISSING = "focal_length_missing"
+    # of a flight
+    NOT_TIED = "not_tied"
     # of the mask
     MASK_EMPTY = "mask_empty"
     MASK_SCORE_LOW = "mask_score_low"

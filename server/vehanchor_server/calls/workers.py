@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
 from vehanchor_server.errors import CallError
-from vehanchor_server.images.source import OpenedImage, library_errors
+from vehanchor_server.images.source import library_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -71,11 +71,13 @@ class Task(Generic[Result]):
             ``functools.partial`` of one.
         image: the caller's argument.
         fetched: its bytes, if it is a URL.
+        more: other images and their bytes, which the work opens itself, one at a time.
     """
 
-    work: Callable[[Any, Job, OpenedImage], Result]
+    work: Callable[..., Result]
     image: AnyImage
     fetched: bytes | None
+    more: tuple[tuple[AnyImage, bytes | None], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ def perform(services: Parts, task: Task[Result], job: Job) -> Result:
         CallError: the work failed for a reason that its caller can act on.
     """
     with services.sources.open(task.image, task.fetched) as source, library_errors(source):
-        return task.work(services, job, source)
+        return task.work(services, job, source, *((task.more,) if task.more else ()))
 
 
 class WorkerPool:

@@ -1,6 +1,4 @@
-"""What rulers beside vehicles were laid along: lines of known length, outlines of courts, each with its metres; a height
-stands in the middle of the picture.
-"""  # noqa: D205 - the rulers belong together
+"""What rulers beside vehicles were laid along: lines and outlines with their metres; a height stands in the middle."""
 
 from __future__ import annotations
 

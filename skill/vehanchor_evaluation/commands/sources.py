@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from vehanchor.cli.given_scale import KnownLengthsFile
 from vehanchor.cli.terminal import printable, tile_progress
 
 if TYPE_CHECKING:
@@ -83,12 +84,7 @@ class KnownScaleRequest:
     set_name: Annotated[str | None, typer.Option("--set", metavar="NAME", help="Only this set of the table.")] = None
     split: Annotated[str | None, typer.Option(metavar="NAME", help="Only this split of the table, as in 'val'.")] = None
     limit: Annotated[int | None, typer.Option(metavar="N", min=1, help="Only the first N images.")] = None
-    known_lengths: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.csv", help="Lines of known length: file,x1,y1,x2,y2,metres, files relative to the table."
-        ),
-    ] = None
+    known_lengths: KnownLengthsFile = None
     workers: WorkersOption = None
     cache: Annotated[
         Path | None,
