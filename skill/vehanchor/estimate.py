@@ -17,6 +17,7 @@ import numpy as np
 from vehanchor.anchors.agreement import disagreements
 from vehanchor.anchors.attitude import attitude, levelled, tilt_record
 from vehanchor.anchors.evidence import ImageFacts, View
+from vehanchor.anchors.leaning import leaning_notice
 from vehanchor.anchors.registry import OTHER_ANCHORS
 from vehanchor.anchors.scene_scale import SceneScale
 from vehanchor.anchors.vehicles import VehicleEvidence, Vehicles
@@ -266,6 +267,7 @@ def conclude(
     image, judgement = view.image, judge(vehicles, others)
     gsd, interval = judgement.gsd_m_per_px, judgement.interval
     warnings = [*image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
+    warnings += leaning_notice(view) if looked is None and vehicles.n else []
     warnings += disagreements((vehicles, *others), [ruler.kind for ruler in judgement.rulers if not ruler.agrees])
     if gsd is not None:
         who_says = "the vehicles say" if gsd == vehicles.gsd_m_per_px else "the rulers say"

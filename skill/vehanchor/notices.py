@@ -26,6 +26,7 @@ class NoticeCode(StrEnum):
     # of the rulers beside vehicles
     RULERS_DISAGREE = "rulers_disagree"
     CAMERA_TILTED = "camera_tilted"
+    TILT_SUSPECTED = "tilt_suspected"
     CAMERA_CROPPED = "camera_cropped"
     CAMERA_UNUSABLE = "camera_unusable"
     KNOWN_LENGTHS_DISAGREE = "known_lengths_disagree"
