@@ -21,6 +21,12 @@ from vehanchor_server.calls.job import Job
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
+from vehanchor_server.tools.flight_question import (
+    MoreImagesArgument,
+    SameScaleArgument,
+    check_flight_question,
+    estimate_among,
+)
 from vehanchor_server.tools.scale_question import (
     CoordinatesArgument,
     DetailArgument,
@@ -69,11 +75,17 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         coordinates: CoordinatesArgument = "pixels",
         include_overlay: Annotated[bool, Field(description="Also return a picture of what was measured.")] = False,
         detail: DetailArgument = "short",
+        more_images: MoreImagesArgument = None,
+        same_scale: SameScaleArgument = False,
     ) -> Annotated[CallToolResult, GsdEstimate]:
         question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
         paged = client_supports_apps(ctx)
         drawn = include_overlay or paged
-        answer = await run_call(services, ctx, image, partial(_estimate, question=question, drawn=drawn))
+        work = partial(_estimate, question=question, drawn=drawn)
+        if more_images:
+            check_flight_question(question)
+            work = partial(estimate_among, question=question, drawn=drawn, same_scale=same_scale)
+        answer = await run_call(services, ctx, image, work, more_images or ())
         words = describe_estimate(answer.record, detail)
         return answer.to_result(words, include_overlay=include_overlay, detail=detail, paged=paged)
 
@@ -83,6 +95,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         description=_DESCRIPTION,
         meta=APP_META,
         answered=("status", "gsd_m_per_px", "confidence"),
+        unlisted=("more_images", "same_scale"),
     )
 
 

@@ -20,7 +20,7 @@ from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.measuring import MeasuredBy, copy_hint
 from vehanchor_server.tools.scale_question import (
-    FLEET_ARGUMENTS,
+    UNLISTED_ARGUMENTS,
     CoordinatesArgument,
     DetailArgument,
     FocalLengthArgument,
@@ -29,6 +29,7 @@ from vehanchor_server.tools.scale_question import (
     HeightArgument,
     KnownLengthsArgument,
     KnownScaleArgument,
+    ObjectHeightArgument,
     ReferenceLengthArgument,
     RegionArgument,
     ScaleQuestion,
@@ -95,10 +96,11 @@ def measure_distance_tool(services: Services) -> StrictTool:
         known_lengths: KnownLengthsArgument = None,
         height_m: HeightArgument = None,
         focal_35mm: FocalLengthArgument = None,
+        object_height_m: ObjectHeightArgument = None,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, DistanceMeasurement]:
         question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
-        asked = _Question(lines, MeasuredBy(gsd_m_per_px, scale, question))
+        asked = _Question(lines, MeasuredBy(gsd_m_per_px, scale, question, object_height_m))
         answer = await run_call(services, ctx, image, partial(_measure, question=asked))
         first = answer.record
         places = ((point.x, point.y) for line in lines for point in line.points)
@@ -114,7 +116,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
         title="Measure distances in an aerial image",
         description=_DESCRIPTION,
         answered=("status", "distance_m", "confidence"),
-        unlisted=FLEET_ARGUMENTS,
+        unlisted=UNLISTED_ARGUMENTS,
     )
 
 
@@ -134,7 +136,15 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
     options, scale = question.by.resolve(services)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
-        found = analyse_paths(raster, paths, scale, options, progress=job.searched, run_options=job.run_options)
+        found = analyse_paths(
+            raster,
+            paths,
+            scale,
+            options,
+            object_height_m=question.by.object_height_m,
+            progress=job.searched,
+            run_options=job.run_options,
+        )
     histogram = None if found[0].scale is None else length_histogram(found[0].scale)
     return Answer(tuple(each.measurement for each in found), None, histogram)
 
