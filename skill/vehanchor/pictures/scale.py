@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
 """Texts of one line, each with the colour of the swatch before it."""
 
-__all__ = ["PICTURE_SUFFIXES", "check_picture_path", "draw_overlay", "image_place", "read_reduced", "write_picture"]
+__all__ = ["PICTURE_SUFFIXES", "check_picture_path", "draw_overlay", "read_reduced", "write_picture"]
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 KEPT_RGB = (86, 180, 233)  # Okabe and Ito's sky blue and orange: told apart with every kind of colour blindness
@@ -79,23 +79,6 @@ def fit_for_eyes(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         return np.array(image)  # never the caller's own
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
     return cv2.resize(image, size, interpolation=method).astype(np.uint8, copy=False)
-
-
-def image_place(width_px: int, height_px: int) -> tuple[float, float, float]:
-    """Tell where an image lies in its overlay, which may have margins.
-
-    Args:
-        width_px: of the image.
-        height_px: of it.
-
-    Returns:
-        Left, top and width of the image, all in shares of the overlay's width.
-    """
-    factor = _picture_factor(width_px, height_px)
-    width, height = max(1, round(width_px * factor)), max(1, round(height_px * factor))
-    across, down = _margins(width, height)
-    whole = width + across
-    return across // 2 / whole, down // 2 / whole, width / whole
 
 
 def read_reduced(raster: Raster, part: Window | None = None) -> NDArray[np.uint8]:
