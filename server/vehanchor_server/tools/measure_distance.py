@@ -109,7 +109,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
             *warnings(first.warnings, detail),
             *copy_hint(places, question, first.image_width_px, first.image_height_px),
         ]
-        return answer.to_result(" ".join(words), include_overlay=False, detail=detail)
+        return answer.to_result(" ".join(words), detail=detail)
 
     return StrictTool.read_only(
         measure_distance,
