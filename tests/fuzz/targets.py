@@ -29,7 +29,7 @@ from rasterio.transform import Affine
 
 from tests import bombs
 from tests.skill.imagery import metadata as blocks
-from vehanchor.detection.card import read_detector_card, read_fleet_card, read_second_look_card
+from vehanchor.detection.card import FleetCard, SecondLookCard, read_companion_card, read_detector_card
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.camera_metadata import read_camera
 from vehanchor.imagery.exif import read_exif
@@ -99,9 +99,12 @@ def card(data: bytes) -> None:
     if not isinstance(stated, dict):
         return
     metadata = {key: value if isinstance(value, str) else json.dumps(value) for key, value in stated.items()}
-    for read in (read_detector_card, read_fleet_card, read_second_look_card):
+    file = Path("fuzzed.onnx"), "0" * 64
+    with contextlib.suppress(VehAnchorError):
+        read_detector_card(*file, metadata)
+    for kind in (FleetCard, SecondLookCard):
         with contextlib.suppress(VehAnchorError):
-            read(Path("fuzzed.onnx"), "0" * 64, metadata)
+            read_companion_card(kind, *file, metadata)
 
 
 def metadata(data: bytes) -> None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
-from vehanchor_server.calls.job import Job
-from vehanchor_server.images.source import OpenedImage, library_errors
+from vehanchor_server.images.source import library_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from vehanchor_server.calls.job import Job
     from vehanchor_server.images.argument import AnyImage
     from vehanchor_server.images.source import ImageSources
     from vehanchor_server.models import Models
@@ -41,11 +41,13 @@ class Task(Generic[Result]):
             ``functools.partial`` of one.
         image: the caller's argument.
         fetched: its bytes, if it is a URL.
+        more: other images and their bytes, which the work opens itself, one at a time.
     """
 
-    work: Callable[[Any, Job, OpenedImage], Result]
+    work: Callable[..., Result]
     image: AnyImage
     fetched: bytes | None
+    more: tuple[tuple[AnyImage, bytes | None], ...] = ()
 
 
 def perform(services: Parts, task: Task[Result], job: Job) -> Result:
@@ -55,4 +57,4 @@ def perform(services: Parts, task: Task[Result], job: Job) -> Result:
         CallError: the work failed for a reason that its caller can act on.
     """
     with services.sources.open(task.image, task.fetched) as source, library_errors(source):
-        return task.work(services, job, source)
+        return task.work(services, job, source, *((task.more,) if task.more else ()))
