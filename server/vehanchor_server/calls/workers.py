@@ -15,6 +15,8 @@ from __future__ import annotations
 import contextlib
 import logging
 import multiprocessing
+import multiprocessing.util
+import shutil
 import sys
 import tempfile
 import threading
@@ -129,6 +131,12 @@ class WorkerPool:
         self._closed = True
         for worker in self._workers:
             worker.kill()
+
+    def leave_nothing(self) -> None:
+        """Remove the workers' socket, for a process that ends without its exit handlers; no worker starts after it."""
+        self.close()
+        if self.processes:
+            shutil.rmtree(multiprocessing.util.get_temp_dir(), ignore_errors=True)
 
 
 class _Worker:
