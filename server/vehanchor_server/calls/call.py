@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import anyio.from_thread
 
 from vehanchor_server.calls.job import PERCENT_DONE, Job, Stages
-from vehanchor_server.calls.workers import Task, perform
+from vehanchor_server.calls.task import Task, perform
+from vehanchor_server.errors import CallError
 
 if TYPE_CHECKING:
     from mcp.server.mcpserver import Context
@@ -58,7 +59,14 @@ async def run_call(
             with Stages() as stages:
                 if services.workers is not None:
                     return services.workers.run(task, stop, report, stages.enter)
-                return perform(services, task, Job(stop, report, stages.enter))
+                try:
+                    return perform(services, task, Job(stop, report, stages.enter))
+                except MemoryError as error:  # of whatever the library does beside decoding and models
+                    raise CallError(
+                        "out_of_memory",
+                        "this server has too little memory left just now. Try again when less is running, or send a "
+                        "smaller image.",
+                    ) from error
 
         result = await services.capacity.in_thread(stop, in_thread)
         await ctx.report_progress(PERCENT_DONE, PERCENT_DONE, "done")

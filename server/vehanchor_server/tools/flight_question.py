@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 from pydantic import Field
 
 from vehanchor.options import Frame
-from vehanchor_server.calls.answer import Answer
 from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import AnyImage, ImageArgument
 from vehanchor_server.images.source import library_errors
+from vehanchor_server.tools.scale_answer import scale_answer
 
 if TYPE_CHECKING:
     from vehanchor.flight.concluding import Failure
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from vehanchor.flight.taken import Taken
     from vehanchor.options import ScaleOptions
     from vehanchor.records import FlightEstimate, GsdEstimate
+    from vehanchor_server.calls.answer import Answer, WantedPictures
     from vehanchor_server.calls.job import Job
     from vehanchor_server.images.source import OpenedImage
     from vehanchor_server.services import Services
@@ -56,7 +57,7 @@ def estimate_among(
     source: OpenedImage,
     more: Sequence[tuple[AnyImage, bytes | None]],
     question: ScaleQuestion,
-    drawn: bool,
+    wanted: WantedPictures,
     same_scale: bool,
 ) -> Answer[GsdEstimate]:
     """Measure an image with the evidence of others; in a worker's process or thread.
@@ -68,6 +69,7 @@ def estimate_among(
     """
     from vehanchor.estimate import open_detector
     from vehanchor.flight.estimate import conclude, look_at_flight
+    from vehanchor.imagery.raster import open_raster
 
     detector = services.models.detector()
     asked = question.options(services.settings, services.models)
@@ -88,8 +90,9 @@ def estimate_among(
     members = [_readable(look, each) for look, each in zip(looks, opened, strict=True)]
     _refuse_twice(members)
     flight = conclude(looks, detector.card, same_scale=same_scale)
-    record = _answered(flight, asked)
-    return _drawn(job, source, members[0], record, asked, drawn=drawn)
+    analysis = replace(members[0].analysis, estimate=_answered(flight, asked))
+    with open_raster(source, limits=asked.reading.limits) as raster:
+        return scale_answer(raster, analysis, wanted, job)
 
 
 def _taken(
@@ -156,20 +159,3 @@ def _answered(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstimate:
         warnings = (*warnings, Notice(code=NoticeCode.NOT_TIED, message=message))
     frame = frame_scale(asked.frame, record.image_width_px, record.gsd_m_per_px, interval)
     return record.model_copy(update={"frame": frame, "warnings": warnings})
-
-
-def _drawn(
-    job: Job, source: OpenedImage, photograph: Photograph, record: GsdEstimate, asked: ScaleOptions, *, drawn: bool
-) -> Answer[GsdEstimate]:
-    from vehanchor.imagery.raster import open_raster
-    from vehanchor.pictures.scale import draw_overlay
-    from vehanchor_server.app_page.panel import length_histogram
-    from vehanchor_server.calls.overlay import overlay_jpeg
-
-    analysis = replace(photograph.analysis, estimate=record)
-    overlay = None
-    if drawn:
-        job.enter("overlay")
-        with open_raster(source, limits=asked.reading.limits) as raster:
-            overlay = overlay_jpeg(raster, job.stop, lambda seen: draw_overlay(seen, analysis))
-    return Answer((record,), overlay, length_histogram(analysis))

@@ -38,6 +38,7 @@ from vehanchor_server.tools.sentences import (
     OBEY,
     interval,
     not_to_be_used,
+    nothing_found,
     numbered,
     rounded,
     scale_origin,
@@ -108,7 +109,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
             *warnings(first.warnings, detail),
             *copy_hint(places, question, first.image_width_px, first.image_height_px),
         ]
-        return answer.to_result(" ".join(words), include_overlay=False, detail=detail)
+        return answer.to_result(" ".join(words), detail=detail)
 
     return StrictTool.read_only(
         measure_distance,
@@ -156,8 +157,8 @@ def describe_distance(record: DistanceMeasurement, detail: Detail = "full") -> s
 def _distance_in_words(record: DistanceMeasurement) -> str:
     if record.distance_m is None:
         return (
-            f"The line is {record.length_px:.0f} px long, but no vehicles were found, confidence 0: no metric scale, "
-            "so no distance; use another anchor, and give its scale as gsd_m_per_px."
+            f"No distance: the line is {record.length_px:.0f} px long, but {nothing_found(record.scale)}, and give its "
+            "scale as gsd_m_per_px."
         )
     said = f"{rounded(record.distance_m)} m{interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
     said += f"; {scale_origin(record)}: "

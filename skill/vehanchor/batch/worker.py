@@ -10,7 +10,7 @@ from vehanchor.batch.journal import Key, Source
 from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.batch.row import BatchRow
 from vehanchor.detection.detector import Detector
-from vehanchor.errors import ModelContractError, VehAnchorError
+from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
 from vehanchor.estimate import analyse_scale, open_detector
 from vehanchor.models.session import DEFAULT_PROVIDERS
 from vehanchor.models.zoo import resolve_model
@@ -96,6 +96,8 @@ class Worker:
             estimate = analyse_scale(task.path, options, detector=self._detector).estimate
         except VehAnchorError as error:
             return BatchRow.failed(task.file, error)
+        except MemoryError:
+            return BatchRow.failed(task.file, OutOfMemoryError("too little memory was left for it"))
         except Exception as error:  # one image that finds a defect must not end a run over a million
             return BatchRow(file=task.file, error_code="internal_error", error=f"{type(error).__name__}: {error}")
         return BatchRow(file=task.file, estimate=estimate)

@@ -152,6 +152,17 @@ def test_a_defect_found_by_one_image_is_its_row(detector: Path, table: Path, mon
     assert summary.statuses == {"error": 2}
 
 
+def test_want_of_memory_is_an_images_row_under_its_code(
+    detector: Path, table: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def hungry(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(Detector, "detect_tile", hungry)
+    run_batch(["cars.png"], table, detector=detector, workers=1)
+    assert [row["error_code"] for row in _rows(table)] == ["out_of_memory"]
+
+
 def test_a_worker_refuses_another_model_than_the_runs(detector: Path) -> None:
     with pytest.raises(ModelContractError, match="is another model on this machine"):
         Worker(BatchJob(str(detector), "0" * 64))
