@@ -59,6 +59,7 @@ def test_a_flight_that_looked_aside_tells_its_tilt_at_its_own_scale() -> None:
     for record in (pooled, bare):
         assert record.tilt is not None
         assert record.tilt.tilt_deg == 35.0
+        assert record.gsd_m_per_px is not None
         assert record.gsd_m_per_px == pytest.approx(GSD, rel=0.12)
         assert record.tilt.gsd_least_m_per_px is not None
         assert record.tilt.gsd_largest_m_per_px is not None
