@@ -22,12 +22,16 @@ from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.scale_question import (
+    EFFORT_ARGUMENTS,
     CoordinatesArgument,
     DetailArgument,
+    EffortArgument,
     FocalLengthArgument,
     FrameArgument,
     HeightArgument,
     KnownLengthsArgument,
+    MaxSecondsArgument,
+    MaxTilesArgument,
     ReferenceLengthArgument,
     RegionArgument,
     ScaleQuestion,
@@ -68,8 +72,22 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         coordinates: CoordinatesArgument = "pixels",
         include_overlay: Annotated[bool, Field(description="Also return a picture of what was measured.")] = False,
         detail: DetailArgument = "short",
+        effort: EffortArgument = None,
+        max_tiles: MaxTilesArgument = None,
+        max_seconds: MaxSecondsArgument = None,
     ) -> Annotated[CallToolResult, GsdEstimate]:
-        question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
+        question = ScaleQuestion(
+            region,
+            reference_length_m,
+            frame,
+            known_lengths,
+            height_m,
+            focal_35mm,
+            coordinates,
+            effort,
+            max_tiles,
+            max_seconds,
+        )
         paged = client_supports_apps(ctx)
         drawn = include_overlay or paged
         answer = await run_call(services, ctx, image, partial(_estimate, question=question, drawn=drawn))
@@ -81,6 +99,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         title="Measure the scale of an aerial image",
         description=_DESCRIPTION,
         meta=APP_META,
+        unlisted=EFFORT_ARGUMENTS,
         answered=("status", "gsd_m_per_px", "confidence"),
     )
 

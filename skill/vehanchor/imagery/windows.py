@@ -113,6 +113,15 @@ class Raster(ABC):
             shown[~valid] = 0
         return np.ascontiguousarray(oriented(shown, self._orientation))
 
+    def read_overview(self, window: Window, factor: int) -> NDArray[np.uint8] | None:  # noqa: ARG002 - of others
+        """Read a window of the image reduced by a factor from copies that the file keeps; None where it keeps none.
+
+        Args:
+            window: in pixels of the reduced image, ``width_px // factor`` columns and ``height_px // factor`` rows.
+            factor: 2 or more.
+        """
+        return None
+
     def close(self) -> None:  # noqa: B027 - most rasters hold nothing to close
         """Release the file."""
 
