@@ -38,14 +38,18 @@ def pictures(data: Path, name: str, table: str) -> list[NDArray[Any]]:
     with (data / "gsd" / table).open() as lines:
         for row in csv.DictReader(lines):
             if row["set"] == name and row["split"] == "val":
-                image = cv2.imread(str(data / "gsd" / row["file"]))
+                image = np.asarray(cv2.imread(str(data / "gsd" / row["file"])), np.uint8)
                 ratio = float(row["gsd_m_per_px"]) / GSD_M
                 if ratio < 0.99:
-                    image = cv2.resize(image, None, fx=ratio, fy=ratio, interpolation=cv2.INTER_AREA)
+                    image = _resized(image, ratio, cv2.INTER_AREA)
                 elif ratio > 1.01:
-                    image = cv2.resize(image, None, fx=ratio, fy=ratio, interpolation=cv2.INTER_CUBIC)
+                    image = _resized(image, ratio, cv2.INTER_CUBIC)
                 found.append(image)
     return found
+
+
+def _resized(image: NDArray[np.uint8], ratio: float, how: int) -> NDArray[np.uint8]:
+    return np.asarray(cv2.resize(image, None, fx=ratio, fy=ratio, interpolation=how), np.uint8)
 
 
 def layout(cells: int, share: float, rng: np.random.Generator) -> NDArray[Any]:

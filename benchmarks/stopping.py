@@ -67,7 +67,7 @@ def searched(images: list[NDArray[Any]], detector: Detector) -> list[Cell]:
             else:
                 look = FleetLook(np.zeros(0), np.zeros(0))
         assert len(look.log_odds) == len(found.boxes) <= _LOOKS
-        coarse = cv2.resize(image, (CELL_PX // 8, CELL_PX // 8), interpolation=cv2.INTER_AREA)
+        coarse = np.asarray(cv2.resize(image, (CELL_PX // 8,) * 2, interpolation=cv2.INTER_AREA), np.uint8)
         cells.append(Cell(found.boxes, found.scores, look.log_odds, look.log_lengths, car_promise(coarse).item()))
     return cells
 

@@ -29,7 +29,7 @@ def _places(side: int, factors: tuple[int, ...] = (1, 2)) -> list[TilePlace]:
 
 def _around(gsd: float) -> NDArray[np.float64]:
     density = np.exp(-0.5 * ((GRID - np.log(gsd)) / 0.2) ** 2)
-    return density / density.sum()
+    return np.asarray(density / density.sum())
 
 
 @settings(max_examples=25)

@@ -173,7 +173,7 @@ def test_the_order_of_the_visits_does_not_show_in_what_was_found(searching: Dete
 
 def test_a_search_ends_at_the_limit_of_tiles_or_seconds_and_says_so(searching: Detector) -> None:
     image, _ = _painted(2, _fleet(45.0, 42), columns=7)
-    small = {"tile_px": 160, "stride_px": 96}
+    small: dict[str, Any] = {"tile_px": 160, "stride_px": 96}
     with open_raster(image) as raster:
         twice = [search(raster, searching, Search(**small, max_tiles=12)) for _ in range(2)]
         hurried = search(raster, searching, Search(**small, max_seconds=1e-9))
