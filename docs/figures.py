@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -16,6 +20,11 @@ from vehanchor_scenes import Scene, render_scene
 
 ROOT = Path(__file__).parent.parent
 IMAGE = ROOT / "examples" / "car_park.jpg"
+SHOWN = ROOT / "examples" / "scenes" / "safe.jpg"
+MEASURED = (  # on that page: the tool, and from where to where, pixels of the image
+    ("Area", (255, 160), (535, 470)),
+    ("Distance", (217, 120), (292, 188)),
+)
 CROP = (slice(250, 510), slice(380, 760))  # rows and columns of the image, pixels
 HIT_IOU = 0.5
 BLUE, ORANGE, INK = "#0072B2", "#D55E00", "#222222"
@@ -94,6 +103,35 @@ def draw_hits_and_misses(scene: Scene) -> Figure:
     return figure
 
 
+def photograph_page(image: Path, picture: Path) -> None:
+    """Open ``vehanchor view`` in Chromium, measure an area and a distance as a person does, and keep what is seen."""
+    from playwright.sync_api import sync_playwright  # extra browser
+
+    command = [sys.executable, "-m", "vehanchor", "view", str(image), "--no-browser"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as viewer, sync_playwright() as playwright:
+        assert viewer.stderr is not None
+        url = viewer.stderr.readline().split()[1]
+        chromium = os.environ.get("CHROMIUM") or shutil.which("chromium")
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1280, "height": 860}, device_scale_factor=1.25)
+        page.goto(url)
+        sheet = page.locator(".sheet")
+        sheet.wait_for()
+        box = sheet.bounding_box()
+        assert box is not None
+        height_px, width_px = cv2.imread(str(image)).shape[:2]  # type: ignore[union-attr]
+        for n, (tool, start, end) in enumerate(MEASURED, start=1):
+            page.get_by_role("button", name=tool, exact=True).click()
+            for i, (x, y) in enumerate((start, end)):
+                page.mouse.move(box["x"] + x * box["width"] / width_px, box["y"] + y * box["height"] / height_px)
+                (page.mouse.up if i else page.mouse.down)()
+            page.locator(f"ol.measured li:nth-child({n})").wait_for()
+        page.keyboard.press("Escape")
+        page.screenshot(path=picture, type="jpeg", quality=85)
+        browser.close()
+        viewer.terminate()
+
+
 def main() -> None:
     """Write the images of ``docs/images``."""
     pixels = cv2.imread(str(IMAGE))
@@ -102,6 +140,7 @@ def main() -> None:
     draw_hits_and_misses(render_scene(0.15, width_px=800, height_px=800, seed=5, layout="urban")).savefig(
         ROOT / "docs" / "images" / "hits_and_misses.jpg", pil_kwargs={"quality": 88}
     )
+    photograph_page(SHOWN, ROOT / "docs" / "images" / "page.jpg")
 
 
 if __name__ == "__main__":

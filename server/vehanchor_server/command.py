@@ -1,4 +1,4 @@
-"""``vehanchor serve``, ``schemas`` and ``skill``, for the command line to mount."""
+"""``vehanchor serve``, ``view``, ``schemas`` and ``skill``, for the command line to mount."""
 
 from __future__ import annotations
 
@@ -16,7 +16,19 @@ from vehanchor_server.settings import Settings, SettingsError
 if TYPE_CHECKING:
     from vehanchor.choices import Choice
 
-__all__ = ["schemas", "serve", "skill"]
+__all__ = ["schemas", "serve", "skill", "view"]
+
+_VIEWED_WITH = (  # settings that are options of ``view``, too
+    "detector",
+    "segmenter",
+    "calibration",
+    "threads",
+    "min_score",
+    "max_image_mb",
+    "max_megapixels",
+    "max_windowed_megapixels",
+)
+_VIEW_DEADLINE_S = 600.0  # a person sees how far it is, and can leave
 
 
 def _parameters() -> list[inspect.Parameter]:
@@ -91,6 +103,58 @@ serve.__annotations__ = {each.name: each.annotation for each in _parameters()}  
 def _says_something(value: Any) -> bool:
     """Whether an option was given: 0 is a value, and a flag's absence is none."""
     return value is not None and value is not False and value != ()
+
+
+def view(
+    photographs: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[FOLDER]", help="Folder of photographs, or one of them. Others can be dropped.", show_default=False
+        ),
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of 127.0.0.1; 0 for any that is free.")] = 0,
+    browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
+    **options: Any,
+) -> None:
+    """Look at photographs in a page of your own browser: scale, vehicles, rulers; distances and areas by clicks.
+
+    The page is served to this machine only, at an address with a random token, until Ctrl-C.
+    """
+    import webbrowser
+
+    from vehanchor_server.transport.viewer import serve_viewer
+
+    def opened(url: str) -> None:
+        typer.echo(f"Open {url} in a browser of this machine. Ctrl-C ends it.", err=True)
+        if browser:
+            webbrowser.open(url)
+
+    try:
+        chosen = photographs.resolve() if photographs is not None and photographs.is_file() else None
+        roots = () if photographs is None else (photographs if chosen is None else chosen.parent,)
+        given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
+        said: dict[str, Any] = {name: value for name, value in given.items() if _says_something(value)}
+        serve_viewer(Settings(roots=roots, deadline_s=_VIEW_DEADLINE_S, **said), chosen, port, opened)
+    except SettingsError as error:
+        typer.echo(f"error[invalid_settings]: {error}", err=True)
+        raise typer.Exit(2) from None
+    except OSError as error:
+        typer.echo(f"error[port_taken]: cannot listen on port {port}: {error.strerror}; use another --port", err=True)
+        raise typer.Exit(2) from None
+
+
+def _own_parameters(command: Any) -> list[inspect.Parameter]:
+    kinds = typing.get_type_hints(command, include_extras=True)
+    own = inspect.signature(command).parameters.values()
+    return [each.replace(annotation=kinds[each.name]) for each in own if each.kind is not each.VAR_KEYWORD]
+
+
+_VIEW_PARAMETERS = [
+    *_own_parameters(view),
+    *(each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in _parameters() if each.name in _VIEWED_WITH),
+]
+view.__signature__ = inspect.Signature(_VIEW_PARAMETERS)  # type: ignore[attr-defined]
+view.__annotations__ = {each.name: each.annotation for each in _VIEW_PARAMETERS}
 
 
 def schemas(

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from vehanchor.errors import VehAnchorError
 
 if TYPE_CHECKING:
+    from vehanchor.batch.files import find_images
     from vehanchor.detection.detector import Detector
     from vehanchor.distance import DistanceAnalysis, analyse_distance, measure_distance
     from vehanchor.estimate import ScaleAnalysis, analyse_scale, estimate_gsd
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from vehanchor.segmentation.segmenter import Segmenter
 
 _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
+    "batch.files": ("find_images",),
     "detection.detector": ("Detector",),
     "distance": ("DistanceAnalysis", "analyse_distance", "measure_distance"),
     "estimate": ("ScaleAnalysis", "analyse_scale", "estimate_gsd"),
@@ -70,6 +72,7 @@ __all__ = [
     "analyse_scale",
     "estimate_flight",
     "estimate_gsd",
+    "find_images",
     "load_calibration",
     "measure_area",
     "measure_distance",

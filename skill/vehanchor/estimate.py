@@ -8,25 +8,27 @@ of threads.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 from vehanchor.anchors.agreement import disagreements
 from vehanchor.anchors.attitude import attitude, levelled, tilt_record
 from vehanchor.anchors.evidence import ImageFacts, View
+from vehanchor.anchors.leaning import leaning_notice
 from vehanchor.anchors.registry import OTHER_ANCHORS
 from vehanchor.anchors.scene_scale import SceneScale
-from vehanchor.anchors.vehicles import VehicleEvidence, Vehicles
+from vehanchor.anchors.vehicles import Vehicles
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene import load_scene_scale
 from vehanchor.detection.search import search
 from vehanchor.detection.sighting import Sighting
+from vehanchor.exhibits import ScaleAnalysis
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.identity import image_id
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.raster import can_be_read_again, open_raster
 from vehanchor.judgement import judge, standing
 from vehanchor.models.zoo import resolve_model
 from vehanchor.notices import NoticeCode
@@ -37,14 +39,15 @@ from vehanchor.scale.reference import reference_length
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Sequence
+    from pathlib import Path
     from typing import Unpack
 
     import onnxruntime
-    from numpy.typing import NDArray
 
     from vehanchor.anchors.attitude import Attitude
-    from vehanchor.anchors.evidence import Evidence, Mark
+    from vehanchor.anchors.evidence import Evidence
     from vehanchor.anchors.fused import RulerShare
+    from vehanchor.anchors.vehicles import VehicleEvidence
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.stopping import Standing
     from vehanchor.imagery.raster import ImageSource, Raster
@@ -57,6 +60,7 @@ __all__ = [
     "analyse_sighting",
     "conclude",
     "estimate_gsd",
+    "frame_scale",
     "georeference_notice",
     "image_facts",
     "image_notices",
@@ -68,49 +72,7 @@ _MODEL_DIGITS = 12
 GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale may differ by this from another before a warning
 
 
-@dataclass(frozen=True, eq=False)
-class ScaleAnalysis:
-    """An estimate together with what it was concluded from.
-
-    Attributes:
-        estimate: the record.
-        vehicles: their evidence, that of those that were dropped included.
-        others: the evidence of the other rulers.
-        in_image: the vehicles as they are in the image, where the camera looked aside and their evidence has them
-            levelled; None where it has them as they are.
-    """
-
-    estimate: GsdEstimate
-    vehicles: VehicleEvidence
-    others: tuple[Evidence, ...] = ()
-    in_image: Sighting | None = None
-
-    @property
-    def detections(self) -> Sighting:
-        """All vehicles that were found: ``boxes`` and ``scores``, best first."""
-        return self.in_image or self.vehicles.fleet.sighting
-
-    @property
-    def kept(self) -> NDArray[np.bool_]:
-        """``[n]`` bool, which of them the scale was taken from."""
-        return self.vehicles.fleet.kept
-
-    @property
-    def marks(self) -> tuple[Mark, ...]:
-        """What other rulers were laid along, in pixels of the image."""
-        return tuple(mark for other in self.others for mark in other.marks)
-
-    @property
-    def guard_length_px(self) -> float:
-        """``P_thresh`` of the resolution guard."""
-        return self.vehicles.guard_length_px
-
-    @property
-    def resolved(self) -> float:
-        """Share of the pixels' resolution at which there is detail."""
-        return self.vehicles.resolved
-
-
+@overload
 def estimate_gsd(
     image: ImageSource,
     *,
@@ -118,12 +80,34 @@ def estimate_gsd(
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Unpack[OptionKeywords],
-) -> GsdEstimate:
+) -> GsdEstimate: ...
+
+
+@overload
+def estimate_gsd(
+    image: list[str] | list[Path] | list[ImageSource] | tuple[ImageSource, ...],
+    *,
+    detector: Detector | str | os.PathLike[str] | None = None,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Unpack[OptionKeywords],
+) -> list[GsdEstimate]: ...
+
+
+def estimate_gsd(
+    image: Any,
+    *,
+    detector: Detector | str | os.PathLike[str] | None = None,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Unpack[OptionKeywords],
+) -> GsdEstimate | list[GsdEstimate]:
     """Estimate the ground sampling distance of an aerial image from the cars in it, and from what other rulers say.
 
     Args:
         image: path, encoded bytes, binary file object, Pillow image, rasterio dataset, or array (H x W x 3 RGB or
-            H x W; uint8, uint16 or float).
+            H x W; uint8, uint16 or float). A list of them gives a list; ``vehanchor.find_images`` makes one of folders
+            and patterns, ``vehanchor batch`` goes on where one of thousands cannot be read.
         detector: a bundled model's name, the path of an ONNX oriented-box model, or a loaded ``Detector``; default the
             bundled one.
         threads: CPU threads for the model; None leaves it to ONNX Runtime. Ignored for a loaded ``Detector``.
@@ -136,7 +120,7 @@ def estimate_gsd(
             ``focal_35mm`` (``Rulers``).
 
     Returns:
-        The record; ``gsd_m_per_px`` is None, never a guess, where no ruler finds anything.
+        The record, or a list of records; ``gsd_m_per_px`` is None, never a guess, where no ruler finds anything.
 
     Raises:
         ImageError: the image cannot be used; see ``vehanchor.errors`` for its kinds.
@@ -146,6 +130,9 @@ def estimate_gsd(
         CalibrationError: the calibration cannot be read, or was made for another detector.
     """
     chosen = ScaleOptions.of(options)
+    if isinstance(image, list | tuple):
+        detector = open_detector(detector, chosen, threads=threads)
+        return [analyse_scale(each, chosen, detector=detector, progress=progress).estimate for each in image]
     return analyse_scale(image, chosen, detector=detector, threads=threads, progress=progress).estimate
 
 
@@ -177,7 +164,8 @@ def analyse_scale(
     chosen = options or ScaleOptions()
     model = open_detector(detector, chosen, threads=threads)
     with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits, bgr=chosen.reading.bgr) as raster:
-        return analyse_raster(raster, model, chosen, progress=progress, run_options=run_options)
+        analysis = analyse_raster(raster, model, chosen, progress=progress, run_options=run_options)
+    return replace(analysis, image=image if can_be_read_again(image) else None, reading=chosen.reading)
 
 
 def open_detector(
@@ -282,6 +270,7 @@ def conclude(
     image, judgement = view.image, judge(vehicles, others)
     gsd, interval = judgement.gsd_m_per_px, judgement.interval
     warnings = [*image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
+    warnings += leaning_notice(view) if looked is None and vehicles.n else []
     warnings += disagreements((vehicles, *others), [ruler.kind for ruler in judgement.rulers if not ruler.agrees])
     if gsd is not None:
         who_says = "the vehicles say" if gsd == vehicles.gsd_m_per_px else "the rulers say"
@@ -313,7 +302,7 @@ def conclude(
         image_height_px=image.height_px,
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
         tilt=None if looked is None else tilt_record(looked, image, gsd),
-        frame=_frame_scale(view.options.frame, image.width_px, gsd, interval),
+        frame=frame_scale(view.options.frame, image.width_px, gsd, interval),
         scale=_known_scale(view, gsd, interval, judgement.confidence),
         model=view.card.name,
         model_sha256=view.card.sha256,
@@ -388,9 +377,10 @@ def georeference_notice(own: float | None, gsd_m_per_px: float, who_says: str) -
     ]
 
 
-def _frame_scale(
+def frame_scale(
     frame: Frame, width_px: int, gsd: float | None, interval: tuple[float, float] | None
 ) -> FrameScale | None:
+    """The scale in the caller's copy of an image, of so many columns; None where there is no copy."""
     if frame.size is None:
         return None
     factor = width_px / frame.size[0]

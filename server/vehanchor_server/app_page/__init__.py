@@ -1,6 +1,15 @@
 """The page that hosts with MCP Apps show to people beside a tool's result."""
 
-from vehanchor_server.app_page.page import APP_META, APP_URI, app_extension, page_html
+from vehanchor_server.app_page.page import APP_META, APP_URI, app_extension, page_html, view_html
 from vehanchor_server.app_page.panel import PANEL_KEY, PanelData, panel_meta
 
-__all__ = ["APP_META", "APP_URI", "PANEL_KEY", "PanelData", "app_extension", "page_html", "panel_meta"]
+__all__ = [
+    "APP_META",
+    "APP_URI",
+    "PANEL_KEY",
+    "PanelData",
+    "app_extension",
+    "page_html",
+    "panel_meta",
+    "view_html",
+]

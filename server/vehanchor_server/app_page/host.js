@@ -1,7 +1,8 @@
 // ---- The host: JSON-RPC 2.0 over postMessage (MCP Apps, 2026-01-26) ----
 
 const PROTOCOL_VERSION = "2026-01-26";
-const PANEL_KEY = "vehanchor/panel";
+const FRAME_MAX_PX = 620; // not a share of the window: hosts make the window as high as the page
+const SHARPENS = false; // each look at a part would be a call that the host's user is asked about
 const waiting = new Map();
 let lastId = 0;
 
@@ -19,6 +20,7 @@ const answers = { ping: () => ({}), "ui/resource-teardown": () => ({}) };
 const listeners = {
   "ui/notifications/tool-input": (params) => {
     call.arguments = params.arguments;
+    call.measured = [];
     if (!call.result) say("Measuring.");
   },
   "ui/notifications/tool-result": (result) => {
@@ -44,11 +46,6 @@ window.addEventListener("message", ({ source, data }) => {
     send({ id: data.id, error: { code: -32601, message: `${data.method} is not known here` } });
   }
 });
-
-// ---- State: one call of one tool ----
-
-const call = { tool: undefined, arguments: undefined, result: undefined };
-let canCallTools = false;
 
 function adopt(context) {
   const root = document.documentElement;

@@ -1,4 +1,7 @@
-"""The page as one HTML document that needs nothing else: styles and script inside, allowed by their hashes."""
+"""The page as one HTML document that needs nothing else: styles and script inside, allowed by their hashes.
+
+There are two of it, of the same parts: one for hosts of MCP Apps, one that ``vehanchor view`` serves to people.
+"""
 
 from __future__ import annotations
 
@@ -10,23 +13,27 @@ from typing import Any
 
 from mcp.server.apps import Apps, ResourceCsp
 
-__all__ = ["APP_META", "APP_URI", "app_extension", "page_html"]
+__all__ = ["APP_META", "APP_URI", "app_extension", "page_html", "view_html"]
 
 APP_URI = "ui://vehanchor/panel.html"
 APP_META: dict[str, Any] = {"ui": {"resourceUri": APP_URI}}
 """For the ``_meta`` of each tool whose results the page shows."""
 
-_SCRIPT = (
-    "host",
+_SHARED = (
     "elements",
     "sections",
+    "shapes",
+    "zoom",
     "picture",
+    "measuring",
     "rulers",
     "histogram",
     "plan",
     "record",
     "panel",
-)  # in this order
+)
+_IN_HOSTS = ("call", "host", *_SHARED, "embedded")  # in this order
+_BY_ITSELF = ("call", "local", *_SHARED, "exporting", "chooser")
 
 
 def app_extension() -> Apps:
@@ -46,28 +53,38 @@ def app_extension() -> Apps:
 
 @cache
 def page_html() -> str:
-    """The page, an HTML5 document."""
-    style, script = _part("panel.css"), _script()
+    """The page for hosts of MCP Apps, an HTML5 document."""
+    return _assembled("panel.html", ("panel.css",), _IN_HOSTS, "img-src data:")
+
+
+@cache
+def view_html() -> str:
+    """The page that ``vehanchor view`` serves: the same parts, and a list of photographs."""
+    return _assembled("view.html", ("panel.css", "view.css"), _BY_ITSELF, "img-src data:", "connect-src 'self'")
+
+
+def _assembled(template: str, styles: tuple[str, ...], scripts: tuple[str, ...], *allowed: str) -> str:
+    style, script = "\n".join(map(_part, styles)), _in_one_function(scripts)
     policy = "; ".join(
         [
             "default-src 'none'",
-            "img-src data:",
+            *allowed,
             f"style-src {_hash_source(style)}",
             f"script-src {_hash_source(script)}",
             "base-uri 'none'",
             "form-action 'none'",
         ]
     )
-    page = _part("panel.html")
+    page = _part(template)
     for place, text in (("{{policy}}", policy), ("{{style}}", style), ("{{script}}", script)):
         before, after = page.split(place)
         page = before + text + after
     return page
 
 
-def _script() -> str:
+def _in_one_function(names: tuple[str, ...]) -> str:
     """The script's parts in one function, so that the page has no global names."""
-    parts = "\n".join(_part(f"{name}.js") for name in _SCRIPT)
+    parts = "\n".join(_part(f"{name}.js") for name in names)
     return f'"use strict";\n(() => {{\n{parts}}})();\n'
 
 

@@ -1,4 +1,4 @@
-"""Data for the page beyond the record: the histogram of lengths, and the picture where no one else gets it.
+"""Data for the page beyond the record: the image, what is drawn over it, and the histogram of lengths.
 
 It travels in the result's ``_meta``, which hosts keep from the model (MCP Apps, 2026-01-26, "Data Passing").
 """
@@ -16,12 +16,13 @@ from vehanchor_server.frozen import FrozenModel
 if TYPE_CHECKING:
     from vehanchor.estimate import ScaleAnalysis
 
-__all__ = ["PANEL_KEY", "LengthHistogram", "PanelData", "length_histogram", "panel_meta", "place_of_image"]
+__all__ = ["PANEL_KEY", "Drawing", "LengthHistogram", "PanelData", "drawing_of", "length_histogram", "panel_meta"]
 
 PANEL_KEY = "vehanchor/panel"
 
 _MAX_BINS = 40
 _CURVE_POINTS = 121
+_MAX_VEHICLES = 2000  # drawn; a result is no archive
 _LONGEST_SHOWN = 2.5  # medians; longer outliers are counted beside the axis, or one false alarm would squeeze the rest
 
 
@@ -46,12 +47,27 @@ class LengthHistogram(FrozenModel):
     guard_px: float = Field(description="P_thresh: below it the resolution guard holds.")
 
 
-class ImagePlace(FrozenModel):
-    """Where the image lies in the picture, in shares of the picture's width: a small one has margins around it."""
+class DrawnLine(FrozenModel):
+    """A line that a ruler was laid along."""
 
-    left: float
-    top: float
-    width: float
+    points: tuple[tuple[float, float], ...]
+    label: str
+    closed: bool
+
+
+class Drawing(FrozenModel):
+    """What is drawn over the image, in pixels of the full image.
+
+    Attributes:
+        vehicles: of each, x and y of the centre, length, width, angle in degrees, and 1 for one that was measured, 0
+            for an outlier; best first.
+        vehicles_left_out: how many more there are.
+        lines: what other rulers were laid along.
+    """
+
+    vehicles: tuple[tuple[float, float, float, float, float, int], ...]
+    vehicles_left_out: int
+    lines: tuple[DrawnLine, ...]
 
 
 class PanelData(FrozenModel):
@@ -59,42 +75,50 @@ class PanelData(FrozenModel):
 
     Attributes:
         histogram: of the lengths behind the scale; null without vehicles.
-        picture_jpeg: the overlay in base64; null where the result's content has it, or the host shows no pages.
-        image_place: where the image lies in the overlay; null where there is none.
+        picture_jpeg: the image, reduced, in base64; null where the host shows no pages.
+        drawing: what belongs over it; null where the host shows no pages, or the scale was given.
         record: the whole record, where the result has a short one and the host shows pages.
     """
 
     histogram: LengthHistogram | None = None
     picture_jpeg: str | None = None
-    image_place: ImagePlace | None = None
+    drawing: Drawing | None = None
     record: dict[str, Any] | None = None
 
 
 def panel_meta(
     histogram: LengthHistogram | None,
-    picture: bytes | None,
+    picture: bytes | None = None,
+    drawing: Drawing | None = None,
     record: dict[str, Any] | None = None,
-    image_place: ImagePlace | None = None,
 ) -> dict[str, Any]:
-    """The ``_meta`` of a result.
-
-    Args:
-        histogram: of the lengths that the scale rests on.
-        picture: the overlay as JPEG, unless the result's content has it.
-        record: the whole record, unless the result has it.
-        image_place: where the image lies in the overlay.
-    """
+    """The ``_meta`` of a result; see ``PanelData``."""
     encoded = None if picture is None else base64.b64encode(picture).decode()
-    data = PanelData(histogram=histogram, picture_jpeg=encoded, image_place=image_place, record=record)
+    data = PanelData(histogram=histogram, picture_jpeg=encoded, drawing=drawing, record=record)
     return {PANEL_KEY: data.model_dump(mode="json")}
 
 
-def place_of_image(width_px: int, height_px: int) -> ImagePlace:
-    """Where an image of some size lies in its overlay."""
-    from vehanchor.pictures.scale import image_place
+def drawing_of(analysis: ScaleAnalysis) -> Drawing:
+    """What an estimate rests on, to a tenth of a pixel."""
+    import numpy as np  # not before a call needs it, as everything that computes
 
-    left, top, width = image_place(width_px, height_px)
-    return ImagePlace(left=left, top=top, width=width)
+    boxes = analysis.detections.boxes[:_MAX_VEHICLES]
+    rows = np.round(np.column_stack([boxes[:, :4], np.rad2deg(boxes[:, 4])]), 1)
+    return Drawing(
+        vehicles=tuple(
+            (x, y, length, width, angle, int(kept))
+            for (x, y, length, width, angle), kept in zip(rows.tolist(), analysis.kept, strict=False)
+        ),
+        vehicles_left_out=len(analysis.detections.boxes) - len(boxes),
+        lines=tuple(
+            DrawnLine(
+                points=tuple((round(float(x), 1), round(float(y), 1)) for x, y in mark.points),
+                label=mark.label,
+                closed=mark.closed,
+            )
+            for mark in analysis.marks
+        ),
+    )
 
 
 def length_histogram(analysis: ScaleAnalysis) -> LengthHistogram | None:

@@ -1,59 +1,113 @@
 // ---- The picture ----
 
-function picture(record, result) {
+const SHARPEN_AFTER_MS = 250;
+const PART_SIDE_PX = 1568; // the longest that the server sends
+
+function pictureSection(record, result) {
   const shown = html("div", {});
   const place = section("Picture", "picture", shown);
   const source = pictureOf(result);
-  if (source) shown.replaceChildren(...framed(record, source, result));
+  if (source) shown.replaceChildren(...framed(record, result, source));
   else if (canCallTools && call.arguments) shown.replaceChildren(asker(record, shown));
   else return undefined;
   return place;
 }
 
+// The image itself, over which the page draws; or, from servers and hosts that have no other, the drawn picture.
 function pictureOf(result) {
+  const { picture_jpeg: jpeg, drawing } = result._meta?.[PANEL_KEY] ?? {};
+  if (jpeg) return { url: `data:image/jpeg;base64,${jpeg}`, plain: true, drawing };
   const image = result.content?.find((part) => part.type === "image" && /^image\/(jpeg|png|webp)$/.test(part.mimeType));
-  if (image) return `data:${image.mimeType};base64,${image.data}`;
-  const jpeg = result._meta?.[PANEL_KEY]?.picture_jpeg;
-  return jpeg ? `data:image/jpeg;base64,${jpeg}` : undefined;
+  return image ? { url: `data:${image.mimeType};base64,${image.data}`, plain: false } : undefined;
 }
 
-function framed(record, source, result) {
-  const scale = isArea(record) ? record.scale : record;
+const usable = (record) => record.status === "ok" && record.gsd_m_per_px !== null;
+
+function framed(record, result, { url, plain, drawing }) {
+  const scale = scaleOf(record);
   const dropped = scale ? scale.n_detections - scale.n_vehicles : 0;
   const drawn = [];
-  if (isArea(record) && record.mask_area_px) drawn.push("the measured object tinted in purple");
+  if (isArea(record) && record.mask_area_px) drawn.push("the measured object outlined in purple");
   if (scale?.n_vehicles) drawn.push(`${counted(scale.n_vehicles, "measured vehicle")} outlined in blue`);
   if (dropped) drawn.push(`${counted(dropped, "outlier")} crossed in orange`);
-  if (record.gsd_m_per_px !== null) drawn.push("a scale bar");
-  const image = html("img", { src: source, alt: `The aerial image${drawn.length ? `, with ${drawn.join(", ")}` : ""}.` });
-  const sheet = html("div", { class: "sheet" }, image);
-  const frame = html("div", { class: "frame" }, sheet);
-  const zoom = html(
-    "button",
-    {
-      type: "button", "aria-pressed": "false",
-      on: {
-        click: () => {
-          const full = frame.classList.toggle("full");
-          zoom.setAttribute("aria-pressed", String(full));
-          zoom.textContent = full ? "Fit to width" : "Actual pixels";
-          if (full) frame.setAttribute("tabindex", "0"); // to be scrolled with the keyboard
-          else frame.removeAttribute("tabindex");
-        },
-      },
-    },
-    "Actual pixels",
-  );
+  if (usable(record)) drawn.push("a scale bar");
+  const image = html("img", { src: url, draggable: "false", alt: `The aerial image${drawn.length ? `, with ${drawn.join(", ")}` : ""}.` });
+  const [width, height] = [record.image_width_px, record.image_height_px];
+  const part = html("img", { class: "part", alt: "", hidden: true, draggable: "false" });
+  const canvas = svg("svg", { class: "drawn", "aria-hidden": "true", viewBox: `0 0 ${width} ${height}`, preserveAspectRatio: "none" });
+  const sheet = html("div", { class: "sheet" }, image, plain ? part : undefined, plain ? canvas : undefined);
+  const bar = plain && usable(record) ? scaleBar(record.gsd_m_per_px) : undefined;
+  const sharpen = plain && SHARPENS ? sharpener(record, image, part) : undefined;
+  const view = zoomable(width, height, sheet, (placed) => {
+    bar?.fit(placed);
+    sharpen?.(placed);
+  });
+  if (bar) view.frame.append(bar.bar);
+  if (!plain) image.addEventListener("load", () => { view.frame.style.aspectRatio = image.naturalWidth / image.naturalHeight; });
+  const redraw = () => paintShapes(canvas, shapesOf(record, drawing));
+  redraw();
+  const boxes = drawing?.vehicles.length ? toggle("Boxes", (on) => canvas.classList.toggle("bare", !on)) : undefined;
+  const tools = plain && canCallTools && call.arguments ? measuring(record, view, canvas, redraw) : undefined;
   const legend = [
     isArea(record) ? html("span", { class: "object" }, "measured object") : undefined,
     scale?.n_vehicles ? html("span", { class: "kept" }, "measured vehicle") : undefined,
     dropped ? html("span", { class: "dropped" }, "outlier, left out") : undefined,
+    drawing?.lines.length ? html("span", { class: "ruler-line" }, "other ruler") : undefined,
+    drawing?.vehicles_left_out ? html("span", {}, `${counted(drawing.vehicles_left_out, "vehicle")} not drawn`) : undefined,
   ];
-  const marked = scale?.rulers?.some(({ kind }) => kind === "known_length");
-  if (marked) legend.push(html("span", { class: "ruler-line" }, "known length"));
-  const place = result?._meta?.[PANEL_KEY]?.image_place;
-  const drawer = canCallTools && call.arguments && scale && place ? lineDrawer(record, sheet, image, place) : [];
-  return [frame, html("div", { class: "row" }, html("p", { class: "legend" }, ...legend), zoom), ...drawer];
+  return [
+    html("div", { class: "row tools" }, tools?.buttons, html("div", { class: "group" }, boxes), zoomButtons(view)),
+    view.frame,
+    html("p", { class: "legend" }, ...legend),
+    ...(tools?.below ?? []),
+    ...(plain ? exporters.map((row) => row(record, result, image, drawing)) : []),
+  ];
+}
+
+function toggle(words, act) {
+  const button = html(
+    "button",
+    {
+      type: "button", "aria-pressed": "true",
+      on: {
+        click: () => {
+          const on = button.getAttribute("aria-pressed") !== "true";
+          button.setAttribute("aria-pressed", String(on));
+          act(on);
+        },
+      },
+    },
+    words,
+  );
+  return button;
+}
+
+// Closer than the picture is fine, the part that is seen is asked for by itself.
+function sharpener(record, image, part) {
+  let timer = 0;
+  return (view) => {
+    clearTimeout(timer);
+    if (view.perPixel * devicePixelRatio * record.image_width_px < 1.3 * image.naturalWidth || image.naturalWidth >= record.image_width_px) {
+      part.hidden = true;
+      return;
+    }
+    timer = setTimeout(async () => {
+      const seen = Object.fromEntries(Object.entries(view.seen()).map(([side, at]) => [side, Math.round(at)]));
+      if (Math.min(seen.x_max - seen.x_min, seen.y_max - seen.y_min) < 16) return; // the least that is shown
+      const asked = { image: call.arguments.image, part: seen, long_side_px: PART_SIDE_PX, grid: false };
+      const sent = await request("tools/call", { name: "view_image", arguments: asked }).catch(() => undefined);
+      const source = sent && !sent.isError ? pictureOf(sent) : undefined; // without one the picture stays as it is
+      if (!source || !part.isConnected) return;
+      const share = (value, of) => `${(100 * value) / of}%`;
+      const [width, height] = [record.image_width_px, record.image_height_px];
+      part.src = source.url;
+      part.hidden = false;
+      Object.assign(part.style, {
+        left: share(seen.x_min, width), top: share(seen.y_min, height),
+        width: share(seen.x_max - seen.x_min, width), height: share(seen.y_max - seen.y_min, height),
+      });
+    }, SHARPEN_AFTER_MS);
+  };
 }
 
 // The model did not ask for a picture, and the server could not know that this page would show one.
@@ -68,11 +122,10 @@ function asker(record, shown) {
           button.disabled = true;
           words.textContent = "Measuring once more, for the picture.";
           try {
-            const name = call.tool ?? (isArea(record) ? "measure_area" : "estimate_gsd");
-            const result = await request("tools/call", { name, arguments: { ...call.arguments, include_overlay: true } });
-            const source = result.isError ? undefined : pictureOf(result);
-            if (!source) throw new Error(textOf(result) || "the server sent none");
-            shown.replaceChildren(...framed(record, source, result));
+            const result = await askAgain(record, {});
+            const source = pictureOf(result);
+            if (!source) throw new Error("the server sent none");
+            shown.replaceChildren(...framed(record, result, source));
             shown.querySelector("button").focus();
           } catch (error) {
             words.textContent = `No picture: ${error.message}`;

@@ -32,7 +32,7 @@ function vehicleReadings(scale) {
 }
 
 function readings(record) {
-  if (!isArea(record)) return html("dl", { class: "readings" }, scaleReading(record), ...vehicleReadings(record));
+  if (!isArea(record)) return html("dl", { class: "readings" }, trusted(record, scaleReading(record)), ...vehicleReadings(record));
   const tiles = [
     record.area_m2 === null
       ? reading("Area", whole(record.mask_area_px), "px", "no scale: pixels only")
@@ -49,7 +49,15 @@ function readings(record) {
   const scale = record.scale ?? record;
   if (record.scale_source === "given") tiles.push(reading("Scale", number(record.gsd_m_per_px), "m/px", "given by the caller"));
   else tiles.push(scaleReading(scale));
-  return html("dl", { class: "readings" }, ...tiles);
+  return html("dl", { class: "readings" }, ...tiles.map((tile) => trusted(record, tile)));
+}
+
+// A number that nobody should act on does not look like one that they may act on.
+function trusted(record, tile) {
+  if (record.status === "ok" || record.gsd_m_per_px === null) return tile;
+  tile.classList.add("untrusted");
+  tile.append(html("dd", { class: "note warn" }, "not to be used"));
+  return tile;
 }
 
 const TERMS = [ // the paper's weights, section III-D

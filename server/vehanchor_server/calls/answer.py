@@ -3,25 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar
 
 from mcp.server.mcpserver import Image
 from mcp.types import CallToolResult, TextContent
 from pydantic import BaseModel
 
 from vehanchor_server.app_page import panel_meta
-from vehanchor_server.app_page.panel import place_of_image
 from vehanchor_server.calls.short import short_answer
 
 if TYPE_CHECKING:
-    from vehanchor_server.app_page.panel import ImagePlace, LengthHistogram
+    from vehanchor_server.app_page.panel import Drawing, LengthHistogram
 
-__all__ = ["Answer", "Detail"]
+__all__ = ["Answer", "Detail", "WantedPictures"]
 
 Record = TypeVar("Record", bound=BaseModel, covariant=True)
 
 Detail: TypeAlias = Literal["short", "full"]
 """How much of a record an answer holds: what a model needs, or all of it."""
+
+
+class WantedPictures(NamedTuple):
+    """Which pictures a call is to make.
+
+    Attributes:
+        overlay: the one that explains the result; the caller asked for it.
+        page: the image for the host's page.
+    """
+
+    overlay: bool
+    page: bool
 
 
 @dataclass(frozen=True)
@@ -32,35 +43,31 @@ class Answer(Generic[Record]):
         records: the results, one for each thing that was asked about.
         overlay: the picture as JPEG, if it was asked for.
         histogram: of the lengths behind the scale; None without vehicles, or for a scale that the caller gave.
+        page_picture: the image as JPEG, if the host shows a page.
+        drawing: what the page draws over it.
     """
 
     records: tuple[Record, ...]
     overlay: bytes | None = None
     histogram: LengthHistogram | None = None
+    page_picture: bytes | None = None
+    drawing: Drawing | None = None
 
     @property
     def record(self) -> Record:
         """The first of them."""
         return self.records[0]
 
-    def _image_place(self) -> ImagePlace | None:
-        """Where the image lies in the overlay; None without one."""
-        width, height = (getattr(self.record, name, None) for name in ("image_width_px", "image_height_px"))
-        return None if self.overlay is None or not width or not height else place_of_image(width, height)
-
-    def to_result(
-        self, sentence: str, *, include_overlay: bool, detail: Detail = "full", paged: bool = False
-    ) -> CallToolResult:
+    def to_result(self, sentence: str, *, detail: Detail = "full", paged: bool = False) -> CallToolResult:
         """The record for programs, the sentence for models, the picture for those who asked, the panel for people.
 
         Args:
             sentence: the records in words.
-            include_overlay: whether the caller asked for the picture; else only the host's page gets it.
             detail: how much of the records.
             paged: whether the host shows a page, which then gets the whole record.
         """
         content: list[Any] = [TextContent(type="text", text=sentence)]
-        if include_overlay and self.overlay is not None:
+        if self.overlay is not None:
             content.append(Image(data=self.overlay, format="jpeg").to_image_content())
         whole = [record.model_dump(mode="json") for record in self.records]
         full = whole[0] if len(whole) == 1 else {"measurements": whole}
@@ -68,9 +75,6 @@ class Answer(Generic[Record]):
             content=content,
             structured_content=full if detail == "full" else short_answer(self.records),
             _meta=panel_meta(
-                self.histogram,
-                None if include_overlay else self.overlay,
-                whole[0] if paged and detail == "short" else None,
-                self._image_place(),
+                self.histogram, self.page_picture, self.drawing, whole[0] if paged and detail == "short" else None
             ),
         )

@@ -1,8 +1,8 @@
-"""The overlay as a picture small enough for every host."""
+"""The overlay as a picture small enough for every host, and the image itself for the page, which draws over it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -15,24 +15,53 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster, Window
+    from vehanchor_server.calls.answer import WantedPictures
     from vehanchor_server.calls.capacity import Stop
 
-__all__ = ["MAX_PICTURE_BYTES", "MAX_SIDE_PX", "overlay_jpeg", "small_jpeg", "stoppable"]
+__all__ = [
+    "MAX_PAGE_BYTES",
+    "MAX_PICTURE_BYTES",
+    "MAX_SIDE_PX",
+    "Pictures",
+    "draw_pictures",
+    "small_jpeg",
+    "stoppable",
+]
 
-MAX_PICTURE_BYTES = 500_000  # hosts cap a result at about 0.75 MB, and base64 adds a third
+MAX_PICTURE_BYTES = 400_000  # hosts cap a result at about 0.75 MB: this and the page's picture, and base64 adds a third
+MAX_PAGE_BYTES = 120_000  # on every result of a host that shows pages, whether anyone looks or not
 MAX_SIDE_PX = 1568  # what vision models see at most; more would only cost
 _QUALITIES = (85, 70, 55, 40)
 
 
-def overlay_jpeg(raster: Raster, stop: Stop, draw: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]) -> bytes:
-    """The picture that explains a result, as JPEG of at most ``MAX_PICTURE_BYTES``.
+class Pictures(NamedTuple):
+    """Pictures of one image as JPEG; None where they were not wanted.
+
+    Attributes:
+        overlay: of at most ``MAX_PICTURE_BYTES``.
+        page: of at most ``MAX_PAGE_BYTES``, with nothing drawn.
+    """
+
+    overlay: bytes | None = None
+    page: bytes | None = None
+
+
+def draw_pictures(
+    raster: Raster, stop: Stop, wanted: WantedPictures, draw: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
+) -> Pictures:
+    """Make the pictures of a result from one reading of the image.
 
     Args:
         raster: the image.
         stop: ends the reading of a large image early.
-        draw: makes the picture, ``[h', w', 3]`` RGB, of the image or a reduced copy, ``[h, w, 3]``.
+        wanted: which.
+        draw: makes the overlay, ``[h', w', 3]`` RGB, of the image or a reduced copy, ``[h, w, 3]``.
     """
-    return small_jpeg(draw(read_reduced(stoppable(raster, stop))))
+    if not any(wanted):
+        return Pictures()
+    seen = read_reduced(stoppable(raster, stop))
+    page = small_jpeg(seen, MAX_PAGE_BYTES) if wanted.page else None
+    return Pictures(small_jpeg(draw(seen)) if wanted.overlay else None, page)
 
 
 def stoppable(raster: Raster, stop: Stop) -> Raster:
@@ -40,13 +69,13 @@ def stoppable(raster: Raster, stop: Stop) -> Raster:
     return cast("Raster", _StoppableRaster(raster, stop))
 
 
-def small_jpeg(picture: NDArray[np.uint8]) -> bytes:
-    """A picture, ``[h, w, 3]`` RGB, as JPEG of at most ``MAX_PICTURE_BYTES`` and ``MAX_SIDE_PX`` a side."""
+def small_jpeg(picture: NDArray[np.uint8], max_bytes: int = MAX_PICTURE_BYTES) -> bytes:
+    """A picture, ``[h, w, 3]`` RGB, as JPEG of at most so many bytes and ``MAX_SIDE_PX`` a side."""
     while True:
         picture = _within(picture, MAX_SIDE_PX)
         for quality in _QUALITIES:
             _, encoded = cv2.imencode(".jpg", picture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
-            if encoded.size <= MAX_PICTURE_BYTES:
+            if encoded.size <= max_bytes:
                 return encoded.tobytes()
         picture = _within(picture, max(picture.shape[:2]) * 2 // 3)
 

@@ -15,12 +15,19 @@ from pydantic import Field
 
 from vehanchor.records import GsdEstimate
 from vehanchor_server.app_page import APP_META
-from vehanchor_server.calls.answer import Answer, Detail
+from vehanchor_server.calls.answer import Answer, Detail, WantedPictures
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
+from vehanchor_server.tools.flight_question import (
+    MoreImagesArgument,
+    SameScaleArgument,
+    check_flight_question,
+    estimate_among,
+)
+from vehanchor_server.tools.scale_answer import scale_answer
 from vehanchor_server.tools.scale_question import (
     EFFORT_ARGUMENTS,
     CoordinatesArgument,
@@ -40,6 +47,7 @@ from vehanchor_server.tools.sentences import (
     POLICY,
     interval,
     not_to_be_used,
+    nothing_found,
     rounded,
     sources,
     warnings,
@@ -72,6 +80,8 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         coordinates: CoordinatesArgument = "pixels",
         include_overlay: Annotated[bool, Field(description="Also return a picture of what was measured.")] = False,
         detail: DetailArgument = "short",
+        more_images: MoreImagesArgument = None,
+        same_scale: SameScaleArgument = False,
         effort: EffortArgument = None,
         max_tiles: MaxTilesArgument = None,
         max_seconds: MaxSecondsArgument = None,
@@ -89,23 +99,27 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
             max_seconds,
         )
         paged = client_supports_apps(ctx)
-        drawn = include_overlay or paged
-        answer = await run_call(services, ctx, image, partial(_estimate, question=question, drawn=drawn))
+        wanted = WantedPictures(include_overlay, paged)
+        work = partial(_estimate, question=question, wanted=wanted)
+        if more_images:
+            check_flight_question(question)
+            work = partial(estimate_among, question=question, wanted=wanted, same_scale=same_scale)
+        answer = await run_call(services, ctx, image, work, more_images or ())
         words = describe_estimate(answer.record, detail)
-        return answer.to_result(words, include_overlay=include_overlay, detail=detail, paged=paged)
+        return answer.to_result(words, detail=detail, paged=paged)
 
     return StrictTool.read_only(
         estimate_gsd,
         title="Measure the scale of an aerial image",
         description=_DESCRIPTION,
         meta=APP_META,
-        unlisted=EFFORT_ARGUMENTS,
         answered=("status", "gsd_m_per_px", "confidence"),
+        unlisted=("more_images", "same_scale", *EFFORT_ARGUMENTS),
     )
 
 
 def _estimate(
-    services: Services, job: Job, source: OpenedImage, question: ScaleQuestion, drawn: bool
+    services: Services, job: Job, source: OpenedImage, question: ScaleQuestion, wanted: WantedPictures
 ) -> Answer[GsdEstimate]:
     """Search the image for vehicles and measure them; in a worker's process or thread.
 
@@ -116,9 +130,6 @@ def _estimate(
     """
     from vehanchor.estimate import analyse_raster, open_detector
     from vehanchor.imagery.raster import open_raster
-    from vehanchor.pictures.scale import draw_overlay
-    from vehanchor_server.app_page.panel import length_histogram
-    from vehanchor_server.calls.overlay import overlay_jpeg
 
     detector = services.models.detector()
     options = question.options(services.settings, services.models)
@@ -126,11 +137,7 @@ def _estimate(
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         analysis = analyse_raster(raster, detector, options, progress=job.searched, run_options=job.run_options)
-        overlay = None
-        if drawn:
-            job.enter("overlay")
-            overlay = overlay_jpeg(raster, job.stop, lambda seen: draw_overlay(seen, analysis))
-    return Answer((analysis.estimate,), overlay, length_histogram(analysis))
+        return scale_answer(raster, analysis, wanted, job)
 
 
 def describe_estimate(estimate: GsdEstimate, detail: Detail = "full") -> str:
@@ -144,7 +151,7 @@ def describe_estimate(estimate: GsdEstimate, detail: Detail = "full") -> str:
 
 def _scale_in_words(estimate: GsdEstimate) -> str:
     if estimate.gsd_m_per_px is None:
-        return "No vehicles found, confidence 0: no metric scale; use another anchor."
+        return f"{nothing_found(estimate).capitalize()}."
     scale = f"{rounded(estimate.gsd_m_per_px)} m/px"
     scale += interval(estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px)
     scale += f", confidence {estimate.confidence:.2f} from {sources(estimate)}: "

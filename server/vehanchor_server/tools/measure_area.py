@@ -15,7 +15,7 @@ from pydantic import Field
 from vehanchor.records import AreaMeasurement, Notice
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
 from vehanchor_server.app_page import APP_META
-from vehanchor_server.calls.answer import Answer, Detail
+from vehanchor_server.calls.answer import Answer, Detail, WantedPictures
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
 from vehanchor_server.errors import CallError
@@ -24,7 +24,7 @@ from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.measuring import MeasuredBy, copy_hint
 from vehanchor_server.tools.scale_question import (
-    FLEET_ARGUMENTS,
+    UNLISTED_ARGUMENTS,
     CoordinatesArgument,
     DetailArgument,
     FocalLengthArgument,
@@ -33,6 +33,7 @@ from vehanchor_server.tools.scale_question import (
     HeightArgument,
     KnownLengthsArgument,
     KnownScaleArgument,
+    ObjectHeightArgument,
     ReferenceLengthArgument,
     RegionArgument,
     ScaleQuestion,
@@ -41,6 +42,7 @@ from vehanchor_server.tools.sentences import (
     OBEY,
     interval,
     not_to_be_used,
+    nothing_found,
     numbered,
     rounded,
     scale_origin,
@@ -91,22 +93,24 @@ def measure_area_tool(services: Services) -> StrictTool:
         known_lengths: KnownLengthsArgument = None,
         height_m: HeightArgument = None,
         focal_35mm: FocalLengthArgument = None,
+        object_height_m: ObjectHeightArgument = None,
         include_overlay: Annotated[
             bool, Field(description="Also return a picture with the first object's outline.")
         ] = False,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, AreaMeasurement]:
         question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
-        asked = _Question(_named(target, targets), MeasuredBy(gsd_m_per_px, scale, question))
+        asked = _Question(_named(target, targets), MeasuredBy(gsd_m_per_px, scale, question, object_height_m))
         paged = client_supports_apps(ctx)
-        answer = await run_call(services, ctx, image, partial(_measure, question=asked, drawn=include_overlay or paged))
+        wanted = WantedPictures(include_overlay, paged)
+        answer = await run_call(services, ctx, image, partial(_measure, question=asked, wanted=wanted))
         first = answer.record
         words = [
             numbered([_area_of_object(record) for record in answer.records]),
             *warnings(_once(answer.records), detail),
             *copy_hint(_places(asked.targets), question, first.image_width_px, first.image_height_px),
         ]
-        return answer.to_result(" ".join(words), include_overlay=include_overlay, detail=detail, paged=paged)
+        return answer.to_result(" ".join(words), detail=detail, paged=paged)
 
     return StrictTool.read_only(
         measure_area,
@@ -115,7 +119,7 @@ def measure_area_tool(services: Services) -> StrictTool:
         meta=APP_META,
         answered=("status", "area_m2", "confidence", "inscribed_diameter_m"),
         required=("targets",),
-        unlisted=("target", *FLEET_ARGUMENTS),
+        unlisted=("target", *UNLISTED_ARGUMENTS),
     )
 
 
@@ -140,7 +144,7 @@ def _once(records: Sequence[AreaMeasurement]) -> list[Notice]:
 
 
 def _measure(
-    services: Services, job: Job, source: OpenedImage, question: _Question, drawn: bool
+    services: Services, job: Job, source: OpenedImage, question: _Question, wanted: WantedPictures
 ) -> Answer[AreaMeasurement]:
     """Segment the object and measure it; in a worker's process or thread.
 
@@ -152,8 +156,8 @@ def _measure(
     from vehanchor.imagery.raster import open_raster
     from vehanchor.measure import analyse_objects
     from vehanchor.pictures.area import draw_area
-    from vehanchor_server.app_page.panel import length_histogram
-    from vehanchor_server.calls.overlay import overlay_jpeg
+    from vehanchor_server.app_page.panel import drawing_of, length_histogram
+    from vehanchor_server.calls.overlay import draw_pictures
 
     prompts = [_prompt(target) for target in question.targets]  # what has no meaning is told before the work
     segmenter = services.models.segmenter()
@@ -162,14 +166,23 @@ def _measure(
     with open_raster(source, limits=options.reading.limits) as raster:
         job.segmenting()
         found = analyse_objects(
-            raster, prompts, segmenter, scale, options, progress=job.searched, run_options=job.run_options
+            raster,
+            prompts,
+            segmenter,
+            scale,
+            options,
+            object_height_m=question.by.object_height_m,
+            progress=job.searched,
+            run_options=job.run_options,
         )
-        first, overlay = found[0], None
-        if drawn:
+        first = found[0]
+        if any(wanted):
             job.enter("overlay")
-            overlay = overlay_jpeg(raster, job.stop, lambda seen: draw_area(seen, first))
+        pictures = draw_pictures(raster, job.stop, wanted, lambda seen: draw_area(seen, first))
     histogram = None if first.scale is None else length_histogram(first.scale)
-    return Answer(tuple(each.measurement for each in found), overlay, histogram)
+    drawing = drawing_of(first.scale) if wanted.page and first.scale is not None else None
+    measured = tuple(each.measurement for each in found)
+    return Answer(measured, pictures.overlay, histogram, pictures.page, drawing)
 
 
 def _prompt(target: Target) -> "Prompt":
@@ -202,8 +215,8 @@ def _area_in_words(area: AreaMeasurement) -> str:
         return "No object found there: no area. Draw a box tightly around one that can be seen."
     if area.area_m2 is None:
         return (
-            f"The object covers {area.mask_area_px} px, but no vehicles were found, confidence 0: no metric scale, so "
-            "no area; use another anchor, and give its scale as gsd_m_per_px."
+            f"No area: the object covers {area.mask_area_px} px, but {nothing_found(area.scale)}, and give its scale "
+            "as gsd_m_per_px."
         )
     size = f"{rounded(area.area_m2)} m2{interval(area.area_ci95_low_m2, area.area_ci95_high_m2)}"
     if area.length_m is not None and area.width_m is not None and area.inscribed_diameter_m is not None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EFFORT_ARGUMENTS",
-    "FLEET_ARGUMENTS",
+    "UNLISTED_ARGUMENTS",
     "CoordinatesArgument",
     "DetailArgument",
     "EffortArgument",
@@ -32,6 +32,7 @@ __all__ = [
     "KnownScaleArgument",
     "MaxSecondsArgument",
     "MaxTilesArgument",
+    "ObjectHeightArgument",
     "ReferenceLengthArgument",
     "RegionArgument",
     "ScaleQuestion",
@@ -108,6 +109,15 @@ FocalLengthArgument: TypeAlias = Annotated[
     ),
 ]
 
+ObjectHeightArgument: TypeAlias = Annotated[
+    float | None,
+    Field(
+        ge=0,
+        le=1000,
+        allow_inf_nan=False,
+        description="Height of what is measured above the ground, as of a roof; needs the camera's height or lens.",
+    ),
+]
 EffortArgument: TypeAlias = Annotated[
     Effort | None,
     Field(description="Of images of 16 megapixels and more: full, auto (ends when more would not help) or fast."),
@@ -118,10 +128,17 @@ MaxSecondsArgument: TypeAlias = Annotated[
 ]
 
 EFFORT_ARGUMENTS = ("effort", "max_tiles", "max_seconds")
-"""Arguments of a search that are taken, but need not be listed: a program gives them, or the operator."""
+"""Arguments of a search that estimate_gsd takes, but does not list: a program gives them, or the operator."""
 
-FLEET_ARGUMENTS = ("region", "reference_length_m", "known_lengths", "height_m", "focal_35mm")
-"""Arguments of a search, which tools that measure take, too, but need not list: a model gives them to estimate_gsd."""
+UNLISTED_ARGUMENTS = (
+    "region",
+    "reference_length_m",
+    "known_lengths",
+    "height_m",
+    "focal_35mm",
+    "object_height_m",
+)
+"""Arguments that tools that measure take, but do not list: those of a search a model gives to estimate_gsd."""
 
 
 _Number = TypeVar("_Number", int, float)

@@ -56,6 +56,7 @@ class _Look:
     part: Box | None
     coordinates: Coordinates
     long_side_px: int
+    grid: bool
 
 
 def view_image_tool(services: Services) -> StrictTool:
@@ -68,10 +69,11 @@ def view_image_tool(services: Services) -> StrictTool:
         coordinates: CoordinatesArgument = "pixels",
         long_side_px: Annotated[int, Field(ge=_LEAST_SIDE_PX, le=_LONGEST_SIDE_PX)] = _USUAL_SIDE_PX,
         page: Annotated[int, Field(ge=1, le=_LAST_PAGE, description="Of the list of images.")] = 1,
+        grid: Annotated[bool, Field(description="Draw the grid; for people, who click, none is needed.")] = True,
     ) -> Annotated[CallToolResult, ViewedImage]:
         if image is None:
             return await _list_images(services, page)
-        look = _Look(part, coordinates, long_side_px)
+        look = _Look(part, coordinates, long_side_px, grid)
         seen, jpeg = await run_call(services, ctx, image, partial(_view, look=look))
         return _result(_words(seen), seen, jpeg)
 
@@ -80,6 +82,7 @@ def view_image_tool(services: Services) -> StrictTool:
         title="Look at an aerial image",
         description=_DESCRIPTION,
         answered=("image_width_px", "grid_px", "images"),
+        unlisted=("grid",),
     )
 
 
@@ -120,7 +123,7 @@ def _view(services: Services, job: Job, source: OpenedImage, look: _Look) -> tup
             pointing = Pointing(Frame(coordinates=look.coordinates), raster.width_px, raster.height_px)
             window = Window(*_inside(look.part, pointing))
         job.enter("overlay")
-        picture = draw_grid(stoppable(raster, job.stop), window, look.long_side_px)
+        picture = draw_grid(stoppable(raster, job.stop), window, look.long_side_px, lines=look.grid)
         jpeg = small_jpeg(picture.rgb)
         shown = cv2.imdecode(_bytes(jpeg), cv2.IMREAD_COLOR)
         assert shown is not None

@@ -18,11 +18,14 @@ _SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
 SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff"})  # what a directory is searched for
 
 
-def find_images(inputs: Sequence[str], *, leave_out: Iterable[Path] = ()) -> list[str]:
+def find_images(
+    inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], *, leave_out: Iterable[Path] = ()
+) -> list[str]:
     """Every image once, in an order that depends on the names alone.
 
     Args:
-        inputs: directories (searched with all below them, by suffix), patterns (``photos/*.jpg``, ``**`` too), files.
+        inputs: one or several: directories (searched with all below them, by suffix), patterns (``photos/*.jpg``,
+            ``**`` too), files.
             One file of several that does not exist stays in the list, if its name is that of an image: it becomes a
             row with its error.
         leave_out: files that are no images although a pattern finds them, such as the table to be written.
@@ -36,7 +39,8 @@ def find_images(inputs: Sequence[str], *, leave_out: Iterable[Path] = ()) -> lis
     """
     excluded = {path.resolve() for path in leave_out}
     found: dict[str, None] = {}
-    for name in inputs:
+    named = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
+    for name in map(os.fspath, named):
         images = [path for path in _images(name) if Path(path).resolve() not in excluded]
         if not images:
             raise ImageNotFoundError(f"no image in {name!r}; a directory is searched for {', '.join(sorted(SUFFIXES))}")

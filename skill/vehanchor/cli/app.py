@@ -29,7 +29,7 @@ __all__ = ["app", "main"]
 
 _GROUP = "vehanchor.commands"
 _PANELS = {
-    **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "scalebar"), "Measure"),
+    **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "scalebar", "view"), "Measure"),
     **dict.fromkeys(("serve", "schemas", "skill"), "For agents"),
     **dict.fromkeys(("doctor", "models"), "This installation"),
 }
@@ -41,6 +41,7 @@ _FIRST = (
     "batch",
     "flight",
     "scalebar",
+    "view",
     "doctor",
     "models",
     "serve",

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.bands import BandChoice
     from vehanchor.imagery.header import ImageHeader
 
-__all__ = ["MIN_SIDE_PX", "ImageSource", "Raster", "RasterNote", "Window", "open_raster"]
+__all__ = ["MIN_SIDE_PX", "ImageSource", "Raster", "RasterNote", "Window", "can_be_read_again", "open_raster"]
 
 ImageSource: TypeAlias = (
     str | os.PathLike[str] | bytes | bytearray | memoryview | BinaryIO | NDArray[Any] | Dataset | PillowImage
@@ -90,6 +90,11 @@ def open_raster(
         "image must be a path, bytes, a binary file, a numpy array, a Pillow image or a rasterio dataset, got "
         f"{type(image).__name__}"
     )
+
+
+def can_be_read_again(image: ImageSource) -> bool:
+    """Whether an image is there a second time: a stream is not."""
+    return is_dataset(image) or is_pillow(image) or not hasattr(image, "read")
 
 
 def _open_path(path: str, bands: BandChoice, limits: ImageLimits) -> Raster:

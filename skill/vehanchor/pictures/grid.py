@@ -36,13 +36,14 @@ class GridPicture(NamedTuple):
     step_px: int
 
 
-def draw_grid(raster: Raster, part: Window, long_side_px: int) -> GridPicture:
+def draw_grid(raster: Raster, part: Window, long_side_px: int, *, lines: bool = True) -> GridPicture:
     """Show a part of an image at a given size, never enlarged beyond four times.
 
     Args:
         raster: the image.
         part: of it.
         long_side_px: longer side of the picture.
+        lines: whether to draw the grid.
     """
     picture = read_reduced(raster, part)
     factor = min(4.0, long_side_px / max(part.width_px, part.height_px))
@@ -50,19 +51,25 @@ def draw_grid(raster: Raster, part: Window, long_side_px: int) -> GridPicture:
     method = cv2.INTER_AREA if size[0] < picture.shape[1] else cv2.INTER_CUBIC
     rgb = np.array(cv2.resize(picture, size, interpolation=method), dtype=np.uint8)
     step = _round_step(max(part.width_px, part.height_px) / _LINES)
-    across, down = size[0] / part.width_px, size[1] / part.height_px
+    if lines:
+        _draw_lines(rgb, part, step)
+    return GridPicture(rgb, step)
+
+
+def _draw_lines(rgb: NDArray[np.uint8], part: Window, step: int) -> None:
+    height, width = rgb.shape[:2]
+    across, down = width / part.width_px, height / part.height_px
     columns = [(x, round((x - part.x_px) * across)) for x in _multiples(step, part.x_px, part.width_px)]
     rows = [(y, round((y - part.y_px) * down)) for y in _multiples(step, part.y_px, part.height_px)]
     for _, at in columns:
         _lighten(rgb[:, at : at + 1])
     for _, at in rows:
         _lighten(rgb[at : at + 1])
-    capital = min(_MAX_TEXT_PX, max(_MIN_TEXT_PX, max(size) // _TEXT_SHARE))
+    capital = min(_MAX_TEXT_PX, max(_MIN_TEXT_PX, max(width, height) // _TEXT_SHARE))
     for x, at in columns:
         _write(rgb, f"{x}", (at + 3, capital + 3), capital)
     for y, at in rows:
         _write(rgb, f"{y}", (3, at - 3), capital)
-    return GridPicture(rgb, step)
 
 
 def _round_step(pixels: float) -> int:

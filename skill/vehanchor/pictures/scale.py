@@ -20,14 +20,14 @@ from vehanchor.pictures.marks import MARK_RGB, draw_marks
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.findings import ScaleFindings
     from vehanchor.imagery.raster import Raster
     from vehanchor.records import GsdEstimate
 
 CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
 """Texts of one line, each with the colour of the swatch before it."""
 
-__all__ = ["PICTURE_SUFFIXES", "check_picture_path", "draw_overlay", "image_place", "read_reduced", "write_picture"]
+__all__ = ["PICTURE_SUFFIXES", "check_picture_path", "draw_overlay", "read_reduced", "write_picture"]
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 KEPT_RGB = (86, 180, 233)  # Okabe and Ito's sky blue and orange: told apart with every kind of colour blindness
@@ -45,7 +45,7 @@ _JPEG_QUALITY = 92
 _ROWS_A_READ = 1024  # of the image, in strips as wide as it
 
 
-def draw_overlay(image: NDArray[np.uint8], analysis: ScaleAnalysis) -> NDArray[np.uint8]:
+def draw_overlay(image: NDArray[np.uint8], analysis: ScaleFindings) -> NDArray[np.uint8]:
     """Draw what an estimate rests on: kept vehicles in blue, outliers crossed in orange, other rulers in green, a bar.
 
     The bar has a round length; rulers that were laid along something are drawn there. Small images are enlarged and
@@ -79,23 +79,6 @@ def fit_for_eyes(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         return np.array(image)  # never the caller's own
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
     return cv2.resize(image, size, interpolation=method).astype(np.uint8, copy=False)
-
-
-def image_place(width_px: int, height_px: int) -> tuple[float, float, float]:
-    """Tell where an image lies in its overlay, which may have margins.
-
-    Args:
-        width_px: of the image.
-        height_px: of it.
-
-    Returns:
-        Left, top and width of the image, all in shares of the overlay's width.
-    """
-    factor = _picture_factor(width_px, height_px)
-    width, height = max(1, round(width_px * factor)), max(1, round(height_px * factor))
-    across, down = _margins(width, height)
-    whole = width + across
-    return across // 2 / whole, down // 2 / whole, width / whole
 
 
 def read_reduced(raster: Raster, part: Window | None = None) -> NDArray[np.uint8]:
@@ -174,7 +157,7 @@ def _picture_factor(width_px: int, height_px: int) -> float:
     return min(max(1.0, MIN_WIDTH_PX / width_px), MAX_SIDE_PX / longest)
 
 
-def draw_vehicles(picture: NDArray[np.uint8], analysis: ScaleAnalysis, scale: NDArray[np.float64]) -> None:
+def draw_vehicles(picture: NDArray[np.uint8], analysis: ScaleFindings, scale: NDArray[np.float64]) -> None:
     """Kept vehicles in blue, dropped outliers crossed in orange; ``scale`` is pixels of the picture per image pixel."""
     boxes = analysis.detections.boxes
     if not len(boxes):
@@ -237,7 +220,7 @@ def _headline(estimate: GsdEstimate) -> str:
     return text
 
 
-def _caption_lines(analysis: ScaleAnalysis) -> list[CaptionLine]:
+def _caption_lines(analysis: ScaleFindings) -> list[CaptionLine]:
     """Scale, interval and confidence, or first why there is none to use; the legend of both colours."""
     estimate = analysis.estimate
     n_dropped = estimate.n_detections - estimate.n_vehicles
@@ -260,7 +243,7 @@ def _caption_lines(analysis: ScaleAnalysis) -> list[CaptionLine]:
     return lines
 
 
-def _rulers_line(analysis: ScaleAnalysis) -> CaptionLine:
+def _rulers_line(analysis: ScaleFindings) -> CaptionLine:
     """What each ruler says, behind a swatch where it was laid along something; nothing where vehicles are the only."""
     heard = [ruler for ruler in analysis.estimate.rulers if ruler.kind != "scene_scale"]
     if [ruler.kind for ruler in heard] in ([], ["vehicles"]):

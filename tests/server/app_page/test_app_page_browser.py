@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -18,8 +17,8 @@ from mcp import Client
 from mcp.types import CallToolResult
 
 from tests.models import paint_vehicles
-from tests.needs import needed_module, needed_program
 from tests.sam_models import SamFiles
+from tests.server.app_page.conftest import PATIENCE_MS
 from tests.server.app_page.test_app_page import SHOWS_PAGES
 from tests.server.conftest import POOL_BOX, paint_scene, write_image
 from tests.server.conversation import by_path
@@ -63,8 +62,8 @@ function show(html, itsContext, itsCapabilities) {
 </script>"""
 
 LINE = {"x1": 20, "y1": 20, "x2": 420, "y2": 20, "metres": 400}  # ten times what the cars say
+ACROSS = [{"points": [{"x": 200, "y": 200}, {"x": 400, "y": 300}]}]
 Call = tuple[str, dict[str, Any]]
-PATIENCE_MS = 60_000
 
 
 class Host:
@@ -122,19 +121,6 @@ class Host:
         return frame.evaluate(script)
 
 
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    names = (os.environ.get("CHROMIUM"), "chromium", "google-chrome")
-    path = needed_program("chromium", "apt-get install chromium, or name one by CHROMIUM", candidates=names)
-    api = needed_module("playwright.sync_api", "pip install -e '.[browser]'")
-    with api.sync_playwright() as playwright:
-        # A sandboxed frame in a process of its own is missing from screenshots.
-        arguments = ["--no-sandbox", "--disable-features=IsolateSandboxedIframes"]
-        browser = playwright.chromium.launch(executable_path=path, args=arguments, timeout=2 * PATIENCE_MS)
-        yield browser
-        browser.close()
-
-
 @pytest.fixture
 def host(chromium: Any) -> Iterator[Host]:
     tab = chromium.new_page(viewport={"width": 900, "height": 1200})
@@ -168,6 +154,8 @@ def calls(tmp_path_factory: pytest.TempPathFactory, _images: Path) -> dict[str, 
         "no anchor": ("estimate_gsd", by_path(_images / "empty.png")),
         "failed": ("estimate_gsd", by_path(folder / "nothing.png")),
         "area": ("measure_area", pool),
+        "distance": ("measure_distance", {**by_path(_images / "cars.png"), "lines": ACROSS}),
+        "distance, few": ("measure_distance", {**by_path(_images / "two.png"), "lines": ACROSS}),
         "area, scale given": ("measure_area", {**alone, "gsd_m_per_px": 0.2}),
         "area, no anchor": ("measure_area", alone),
     }
@@ -179,7 +167,7 @@ def results(
 ) -> dict[str, dict[str, Any]]:
     """What the server answers to a host that shows pages, as on the wire."""
     roots = (_images, Path(calls["guarded"][1]["image"]["path"]).parent)
-    settings = Settings(roots=roots, detector=str(detector_path), segmenter=segmenter_paths, threads=1)
+    settings = Settings(roots=roots, detector=str(detector_path), segmenter=segmenter_paths, threads=1, in_process=True)
 
     async def ask() -> dict[str, dict[str, Any]]:
         async with Client(create_server(create_services(settings)), extensions=SHOWS_PAGES) as client:
@@ -228,6 +216,7 @@ def test_a_good_estimate_is_shown_in_words_numbers_and_a_histogram(
     assert host.page.locator(".curve").count() == 1
     image = host.page.get_by_role("img", name="24 measured vehicles outlined in blue, a scale bar.")
     assert image.get_attribute("src") == f"data:image/jpeg;base64,{panel['picture_jpeg']}"
+    assert host.page.locator(".drawn path.kept").get_attribute("d").count("Z") == 24
     assert image.evaluate("(image) => image.naturalWidth") > 0
 
 
@@ -252,8 +241,15 @@ def test_the_guard_and_its_cap_are_shown(
 ) -> None:
     assert results["guarded"]["structuredContent"]["resolution_guard"]
     host.show()
+    host.result(calls["good"], results["good"])
+    host.page.locator(".scale-bar").wait_for()
+    size = "() => parseFloat(getComputedStyle(document.querySelector('.readings > div:first-child .value')).fontSize)"
+    trusted = host.in_page(size)
     host.result(calls["guarded"], results["guarded"])
     host.says("#status", "Low confidence: fall back")
+    host.says(".readings > div:first-child .warn", "not to be used")
+    assert host.in_page(size) < 0.7 * trusted
+    assert host.page.locator(".scale-bar").count() == 0
     host.says(".tick.cap", "0.3guard's cap")
     meter = host.page.get_by_role("meter", name="Confidence")
     assert meter.get_attribute("aria-valuenow") == "0.30"
@@ -364,7 +360,7 @@ def test_a_host_that_passes_on_the_text_alone_still_shows_it(host: Host, calls: 
     host.says("#sentence", "0.1 m/px")
 
 
-def test_a_picture_in_the_content_is_shown(
+def test_a_picture_in_the_content_is_shown_where_there_is_no_other(
     host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
 ) -> None:
     data = results["good"]["_meta"][PANEL_KEY]["picture_jpeg"]
@@ -387,8 +383,8 @@ def test_a_missing_picture_is_asked_for_through_the_host(
     host.says(".picture [role=status]", "No picture: the user said no")
     host.tab.evaluate("(result) => { answer = { result }; }", results["area"])
     button.click()
-    host.page.get_by_role("button", name="Actual pixels").wait_for()
-    assert host.page.locator(".picture img").count() == 1
+    host.page.get_by_role("button", name="Zoom in").wait_for()
+    assert host.page.locator(".frame").count() == 1
     asked = [message["params"] for message in host.heard() if message.get("method") == "tools/call"]
     assert asked == [{"name": tool, "arguments": {**arguments, "include_overlay": True}}] * 2
 
@@ -407,14 +403,18 @@ def test_the_keyboard_reaches_the_picture_and_the_table(
 ) -> None:
     host.show()
     host.result(calls["good"], results["good"])
-    zoom = host.page.get_by_role("button")
+    zoom = host.page.get_by_role("button", name="Zoom in")
     zoom.focus()
     host.tab.keyboard.press("Enter")
-    host.says("button", "Fit to width")
-    assert zoom.get_attribute("aria-pressed") == "true"
-    host.tab.keyboard.press("Shift+Tab")
-    assert host.in_page("() => document.activeElement.className") == "frame full"  # scrolls with the arrow keys
     host.tab.keyboard.press("Tab")
+    host.tab.keyboard.press("Tab")
+    assert host.in_page("() => document.activeElement.className") == "frame zoomed"
+    left = "() => parseFloat(document.querySelector('.sheet').style.left)"
+    before = host.in_page(left)
+    host.tab.keyboard.press("ArrowRight")
+    assert host.in_page(left) == pytest.approx(before - 60)
+    host.tab.keyboard.press("0")
+    assert host.in_page("() => document.activeElement.className") == "frame"
     host.tab.keyboard.press("Tab")
     assert host.in_page("() => document.activeElement.tagName") == "SUMMARY"
     host.tab.keyboard.press("Enter")
@@ -447,28 +447,101 @@ def test_a_known_length_is_drawn_with_two_clicks_and_measured_with(
     arguments = {**arguments, **({"frame": copy} if copy else {})}
     host.show(tools=True)
     host.result((tool, arguments), results["good"])
-    image = host.page.locator(".picture img")
-    width = image.bounding_box()["width"]
-    per_pixel = width / 640  # of the image of 640 x 512 px
     host.tab.evaluate("(result) => { answer = { result }; }", results["rulers"])
     host.page.get_by_role("button", name="Draw a known length").click()
-    image.click(position={"x": 10, "y": image.bounding_box()["height"] - 4})  # the caption is no ground
-    image.click(position={"x": 100 * per_pixel, "y": 200 * per_pixel})
+    click_at(host, 100, 200)
     host.says(".picture [role=status]", "Now the other end.")
-    image.click(position={"x": 101 * per_pixel, "y": 200 * per_pixel})
+    click_at(host, 101, 200)
     host.says(".picture [role=status]", re.compile("too short"))
-    image.click(position={"x": 100 * per_pixel, "y": 200 * per_pixel})
-    image.click(position={"x": 500 * per_pixel, "y": 400 * per_pixel})
+    click_at(host, 100, 200)
+    click_at(host, 500, 400)
     host.page.get_by_role("spinbutton").fill("38.5")
     host.page.get_by_role("button", name="Measure again").click()
     host.says("#sentence", results["rulers"]["content"][0]["text"])
-    (asked,) = [message["params"] for message in host.heard() if message.get("method") == "tools/call"]
+    (asked,) = tool_calls(host)
     assert asked["name"] == tool
     line = asked["arguments"].pop("known_lengths")[0]
-    assert asked["arguments"] == {**arguments, "include_overlay": True}
+    assert asked["arguments"] == arguments  # the page gets its picture without asking
     share = 0.5 if copy else 1.0
     assert line.pop("metres") == 38.5
     assert list(line.values()) == pytest.approx([100 * share, 200 * share, 500 * share, 400 * share], abs=2.0)
+    host.page.locator(".drawn path.mark").wait_for(state="attached")  # a level line has no height
+
+
+def test_a_distance_is_two_clicks_and_an_area_a_box_and_neither_searches_again(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    host.show(tools=True)
+    host.result(calls["good"], results["good"])
+    host.tab.evaluate("(result) => { answer = { result }; }", results["distance"])
+    host.page.get_by_role("button", name="Distance").click()
+    host.page.get_by_role("button", name="Zoom in").click()
+    click_at(host, 200, 200)
+    click_at(host, 400, 300)
+    metres = results["distance"]["structuredContent"]["distance_m"]
+    host.says("ol.measured li:first-child .number", f"{metres:.3g} m")
+    host.tab.evaluate("(result) => { answer = { result }; }", results["area"])
+    host.page.get_by_role("button", name="Area").click()
+    drag(host, (300, 180), (420, 330))
+    host.says("ol.measured li:last-child .number", f"{results['area']['structuredContent']['area_m2']:.3g} m²")
+    distance, area = tool_calls(host)
+    scale = results["good"]["structuredContent"]["scale"]
+    assert distance["name"] == "measure_distance"
+    assert distance["arguments"]["scale"] == area["arguments"]["scale"] == scale
+    (line,) = distance["arguments"]["lines"]
+    places = [each for point in line["points"] for each in point.values()]
+    assert places == pytest.approx([200, 200, 400, 300], abs=2)
+    (target,) = area["arguments"]["targets"]
+    assert list(target["box"].values()) == pytest.approx([300, 180, 420, 330], abs=2)
+    assert host.page.locator(".drawn path.measured").count() == 2
+    host.page.get_by_role("button", name="Remove").first.click()
+    assert host.page.locator(".drawn path.measured").count() == 1
+
+
+def test_a_measurement_that_fails_or_is_not_to_be_used_says_so(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    host.show(tools=True)
+    host.result(calls["few"], results["few"])
+    host.tab.evaluate("(result) => { answer = { result }; }", results["failed"])
+    host.page.get_by_role("button", name="Distance").click()
+    drag(host, (100, 100), (300, 300))
+    host.says(".picture [role=status]", f"Not measured: {results['failed']['content'][0]['text']}")
+    host.tab.evaluate("(result) => { answer = { result }; }", results["distance, few"])
+    drag(host, (100, 100), (300, 300))
+    host.says("ol.measured li.untrusted .note:nth-of-type(3)", "not to be used: low confidence")
+    host.result(calls["no anchor"], results["no anchor"])
+    host.says("#status", "No metric scale")
+    assert host.page.get_by_role("button", name="Distance").count() == 0
+    host.page.get_by_role("button", name="Draw a known length").wait_for()
+
+
+def place_of(host: Host, x: float, y: float) -> tuple[float, float]:
+    """Where a place of the image of 640 x 512 px is in the frame of the picture."""
+    sheet, frame = (host.page.locator(name).bounding_box() for name in (".sheet", ".frame"))
+    return (
+        sheet["x"] - frame["x"] + x * sheet["width"] / 640,
+        sheet["y"] - frame["y"] + y * sheet["height"] / 512,
+    )
+
+
+def click_at(host: Host, x: float, y: float) -> None:
+    left, top = place_of(host, x, y)
+    host.page.locator(".frame").click(position={"x": left, "y": top})
+
+
+def drag(host: Host, start: tuple[float, float], end: tuple[float, float]) -> None:
+    host.page.locator(".frame").scroll_into_view_if_needed()
+    frame = host.page.locator(".frame").bounding_box()
+    first, last = ([frame["x"] + x, frame["y"] + y] for x, y in (place_of(host, *start), place_of(host, *end)))
+    host.tab.mouse.move(*first)
+    host.tab.mouse.down()
+    host.tab.mouse.move(*last, steps=3)
+    host.tab.mouse.up()
+
+
+def tool_calls(host: Host) -> list[dict[str, Any]]:
+    return [message["params"] for message in host.heard() if message.get("method") == "tools/call"]
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
@@ -528,6 +601,8 @@ def test_the_page_tells_its_height_and_never_scrolls_sideways(
     host.tab.set_viewport_size({"width": width, "height": 2400})
     host.show()
     for name, call in calls.items():
+        if call[0] == "measure_distance":
+            continue  # shows no page
         host.result(call, results[name])
         host.says("#sentence", results[name]["content"][0]["text"])
         host.until(host.shows_all)

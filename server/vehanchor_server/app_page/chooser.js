@@ -1,0 +1,98 @@
+// ---- Photographs: those of the folder, and those that are dropped ----
+
+const REGIONS = ["europe", "northern_europe", "north_america", "south_america", "south_asia"];
+const known = new Map(); // by path: the button, and the result once there is one
+let chosen;
+
+const nameOf = (path) => path.split(/[\\/]/).pop();
+const count = () => {
+  byId("count").textContent = counted(known.size, "photograph");
+};
+
+function listPhotograph(path, first = false) {
+  if (known.has(path)) return;
+  const mark = html("span", { class: "mark", "aria-hidden": "true" });
+  const button = html("button", { type: "button", title: path, on: { click: () => choose(path) } }, mark, html("span", {}, nameOf(path)));
+  known.set(path, { button, mark });
+  byId("photographs")[first ? "prepend" : "append"](html("li", {}, button));
+  count();
+}
+
+async function listPage(page) {
+  byId("more").hidden = true;
+  const { structuredContent: listed } = await request("tools/call", { name: "view_image", arguments: { page } });
+  listed.images.forEach((path) => listPhotograph(path));
+  if (!listed.next_page) return;
+  byId("more").hidden = false;
+  byId("more").onclick = () => listPage(listed.next_page);
+}
+
+async function choose(path) {
+  leave();
+  chosen = path;
+  for (const [each, { button }] of known) button.setAttribute("aria-current", String(each === path));
+  const region = byId("region").value;
+  call.arguments = { image: { kind: "path", path }, ...(region ? { region } : {}) };
+  call.tool = "estimate_gsd";
+  call.measured = [];
+  byId("sections").replaceChildren();
+  byId("status").hidden = true;
+  byId("panel").setAttribute("aria-busy", "true");
+  const entry = known.get(path);
+  const bar = html("progress", { max: "100", "aria-label": "How far the measurement is" });
+  byId("sections").replaceChildren(bar);
+  progressed = (percent, message) => {
+    if (chosen !== path || !bar.isConnected) return;
+    bar.value = percent;
+    say(`${nameOf(path)}: ${message}.`);
+  };
+  say(`${nameOf(path)}: measuring.`);
+  let result = entry.result?.region === region ? entry.result.result : undefined;
+  try {
+    result ??= await request("tools/call", { name: call.tool, arguments: call.arguments });
+  } catch (error) {
+    if (error.name === "AbortError") return;
+    result = { isError: true, content: [{ type: "text", text: error.message }] };
+  }
+  if (!result.isError) entry.result = { region, result };
+  entry.mark.className = `mark ${result.isError ? "failed" : result.structuredContent.status}`;
+  if (chosen !== path) return;
+  call.result = result;
+  show(result);
+}
+
+async function take(files) {
+  let first;
+  for (const file of files) {
+    say(`Reading ${file.name}.`);
+    const response = await fetch(`photographs?name=${encodeURIComponent(file.name)}`, {
+      method: "POST", headers: { "content-type": "application/octet-stream" }, body: file,
+    }).catch(() => undefined);
+    if (!response?.ok) {
+      fail(response ? await response.text() : "the program has ended; start it again with 'vehanchor view'");
+      continue;
+    }
+    const { path } = await response.json();
+    listPhotograph(path, true);
+    first ??= path;
+  }
+  if (first) await choose(first);
+}
+
+for (const [name, over] of [["dragenter", true], ["dragover", true], ["dragleave", false], ["drop", false]]) {
+  window.addEventListener(name, (event) => {
+    event.preventDefault();
+    document.body.classList.toggle("dropping", over && event.dataTransfer.types.includes("Files"));
+    if (name === "drop") take(event.dataTransfer.files);
+  });
+}
+byId("files").addEventListener("change", (event) => take(event.target.files));
+byId("open").addEventListener("click", () => byId("files").click());
+byId("region").append(...REGIONS.map((name) => html("option", { value: name }, name.replaceAll("_", " "))));
+byId("region").addEventListener("change", () => chosen && choose(chosen));
+say("Drop aerial photographs here, or choose one of the list.");
+byId("panel").setAttribute("aria-busy", "false");
+listPage(1).then(() => {
+  const wanted = decodeURIComponent(location.hash.slice(1)); // the one that the command named
+  if (known.has(wanted)) choose(wanted);
+}, (error) => fail(error.message));

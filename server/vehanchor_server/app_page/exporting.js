@@ -1,0 +1,89 @@
+// ---- Files to take away: the picture, the records, what is drawn ----
+
+const EXPORT_LEAST_PX = 1280; // a small image is enlarged, so that its letters can be read
+
+function download(name, data, type) {
+  const url = URL.createObjectURL(data instanceof Blob ? data : new Blob([data], { type }));
+  html("a", { href: url, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(url), 10_000);
+}
+
+const stem = () => call.arguments.image.path.split(/[\\/]/).pop().replace(/\.[^.]+$/, "");
+const records = (record) => ({ image: call.arguments.image.path, estimate: record, measured: call.measured.map((each) => each.record) });
+
+// In pixels of the image, y down, as the records' own __geo_interface__ has them.
+function features(record, drawing) {
+  const feature = (geometry, properties) => ({ type: "Feature", geometry, properties });
+  const closed = (ring) => [...ring, ring[0]];
+  const vehicles = (drawing?.vehicles ?? []).map((each) =>
+    feature({ type: "Polygon", coordinates: [closed(corners(each))] }, { kind: "vehicle", kept: Boolean(each[5]), length_px: each[2] }));
+  const measured = call.measured.map(({ kind, record: each }) => {
+    if (kind === "distance") {
+      return feature({ type: "LineString", coordinates: each.path.map(at) }, { kind, status: each.status, distance_m: each.distance_m });
+    }
+    const rings = each.outline.map(({ exterior, holes }) => [exterior, ...holes].map((ring) => closed(ring.points.map(at))));
+    return feature({ type: "MultiPolygon", coordinates: rings }, { kind, status: each.status, area_m2: each.area_m2 });
+  });
+  return { type: "FeatureCollection", features: [...vehicles, ...measured] };
+}
+
+const INKS = {
+  kept: "#56b4e9", dropped: "#e69f00", mark: "#00be8a", object: "#cc79a7", measured: "#f0e442", untrusted: "#c8ccd2",
+};
+
+function painted(record, image, drawing) {
+  const factor = Math.max(1, EXPORT_LEAST_PX / image.naturalWidth);
+  const [width, height] = [Math.round(image.naturalWidth * factor), Math.round(image.naturalHeight * factor)];
+  const perPixel = width / record.image_width_px;
+  const letters = Math.round(width / 60);
+  const canvas = html("canvas", { width, height: height + 3 * letters });
+  const pen = canvas.getContext("2d");
+  pen.fillStyle = "#16181c";
+  pen.fillRect(0, 0, canvas.width, canvas.height);
+  pen.drawImage(image, 0, 0, width, height);
+  pen.font = `600 ${letters}px sans-serif`;
+  pen.lineJoin = "round";
+  const write = (text, x, y) => {
+    [pen.lineWidth, pen.strokeStyle, pen.fillStyle] = [letters / 4, "#16181c", "#ffffff"];
+    pen.strokeText(text, x, y);
+    pen.fillText(text, x, y);
+  };
+  const shapes = shapesOf(record, drawing);
+  for (const [ink, thick] of [["#16181c", width / 300], [undefined, width / 700]]) {
+    for (const { kind, lines, closed } of shapes) {
+      [pen.strokeStyle, pen.lineWidth] = [ink ?? INKS[kind], thick];
+      for (const points of lines) {
+        pen.beginPath();
+        points.forEach(([x, y]) => pen.lineTo(x * perPixel, y * perPixel));
+        if (closed) pen.closePath();
+        pen.stroke();
+      }
+    }
+  }
+  for (const { lines: [points], label } of shapes.filter((each) => each.label)) {
+    const [x, y] = middle(points);
+    write(label, x * perPixel + letters / 2, y * perPixel - letters / 2);
+  }
+  if (usable(record)) {
+    const each = record.gsd_m_per_px / perPixel;
+    const metres = roundSteps(BAR_SHARE * width * each, 1);
+    pen.fillStyle = "#ffffff";
+    pen.fillRect(letters, height - 1.5 * letters, metres / each, letters / 2);
+    write(`${number(metres)} m`, letters, height - 2 * letters);
+  }
+  write(byId("sentence").textContent.split(": ")[0] + (usable(record) ? "" : ": not to be used"), letters, height + 2 * letters);
+  return canvas;
+}
+
+exporters.push((record, result, image, drawing) => {
+  const button = (words, act) => html("button", { type: "button", on: { click: act } }, words);
+  return html(
+    "div", { class: "row exports" },
+    html(
+      "div", { class: "group" }, html("span", { class: "note" }, "Save"),
+      button("Picture", () => painted(record, image, drawing).toBlob((blob) => download(`${stem()}.scale.png`, blob))),
+      button("Record", () => download(`${stem()}.scale.json`, JSON.stringify(records(record), null, 2), "application/json")),
+      button("GeoJSON", () => download(`${stem()}.geojson`, JSON.stringify(features(record, drawing)), "application/geo+json")),
+    ),
+  );
+});

@@ -1,0 +1,41 @@
+// ---- The program that serves this page: calls go to it, and tell how far they are ----
+
+const FRAME_MAX_PX = Math.max(420, 0.75 * window.innerHeight);
+const SHARPENS = true;
+let progressed = () => {};
+canCallTools = true;
+
+const running = new Set(); // of calls about the photograph that is shown
+const leave = () => running.forEach((aborter) => aborter.abort());
+
+async function request(method, params) {
+  const aborter = new AbortController();
+  if (params.arguments.image) running.add(aborter);
+  try {
+    return await answer(params, aborter.signal);
+  } finally {
+    running.delete(aborter);
+  }
+}
+
+// The program answers with lines of JSON: how far it is, and the result last.
+async function answer(params, signal) {
+  const response = await fetch("call", {
+    method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(params), signal,
+  });
+  if (!response.ok) throw new Error(await response.text());
+  const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+  let rest = "";
+  for (;;) {
+    const { done, value } = await reader.read();
+    rest += value ?? "";
+    const lines = rest.split("\n");
+    rest = lines.pop();
+    for (const line of lines) {
+      const { progress, message, result } = JSON.parse(line);
+      if (result) return result;
+      progressed(progress, message);
+    }
+    if (done) throw new Error("the program has ended; start it again with 'vehanchor view'");
+  }
+}

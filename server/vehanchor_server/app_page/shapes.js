@@ -1,0 +1,44 @@
+// ---- What lies over the image, in its pixels: for the page and for an exported picture alike ----
+
+const corners = ([x, y, length, width, degrees]) => {
+  const [cos, sin] = [Math.cos((degrees * Math.PI) / 180), Math.sin((degrees * Math.PI) / 180)];
+  return [[1, 1], [1, -1], [-1, -1], [-1, 1]].map(([u, v]) => [
+    x + (u * length * cos - v * width * sin) / 2, y + (u * length * sin + v * width * cos) / 2,
+  ]);
+};
+const ringsOf = (area) => area.outline.flatMap(({ exterior, holes }) => [exterior, ...holes].map((ring) => ring.points.map(at)));
+const at = ({ x_px: x, y_px: y }) => [x, y];
+const boxRing = ([[x1, y1], [x2, y2]]) => [[x1, y1], [x2, y1], [x2, y2], [x1, y2]];
+
+// Lines of one kind: points of each, whether its end is joined to its start, and what is written beside its middle.
+function shapesOf(record, drawing) {
+  const vehicles = drawing?.vehicles ?? [];
+  const closed = true;
+  const shapes = [
+    { kind: "kept", closed, lines: vehicles.filter((each) => each[5]).map(corners) },
+    { kind: "dropped", closed, lines: vehicles.filter((each) => !each[5]).map(corners) },
+    { kind: "dropped", lines: vehicles.filter((each) => !each[5]).map(corners).flatMap(([a, b, c, d]) => [[a, c], [b, d]]) },
+    ...(drawing?.lines ?? []).map((line) => ({ kind: "mark", closed: line.closed, lines: [line.points], label: line.label })),
+  ];
+  if (isArea(record)) shapes.push({ kind: "object", closed, lines: ringsOf(record) });
+  call.measured.forEach((each, i) => {
+    const kind = each.record.status === "ok" ? "measured" : "untrusted";
+    const label = `${i + 1}: ${sizeOf(each.record)}${kind === "untrusted" ? ", in doubt" : ""}`;
+    if (isArea(each.record)) shapes.push({ kind, closed, lines: ringsOf(each.record), label });
+    else shapes.push({ kind, lines: [each.record.path.map(at)], label });
+  });
+  return shapes.filter(({ lines }) => lines.length);
+}
+
+const middle = ([[x1, y1], [x2, y2]]) => [(x1 + x2) / 2, (y1 + y2) / 2];
+
+function paintShapes(canvas, shapes) {
+  const path = ({ lines, closed }) =>
+    lines.map((points) => `M${points.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`).join("L")}${closed ? "Z" : ""}`).join("");
+  const halos = shapes.map((each) => svg("path", { class: "halo", d: path(each) }));
+  const lines = shapes.map((each) => svg("path", { class: each.kind, d: path(each) }));
+  const labels = shapes
+    .filter(({ label }) => label)
+    .map(({ lines: [points], label }) => svg("text", { x: middle(points)[0], y: middle(points)[1] }, label));
+  canvas.replaceChildren(...halos, ...lines, ...labels);
+}

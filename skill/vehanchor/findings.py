@@ -1,0 +1,66 @@
+"""An estimate together with what it was concluded from, as rulers, pictures and tables look at it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from vehanchor.anchors.evidence import Evidence, Mark
+    from vehanchor.anchors.vehicles import VehicleEvidence
+    from vehanchor.detection.sighting import Sighting
+    from vehanchor.imagery.raster import ImageSource
+    from vehanchor.options import Reading
+    from vehanchor.records import GsdEstimate
+
+__all__ = ["ScaleFindings"]
+
+
+@dataclass(frozen=True, eq=False)
+class ScaleFindings:
+    """An estimate together with what it was concluded from.
+
+    Attributes:
+        estimate: the record.
+        vehicles: their evidence, that of those that were dropped included.
+        others: the evidence of the other rulers.
+        in_image: the vehicles as they are in the image, where the camera looked aside and their evidence has them
+            levelled; None where it has them as they are.
+        image: where the image can be read again, for pictures; None for a stream.
+        reading: how it was read; None for the defaults.
+    """
+
+    estimate: GsdEstimate
+    vehicles: VehicleEvidence
+    others: tuple[Evidence, ...] = ()
+    in_image: Sighting | None = None
+    image: ImageSource | None = None
+    reading: Reading | None = None
+
+    @property
+    def detections(self) -> Sighting:
+        """All vehicles that were found: ``boxes`` and ``scores``, best first."""
+        return self.in_image or self.vehicles.fleet.sighting
+
+    @property
+    def kept(self) -> NDArray[np.bool_]:
+        """``[n]`` bool, which of them the scale was taken from."""
+        return self.vehicles.fleet.kept
+
+    @property
+    def marks(self) -> tuple[Mark, ...]:
+        """What other rulers were laid along, in pixels of the image."""
+        return tuple(mark for other in self.others for mark in other.marks)
+
+    @property
+    def guard_length_px(self) -> float:
+        """``P_thresh`` of the resolution guard."""
+        return self.vehicles.guard_length_px
+
+    @property
+    def resolved(self) -> float:
+        """Share of the pixels' resolution at which there is detail."""
+        return self.vehicles.resolved

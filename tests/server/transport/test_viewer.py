@@ -1,0 +1,165 @@
+"""``vehanchor view``: who gets in, and what the page can ask for."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx2 as httpx
+import pytest
+from typer.testing import CliRunner
+
+from tests.server.app_page.viewing import viewing
+from tests.server.conftest import POOL_BOX
+from tests.server.conversation import by_path
+from vehanchor.cli.app import app
+from vehanchor_server.app_page import PANEL_KEY, view_html
+from vehanchor_server.settings import Settings
+from vehanchor_server.transport.viewer import Address
+
+WEB = httpx.Client(timeout=60, verify=False)  # one for all: each looks for certificates, which takes a second
+
+
+@pytest.fixture(scope="module")
+def address(
+    _images: Path, detector_path: Path, segmenter_paths: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Address]:
+    settings = Settings(roots=(_images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1)
+    with viewing(settings, tmp_path_factory.mktemp("view").resolve() / "dropped") as found:
+        yield found
+
+
+def ask(address: Address, name: str, arguments: dict[str, Any]) -> list[dict[str, Any]]:
+    """The lines of an answer."""
+    reply = WEB.post(f"{address.url()}call", json={"name": name, "arguments": arguments})
+    assert reply.status_code == 200, reply.text
+    return [json.loads(line) for line in reply.text.splitlines()]
+
+
+def test_the_page_comes_with_headers_that_keep_it_to_itself(address: Address) -> None:
+    reply = WEB.get(address.url())
+    assert reply.text == view_html()
+    assert reply.headers["content-security-policy"] == "frame-ancestors 'none'"
+    assert reply.headers["referrer-policy"] == "no-referrer"
+    assert reply.headers["cross-origin-resource-policy"] == "same-origin"
+    assert reply.headers["cache-control"] == "no-store"
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Host": "rebound.test"},
+        {"Host": "localhost:1"},
+        {"Origin": "https://elsewhere.test"},
+        {"Origin": "null"},
+        {"Sec-Fetch-Site": "cross-site"},
+        {"Sec-Fetch-Site": "same-site"},  # another port of this machine
+    ],
+    ids=str,
+)
+def test_a_page_of_another_origin_gets_nothing_even_if_it_knew_the_address(
+    address: Address, headers: dict[str, str], images: Path
+) -> None:
+    asked = {"name": "view_image", "arguments": {}}
+    own = {"Origin": address.origin, "Sec-Fetch-Site": "same-origin"}
+    assert WEB.post(f"{address.url()}call", json=asked, headers=own).status_code == 200
+    assert WEB.post(f"{address.url()}call", json=asked, headers={**own, **headers}).status_code == 404
+    assert WEB.get(address.url(), headers=headers).status_code == 404
+
+
+@pytest.mark.parametrize("path", ["", "wrong/", "wrong/call", "call", "%00/", "\u00e4/"])
+def test_without_the_token_there_is_nothing(address: Address, path: str) -> None:
+    reply = WEB.get(f"{address.origin}/{path}")
+    assert (reply.status_code, reply.text) == (404, "not found")
+    assert Address(1).token != Address(1).token
+
+
+def test_a_form_of_another_page_is_no_call(address: Address) -> None:
+    asked = json.dumps({"name": "view_image", "arguments": {}})
+    for kind in ("text/plain", "application/x-www-form-urlencoded"):  # what a page may send without being asked
+        assert WEB.post(f"{address.url()}call", content=asked, headers={"Content-Type": kind}).status_code == 400
+
+
+@pytest.mark.parametrize(
+    "body", ["", "[]", "{}", '{"name": 1, "arguments": {}}', "[" * 5000, '{"name": "' + "x" * 70_000]
+)
+def test_what_is_no_question_is_refused(address: Address, body: str) -> None:
+    headers = {"Content-Type": "application/json"}
+    assert WEB.post(f"{address.url()}call", content=body, headers=headers).status_code == 400
+
+
+def test_a_call_tells_how_far_it_is_and_its_result_last(address: Address, images: Path) -> None:
+    *steps, last = ask(address, "estimate_gsd", {"image": by_path(images / "cars.png")["image"]})
+    assert [step["progress"] for step in steps] == sorted(step["progress"] for step in steps)
+    assert steps[-1]["progress"] == 100
+    panel = last["result"]["_meta"][PANEL_KEY]
+    assert panel["picture_jpeg"]
+    assert panel["record"]["n_vehicles"] == len(panel["drawing"]["vehicles"]) == 24
+
+
+def test_an_error_of_a_tool_is_a_result_and_an_unknown_tool_too(address: Address) -> None:
+    for name, arguments in (("measure_area", {"x": 1}), ("no_such_tool", {}), ("estimate_gsd", by_path("/etc/passwd"))):
+        *_, last = ask(address, name, arguments)
+        assert last["result"]["isError"], name
+        assert last["result"]["content"][0]["text"]
+
+
+def test_a_photograph_that_is_dropped_is_measured_as_one_of_the_folder(address: Address, images: Path) -> None:
+    data = (images / "pool.png").read_bytes()
+    paths = [
+        drop(address, name, data).json()["path"] for name in ("my pool.png", "my pool.png", "../../.ssh/x y\n.png")
+    ]
+    assert paths[0] == paths[1]
+    assert Path(paths[0]).name == "my pool.png"
+    assert Path(paths[2]).name == "x y_.png"
+    assert Path(paths[2]).parent == Path(paths[0]).parent
+    *_, listed = ask(address, "view_image", {})
+    assert set(paths) <= set(listed["result"]["structuredContent"]["images"])
+    image = {"kind": "path", "path": paths[0]}
+    *_, estimated = ask(address, "estimate_gsd", {"image": image})
+    scale = estimated["result"]["structuredContent"]["scale"]
+    *_, measured = ask(address, "measure_area", {"image": image, "targets": [{"box": POOL_BOX}], "scale": scale})
+    assert measured["result"]["structuredContent"]["area_m2"] > 0
+
+
+def drop(address: Address, name: str, data: bytes) -> httpx.Response:
+    headers = {"Content-Type": "application/octet-stream"}
+    return WEB.post(f"{address.url()}photographs", params={"name": name}, content=data, headers=headers)
+
+
+def test_a_photograph_above_the_limit_is_not_kept(detector_path: Path, tmp_path: Path) -> None:
+    settings = Settings(detector=str(detector_path), max_image_mb=1)
+    with viewing(settings, tmp_path / "dropped") as address:
+        reply = drop(address, "large.png", bytes((1 << 20) + 1))
+    assert reply.status_code == 413
+    assert reply.text == "large.png has more than 1 MiB: reduce it"
+    assert list((tmp_path / "dropped").iterdir()) == []
+
+
+@pytest.mark.slow
+def test_the_command_says_where_the_page_is_and_leaves_nothing_behind(images: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "vehanchor", "view", str(images / "cars.png"), "--no-browser"]
+    environment = {"TMPDIR": str(tmp_path), "PATH": "/usr/bin:/bin"}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
+        assert process.stderr is not None
+        said = process.stderr.readline()
+        (url,) = re.findall(r"http://127\.0\.0\.1:\d+/[\w-]{32}/#\S+", said)
+        assert url.endswith("/cars.png")
+        assert WEB.get(url, timeout=20).status_code == 200
+        assert len(list(tmp_path.glob("vehanchor-view-*"))) == 1
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20) == 128 + signal.SIGTERM
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_not_there_and_a_port_that_is_taken_are_told(tmp_path: Path, address: Address) -> None:
+    missing = CliRunner().invoke(app, ["view", str(tmp_path / "none"), "--no-browser"])
+    assert (missing.exit_code, "give an existing directory" in missing.stderr) == (2, True)
+    taken = CliRunner().invoke(app, ["view", str(tmp_path), "--no-browser", "--port", str(address.port)])
+    assert (taken.exit_code, "use another --port" in taken.stderr) == (2, True)

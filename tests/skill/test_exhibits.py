@@ -1,0 +1,115 @@
+"""Analyses as people and other programs take them, and lists of images."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+import vehanchor
+from tests.models import blank_image, paint_vehicles, write_detector
+from vehanchor import Detector, analyse_scale
+from vehanchor.errors import ImageNotFoundError, InvalidParameterError, MissingExtraError
+
+
+@pytest.fixture(scope="module")
+def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
+    return Detector(write_detector(tmp_path_factory.mktemp("models") / "m.onnx", fixed_size=256))
+
+
+@pytest.fixture(scope="module")
+def cars() -> np.ndarray:
+    image = blank_image(480, 360)
+    paint_vehicles(image, [(50 + 60 * (i % 6), 60 + 80 * (i // 6), 30 + i % 3, 13, 0.4) for i in range(18)])
+    return image
+
+
+def test_the_overlay_and_the_plot_are_those_of_the_command(cars: np.ndarray, detector: Detector) -> None:
+    from vehanchor.pictures.scale import draw_overlay
+
+    analysis = analyse_scale(cars, detector=detector)
+    assert np.array_equal(analysis.overlay(), draw_overlay(cars, analysis))
+    assert len(analysis.plot().axes) >= 1
+    png = analysis._repr_png_()
+    assert png is not None
+    shown = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert shown is not None
+    assert np.array_equal(shown[:, :, ::-1], analysis.overlay())
+
+
+def test_an_image_is_read_again_as_it_was_read(cars: np.ndarray, detector: Detector) -> None:
+    from vehanchor import Reading, ScaleOptions
+
+    swapped = np.ascontiguousarray(cars[:, :, ::-1])
+    analysis = analyse_scale(swapped, ScaleOptions(reading=Reading(bgr=True)), detector=detector)
+    assert np.array_equal(analysis.overlay(), analyse_scale(cars, detector=detector).overlay())
+
+
+def test_a_stream_is_shown_once_it_is_given_again(cars: np.ndarray, detector: Detector) -> None:
+    data = cv2.imencode(".png", cars[:, :, ::-1])[1].tobytes()
+    analysis = analyse_scale(io.BytesIO(data), detector=detector)
+    assert analysis._repr_png_() is None
+    with pytest.raises(InvalidParameterError, match=r"overlay\(image\)"):
+        analysis.overlay()
+    assert np.array_equal(analysis.overlay(data), analyse_scale(data, detector=detector).overlay())
+
+
+def test_vehicles_are_features_that_maps_take(cars: np.ndarray, detector: Detector) -> None:
+    analysis = analyse_scale(cars, detector=detector)
+    collection: dict[str, Any] = analysis.__geo_interface__
+    assert len(collection["features"]) == 18
+    for feature, (x, y, length, width, _) in zip(collection["features"], analysis.detections.boxes, strict=True):
+        (ring,) = feature["geometry"]["coordinates"]
+        assert ring[0] == ring[-1]
+        assert np.mean(ring[:4], axis=0) == pytest.approx([x, y])
+        sides = np.linalg.norm(np.diff(ring[:3], axis=0), axis=1)
+        assert sorted(sides) == pytest.approx(sorted([length, width]))
+        assert feature["properties"]["kept"]
+
+
+class _Detections:
+    """Supervision's, as far as it is used: it takes these keywords and checks these shapes."""
+
+    def __init__(self, *, xyxy: Any, confidence: Any, class_id: Any, data: dict[str, Any]) -> None:
+        n = len(xyxy)
+        assert xyxy.shape == (n, 4)
+        assert (confidence.shape, class_id.shape) == ((n,), (n,))
+        assert data["xyxyxyxy"].shape == (n, 4, 2)
+        assert data["class_name"].shape == data["kept"].shape == (n,)
+        self.xyxy = xyxy
+
+
+def test_vehicles_are_detections_of_supervision(
+    cars: np.ndarray, detector: Detector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    analysis = analyse_scale(cars, detector=detector)
+    monkeypatch.setitem(sys.modules, "supervision", None)
+    with pytest.raises(MissingExtraError, match="pip install supervision"):
+        analysis.to_supervision()
+    stand_in = ModuleType("supervision")
+    stand_in.Detections = _Detections  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "supervision", stand_in)
+    boxes = analysis.to_supervision().xyxy
+    centres = (boxes[:, :2] + boxes[:, 2:]) / 2
+    assert centres == pytest.approx(analysis.detections.boxes[:, :2], abs=0.01)
+
+
+def test_a_list_gives_a_list_and_a_folder_is_one(cars: np.ndarray, detector: Detector, tmp_path: Path) -> None:
+    for name in ("b.png", "a.png"):
+        cv2.imwrite(str(tmp_path / name), cars[:, :, ::-1])
+    (tmp_path / "notes.txt").write_text("no image")
+    found = vehanchor.find_images(tmp_path)
+    assert [Path(path).name for path in found] == ["a.png", "b.png"]
+    assert vehanchor.find_images(str(tmp_path / "*.png")) == found
+    records = vehanchor.estimate_gsd(found, detector=detector)
+    assert records == [vehanchor.estimate_gsd(path, detector=detector) for path in found]
+    assert vehanchor.estimate_gsd((cars, found[0]), detector=detector)[1] == records[0]
+    assert vehanchor.estimate_gsd([], detector=detector) == []
+    with pytest.raises(ImageNotFoundError):
+        vehanchor.find_images(tmp_path / "none")
