@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.windows import Raster
 
-__all__ = ["CELL_PX", "car_promise", "promise_map", "promise_of"]
+__all__ = ["CELL_PX", "FLAT", "car_promise", "gradient", "promise_map", "promise_of"]
 
 CELL_PX = 512
 """Side of the cells of a promise map, pixels of the image."""
@@ -23,10 +23,22 @@ CELL_PX = 512
 _FACTOR = 8  # of the coarse view
 _CELL = CELL_PX // _FACTOR
 _BLOCK = 4 * _CELL  # of the coarse view, read at once: 2048 px of the image
-# Log odds that an image of 256 to 1024 px holds a car, over its gradient at 1/8: 967 train images, of which 0.75 of the
-# pairs of one with and one without cars are told apart, and 0.86 on val (benchmarks/RESULTS.md).
-_ODDS_AT_ONE, _ODDS_PER_LOG = -7.2, 3.08
-_FLAT = 0.5  # grey levels per pixel: what noise alone gives
+_ODDS_AT_ONE, _ODDS_PER_LOG = -7.2, 3.08  # that there is a car, over the log of the gradient: training/promise/fit.py
+FLAT = 0.5
+"""Grey levels per pixel that are added to a gradient before its log is taken: what noise alone gives."""
+
+
+def gradient(coarse: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Tell by how much grey levels change at each pixel.
+
+    Args:
+        coarse: ``[h, w, 3]`` uint8 RGB.
+
+    Returns:
+        ``[h, w]`` grey levels per pixel.
+    """
+    grey = cv2.cvtColor(coarse, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    return np.asarray(np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8, np.float32)
 
 
 def car_promise(coarse: NDArray[np.uint8]) -> NDArray[np.float64]:
@@ -38,11 +50,10 @@ def car_promise(coarse: NDArray[np.uint8]) -> NDArray[np.float64]:
     Returns:
         ``[ceil(h / 64), ceil(w / 64)]`` in 0..1.
     """
-    grey = cv2.cvtColor(coarse, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    change = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8
-    tops, lefts = range(0, grey.shape[0], _CELL), range(0, grey.shape[1], _CELL)
+    change = gradient(coarse)
+    tops, lefts = range(0, change.shape[0], _CELL), range(0, change.shape[1], _CELL)
     means = np.array([[change[y : y + _CELL, x : x + _CELL].mean() for x in lefts] for y in tops], dtype=np.float64)
-    return np.asarray(1 / (1 + np.exp(-(_ODDS_AT_ONE + _ODDS_PER_LOG * np.log(means + _FLAT)))))
+    return np.asarray(1 / (1 + np.exp(-(_ODDS_AT_ONE + _ODDS_PER_LOG * np.log(means + FLAT)))))
 
 
 def promise_map(raster: Raster) -> NDArray[np.float64]:
