@@ -20,8 +20,8 @@ import numpy as np
 import onnxruntime
 
 from vehanchor.detection.detector import Detector
+from vehanchor.detection.levels import search_levels
 from vehanchor.detection.nms import oriented_nms
-from vehanchor.detection.search import search_levels
 from vehanchor.estimate import analyse_scale
 from vehanchor.imagery.raster import open_raster
 from vehanchor.imagery.tiles import read_reduced_window, tile_grid

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vehanchor.choices import choice
-from vehanchor.options import DECODED_BYTES_PER_PIXEL, ImageLimits
+from vehanchor.options import DECODED_BYTES_PER_PIXEL, Effort, ImageLimits
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -76,6 +76,16 @@ class Settings:
     )
     threads: int | None = field(default=None, metadata=_words("CPU threads of a model.", panel=_WORK))
     min_score: float | None = field(default=None, metadata=_words("Lowest detection score.", panel=_WORK))
+    effort: str = field(
+        default="auto", metadata=_words("Of images of 16 megapixels and more: full, auto or fast.", panel=_WORK)
+    )
+    max_tiles: int | None = field(
+        default=None, metadata=_words("Tiles of an image that are searched at most.", panel=_WORK, if_unset="all")
+    )
+    max_search_s: float | None = field(
+        default=None,
+        metadata=_words("Seconds after which a search gives what it has found.", panel=_WORK, if_unset="no limit"),
+    )
     max_image_mb: float = field(
         default=ImageLimits.max_bytes / _MIB, metadata=_words("Largest image file, MiB.", panel=_WORK)
     )
@@ -165,6 +175,8 @@ class Settings:
                 continue
             if not (math.isfinite(value) and (value > 0 or (each.name == "min_score" and value == 0))):
                 raise SettingsError(f"{each.name} is {value}: use a finite number > 0")
+        if self.effort not in typing.get_args(Effort):
+            raise SettingsError(f"effort is {self.effort!r}: use one of {', '.join(typing.get_args(Effort))}")
         if self.min_score is not None and self.min_score > 1:
             raise SettingsError(f"min_score is {self.min_score}: it lies in 0..1")
 

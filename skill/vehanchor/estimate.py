@@ -29,7 +29,7 @@ from vehanchor.exhibits import ScaleAnalysis
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.raster import can_be_read_again, open_raster
-from vehanchor.judgement import judge
+from vehanchor.judgement import judge, standing
 from vehanchor.models.zoo import resolve_model
 from vehanchor.notices import NoticeCode
 from vehanchor.options import ScaleOptions
@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from vehanchor.anchors.fused import RulerShare
     from vehanchor.anchors.vehicles import VehicleEvidence
     from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.stopping import Standing
     from vehanchor.imagery.raster import ImageSource, Raster
     from vehanchor.options import Frame, OptionKeywords
 
@@ -66,7 +67,7 @@ __all__ = [
     "open_detector",
 ]
 
-_NOT_SEARCHED = Sighting(np.zeros((0, 5)), np.zeros(0))
+_NOT_SEARCHED = Sighting(np.zeros((0, 5)), np.zeros(0), 0, n_tiles_total=0)
 _MODEL_DIGITS = 12
 GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale may differ by this from another before a warning
 
@@ -112,10 +113,11 @@ def estimate_gsd(
         threads: CPU threads for the model; None leaves it to ONNX Runtime. Ignored for a loaded ``Detector``.
         progress: called with (tiles done, tiles in all).
         **options: the fields of ``vehanchor.options``' groups: ``min_score``, ``nms_iou``, ``search_scales``,
-            ``tile_px``, ``stride_px`` (``Search``), ``aggregation``, ``alpha`` (``Lengths``), ``reference_length_m``,
-            ``region``, ``calibration`` (``Reference``), ``frame_width_px``, ``frame_height_px``, ``coordinates``
-            (``Frame``), ``bands``, ``limits``, ``bgr``, ``max_megapixels`` (``Reading``), ``rulers``, ``metadata``,
-            ``known_lengths``, ``height_m``, ``focal_35mm`` (``Rulers``).
+            ``tile_px``, ``stride_px``, ``effort``, ``max_tiles``, ``max_seconds`` (``Search``), ``aggregation``,
+            ``alpha`` (``Lengths``), ``reference_length_m``, ``region``, ``calibration`` (``Reference``),
+            ``frame_width_px``, ``frame_height_px``, ``coordinates`` (``Frame``), ``bands``, ``limits``, ``bgr``,
+            ``max_megapixels`` (``Reading``), ``rulers``, ``metadata``, ``known_lengths``, ``height_m``,
+            ``focal_35mm`` (``Rulers``).
 
     Returns:
         The record, or a list of records; ``gsd_m_per_px`` is None, never a guess, where no ruler finds anything.
@@ -189,16 +191,31 @@ def analyse_raster(
     options.frame.check(raster.width_px, raster.height_px)
     options = options.in_pixels(raster.width_px, raster.height_px)
     facts = image_facts(raster)
-    attitude(facts, options)  # a horizon in sight is refused before the work
-    sighting = _NOT_SEARCHED
-    if options.rulers.searches:
-        sighting = search(raster, detector, options.search, progress=progress, run_options=run_options)
+    aside = attitude(facts, options)  # a horizon in sight is refused before the work
     weighed = detector.card.votes or not options.rulers.uses(Vehicles.kind)  # else there is nothing to weigh it against
     network = load_scene_scale() if weighed and options.rulers.uses(SceneScale.kind) else None
-    if network is not None:
-        sighting = replace(sighting, scene=network.look(raster, run_options=run_options))
-    view = View(facts, sighting, detector.card, options, partial(resolved_share, raster), raster)
+    scene = None if network is None else network.look(raster, run_options=run_options)
+    view = View(
+        facts, replace(_NOT_SEARCHED, scene=scene), detector.card, options, partial(resolved_share, raster), raster
+    )
+    if options.rulers.searches:
+        sighting = search(
+            raster,
+            detector,
+            options.search,
+            scene=scene,
+            standing=None if aside else partial(_standing, view),  # lengths differ over a view that is not level
+            progress=progress,
+            run_options=run_options,
+        )
+        view = replace(view, sighting=sighting)
     return analyse_sighting(view)
+
+
+def _standing(view: View, sighting: Sighting) -> Standing:
+    """Say whether what was found so far would do."""
+    view = replace(view, sighting=sighting)
+    return standing(Vehicles().look(view), (SceneScale().look(view),))
 
 
 def image_facts(raster: Raster) -> ImageFacts:
@@ -273,6 +290,9 @@ def conclude(
         rulers=tuple(_ruler_scale(share) for share in judgement.rulers),
         n_detections=len(vehicles.fleet.sighting.boxes),
         working_scale=vehicles.fleet.working_scale,
+        tiles_searched=view.sighting.n_tiles,
+        tiles_total=view.sighting.n_tiles_total or view.sighting.n_tiles,
+        stopped_because=view.sighting.stopped_because,
         aggregation=vehicles.aggregation,
         reference_length_m=vehicles.reference.length_m,
         reference_source=vehicles.reference.source,

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from vehanchor.anchors.agreement import disagreements
 from vehanchor.anchors.fused import anchors_among, fuse_rulers, shares
 from vehanchor.anchors.scene_scale import SceneScale
+from vehanchor.detection.stopping import Standing
 from vehanchor.notices import FLEET_DOUBTS, NoticeCode
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX, UNSURE_CONFIDENCE
 from vehanchor.scale.fusion import USABLE_CHANCE, fuse, mass_within
-from vehanchor.scale.lengths import MIN_KDE_VEHICLES
+from vehanchor.scale.lengths import MIN_KDE_VEHICLES, statistical_log_sds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
     from vehanchor.ruler_options import RulerName
     from vehanchor.scale.lengths import Interval
 
-__all__ = ["Judgement", "judge"]
+__all__ = ["Judgement", "judge", "standing"]
 
 _WIDEST_USABLE = 2.0  # high over low of an interval: beyond it a scale is not to be used
 _WIDEST_OF_ANY = 3.0  # the same where no chance of being right is known, as with foreign detectors
@@ -69,6 +71,28 @@ def judge(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judgement:
     makers = [each for each in anchors_among(others) if each.fusable_density is not None]
     fused = fuse_rulers((vehicles, *others)) if makers else None
     return _of_vehicles(vehicles, others) if fused is None else _of_all(fused, vehicles, others)
+
+
+def standing(vehicles: VehicleEvidence, witnesses: Sequence[Evidence]) -> Standing:
+    """Say of vehicles that were found so far whether more of them would help.
+
+    Args:
+        vehicles: their evidence.
+        witnesses: that of what says something of the ground, but makes no scale by itself.
+
+    Returns:
+        How far they leave the scale open, and whether it could be used.
+    """
+    if vehicles.mode_length_px is None:
+        return Standing(math.inf, 0.0, doubted=True)
+    scores = vehicles.fleet.scores if vehicles.aggregation == "weighted_kde" else None
+    statistical = math.hypot(*statistical_log_sds(vehicles.fleet.lengths, vehicles.mode_length_px, scores=scores))
+    doubts = any(notice.code in FLEET_DOUBTS for notice in vehicles.notices)
+    return Standing(
+        statistical,
+        vehicles.reference.sd_m / vehicles.reference.length_m,
+        doubted=doubts or vehicles.guarded or judge(vehicles, witnesses).reason is not None,
+    )
 
 
 def _of_all(fused: FusedScale, vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judgement:

@@ -9,10 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, get_args
 
-from vehanchor.choices import choice, positive, settle, share, whole
-from vehanchor.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, NMS_IOU, OUTLIER_ALPHA, Aggregation
+from vehanchor.choices import choice, positive, settle, whole
+from vehanchor.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, OUTLIER_ALPHA, Aggregation
 from vehanchor.errors import FrameError, InvalidParameterError
 from vehanchor.ruler_options import KnownLength, RulerName, Rulers
+from vehanchor.search_options import Effort, Search
 
 if TYPE_CHECKING:
     import os
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = [
     "DECODED_BYTES_PER_PIXEL",
     "Coordinates",
+    "Effort",
     "Frame",
     "ImageLimits",
     "KnownLength",
@@ -70,54 +72,6 @@ class ImageLimits:
     def __post_init__(self) -> None:
         for each in fields(self):
             settle(self, each.name, whole(each.name, getattr(self, each.name)))
-
-
-@dataclass(frozen=True)
-class Search:
-    """How an image is searched for vehicles.
-
-    Attributes:
-        min_score: lowest detection score, 0..1; None takes the model's (0.1, the paper's, for foreign models).
-        nms_iou: IoU, 0..1, above which the weaker of two boxes is dropped.
-        search_scales: search reduced copies of the image, too, for vehicles longer than the model was trained on; None
-            takes the model's own choice (no, for foreign models).
-        tile_px: tile side; None is 1024, or the model's input where that is fixed.
-        stride_px: step between tiles; None is three quarters of the tile.
-
-    Raises:
-        InvalidParameterError: a number has no meaning.
-    """
-
-    min_score: float | None = field(
-        default=None, metadata=choice("Lowest detection score, 0 to 1. Default: the model's.", metavar="P")
-    )
-    nms_iou: float = field(
-        default=NMS_IOU,
-        metadata=choice("Of two boxes that overlap by more (IoU) one is dropped.", metavar="P", flag="nms-iou"),
-    )
-    search_scales: bool | None = field(
-        default=None,
-        metadata=choice(
-            "Search copies at 1/2, 1/4 and 1/8, too, for vehicles longer than the model was trained on. Default: the "
-            "model's choice.",
-        ),
-    )
-    tile_px: int | None = field(
-        default=None, metadata=choice("Side of a tile, pixels. Default: 1024, or the model's input.", metavar="PX")
-    )
-    stride_px: int | None = field(
-        default=None, metadata=choice("Step between tiles, pixels. Default: 3/4 of the tile.", metavar="PX")
-    )
-
-    def __post_init__(self) -> None:
-        if self.min_score is not None:
-            settle(self, "min_score", share("min_score", self.min_score))
-        settle(self, "nms_iou", share("nms_iou", self.nms_iou))
-        if self.search_scales is not None and not isinstance(self.search_scales, bool):
-            raise InvalidParameterError(f"search_scales is {self.search_scales!r}: use True, False or None")
-        for name in ("tile_px", "stride_px"):
-            if getattr(self, name) is not None:
-                settle(self, name, whole(name, getattr(self, name)))
 
 
 @dataclass(frozen=True)
@@ -322,6 +276,9 @@ class OptionKeywords(TypedDict, total=False):
     search_scales: bool | None
     tile_px: int | None
     stride_px: int | None
+    effort: Effort
+    max_tiles: int | None
+    max_seconds: float | None
     aggregation: Aggregation | None
     alpha: float | None
     reference_length_m: float | None
@@ -354,7 +311,7 @@ class ScaleOptions:
         rulers: what the scale is taken from.
     """
 
-    search: Search = Search()
+    search: Search = field(default_factory=Search)
     lengths: Lengths = Lengths()
     reference: Reference = Reference()
     frame: Frame = Frame()

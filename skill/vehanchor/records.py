@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from vehanchor.defaults import Aggregation
 from vehanchor.exchange import as_frame, as_html, line_geometry, outline_geometry
 from vehanchor.ruler_options import RulerName
+from vehanchor.search_options import Stopped
 
 __all__ = [
     "AreaMeasurement",
@@ -179,6 +180,12 @@ class GsdEstimate(_Record):
     working_scale: float | None = Field(
         description="Scale of the copy of the image where most of the kept vehicles were found: 1 (full resolution), "
         "0.5, 0.25 or 0.125; null without vehicles. All lengths are in pixels of the full image whatever it is."
+    )
+    tiles_searched: int = Field(ge=0, description="Tiles that were searched; 0 where no ruler needs the detector.")
+    tiles_total: int = Field(ge=0, description="Tiles that the image has, at all resolutions.")
+    stopped_because: Stopped | None = Field(
+        description="Why the search ended. all_searched: no tile was left. settled: more tiles could not narrow the "
+        "interval (images of 16 megapixels and more). max_tiles, max_seconds: as limited. Null where none was searched."
     )
     aggregation: Aggregation = Field(description="How lengths became one: the mode, or the median below 5 vehicles.")
     reference_length_m: float = Field(gt=0, description="L_ref: vehicle length that P_mode stands for, metres.")

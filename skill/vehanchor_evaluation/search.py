@@ -22,7 +22,7 @@ from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.estimate import ScaleAnalysis, analyse_raster, analyse_sighting, image_facts
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.raster import open_raster
-from vehanchor.options import Lengths, ScaleOptions
+from vehanchor.options import Lengths, ScaleOptions, Search
 from vehanchor_evaluation.known_scale import DATASET_LIMITS, FileIssue
 
 if TYPE_CHECKING:
@@ -110,10 +110,16 @@ def open_detection_log(
         "model_sha256": detector.card.sha256,
         "fleet_sha256": detector.card.fleet_sha256,
         "classes": classes,
-        "search": asdict(options.search) if options.rulers.searches else None,
+        "search": _of_full_search(options.search) if options.rulers.searches else None,
         "bands": options.reading.bands,
     }
     return Journal(path, settings, dump=_dumped, load=_loaded)
+
+
+def _of_full_search(chosen: Search) -> dict[str, Any]:
+    """What a full search depends on."""
+    early = ("effort", "max_tiles", "max_seconds")
+    return {name: value for name, value in asdict(chosen).items() if name not in early}
 
 
 def _dumped(searched: SearchedImage) -> Any:
@@ -139,7 +145,8 @@ def search_images(
     Args:
         images: the files, each once.
         detector: the model, shared by all workers.
-        options: of the search; of what only the second half reads, ``alpha`` may be one more that is looked at.
+        options: of the search, which is always a full one: tables must not depend on when one ends. Of what only the
+            second half reads, ``alpha`` may be one more that is looked at.
         log: takes what is found, at once.
         workers: images searched at the same time, each held in memory.
         progress: called with (images done, images in all).
@@ -147,6 +154,7 @@ def search_images(
     Yields:
         Each file with what was found, in order; or with why it could not be searched.
     """
+    options = replace(options, search=replace(options.search, effort="full", max_tiles=None, max_seconds=None))
     files = list(images)
     log = open_detection_log(None, detector, options) if log is None else log
     tell = progress or (lambda _done, _total: None)

@@ -29,12 +29,16 @@ from vehanchor_server.tools.flight_question import (
 )
 from vehanchor_server.tools.scale_answer import scale_answer
 from vehanchor_server.tools.scale_question import (
+    EFFORT_ARGUMENTS,
     CoordinatesArgument,
     DetailArgument,
+    EffortArgument,
     FocalLengthArgument,
     FrameArgument,
     HeightArgument,
     KnownLengthsArgument,
+    MaxSecondsArgument,
+    MaxTilesArgument,
     ReferenceLengthArgument,
     RegionArgument,
     ScaleQuestion,
@@ -78,8 +82,22 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         detail: DetailArgument = "short",
         more_images: MoreImagesArgument = None,
         same_scale: SameScaleArgument = False,
+        effort: EffortArgument = None,
+        max_tiles: MaxTilesArgument = None,
+        max_seconds: MaxSecondsArgument = None,
     ) -> Annotated[CallToolResult, GsdEstimate]:
-        question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
+        question = ScaleQuestion(
+            region,
+            reference_length_m,
+            frame,
+            known_lengths,
+            height_m,
+            focal_35mm,
+            coordinates,
+            effort,
+            max_tiles,
+            max_seconds,
+        )
         paged = client_supports_apps(ctx)
         wanted = WantedPictures(include_overlay, paged)
         work = partial(_estimate, question=question, wanted=wanted)
@@ -96,7 +114,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         description=_DESCRIPTION,
         meta=APP_META,
         answered=("status", "gsd_m_per_px", "confidence"),
-        unlisted=("more_images", "same_scale"),
+        unlisted=("more_images", "same_scale", *EFFORT_ARGUMENTS),
     )
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeVar, cast
 
 from pydantic import Field
 
-from vehanchor.options import Coordinates, Frame, KnownLength, Reading, Reference, Rulers, ScaleOptions, Search
+from vehanchor.options import Coordinates, Effort, Frame, KnownLength, Reading, Reference, Rulers, ScaleOptions, Search
 from vehanchor.records import KnownScale
 from vehanchor_server.calls.answer import Detail
 from vehanchor_server.frozen import FrozenModel
@@ -17,9 +17,11 @@ if TYPE_CHECKING:
     from vehanchor_server.settings import Settings
 
 __all__ = [
+    "EFFORT_ARGUMENTS",
     "UNLISTED_ARGUMENTS",
     "CoordinatesArgument",
     "DetailArgument",
+    "EffortArgument",
     "FocalLengthArgument",
     "FrameArgument",
     "FrameSize",
@@ -28,6 +30,8 @@ __all__ = [
     "KnownLengthsArgument",
     "KnownLine",
     "KnownScaleArgument",
+    "MaxSecondsArgument",
+    "MaxTilesArgument",
     "ObjectHeightArgument",
     "ReferenceLengthArgument",
     "RegionArgument",
@@ -114,6 +118,17 @@ ObjectHeightArgument: TypeAlias = Annotated[
         description="Height of what is measured above the ground, as of a roof; needs the camera's height or lens.",
     ),
 ]
+EffortArgument: TypeAlias = Annotated[
+    Effort | None,
+    Field(description="Of images of 16 megapixels and more: full, auto (ends when more would not help) or fast."),
+]
+MaxTilesArgument: TypeAlias = Annotated[int | None, Field(ge=1, description="Tiles to search at most.")]
+MaxSecondsArgument: TypeAlias = Annotated[
+    float | None, Field(gt=0, allow_inf_nan=False, description="Seconds to search at most.")
+]
+
+EFFORT_ARGUMENTS = ("effort", "max_tiles", "max_seconds")
+"""Arguments of a search that estimate_gsd takes, but does not list: a program gives them, or the operator."""
 
 UNLISTED_ARGUMENTS = (
     "region",
@@ -124,6 +139,14 @@ UNLISTED_ARGUMENTS = (
     "object_height_m",
 )
 """Arguments that tools that measure take, but do not list: those of a search a model gives to estimate_gsd."""
+
+
+_Number = TypeVar("_Number", int, float)
+
+
+def _least(*limits: _Number | None) -> _Number | None:
+    """The tightest of limits that are set; None for none."""
+    return min((limit for limit in limits if limit is not None), default=None)
 
 
 @dataclass(frozen=True)
@@ -138,6 +161,9 @@ class ScaleQuestion:
         height_m: of the camera above the ground.
         focal_35mm: its focal length.
         coordinates: how places are written.
+        effort: how much of a large image is searched; None leaves it to the operator.
+        max_tiles: to search at most; the operator's limit holds, too.
+        max_seconds: to search at most; the operator's limit holds, too.
     """
 
     region: str | None = None
@@ -147,6 +173,9 @@ class ScaleQuestion:
     height_m: float | None = None
     focal_35mm: float | None = None
     coordinates: Coordinates = "pixels"
+    effort: Effort | None = None
+    max_tiles: int | None = None
+    max_seconds: float | None = None
 
     def options(self, settings: Settings, models: Models | None) -> ScaleOptions:
         """The method's options: thresholds, limits and calibration by the operator, the rest by the caller.
@@ -164,7 +193,12 @@ class ScaleQuestion:
         width_px, height_px = (self.frame.width_px, self.frame.height_px) if self.frame else (None, None)
         fleet_unknown = self.region is None and self.reference_length_m is None
         return ScaleOptions(
-            search=Search(min_score=settings.min_score),
+            search=Search(
+                min_score=settings.min_score,
+                effort=self.effort or cast("Effort", settings.effort),
+                max_tiles=_least(self.max_tiles, settings.max_tiles),
+                max_seconds=_least(self.max_seconds, settings.max_search_s),
+            ),
             reference=Reference(
                 reference_length_m=self.reference_length_m,
                 region=self.region,

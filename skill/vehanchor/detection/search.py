@@ -1,93 +1,45 @@
-"""The search of an image: overlapping tiles at one or more resolutions, and what they show merged into one sighting."""
+"""The search of an image: overlapping tiles at one or more resolutions, and what they show merged into one sighting.
+
+All tiles of a small image are visited in reading order. Those of a large one are visited where cars are likely first,
+until the caller's ``standing`` says that more of them cannot narrow the scale's interval.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+import time
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vehanchor.detection.boxes import box_corners
+from vehanchor.detection.levels import search_levels
 from vehanchor.detection.nms import oriented_nms
+from vehanchor.detection.order import TileOrder, TilePlace, level_shares
+from vehanchor.detection.promise import promise_map, promise_of
 from vehanchor.detection.sighting import Objects, Sighting
+from vehanchor.detection.stopping import ANYTIME_PIXELS, next_check, settled, stop_rule
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.tiles import TILE_OVERLAP, TILE_SIZE_PX, read_reduced_window, tile_grid
 from vehanchor.options import Search
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator, Sequence
 
     import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.detection.detector import Detector, TileSighting
+    from vehanchor.detection.levels import SearchLevel
+    from vehanchor.detection.scene import SceneSighting
+    from vehanchor.detection.stopping import Standing, StopRule
     from vehanchor.imagery.raster import Raster, Window
+    from vehanchor.search_options import Stopped
 
-__all__ = ["SearchLevel", "search", "search_levels"]
+__all__ = ["search"]
 
-SEARCH_FACTORS = (1, 2, 4, 8)  # the image is searched at 1/1, 1/2, 1/4 and 1/8: a third more pixels in all
-MIN_LEVEL_SIDE_PX = 96  # a reduced image with a shorter side is not searched: it would hold a car or two
-LEVEL_OVERLAP = 1.25  # factor by which the length ranges of two levels overlap: a car at their border is seen by both
 _MIN_TILE_PX = 32
-
-
-class SearchLevel(NamedTuple):
-    """One resolution at which an image is searched, and the lengths that count there.
-
-    Attributes:
-        factor: the image is reduced by it.
-        width_px: columns of the reduced image.
-        height_px: its rows.
-        shortest_px: shortest vehicle that counts here, in pixels of the reduced image.
-        longest_px: longest one.
-    """
-
-    factor: int
-    width_px: int
-    height_px: int
-    shortest_px: float
-    longest_px: float
-
-    def counts(self, lengths_px: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which vehicles count here, by their lengths in pixels of the reduced image."""
-        return (lengths_px >= self.shortest_px) & (lengths_px <= self.longest_px)
-
-
-def search_levels(
-    width_px: int, height_px: int, length_range_px: tuple[float, float], *, search_scales: bool
-) -> list[SearchLevel]:
-    """The resolutions at which an image is searched, finest first.
-
-    A vehicle is measured at the finest level at which it is not longer than what the model was trained on: there it has
-    the most pixels. So each coarser level counts the lengths from half of that limit up, less an overlap: a fleet at
-    the border of two levels is cut off by neither, and boxes of one vehicle found twice are merged by the non-maximum
-    suppression. The finest level has no lower and the coarsest no upper limit.
-
-    Args:
-        width_px: of the image.
-        height_px: of the image.
-        length_range_px: shortest and longest vehicle that the model was trained on.
-        search_scales: False gives full resolution alone.
-
-    Returns:
-        Levels whose shorter side has at least 96 px; always full resolution.
-    """
-    longest = length_range_px[1]
-    shortest = longest / 2 / LEVEL_OVERLAP
-    factors = [
-        factor
-        for factor in SEARCH_FACTORS
-        if factor == 1 or (search_scales and min(width_px, height_px) // factor >= MIN_LEVEL_SIDE_PX)
-    ]
-    return [
-        SearchLevel(
-            factor,
-            width_px // factor,
-            height_px // factor,
-            0.0 if factor == 1 else shortest,
-            np.inf if factor == factors[-1] else longest,
-        )
-        for factor in factors
-    ]
+_TILES_AT_ONCE = 4  # read one after the other while the model works, and chosen by what those before them showed
 
 
 def search(
@@ -95,16 +47,21 @@ def search(
     detector: Detector,
     options: Search | None = None,
     *,
+    scene: SceneSighting | None = None,
+    standing: Callable[[Sighting], Standing] | None = None,
     progress: Callable[[int, int], None] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> Sighting:
     """Search an image tile by tile, at one or more resolutions, and merge the results (paper, section III-B).
 
     Args:
-        raster: the image; only one tile of it is held at a time.
+        raster: the image; only two tiles of it are held at a time.
         detector: the model.
         options: how to search; None for the defaults.
-        progress: called with (tiles done, tiles in all); an exception it raises ends the search.
+        scene: what the ground tells of the scale: at which resolutions to look first. None where nobody looked.
+        standing: says of what was found so far whether it would do; None searches on to the options' other limits.
+        progress: called with (tiles done, tiles in all), at the end with all of them; an exception it raises ends the
+            search.
         run_options: see ``Detector.detect_tile``.
 
     Returns:
@@ -114,41 +71,136 @@ def search(
         InvalidParameterError: a tile larger than the model's fixed input, a stride beyond the tile.
     """
     chosen = options or Search()
-    card = detector.card
-    tile_px, stride_px = _tile_and_stride(detector.fixed_size, chosen)
-    min_score = card.min_score if chosen.min_score is None else chosen.min_score
-    search_scales = card.search_scales if chosen.search_scales is None else chosen.search_scales
-    levels = search_levels(raster.width_px, raster.height_px, card.length_range_px, search_scales=search_scales)
-    visits = [
-        (level, tile)
-        for level in levels
-        for tile in tile_grid(level.width_px, level.height_px, tile_px=tile_px, stride_px=stride_px)
-    ]
-    vehicle_parts, other_parts, scale_parts, n_capped = [], [], [np.zeros(0)], 0
-    for done, (level, tile) in enumerate(visits):
-        if progress:
-            progress(done, len(visits))
-        pixels = read_reduced_window(raster, tile, level.factor)
-        seen = _seen(detector, pixels, level, min_score, run_options)
-        n_capped += seen.ran_out
-        vehicle_parts.append(_in_image(seen.vehicles, tile, level, tile_px - stride_px))
-        scale_parts.append(np.full(len(vehicle_parts[-1]), 1 / level.factor))
-        other_parts.append(_in_image(seen.others, tile, level, tile_px - stride_px))
-    if progress:
-        progress(len(visits), len(visits))
-    vehicles = Objects.joined(vehicle_parts)
-    kept = oriented_nms(vehicles.boxes, vehicles.scores, iou_threshold=chosen.nms_iou)
-    vehicles = vehicles.take(kept)
-    return Sighting(
-        vehicles.boxes,
-        vehicles.scores,
-        len(visits),
-        n_capped,
-        np.concatenate(scale_parts)[kept] if search_scales else None,
-        detector.fleet.look(raster, vehicles.boxes) if detector.fleet else None,
-        vehicles.classes,
-        _merged_by_class(Objects.joined(other_parts), chosen.nms_iou),
-    )
+    work = _Work(raster, detector, chosen, scene, run_options)
+    tell = progress or (lambda _done, _total: None)
+    total = len(work.visits)
+    rule = stop_rule(chosen, raster.width_px * raster.height_px, total)
+    because: Stopped = "all_searched"
+    if rule.anytime:
+        because = _search_in_order(work, rule, standing, tell)
+    else:
+        for done, (k, pixels) in enumerate(work.read(range(total))):
+            tell(done, total)
+            work.visit(k, pixels)
+    tell(total, total)
+    return work.sighting(because)
+
+
+def _search_in_order(
+    work: _Work,
+    rule: StopRule,
+    standing: Callable[[Sighting], Standing] | None,
+    tell: Callable[[int, int], None],
+) -> Stopped:
+    """Visit tiles where cars are likely first, until the rule says to end; why it did."""
+    started = time.monotonic()
+    order, standings, total = work.order(), [], len(work.visits)
+    most = min(total, rule.max_tiles or total)
+    due = next_check(0)
+    while work.n_visited < most:
+        for k, pixels in work.read(order.next_tiles(min(_TILES_AT_ONCE, most - work.n_visited))):
+            if rule.max_seconds is not None and work.n_visited and time.monotonic() - started > rule.max_seconds:
+                return "max_seconds"
+            tell(work.n_visited, total)
+            order.tell(k, work.visit(k, pixels))
+        if standing is not None and rule.share is not None and due <= work.n_visited < most:
+            due = next_check(work.n_visited)
+            standings.append(standing(work.sighting()))
+            if settled(standings, rule):
+                return "settled"
+    return "all_searched" if most == total else "max_tiles"
+
+
+class _Work:
+    """The tiles of an image, and what those that were visited have shown."""
+
+    def __init__(
+        self,
+        raster: Raster,
+        detector: Detector,
+        options: Search,
+        scene: SceneSighting | None,
+        run_options: onnxruntime.RunOptions | None,
+    ) -> None:
+        card = detector.card
+        self._raster, self._detector, self._scene, self._run_options = raster, detector, scene, run_options
+        self._nms_iou = options.nms_iou
+        tile_px, stride_px = _tile_and_stride(detector.fixed_size, options)
+        self._overlap_px = tile_px - stride_px
+        self._min_score = card.min_score if options.min_score is None else options.min_score
+        self._search_scales = card.search_scales if options.search_scales is None else options.search_scales
+        self._length_range_px = card.length_range_px
+        self.levels = search_levels(
+            raster.width_px, raster.height_px, card.length_range_px, search_scales=self._search_scales
+        )
+        self.visits = [
+            (level, tile)
+            for level in self.levels
+            for tile in tile_grid(level.width_px, level.height_px, tile_px=tile_px, stride_px=stride_px)
+        ]
+        self._found: dict[int, TileSighting] = {}
+
+    @property
+    def n_visited(self) -> int:
+        return len(self._found)
+
+    def order(self) -> TileOrder:
+        """The order in which to visit, by a coarse view of the image."""
+        cells = promise_map(self._raster)
+        places = [TilePlace(level.factor, tile) for level, tile in self.visits]
+        promises = np.array([promise_of(cells, place.window, place.factor) for place in places])
+        shortest = self._length_range_px[0]
+        ranges = {level.factor: (max(shortest, level.shortest_px), level.longest_px) for level in self.levels}
+        return TileOrder(places, promises, level_shares(ranges, None if self._scene is None else self._scene.density))
+
+    def read(self, tiles: Sequence[int]) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+        """Tiles with their pixels; of a large image each is read while the caller works on the one before."""
+
+        def read_one(k: int) -> NDArray[np.uint8]:
+            level, tile = self.visits[k]
+            return read_reduced_window(self._raster, tile, level.factor)
+
+        if len(tiles) < 2 or self._raster.width_px * self._raster.height_px < ANYTIME_PIXELS:
+            for k in tiles:
+                yield k, read_one(k)
+            return
+        with ThreadPoolExecutor(1) as reader:
+            ahead = reader.submit(read_one, tiles[0])
+            for k, following in zip(tiles, [*tiles[1:], None], strict=True):
+                pixels = ahead.result()
+                if following is not None:
+                    ahead = reader.submit(read_one, following)
+                yield k, pixels
+
+    def visit(self, k: int, pixels: NDArray[np.uint8]) -> int:
+        """Look at a tile; how many vehicles it shows."""
+        level, tile = self.visits[k]
+        seen = _seen(self._detector, pixels, level, self._min_score, self._run_options)
+        vehicles, others = (_in_image(found, tile, level, self._overlap_px) for found in (seen.vehicles, seen.others))
+        self._found[k] = seen._replace(vehicles=vehicles, others=others)
+        return len(vehicles)
+
+    def sighting(self, because: Stopped | None = None) -> Sighting:
+        """All that was found, merged; whatever the order of the visits was."""
+        parts = [self._found[k] for k in sorted(self._found)]
+        scales = [np.full(len(self._found[k].vehicles), 1 / self.visits[k][0].factor) for k in sorted(self._found)]
+        vehicles = Objects.joined([part.vehicles for part in parts])
+        kept = oriented_nms(vehicles.boxes, vehicles.scores, iou_threshold=self._nms_iou)
+        vehicles = vehicles.take(kept)
+        fleet = self._detector.fleet
+        return Sighting(
+            vehicles.boxes,
+            vehicles.scores,
+            len(parts),
+            sum(part.ran_out for part in parts),
+            np.concatenate([np.zeros(0), *scales])[kept] if self._search_scales else None,
+            fleet.look(self._raster, vehicles.boxes) if fleet else None,
+            vehicles.classes,
+            _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
+            self._scene,
+            len(self.visits),
+            because,
+        )
 
 
 def _seen(

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.look import FleetLook
     from vehanchor.detection.scene import SceneSighting
+    from vehanchor.search_options import Stopped
 
 __all__ = ["Objects", "Sighting"]
 
@@ -67,6 +68,8 @@ class Sighting:
         others: objects of the model's other classes, in image pixels, best score first; boxes of one class that
             overlap are merged, those of different classes are not.
         scene: what the ground itself tells of the scale; None where nobody looked.
+        n_tiles_total: tiles that the image has at all resolutions; None where nobody counted.
+        stopped_because: why the search ended; None where there was none.
     """
 
     boxes: NDArray[np.float64]
@@ -78,3 +81,5 @@ class Sighting:
     classes: NDArray[np.intp] | None = None
     others: Objects = field(default_factory=Objects.joined)
     scene: SceneSighting | None = None
+    n_tiles_total: int | None = None
+    stopped_because: Stopped | None = None

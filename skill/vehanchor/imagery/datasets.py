@@ -22,7 +22,7 @@ from vehanchor.imagery.bands import check_dtype, choose_bands, merge_bands
 from vehanchor.imagery.georeference import dataset_gsd_m_per_px
 from vehanchor.imagery.limits import check_block, check_windowed_size
 from vehanchor.imagery.stretch import SAMPLE_PX
-from vehanchor.imagery.windows import Raster, StoredPixels, Window
+from vehanchor.imagery.windows import Raster, StoredPixels, Window, stored_window
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Dataset", "DatasetRaster", "is_dataset", "open_dataset", "open_tiff"]
 
+_CACHE_BYTES = 192 << 20  # of decoded blocks, of all files together: what two rows of tiles share of a wide image
 _SAMPLE_GRID = 8  # windows a side: 64 spots of 128 px make SAMPLE_PX
 _SHOWN_PHOTOMETRIC = (1, 2, 3, 6)  # grey from black, RGB, palette, YCbCr
 _INKS = frozenset({"cyan", "magenta", "yellow", "black"})
@@ -154,7 +155,7 @@ def _gdal(source: str, **options: str) -> Iterator[None]:
     from rasterio.errors import RasterioError
 
     try:
-        with Env(**options):
+        with Env(GDAL_CACHEMAX=_CACHE_BYTES, **options):
             yield
     except VehAnchorError:
         raise
@@ -231,14 +232,33 @@ class DatasetRaster(Raster):
         """Close the file, if it is ours."""
         self._stack.close()
 
-    def _read_stored(self, window: Window) -> StoredPixels:
+    def read_overview(self, window: Window, factor: int) -> NDArray[np.uint8] | None:
+        """Read a window of the image reduced by a factor from the file's overviews; None where it has none as coarse.
+
+        Args:
+            window: as in ``Raster.read_overview``.
+            factor: as there.
+        """
+        if self._palette is not None or not self._reduced_at_least(2, factor):
+            return None
+        full = Window(*(factor * each for each in (window.x_px, window.y_px, window.width_px, window.height_px)))
+        stored = stored_window(full, self.width_px, self.height_px, self._orientation)
+        return self._shown(self._read_stored(stored, (stored.height_px // factor, stored.width_px // factor)))
+
+    def _reduced_at_least(self, least: int, most: int) -> bool:
+        """Whether every band has an overview between two factors."""
+        with _gdal(self.source):
+            return all(any(least <= each <= most for each in self._dataset.overviews(k)) for k in self._unique)
+
+    def _read_stored(self, window: Window, shape: tuple[int, int] | None = None) -> StoredPixels:
         bounds = (
             (window.y_px, window.y_px + window.height_px),
             (window.x_px, window.x_px + window.width_px),
         )
+        more: dict[str, Any] = {} if shape is None else {"out_shape": (len(self._unique), *shape)}
         with _gdal(self.source):
-            planes = dict(zip(self._unique, self._dataset.read(self._unique, window=bounds), strict=True))
-            masks = self._dataset.read_masks(self._unique, window=bounds) if self._masked else None
+            planes = dict(zip(self._unique, self._dataset.read(self._unique, window=bounds, **more), strict=True))
+            masks = self._dataset.read_masks(self._unique, window=bounds, **more) if self._masked else None
         # With "nodata = 0" a band is without data wherever it is dark: only where all are is there no picture.
         valid: NDArray[np.bool_] | None = None if masks is None else masks.any(axis=0)
         if self._palette is not None:

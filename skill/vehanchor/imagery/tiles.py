@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster
 
-__all__ = ["TILE_OVERLAP", "TILE_SIZE_PX", "read_reduced_window", "tile_grid"]
+__all__ = ["TILE_OVERLAP", "TILE_SIZE_PX", "read_glance", "read_reduced_window", "tile_grid"]
 
 TILE_SIZE_PX = 1024  # paper, section III-B
 TILE_OVERLAP = 0.25  # paper, section III-B: stride 768 px at 1024 px
@@ -77,3 +77,18 @@ def read_reduced_window(raster: Raster, window: Window, factor: int) -> NDArray[
                 block, (columns, rows), interpolation=cv2.INTER_AREA
             )
     return reduced
+
+
+def read_glance(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
+    """Read a window of a raster reduced by a whole factor, as fast as the file allows: where to look, not to measure.
+
+    Args:
+        raster: the image.
+        window: as in ``read_reduced_window``.
+        factor: as there.
+
+    Returns:
+        ``[h, w, 3]`` uint8 RGB, of the file's overviews where it has any.
+    """
+    seen = raster.read_overview(window, factor)
+    return read_reduced_window(raster, window, factor) if seen is None else seen

@@ -107,11 +107,23 @@ class Raster(ABC):
             and 0 <= window.y_px < window.y_px + window.height_px <= self.height_px
         ):
             raise InvalidParameterError(f"{window} is not inside the image of {self.width_px} x {self.height_px} px")
-        rgb, valid = self._read_stored(stored_window(window, self.width_px, self.height_px, self._orientation))
-        shown = to_uint8(rgb, self._stretch)
-        if valid is not None:
-            shown[~valid] = 0
+        return self._shown(self._read_stored(stored_window(window, self.width_px, self.height_px, self._orientation)))
+
+    def _shown(self, stored: StoredPixels) -> NDArray[np.uint8]:
+        """Stored pixels as 8-bit RGB, turned upright."""
+        shown = to_uint8(stored.rgb, self._stretch)
+        if stored.valid is not None:
+            shown[~stored.valid] = 0
         return np.ascontiguousarray(oriented(shown, self._orientation))
+
+    def read_overview(self, window: Window, factor: int) -> NDArray[np.uint8] | None:  # noqa: ARG002 - of others
+        """Read a window of the image reduced by a factor from copies that the file keeps; None where it keeps none.
+
+        Args:
+            window: in pixels of the reduced image, ``width_px // factor`` columns and ``height_px // factor`` rows.
+            factor: 2 or more.
+        """
+        return None
 
     def close(self) -> None:  # noqa: B027 - most rasters hold nothing to close
         """Release the file."""

@@ -27,6 +27,7 @@ __all__ = [
     "modal_density",
     "modal_length",
     "scott_bandwidth",
+    "statistical_log_sds",
     "vehicle_weights",
 ]
 
@@ -292,6 +293,25 @@ def _bootstrap_log_sd(
     return float(np.sqrt(np.mean(np.log(modes / mode) ** 2)))
 
 
+def statistical_log_sds(lengths: ArrayLike, mode_px: float, *, scores: ArrayLike | None = None) -> tuple[float, float]:
+    """Tell how far the log of the scale is off for want of vehicles: what more of them would narrow.
+
+    Args:
+        lengths: ``[n]`` pixels that ``mode_px`` was taken from, n >= 1.
+        mode_px: ``P_mode``.
+        scores: ``[n]`` detection scores where ``mode_px`` is of ``weighted_kde``, else None.
+
+    Returns:
+        Standard deviations of two independent causes: the mode under resampling, and the fleet's own spread.
+    """
+    values = np.asarray(lengths, dtype=np.float64)
+    weights, smoothing = np.ones(len(values)), 1.0
+    if scores is not None:
+        weights, smoothing = vehicle_weights(values, scores), WEIGHTED_SMOOTHING
+    resampling = _bootstrap_log_sd(values, mode_px, weights, smoothing) if len(values) >= MIN_KDE_VEHICLES else 0.0
+    return resampling, _FLEET_LOG_SD / np.sqrt(len(values))
+
+
 def gsd_interval(
     lengths: ArrayLike,
     mode_px: float,
@@ -316,12 +336,7 @@ def gsd_interval(
     Returns:
         Metres per pixel, low and high.
     """
-    values = np.asarray(lengths, dtype=np.float64)
-    weights, smoothing = np.ones(len(values)), 1.0
-    if scores is not None:
-        weights, smoothing = vehicle_weights(values, scores), WEIGHTED_SMOOTHING
-    resampling = _bootstrap_log_sd(values, mode_px, weights, smoothing) if len(values) >= MIN_KDE_VEHICLES else 0.0
-    fleet = _FLEET_LOG_SD / np.sqrt(len(values))
+    resampling, fleet = statistical_log_sds(lengths, mode_px, scores=scores)
     region = reference_sd_m / reference_length_m
     reach = np.exp(_Z95 * np.sqrt(resampling**2 + fleet**2 + region**2))
     gsd = reference_length_m / mode_px

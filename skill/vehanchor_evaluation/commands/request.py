@@ -58,7 +58,9 @@ def measuring_command(
 
         chosen = inspect.Parameter("chosen", inspect.Parameter.KEYWORD_ONLY, annotation=Chosen)
         declared = _declared(run, command, [*_parameters(request), chosen])
-        return scale_command(without={"frame", "coordinates", "known_lengths", *without})(declared)
+        return scale_command(
+            without={"frame", "coordinates", "known_lengths", "effort", "max_tiles", "max_seconds", *without}
+        )(declared)
 
     return decorate
 

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor.detection.boxes import oriented_iou
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.search import MIN_LEVEL_SIDE_PX, search, search_levels
+from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, search_levels
+from vehanchor.detection.search import search
 from vehanchor.errors import InvalidParameterError
 from vehanchor.estimate import analyse_scale, estimate_gsd
 from vehanchor.imagery.raster import open_raster
@@ -155,6 +156,34 @@ def test_the_search_costs_about_a_third_more_pixels() -> None:
     levels = search_levels(8000, 6000, (9, 64), search_scales=True)
     pixels = sum(level.width_px * level.height_px for level in levels)
     assert pixels == pytest.approx(8000 * 6000 * 1.33, rel=0.015)
+
+
+# --- Searches that end early -----------------------------------------------------------------------------------------
+
+
+def test_the_order_of_the_visits_does_not_show_in_what_was_found(searching: Detector) -> None:
+    image, _ = _painted(2, _fleet(45.0, 42), columns=7)
+    with open_raster(image) as raster:
+        full = search(raster, searching, Search(tile_px=160, stride_px=96, effort="full"))
+        ordered = search(raster, searching, Search(tile_px=160, stride_px=96, max_tiles=10_000))
+    assert full.boxes.tobytes() == ordered.boxes.tobytes()
+    assert full.scores.tobytes() == ordered.scores.tobytes()
+    assert (ordered.n_tiles, ordered.stopped_because) == (full.n_tiles, "all_searched")
+
+
+def test_a_search_ends_at_the_limit_of_tiles_or_seconds_and_says_so(searching: Detector) -> None:
+    image, _ = _painted(2, _fleet(45.0, 42), columns=7)
+    small: dict[str, Any] = {"tile_px": 160, "stride_px": 96}
+    with open_raster(image) as raster:
+        twice = [search(raster, searching, Search(**small, max_tiles=12)) for _ in range(2)]
+        hurried = search(raster, searching, Search(**small, max_seconds=1e-9))
+    first, second = twice
+    assert first.boxes.tobytes() == second.boxes.tobytes()
+    assert 0 < len(first.boxes) < 42
+    assert first.n_tiles_total is not None
+    assert (first.n_tiles, first.stopped_because) == (12, "max_tiles")
+    assert first.n_tiles_total > 30
+    assert (hurried.n_tiles, hurried.stopped_because) == (1, "max_seconds")
 
 
 # --- Tiles -----------------------------------------------------------------------------------------------------------

@@ -31,6 +31,7 @@ from vehanchor.errors import (
     MissingExtraError,
 )
 from vehanchor.imagery.raster import Window, open_raster
+from vehanchor.imagery.tiles import read_glance, read_reduced_window
 from vehanchor.options import ImageLimits
 
 
@@ -209,3 +210,18 @@ def test_datasets_that_cannot_be_measured(tmp_path: Path) -> None:
     inks = geotiff(tmp_path / "b.tif", np.dstack([RGB, RGB[..., 0]]).astype(np.uint16), photometric="CMYK")
     with rasterio.open(inks) as dataset, pytest.raises(ImageFormatError, match="black, cyan, magenta, yellow: convert"):
         open_raster(dataset)
+
+
+def test_overviews_show_where_to_look_without_reading_the_whole_file(tmp_path: Path) -> None:
+    path = geotiff(tmp_path / "a.tif", smooth_rgb(1200, 900), tiled=True, blockxsize=256, blockysize=256)
+    with open_raster(path) as raster:
+        assert raster.read_overview(Window(0, 0, 20, 20), 8) is None
+        expected = read_reduced_window(raster, Window(3, 2, 40, 30), 8)
+        np.testing.assert_array_equal(read_glance(raster, Window(3, 2, 40, 30), 8), expected)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.build_overviews([2, 4, 8], rasterio.enums.Resampling.average)
+    with open_raster(path) as raster:
+        seen = raster.read_overview(Window(3, 2, 40, 30), 8)
+        assert seen is not None
+        assert np.abs(seen.astype(int) - expected).max() <= 1
+        np.testing.assert_array_equal(read_reduced_window(raster, Window(3, 2, 40, 30), 8), expected)

@@ -1,0 +1,81 @@
+"""Estimates of large images that do not look at all of them; small ones stand for large ones, by a moved limit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from tests.models import blank_image, paint_vehicles, write_detector
+from vehanchor.detection.detector import Detector
+from vehanchor.errors import InvalidParameterError
+from vehanchor.estimate import estimate_gsd
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_SEARCHING = {
+    "vehanchor.length_range_px": "9,64",
+    "vehanchor.search_scales": "1",
+    "vehanchor.reference_length_sd_m": "0.5",  # so that hundreds of vehicles do, not thousands
+}
+_TILES: dict[str, Any] = {"tile_px": 128, "stride_px": 96}
+
+
+@pytest.fixture(scope="module")
+def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
+    return Detector(write_detector(tmp_path_factory.mktemp("model") / "m.onnx", metadata=_SEARCHING))
+
+
+@pytest.fixture(autouse=True)
+def _large(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("stopping", "search"):
+        monkeypatch.setattr(f"vehanchor.detection.{module}.ANYTIME_PIXELS", 1_000_000)
+
+
+def _town(spread: float = 0.07, seed: int = 0) -> NDArray[np.uint8]:
+    """A picture of 2000 x 1600 px, a third of it full of cars of 30 px, the rest empty."""
+    rng = np.random.default_rng(seed)
+    image = blank_image(2000, 1600)
+    grid = np.stack(np.meshgrid(np.arange(830, 1960, 36), np.arange(30, 1100, 26)), axis=-1).reshape(-1, 2)
+    n = len(grid)
+    lengths = 30 * np.exp(rng.normal(0, spread, n))
+    paint_vehicles(image, np.column_stack([grid, lengths, np.full(n, 12.0), np.full(n, 0.4)]))
+    return image
+
+
+def test_auto_ends_when_more_tiles_would_not_narrow_the_interval(detector: Detector) -> None:
+    image = _town()
+    full, auto, fast = (
+        estimate_gsd(image, detector=detector, effort=effort, **_TILES) for effort in ("full", "auto", "fast")
+    )
+    assert (full.tiles_searched, full.stopped_because) == (full.tiles_total, "all_searched")
+    assert auto.stopped_because == "settled"
+    assert auto.tiles_total == full.tiles_total
+    assert auto.tiles_searched < 0.6 * auto.tiles_total
+    assert auto.status == full.status == "ok"
+    assert auto.gsd_m_per_px == pytest.approx(full.gsd_m_per_px, rel=0.02)
+    assert full.n_vehicles > auto.n_vehicles > 100
+    assert fast.tiles_searched < auto.tiles_searched
+
+
+def test_auto_goes_on_while_a_doubt_is_open(detector: Detector) -> None:
+    alike = estimate_gsd(_town(spread=0.002), detector=detector, **_TILES)
+    assert "lengths_alike" in {notice.code for notice in alike.warnings}
+    assert (alike.stopped_because, alike.tiles_searched) == ("all_searched", alike.tiles_total)
+    nothing = estimate_gsd(blank_image(1200, 1000), detector=detector, **_TILES)
+    assert (nothing.status, nothing.stopped_because) == ("no_anchor", "all_searched")
+
+
+def test_a_search_that_no_ruler_needs_counts_no_tiles(detector: Detector) -> None:
+    given = estimate_gsd(
+        blank_image(300, 300), detector=detector, rulers=["known_length"], known_lengths=[(10, 10, 200, 10, 38.0)]
+    )
+    assert (given.tiles_searched, given.tiles_total, given.stopped_because) == (0, 0, None)
+
+
+@pytest.mark.parametrize("options", [{"effort": "most"}, {"max_tiles": 0}, {"max_seconds": -1.0}, {"max_tiles": 1.5}])
+def test_an_effort_that_is_none_is_refused(detector: Detector, options: dict[str, Any]) -> None:
+    with pytest.raises(InvalidParameterError):
+        estimate_gsd(blank_image(100, 100), detector=detector, **options)

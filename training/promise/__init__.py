@@ -1,0 +1,1 @@
+"""Fitting where in a large image cars may be."""
