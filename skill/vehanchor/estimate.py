@@ -192,7 +192,8 @@ def analyse_raster(
     if options.rulers.searches:
         sighting = search(raster, detector, options.search, progress=progress, run_options=run_options)
     weighed = detector.card.votes or not options.rulers.uses(Vehicles.kind)  # else there is nothing to weigh it against
-    network = load_scene_scale() if weighed and options.rulers.uses(SceneScale.kind) else None
+    looks = weighed and options.rulers.uses(SceneScale.kind)
+    network = load_scene_scale(providers=detector.providers) if looks else None
     if network is not None:
         sighting = replace(sighting, scene=network.look(raster, run_options=run_options))
     view = View(facts, sighting, detector.card, options, partial(resolved_share, raster), raster)
