@@ -1,8 +1,9 @@
-"""Flights of known scale, made from real pixels: ``python benchmarks/flights.py {pooled,matched} DATA``.
+"""Flights of known scale, made from real pixels: ``python benchmarks/flights.py {pooled,matched,tilt} DATA``.
 
 ``pooled`` turns, dims, blurs and JPEG-codes tiles of one scale into flights of 24 photographs and compares the scale by
 all of them with the truth, with the region unknown and given. ``matched`` cuts overlapping photographs of mixed scales
-out of mosaics; two thirds of them lose their vehicles.
+out of mosaics; two thirds of them lose their vehicles. ``tilt`` sees val tiles of at least 40 labelled cars from aside
+(pitch -80 to -50, three focal lengths) and from straight above, and has the cars tell where the camera looked.
 """
 
 from __future__ import annotations
@@ -17,13 +18,18 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from vehanchor.anchors.camera import equivalent_lens
+from vehanchor.anchors.leaning import SURE, lean
+from vehanchor.detection.search import search
 from vehanchor.estimate import open_detector
 from vehanchor.flight.concluding import Failure, chief_member, conclude_flight
 from vehanchor.flight.estimate import conclude, look_at_flight
 from vehanchor.flight.islands import single_island
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.taken import Taken
+from vehanchor.imagery.raster import open_raster
 from vehanchor.options import ScaleOptions
+from vehanchor.scale.plane import GroundPlane
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,6 +41,8 @@ if TYPE_CHECKING:
 
 _REGIONS = {"cannes": "europe", "estonia": "europe", "ucm": "north_america", "saopaulo": "south_america"}
 _FLIGHTS, _PHOTOGRAPHS = 4, 24
+_TILTS_DEG = (0.0, 10.0, 20.0, 30.0, 40.0)
+_LEAST_LABELLED = 40
 
 
 def tiles(data: Path, name: str, split: str) -> list[tuple[Path, float]]:
@@ -219,16 +227,70 @@ def without_vehicles(look: Photograph | Failure) -> Photograph | Failure:
     return Photograph.of(look.name, again, look.view.card, look.view.options, look.features)
 
 
+def seen_aside(
+    tile: NDArray[np.uint8], tilt_deg: float, roll_deg: float, focal_px: float, size: tuple[int, int]
+) -> NDArray[np.uint8]:
+    """The ground of a tile as a camera sees it that looks aside; its scale at the centre is the tile's."""
+    plane = GroundPlane(1.0, tilt_deg, focal_px, *size, roll_deg)
+    corners = np.array([(0.0, 0.0), (size[0], 0.0), (size[0], size[1]), (0.0, size[1])])
+    centre = np.array([[size[0] / 2, size[1] / 2]])
+    down = plane.down
+    across = np.array([1.0, 0.0, 0.0]) - down[0] * down
+    across /= np.linalg.norm(across)
+    axes = np.stack([across, np.cross(down, across)])
+    ground = (plane.ground(corners) - plane.ground(centre)) @ axes.T + np.array(tile.shape[1::-1]) / 2
+    move = cv2.getPerspectiveTransform(ground.astype(np.float32), corners.astype(np.float32))
+    return np.asarray(cv2.warpPerspective(tile, move, size, flags=cv2.INTER_LINEAR), dtype=np.uint8)
+
+
+def tilted(data: Path, split: str, number: int) -> None:
+    """Print a table: tilt by the cars alone, with the focal length known and unknown."""
+    detector = open_detector(None, ScaleOptions(), threads=1)
+    rng = np.random.default_rng(18)
+    rows: dict[float, list[tuple[float, float, float]]] = {}
+    few = dict.fromkeys(_TILTS_DEG, 0)
+    with (data / "gsd" / "upright.csv").open() as file:
+        listed = [row for row in csv.DictReader(file) if row["split"] == split and row["set"] == "estonia"]
+    chosen = [row for row in listed if int(row["labelled_small_vehicles"] or 0) >= _LEAST_LABELLED][:number]
+    for row in chosen:
+        tile = read((data / "gsd" / row["file"]).resolve())
+        for tilt in _TILTS_DEG:
+            focal_35mm, roll = float(rng.choice((20.0, 26.0, 35.0))), float(rng.uniform(-10, 10))
+            size = (round(0.7 * tile.shape[1]), round(0.5 * tile.shape[0]))
+            focal = equivalent_lens(*size, focal_35mm).pixels
+            image = seen_aside(tile, tilt, roll, focal, size) if tilt else tile
+            with open_raster(np.ascontiguousarray(spoiled(image, rng)[:, :, ::-1])) as raster:
+                sighting = search(raster, detector, ScaleOptions().search)
+            known = lean(sighting, image.shape[1], image.shape[0], focal)
+            unknown = lean(sighting, image.shape[1], image.shape[0])
+            if known is None or unknown is None:
+                few[tilt] += 1
+                continue
+            rows.setdefault(tilt, []).append((known.tilt_deg, unknown.tilt_deg, unknown.chance_tilted))
+    print("| pitch | images | fewer than 25 cars | error, focal length known | unknown | warned of |")
+    print("|---|---|---|---|---|---|")
+    for tilt, found in sorted(rows.items()):
+        known_off, unknown_off = (np.median([abs(each[k] - tilt) for each in found]) for k in (0, 1))
+        warned = sum(each[2] >= SURE for each in found)
+        print(
+            f"| {tilt - 90:.0f} | {len(found)} | {few[tilt]} | {known_off:.1f} | {unknown_off:.1f} | "
+            f"{warned} of {len(found)} |"
+        )
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("pooled", "matched"))
+    parser.add_argument("what", choices=("pooled", "matched", "tilt"))
     parser.add_argument("data", type=Path)
     parser.add_argument("--split", default="val")
     parser.add_argument("--flights", type=int, default=_FLIGHTS)
+    parser.add_argument("--images", type=int, default=8, help="tiles that are seen from aside")
     arguments = parser.parse_args()
     if arguments.what == "pooled":
         pooled(arguments.data, arguments.split, arguments.flights)
+    elif arguments.what == "tilt":
+        tilted(arguments.data, arguments.split, arguments.images)
     else:
         matched(arguments.data)
 

@@ -1,7 +1,8 @@
 """Calls from many clients while workers are killed: ``python -m benchmarks.server_chaos --calls 1000``.
 
-Aim: every call is answered, right or with a code that says to try again; ``/healthz`` below 200 ms at the 99th
-percentile; the whole server below 2 GiB.
+Four cheap scenes and seven bombs. Aim: every call is answered, right or with a code that says to try again; none later
+than half a second after the deadline; ``/healthz`` below 200 ms at the 99th percentile; the whole server below
+2 GiB.
 """
 
 from __future__ import annotations
@@ -13,85 +14,145 @@ import signal
 import tempfile
 import time
 from collections import Counter
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import anyio
+import cv2
 import httpx2
 from mcp import Client
 
-from benchmarks.server_process import child_processes, http_server, middle_box, resident_mib, target, write_images
+from benchmarks.server_process import HttpServer, child_processes, http_server, memory_mib, middle_box, target
+from tests import bombs
+from vehanchor_scenes import render_scene
 
-RETRYABLE = ("busy", "worker_killed")
+Question: TypeAlias = tuple[str, dict[str, Any]]
+Reply: TypeAlias = tuple[Any, str | None]
+
+RETRYABLE = ("busy", "worker_killed", "deadline_exceeded")
+DEADLINE_S = 20.0
+N_PLACES = 4
+_SIDE_PX = 320
 
 
-async def chaos(n_calls: int, n_clients: int, period_s: float) -> None:
+@dataclass
+class Tally:
+    """What was seen."""
+
+    ends: Counter[str] = field(default_factory=Counter)
+    codes: Counter[str] = field(default_factory=Counter)
+    healthy_ms: list[float] = field(default_factory=list)
+    peak_mib: float = 0.0
+    slowest_s: float = 0.0
+
+
+async def chaos(n_calls: int, n_clients: int, period_s: float, minutes: float) -> None:
     """Print how the calls ended, how long the server was silent, and how much memory it took."""
+    tally = Tally()
     with tempfile.TemporaryDirectory() as directory:
-        images = write_images(Path(directory).resolve())
-        questions: list[tuple[str, dict[str, Any]]] = [
-            ("estimate_gsd", {"image": {"kind": "path", "path": str(image)}}) for image in images
-        ]
-        known = {**target(middle_box(images[0])), "gsd_m_per_px": 0.15}
-        questions.append(("measure_area", {**questions[0][1], **known}))
-        flags = ("--root", directory, "--threads", "1", "--workers-isolated", "--max-connections-per-address", "400")
-        with http_server(*flags) as server:
-            expected = [(await _answer(server.url, *question))[0] for question in questions]
-            tally: Counter[str] = Counter()
-            healthy_ms: list[float] = []
-            peak_mib = [0.0]
-            numbers = iter(range(n_calls))
-
-            async def client() -> None:
-                for i in numbers:
-                    k = i % len(questions)
-                    while True:
-                        answer, code = await _answer(server.url, *questions[k])
-                        tally[code or ("right" if answer == expected[k] else "wrong")] += 1
-                        if code not in RETRYABLE:
-                            break
-                        await anyio.sleep(random.uniform(0.2, 1.0))
-
-            async def kill() -> None:
-                while True:
-                    await anyio.sleep(period_s)
-                    for victim in child_processes(server.pid)[:1]:  # there is none while no call asks for the next
-                        os.kill(victim, signal.SIGKILL)
-                        tally["kills"] += 1
-
-            async def probe() -> None:
-                async with httpx2.AsyncClient(timeout=30) as http:
-                    while True:
-                        asked = time.perf_counter()
-                        (await http.get(server.url.replace("/mcp", "/healthz"))).raise_for_status()
-                        healthy_ms.append(1000 * (time.perf_counter() - asked))
-                        peak_mib[0] = max(
-                            peak_mib[0], resident_mib(server.pid) + sum(map(resident_mib, child_processes(server.pid)))
-                        )
-                        await anyio.sleep(0.1)
-
+        asked = questions(Path(directory).resolve())
+        flags = ("--root", directory, "--threads", "1", "--max-concurrency", str(N_PLACES))
+        limits = ("--deadline-s", str(DEADLINE_S), "--max-worker-mb", "512", "--max-connections-per-address", "400")
+        with http_server(*flags, *limits) as server:
+            async with Client(server.url, read_timeout_seconds=120) as client:
+                expected = [await _settled(client, question) for question in asked]
+            ends = time.monotonic() + 60 * minutes
             async with anyio.create_task_group() as group:
-                group.start_soon(kill)
-                group.start_soon(probe)
+                group.start_soon(_kill, server, period_s, tally)
+                group.start_soon(_probe, server, tally)
+                numbers = iter(range(n_calls))
                 async with anyio.create_task_group() as clients:
                     for _ in range(n_clients):
-                        clients.start_soon(client)
+                        clients.start_soon(_ask, server, asked, expected, numbers, ends, tally)
                 group.cancel_scope.cancel()
-    healthy_ms.sort()
-    print(f"{n_calls} calls, {n_clients} clients, a worker killed every {period_s:g} s: {dict(tally)}")
+    tally.healthy_ms.sort()
+    print(f"{n_clients} clients, a worker killed every {period_s:g} s, {N_PLACES} places: {dict(tally.ends)}")
+    print(f"told to try again: {dict(tally.codes)}; slowest reply {tally.slowest_s:.1f} s, deadline {DEADLINE_S:g} s")
     print(
-        f"/healthz: median {healthy_ms[len(healthy_ms) // 2]:.0f} ms, p99 {healthy_ms[-len(healthy_ms) // 100]:.0f} ms"
+        f"/healthz, {len(tally.healthy_ms)} times: median {tally.healthy_ms[len(tally.healthy_ms) // 2]:.0f} ms, "
+        f"p99 {tally.healthy_ms[-1 - len(tally.healthy_ms) // 100]:.0f} ms"
     )
-    print(f"memory of all processes, resident: {peak_mib[0]:.0f} MiB at most")
+    print(f"memory of all processes: {tally.peak_mib:.0f} MiB at most")
 
 
-async def _answer(url: str, tool: str, arguments: dict[str, Any]) -> tuple[Any, str | None]:
+def questions(directory: Path) -> list[Question]:
+    """Calls with known answers."""
+    scenes = []
+    for name, gsd, cars in (("a", 0.15, True), ("b", 0.12, True), ("c", 0.2, True), ("blank", 0.15, False)):
+        path = directory / f"{name}.png"
+        image = render_scene(gsd, width_px=_SIDE_PX, height_px=_SIDE_PX, seed=5).image
+        assert cv2.imwrite(str(path), image[:, :, ::-1] if cars else 0 * image + 90)
+        scenes.append(path)
+    hostile = {
+        "scans.jpg": bombs.jpeg_of_scans(2500),
+        "text.png": bombs.png_of_text(100),
+        "sizes.tif": bombs.tiff_with_two_sizes(),
+        **{f"{i}.bin": make(1 << 20) for i, make in enumerate(list(bombs.HEADER_BOMBS.values())[:4])},
+    }
+    for name, data in hostile.items():
+        (directory / name).write_bytes(data)
+    found: list[Question] = [("estimate_gsd", _by_path(path)) for path in [*scenes, *map(directory.joinpath, hostile)]]
+    known = {**target(middle_box(scenes[0])), "gsd_m_per_px": 0.15}
+    return [*found, *[("measure_area", {**_by_path(path), **known}) for path in scenes]]
+
+
+async def _ask(
+    server: HttpServer, asked: list[Question], expected: list[Reply], numbers: Any, ends: float, tally: Tally
+) -> None:
+    async with Client(server.url, read_timeout_seconds=120) as client:
+        for i in numbers:
+            k = i % len(asked)
+            while time.monotonic() < ends:
+                started = time.monotonic()
+                reply = await _reply(client, asked[k])
+                tally.slowest_s = max(tally.slowest_s, time.monotonic() - started)
+                if reply[1] not in RETRYABLE:
+                    tally.ends["right" if reply == expected[k] else "wrong"] += 1
+                    break
+                tally.codes[str(reply[1])] += 1
+                await anyio.sleep(random.uniform(2.0, 6.0))
+            if time.monotonic() >= ends:
+                return
+
+
+async def _kill(server: HttpServer, period_s: float, tally: Tally) -> None:
+    while True:
+        await anyio.sleep(period_s)
+        victims = child_processes(server.pid)
+        if victims:
+            os.kill(random.choice(victims), signal.SIGKILL)
+            tally.ends["kills"] += 1
+
+
+async def _probe(server: HttpServer, tally: Tally) -> None:
+    async with httpx2.AsyncClient(timeout=30) as http:
+        while True:
+            started = time.perf_counter()
+            (await http.get(server.url.replace("/mcp", "/healthz"))).raise_for_status()
+            tally.healthy_ms.append(1000 * (time.perf_counter() - started))
+            tally.peak_mib = max(tally.peak_mib, sum(memory_mib(server.pid)))
+            await anyio.sleep(0.2)
+
+
+async def _settled(client: Client, question: Question) -> Reply:
+    while True:
+        reply = await _reply(client, question)
+        if reply[1] not in RETRYABLE:
+            return reply
+        await anyio.sleep(0.5)
+
+
+async def _reply(client: Client, question: Question) -> Reply:
     """The record, or the error's code."""
-    async with Client(url, read_timeout_seconds=120) as client:
-        result = await client.call_tool(tool, arguments)
+    result = await client.call_tool(*question)
     if result.is_error:
         return None, getattr(result.content[0], "text", "").partition(":")[0]
     return result.structured_content, None
+
+
+def _by_path(path: Path) -> dict[str, Any]:
+    return {"image": {"kind": "path", "path": str(path)}}
 
 
 if __name__ == "__main__":
@@ -99,5 +160,6 @@ if __name__ == "__main__":
     parser.add_argument("--calls", type=int, default=10_000)
     parser.add_argument("--clients", type=int, default=64)
     parser.add_argument("--period", type=float, default=5.0, help="seconds between kills")
+    parser.add_argument("--minutes", type=float, default=60.0, help="no call is begun after")
     given = parser.parse_args()
-    anyio.run(chaos, given.calls, given.clients, given.period)
+    anyio.run(chaos, given.calls, given.clients, given.period, given.minutes)

@@ -22,6 +22,7 @@ __all__ = [
     "HttpServer",
     "child_processes",
     "http_server",
+    "memory_mib",
     "middle_box",
     "resident_mib",
     "target",
@@ -114,12 +115,35 @@ def http_server(*flags: str) -> Iterator[HttpServer]:
 def child_processes(pid: int) -> list[int]:
     """The children of a process that serve or work (Linux); multiprocessing's resource tracker is not one of them."""
     found = []
-    for thread in Path(f"/proc/{pid}/task").iterdir():
-        for child in (thread / "children").read_text().split():
-            with contextlib.suppress(OSError):  # it has just ended
-                if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
-                    found.append(int(child))
+    for child in _children(pid):
+        with contextlib.suppress(OSError):  # it has just ended
+            command = Path(f"/proc/{child}/cmdline").read_bytes()
+            if b"spawn_main" in command:
+                found.append(child)
+            elif b"forkserver" in command:
+                found += _children(child)
     return found
+
+
+def _children(pid: int) -> list[int]:
+    found: list[int] = []
+    for thread in Path(f"/proc/{pid}/task").glob("*"):
+        with contextlib.suppress(OSError):  # a thread has just ended
+            found += map(int, (thread / "children").read_text().split())
+    return found
+
+
+def memory_mib(pid: int) -> list[float]:
+    """Memory of a process and of all below it, MiB (Linux); what they share is counted once (PSS)."""
+    return [_pss_mib(pid), *(each for child in _children(pid) for each in memory_mib(child))]
+
+
+def _pss_mib(pid: int) -> float:
+    with contextlib.suppress(OSError):  # it has just ended
+        for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
+            if line.startswith("Pss:"):
+                return int(line.split()[1]) / 1024
+    return 0.0
 
 
 def resident_mib(pid: int) -> float:

@@ -44,6 +44,11 @@ class CallError(ToolError):
         super().__init__(f"{code}: {message}")
         self.code = code
 
+    @property
+    def told(self) -> str:
+        """The message without the code."""
+        return str(self).removeprefix(f"{self.code}: ")
+
     def __reduce__(self) -> tuple[type[CallError], tuple[str, str]]:
         """How it comes from a worker process."""
-        return type(self), (self.code, str(self).removeprefix(f"{self.code}: "))
+        return type(self), (self.code, self.told)

@@ -83,7 +83,7 @@ def open_tools(
     Raises:
         SettingsError: a directory is not there.
     """
-    return InProcessTools(Settings(roots=tuple(roots), detector=detector, segmenter=segmenter))
+    return InProcessTools(Settings(roots=tuple(roots), detector=detector, segmenter=segmenter, in_process=True))
 
 
 def _below_function(definition: dict[str, Any]) -> dict[str, Any]:

@@ -20,11 +20,20 @@ if TYPE_CHECKING:
     from vehanchor.segmentation.segmenter import Segmenter
     from vehanchor_server.settings import Settings
 
-__all__ = ["Models"]
+__all__ = ["SLOW_IMPORTS", "Models"]
 
 T = TypeVar("T")
 
-_SLOW_IMPORTS = ("vehanchor_server.calls.overlay", "vehanchor.measure", "vehanchor.pictures.area")
+SLOW_IMPORTS = (
+    "vehanchor_server.tools.registry",
+    "vehanchor_server.calls.overlay",
+    "vehanchor.measure",
+    "vehanchor.pictures.area",
+    "vehanchor.detection.detector",
+    "vehanchor.segmentation.segmenter",
+)
+"""What a first call would wait for."""
+
 _logger = logging.getLogger(__name__)
 
 
@@ -133,7 +142,7 @@ class Models:
         for load in (self.detector, self.calibration, self.segmenter):
             with contextlib.suppress(CallError):  # logged where it was raised
                 load()
-        for module in _SLOW_IMPORTS:  # what else a first call would wait for
+        for module in SLOW_IMPORTS:
             importlib.import_module(module)
 
     # OpenCV and ONNX Runtime are slow to load: not before they are needed.

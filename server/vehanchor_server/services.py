@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 
 from vehanchor_server.calls.capacity import Capacity
-from vehanchor_server.calls.workers import WorkerLimits, WorkerPool
+from vehanchor_server.calls.worker_process import WorkerLimits
+from vehanchor_server.calls.workers import WorkerPool
 from vehanchor_server.images.fetch import Fetcher
 from vehanchor_server.images.sandbox import Sandbox
 from vehanchor_server.images.source import ImageSources
@@ -63,7 +64,7 @@ def create_services(settings: Settings) -> Services:
     """Make the parts of a server; nothing is loaded or started yet."""
     n_calls = settings.max_concurrency or _default_concurrency()
     workers = None
-    if settings.workers_isolated:
+    if not settings.in_process:
         limits = WorkerLimits(settings.max_worker_bytes, (os.cpu_count() or 1) * settings.deadline_s)
         workers = WorkerPool(partial(_working_services, settings), n_calls, limits)
     return _services(settings, n_calls, workers)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vehanchor.choices import choice
-from vehanchor.options import ImageLimits
+from vehanchor.options import DECODED_BYTES_PER_PIXEL, ImageLimits
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -92,6 +92,14 @@ class Settings:
         default=ImageLimits.max_pixels / _MEGAPIXEL,
         metadata=_words("Largest image decoded whole, megapixels.", panel=_WORK),
     )
+    max_decoded_mb: float | None = field(
+        default=None,
+        metadata=_words(
+            "Memory that decoding an image may take, MiB.",
+            panel=_WORK,
+            if_unset=f"{ImageLimits.max_decoded_bytes / _MIB:g}, and what the megapixels need",
+        ),
+    )
     max_windowed_megapixels: float = field(
         default=ImageLimits.max_windowed_pixels / _MEGAPIXEL,
         metadata=_words("Largest TIFF read by windows, megapixels.", panel=_WORK),
@@ -99,12 +107,13 @@ class Settings:
     max_concurrency: int | None = field(
         default=None, metadata=_words("Calls at once in a process.", panel=_WORK, if_unset="one a CPU, at least 2")
     )
-    workers_isolated: bool = field(
+    in_process: bool = field(  # for a host on one's own machine: see SECURITY.md
         default=False,
-        metadata=_words("Decode and compute in processes that are killed at the deadline.", panel=_WORK),
+        metadata=_words("Decode and compute here, not in processes that can be killed at the deadline.", panel=_WORK),
     )
-    max_worker_mb: float = field(  # of one process, of which there are as many as calls at once
-        default=2048.0, metadata=_words("Data of a worker process, MiB; it ends beyond.", panel=_WORK)
+    max_worker_mb: float = field(  # of one process, of which there are at most as many as calls at once
+        default=2048.0,
+        metadata=_words("Data of a worker process beside its models, MiB; it ends beyond.", panel=_WORK),
     )
     deadline_s: float = field(  # below the 60 s at which common clients give up
         default=55.0, metadata=_words("Seconds after which a call ends.", panel=_WORK)
@@ -195,15 +204,21 @@ class Settings:
     @property
     def image_limits(self) -> ImageLimits:
         """The cost of an image that is accepted here."""
+        max_pixels = round(self.max_megapixels * _MEGAPIXEL)
+        if self.max_decoded_mb is None:
+            max_decoded_bytes = max(ImageLimits.max_decoded_bytes, DECODED_BYTES_PER_PIXEL * max_pixels)
+        else:
+            max_decoded_bytes = round(self.max_decoded_mb * _MIB)
         return ImageLimits(
             max_bytes=round(self.max_image_mb * _MIB),
-            max_pixels=round(self.max_megapixels * _MEGAPIXEL),
+            max_pixels=max_pixels,
             max_windowed_pixels=round(self.max_windowed_megapixels * _MEGAPIXEL),
+            max_decoded_bytes=max_decoded_bytes,
         )
 
     @property
     def max_worker_bytes(self) -> int:
-        """Data that a worker process may have."""
+        """Data that a worker process may take beside its models."""
         return round(self.max_worker_mb * _MIB)
 
     @property

@@ -62,6 +62,7 @@ def measure_distance(
     *,
     gsd_m_per_px: float | None = None,
     scale: KnownScale | GsdEstimate | Mapping[str, Any] | None = None,
+    object_height_m: float | None = None,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -78,6 +79,7 @@ def measure_distance(
         gsd_m_per_px: the scale, metres per pixel of the full image, where it is known: then no detector runs.
         scale: an earlier estimate of this image, or its ``scale``: then no detector runs, either, and its interval and
             confidence hold.
+        object_height_m: how high it lies above the ground, as a roof does; None for on it.
         detector: as in ``estimate_gsd``.
         threads: as in ``estimate_gsd``.
         progress: called with (tiles done, tiles in all) while vehicles are searched.
@@ -101,6 +103,7 @@ def measure_distance(
         ScaleOptions.of(options),
         gsd_m_per_px=gsd_m_per_px,
         scale=scale,
+        object_height_m=object_height_m,
         detector=detector,
         threads=threads,
         progress=progress,
@@ -114,6 +117,7 @@ def analyse_distance(
     *,
     gsd_m_per_px: float | None = None,
     scale: KnownScale | GsdEstimate | Mapping[str, Any] | None = None,
+    object_height_m: float | None = None,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -127,6 +131,7 @@ def analyse_distance(
         options: every choice of the method of scale, the frame included; None for the defaults.
         gsd_m_per_px: a known scale.
         scale: one that was estimated before.
+        object_height_m: above the ground.
         detector: of vehicles.
         threads: CPU threads.
         progress: of the search for vehicles.
@@ -142,7 +147,15 @@ def analyse_distance(
     places = read_path(path)
     source = choose_scale(gsd_m_per_px, scale, detector, chosen, threads=threads)
     with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits, bgr=chosen.reading.bgr) as raster:
-        (analysis,) = analyse_paths(raster, [places], source, chosen, progress=progress, run_options=run_options)
+        (analysis,) = analyse_paths(
+            raster,
+            [places],
+            source,
+            chosen,
+            object_height_m=object_height_m,
+            progress=progress,
+            run_options=run_options,
+        )
     return analysis
 
 
@@ -172,6 +185,7 @@ def analyse_paths(
     scale: ScaleInput,
     options: ScaleOptions,
     *,
+    object_height_m: float | None = None,
     progress: Callable[[int, int], None] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> tuple[DistanceAnalysis, ...]:
@@ -182,6 +196,7 @@ def analyse_paths(
         paths: what ``read_path`` gave, in the caller's coordinates.
         scale: what ``choose_scale`` gave.
         options: every choice of the method of scale.
+        object_height_m: above the ground, of all of them.
         progress: of the search for vehicles.
         run_options: ONNX Runtime's, for a caller that may have to end a running model (``terminate``).
 
@@ -191,7 +206,9 @@ def analyse_paths(
     options.frame.check(raster.width_px, raster.height_px)
     pointing = Pointing(options.frame, raster.width_px, raster.height_px)
     in_image = [_in_image(path, pointing) for path in paths]
-    found = find_scale(raster, scale, options, progress=progress, run_options=run_options)
+    found = find_scale(
+        raster, scale, options, object_height_m=object_height_m, progress=progress, run_options=run_options
+    )
     return tuple(DistanceAnalysis(_conclude(path, pointing, found), found.analysis) for path in in_image)
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from vehanchor.anchors.agreement import disagreements
 from vehanchor.anchors.attitude import attitude, levelled, tilt_record
 from vehanchor.anchors.evidence import ImageFacts, View
+from vehanchor.anchors.leaning import leaning_notice
 from vehanchor.anchors.registry import OTHER_ANCHORS
 from vehanchor.anchors.scene_scale import SceneScale
 from vehanchor.anchors.vehicles import Vehicles
@@ -58,6 +59,7 @@ __all__ = [
     "analyse_sighting",
     "conclude",
     "estimate_gsd",
+    "frame_scale",
     "georeference_notice",
     "image_facts",
     "image_notices",
@@ -252,6 +254,7 @@ def conclude(
     image, judgement = view.image, judge(vehicles, others)
     gsd, interval = judgement.gsd_m_per_px, judgement.interval
     warnings = [*image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
+    warnings += leaning_notice(view) if looked is None and vehicles.n else []
     warnings += disagreements((vehicles, *others), [ruler.kind for ruler in judgement.rulers if not ruler.agrees])
     if gsd is not None:
         who_says = "the vehicles say" if gsd == vehicles.gsd_m_per_px else "the rulers say"
@@ -280,7 +283,7 @@ def conclude(
         image_height_px=image.height_px,
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
         tilt=None if looked is None else tilt_record(looked, image, gsd),
-        frame=_frame_scale(view.options.frame, image.width_px, gsd, interval),
+        frame=frame_scale(view.options.frame, image.width_px, gsd, interval),
         scale=_known_scale(view, gsd, interval, judgement.confidence),
         model=view.card.name,
         model_sha256=view.card.sha256,
@@ -355,9 +358,10 @@ def georeference_notice(own: float | None, gsd_m_per_px: float, who_says: str) -
     ]
 
 
-def _frame_scale(
+def frame_scale(
     frame: Frame, width_px: int, gsd: float | None, interval: tuple[float, float] | None
 ) -> FrameScale | None:
+    """The scale in the caller's copy of an image, of so many columns; None where there is no copy."""
     if frame.size is None:
         return None
     factor = width_px / frame.size[0]

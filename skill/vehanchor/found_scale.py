@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from pydantic import ValidationError
 
 from vehanchor.anchors.attitude import attitude, plane_with
+from vehanchor.anchors.camera import equivalent_lens, lens
 from vehanchor.anchors.evidence import ImageFacts
+from vehanchor.choices import number
 from vehanchor.detection.detector import Detector
-from vehanchor.errors import InvalidParameterError, ScaleMismatchError
+from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
 from vehanchor.estimate import analyse_raster, georeference_notice, image_notices, open_detector
 from vehanchor.imagery.identity import image_id
 from vehanchor.records import GsdEstimate, KnownScale
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     import onnxruntime
     from numpy.typing import NDArray
 
+    from vehanchor.anchors.camera import Lens
     from vehanchor.estimate import ScaleAnalysis
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
@@ -35,10 +38,25 @@ if TYPE_CHECKING:
 
 __all__ = ["FoundScale", "ScaleInput", "choose_scale", "find_scale", "interval_around"]
 
+_HIGHEST_OBJECT_M = 1000.0
+_HEIGHT_LOG_SD = 0.12  # of a height that was told, above ground that may lie elsewhere than the take-off
+
 ScaleInput: TypeAlias = Detector | float | KnownScale
 """What finds the scale, or what it is."""
 
 _Z95 = 1.959963984540054
+
+
+class CameraAbove(NamedTuple):
+    """How high the camera was: by the scale of the ground and a lens, or by a height that was told.
+
+    Attributes:
+        lens: the view; None where nothing tells it.
+        height_m: above the ground, or the take-off; None where nothing tells it.
+    """
+
+    lens: Lens | None
+    height_m: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,16 +172,41 @@ def find_scale(
     scale: ScaleInput,
     options: ScaleOptions,
     *,
+    object_height_m: float | None = None,
     progress: Callable[[int, int], None] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> FoundScale:
     """Find the scale of an open image, by searching it only where nobody knows its scale.
 
+    Args:
+        raster: the image.
+        scale: what finds the scale of the ground, or is it.
+        options: every choice of the method.
+        object_height_m: how high above the ground lies what is to be measured; None for on it.
+        progress: of the search.
+        run_options: ONNX Runtime's.
+
+    Returns:
+        The scale of the ground, or of the level that lies so high above it.
+
     Raises:
+        InvalidParameterError: the height has no meaning, or nobody knows how high the camera was.
         ScaleMismatchError: the scale was measured on another image.
-        TooObliqueError: the horizon is in sight, or nearly so.
+        TooObliqueError: the horizon is in sight, or nearly so; the object lies above the camera.
         VehAnchorError: as ``estimate_gsd``.
     """
+    camera = None if object_height_m is None else camera_above(raster, options, object_height_m)
+    found = _on_the_ground(raster, scale, options, progress, run_options)
+    return found if camera is None or object_height_m is None else raised(found, object_height_m, camera)
+
+
+def _on_the_ground(
+    raster: Raster,
+    scale: ScaleInput,
+    options: ScaleOptions,
+    progress: Callable[[int, int], None] | None,
+    run_options: onnxruntime.RunOptions | None,
+) -> FoundScale:
     if isinstance(scale, Detector):
         analysis = analyse_raster(raster, scale, options, progress=progress, run_options=run_options)
         found = analysis.estimate
@@ -192,6 +235,59 @@ def _plane(raster: Raster, options: ScaleOptions, gsd_m_per_px: float | None) ->
     image = ImageFacts(raster.width_px, raster.height_px, camera=raster.camera)
     looked = None if gsd_m_per_px is None else attitude(image, options)
     return None if looked is None or gsd_m_per_px is None else plane_with(looked, image, gsd_m_per_px)
+
+
+def camera_above(raster: Raster, options: ScaleOptions, object_height_m: float) -> CameraAbove:
+    """What there is to tell how high the camera was, before the work.
+
+    Raises:
+        InvalidParameterError: the object's height has no meaning, or nothing tells the camera's.
+    """
+    if not 0 <= number("object_height_m", object_height_m) <= _HIGHEST_OBJECT_M:
+        raise InvalidParameterError(f"object_height_m is {object_height_m:g}: use 0 to {_HIGHEST_OBJECT_M:g}")
+    chosen, camera = options.rulers, raster.camera if options.rulers.metadata else None
+    seen = None if camera is None else lens(ImageFacts(raster.width_px, raster.height_px), camera)
+    if chosen.focal_35mm is not None:
+        seen = equivalent_lens(raster.width_px, raster.height_px, chosen.focal_35mm)
+    height = chosen.height_m or (camera.height_m if camera is not None else None)
+    if seen is None and height is None:
+        raise InvalidParameterError(
+            "object_height_m needs the camera's height, which neither the file nor an option tells: give height_m, or "
+            "measure on the ground"
+        )
+    return CameraAbove(seen, height)
+
+
+def raised(found: FoundScale, object_height_m: float, camera: CameraAbove) -> FoundScale:
+    """The scale of a level above the ground: what stands up is nearer to the camera, and larger in the image.
+
+    Raises:
+        TooObliqueError: it lies above the camera.
+    """
+    if found.gsd_m_per_px is None or object_height_m == 0:
+        return found
+    focal_px = found.plane.focal_px if found.plane is not None else camera.lens and camera.lens.pixels
+    if found.plane is not None:
+        height = found.plane.height_m
+    else:
+        height = found.gsd_m_per_px * focal_px if focal_px else camera.height_m or math.inf
+    share = object_height_m / height
+    if share >= 1:
+        raise TooObliqueError(
+            f"an object {object_height_m:g} m above the ground lies above the camera, which is {height:.0f} m up: give "
+            "a lower height"
+        )
+    if focal_px:  # scale less height over focal length: an error of the scale weighs more up there
+        lens_log_sd = camera.lens.log_sd if camera.lens else 0.0
+        log_sd = math.hypot(found.log_sd, share * lens_log_sd) / (1 - share)
+    else:
+        log_sd = math.hypot(found.log_sd, share / (1 - share) * _HEIGHT_LOG_SD)
+    return replace(
+        found,
+        gsd_m_per_px=found.gsd_m_per_px * (1 - share),
+        log_sd=log_sd,
+        plane=None if found.plane is None else found.plane.raised(object_height_m),
+    )
 
 
 def _log_sd(low: float | None, high: float | None) -> float:

@@ -9,7 +9,7 @@ from vehanchor.anchors.fused import anchors_among, fuse_rulers, shares
 from vehanchor.anchors.scene_scale import SceneScale
 from vehanchor.notices import FLEET_DOUBTS, NoticeCode
 from vehanchor.scale.confidence import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX, UNSURE_CONFIDENCE
-from vehanchor.scale.fusion import fuse, mass_within
+from vehanchor.scale.fusion import USABLE_CHANCE, fuse, mass_within
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Judgement", "judge"]
 
-LEAST_P_WITHIN_20 = 0.9  # below it a scale is not to be used
 _WIDEST_USABLE = 2.0  # high over low of an interval: beyond it a scale is not to be used
 _WIDEST_OF_ANY = 3.0  # the same where no chance of being right is known, as with foreign detectors
 _LOST_WIDTH = 5.0  # high over low of the scene's own interval: it was never shown the like
@@ -74,7 +73,7 @@ def judge(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judgement:
 
 def _of_all(fused: FusedScale, vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judgement:
     confidence, reason = fused.p_within_20, None
-    if fused.p_within_20 < LEAST_P_WITHIN_20 or fused.interval.high > _WIDEST_USABLE * fused.interval.low:
+    if fused.p_within_20 < USABLE_CHANCE or fused.interval.high > _WIDEST_USABLE * fused.interval.low:
         confidence = min(confidence, UNSURE_CONFIDENCE)
         able = {each.kind for each in anchors_among((vehicles, *others))}
         outvoted = any(not ruler.agrees for ruler in fused.rulers if ruler.kind in able)
@@ -95,8 +94,8 @@ def _of_vehicles(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judge
     confidence = vehicles.confidence
     if gsd is not None and vehicles.density is not None:
         densities = [other.density for other in others if other.density is not None]
-        interval, p_within_20 = fuse(gsd, vehicles.density, *densities)
-        if p_within_20 < LEAST_P_WITHIN_20 or interval.high > _WIDEST_USABLE * interval.low:
+        interval, p_within_20 = fuse(gsd, vehicles.density, *densities, certainty=vehicles.certainty)
+        if p_within_20 < USABLE_CHANCE or interval.high > _WIDEST_USABLE * interval.low:
             confidence = min(confidence, UNSURE_CONFIDENCE)
     if interval is not None and interval.high > _WIDEST_OF_ANY * interval.low:
         confidence = min(confidence, UNSURE_CONFIDENCE)

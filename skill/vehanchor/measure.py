@@ -83,6 +83,7 @@ def measure_area(
     points: Sequence[Point] | None = None,
     gsd_m_per_px: float | None = None,
     scale: KnownScale | GsdEstimate | Mapping[str, Any] | None = None,
+    object_height_m: float | None = None,
     segmenter: SegmenterSource | None = None,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
@@ -101,6 +102,7 @@ def measure_area(
         gsd_m_per_px: the scale, metres per pixel of the full image, where it is known: then no detector runs.
         scale: an earlier estimate of this image, or its ``scale``: then no detector runs, either, and its interval and
             confidence hold.
+        object_height_m: how high it lies above the ground, as a roof does; None for on it.
         segmenter: encoder and decoder paths, or a loaded ``Segmenter``; default the bundled one.
         detector: as in ``estimate_gsd``.
         threads: CPU threads for the models; None leaves it to ONNX Runtime. Ignored for loaded ones.
@@ -126,6 +128,7 @@ def measure_area(
         points=points,
         gsd_m_per_px=gsd_m_per_px,
         scale=scale,
+        object_height_m=object_height_m,
         segmenter=segmenter,
         detector=detector,
         threads=threads,
@@ -141,6 +144,7 @@ def analyse_area(
     points: Sequence[Point] | None = None,
     gsd_m_per_px: float | None = None,
     scale: KnownScale | GsdEstimate | Mapping[str, Any] | None = None,
+    object_height_m: float | None = None,
     segmenter: SegmenterSource | None = None,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
@@ -156,6 +160,7 @@ def analyse_area(
         points: either these or a box.
         gsd_m_per_px: a known scale.
         scale: one that was estimated before.
+        object_height_m: above the ground.
         segmenter: encoder and decoder.
         detector: of vehicles.
         threads: CPU threads.
@@ -174,7 +179,14 @@ def analyse_area(
     source = choose_scale(gsd_m_per_px, scale, detector, chosen, threads=threads)
     with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits, bgr=chosen.reading.bgr) as raster:
         (analysis,) = analyse_objects(
-            raster, [prompt], segmenting, source, chosen, progress=progress, run_options=run_options
+            raster,
+            [prompt],
+            segmenting,
+            source,
+            chosen,
+            object_height_m=object_height_m,
+            progress=progress,
+            run_options=run_options,
         )
     return analysis
 
@@ -186,6 +198,7 @@ def analyse_objects(
     scale: ScaleInput,
     options: ScaleOptions,
     *,
+    object_height_m: float | None = None,
     progress: Callable[[int, int], None] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> tuple[AreaAnalysis, ...]:
@@ -197,6 +210,7 @@ def analyse_objects(
         segmenter: finds the objects.
         scale: what ``choose_scale`` gave.
         options: every choice of the method of scale.
+        object_height_m: above the ground, of all of them.
         progress: of the search for vehicles.
         run_options: ONNX Runtime's.
 
@@ -211,7 +225,9 @@ def analyse_objects(
     # The masks first: they are the quicker of the two to find out that a prompt cannot be read.
     limits = options.reading.limits
     masks = [segmenter.segment(raster, each, limits=limits, run_options=run_options) for each in prompts]
-    found = find_scale(raster, scale, options, progress=progress, run_options=run_options)
+    found = find_scale(
+        raster, scale, options, object_height_m=object_height_m, progress=progress, run_options=run_options
+    )
     return tuple(
         AreaAnalysis(_conclude(raster, mask, prompt, segmenter.card, options, found), mask, prompt, found.analysis)
         for prompt, mask in zip(prompts, masks, strict=True)

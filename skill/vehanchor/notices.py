@@ -26,10 +26,13 @@ class NoticeCode(StrEnum):
     # of the rulers beside vehicles
     RULERS_DISAGREE = "rulers_disagree"
     CAMERA_TILTED = "camera_tilted"
+    TILT_SUSPECTED = "tilt_suspected"
     CAMERA_CROPPED = "camera_cropped"
     CAMERA_UNUSABLE = "camera_unusable"
     KNOWN_LENGTHS_DISAGREE = "known_lengths_disagree"
     FOCAL_LENGTH_MISSING = "focal_length_missing"
+    # of a flight
+    NOT_TIED = "not_tied"
     # of the mask
     MASK_EMPTY = "mask_empty"
     MASK_SCORE_LOW = "mask_score_low"

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from vehanchor.scale.calibration import Calibration
 
 __all__ = [
+    "DECODED_BYTES_PER_PIXEL",
     "Coordinates",
     "Frame",
     "ImageLimits",
@@ -40,7 +41,9 @@ Coordinates: TypeAlias = Literal["pixels", "fraction", "per_mille"]
 
 _MIB = 1 << 20
 _MEGAPIXEL = 1_000_000
-_DECODED_BYTES_PER_PIXEL = 10  # what 8-bit RGB takes while it is decoded, and a little
+DECODED_BYTES_PER_PIXEL = 10
+"""What 8-bit RGB takes while it is decoded, and a little."""
+
 _SHARES: dict[Coordinates, int] = {"fraction": 1, "per_mille": 1000}  # how far they reach along either side
 
 
@@ -307,7 +310,7 @@ class Reading:
         if self.max_megapixels is not None:
             settle(self, "max_megapixels", positive("max_megapixels", self.max_megapixels))
             pixels = max(1, round(self.max_megapixels * _MEGAPIXEL))
-            memory = max(self.limits.max_decoded_bytes, _DECODED_BYTES_PER_PIXEL * pixels)
+            memory = max(self.limits.max_decoded_bytes, DECODED_BYTES_PER_PIXEL * pixels)
             settle(self, "limits", replace(self.limits, max_pixels=pixels, max_decoded_bytes=memory))
 
 

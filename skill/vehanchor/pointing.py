@@ -73,10 +73,12 @@ class Pointing:
         """How places that make no sense here may have been meant; empty where nothing suggests itself."""
         if self.frame.coordinates != "pixels" or min(min(place) for place in places) < 0:
             return ""
+        if len(places) > 1 and all(tuple(place) == tuple(places[0]) for place in places):
+            return ""  # no unit of length makes a path of it
         x, y = max(place[0] for place in places), max(place[1] for place in places)
         if max(x, y) <= 1:
             return '; as fractions of the sides it would: if they are that, say coordinates "fraction"'
-        if self.frame.size is not None:
+        if self.frame.size is not None or self.inside(places):  # a larger copy makes what is here smaller still
             return ""
         for side in _SEEN_SIDES_PX:
             factor = side / max(self.width_px, self.height_px)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, get_args
 
 from vehanchor.anchors.vehicles import Vehicles
+from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.estimate import analyse_raster
 from vehanchor.imagery.raster import open_raster
@@ -21,9 +22,10 @@ from vehanchor_evaluation.known_scale import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from vehanchor.batch.known_lengths import KnownLengthTable
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
 
@@ -33,13 +35,19 @@ _WITNESS = "scene_scale"
 _Z95 = 1.959963984540054
 
 
-def survey_photographs(paths: Sequence[Path], detector: Detector, options: ScaleOptions) -> KnownScaleSet:
+def survey_photographs(
+    paths: Sequence[Path],
+    detector: Detector,
+    options: ScaleOptions,
+    known_lengths: Callable[[Sequence[Path]], KnownLengthTable] | None = None,
+) -> KnownScaleSet:
     """Take the scale of photographs from all rulers but vehicles and the look of the ground.
 
     Args:
         paths: files, and folders to search for images.
         detector: named in the records; it does not run.
         options: every choice of the method; rulers that they leave out are not heard.
+        known_lengths: reads the lines of known length of single photographs, given what they are; None for none.
 
     Returns:
         The photographs of which one knows the scale, with what it may be off by; the others as issues.
@@ -58,10 +66,12 @@ def survey_photographs(paths: Sequence[Path], detector: Detector, options: Scale
         reading=replace(options.reading, limits=DATASET_LIMITS),
     )
     images, issues = [], []
-    for file in files_of(paths):
+    files = files_of(paths)
+    lines = known_lengths(files) if known_lengths else {}
+    for file in files:
         try:
             with open_raster(file, bands=apart.reading.bands, limits=DATASET_LIMITS) as raster:
-                record = analyse_raster(raster, detector, apart).estimate
+                record = analyse_raster(raster, detector, with_lines_of(apart, lines, file)).estimate
         except VehAnchorError as error:
             issues.append(FileIssue(file, error.code, str(error)))
             continue

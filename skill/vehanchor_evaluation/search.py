@@ -69,7 +69,9 @@ class SearchedImage:
 
         Raises:
             InvalidParameterError: the search has not looked at the detail with this factor of the filter.
+            KnownLengthError: a line of known length leaves the image.
         """
+        options = options.in_pixels(self.image.width_px, self.image.height_px)
         share = self.resolved.get(options.lengths.alpha) if self.resolved else 1.0
         if share is None:
             raise InvalidParameterError(f"searched without alpha {options.lengths.alpha}: search with these options")

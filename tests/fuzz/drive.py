@@ -126,7 +126,7 @@ def drive_by_coverage(name: str, findings: Path, seconds: float, seed: int) -> N
     """Mutate by what is reached; libFuzzer ends the process, at a failure or when the time is over."""
     import atheris
 
-    with atheris.instrument_imports(include=["vehanchor"]):
+    with atheris.instrument_imports(include=["vehanchor", "vehanchor_server"]):
         from tests.fuzz.targets import CORPUS, TARGETS
     corpus = findings / "corpus" / name
     corpus.mkdir(parents=True, exist_ok=True)

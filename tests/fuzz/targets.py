@@ -5,11 +5,16 @@ A target takes bytes and returns nothing. ``CORPUS`` makes the bytes to begin wi
 
 from __future__ import annotations
 
+import asyncio
+import base64
 import contextlib
 import io
 import json
+import logging
+import math
 import warnings
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,18 +22,30 @@ from typing import Any
 import cv2
 import numpy as np
 import rasterio
+from mcp.server.mcpserver import Context
+from mcp.types import CallToolResult
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 
 from tests import bombs
-from vehanchor.detection.card import read_detector_card, read_fleet_card, read_second_look_card
+from tests.skill.imagery import metadata as blocks
+from vehanchor.detection.card import FleetCard, SecondLookCard, read_companion_card, read_detector_card
 from vehanchor.errors import VehAnchorError
+from vehanchor.imagery.camera_metadata import read_camera
+from vehanchor.imagery.exif import read_exif
 from vehanchor.imagery.header import read_header
+from vehanchor.imagery.metadata_blocks import MAX_XMP_BYTES
 from vehanchor.imagery.raster import open_raster
 from vehanchor.imagery.windows import Window
+from vehanchor.imagery.xmp import read_xmp
 from vehanchor.models.files import external_locations
 from vehanchor.options import ImageLimits
 from vehanchor.scale.calibration import Calibration, load_calibration
+from vehanchor_server.errors import CallError
+from vehanchor_server.services import create_services
+from vehanchor_server.settings import Settings
+from vehanchor_server.tools.registry import create_tools
+from vehanchor_server.tools.strict_tool import StrictTool
 
 __all__ = ["CORPUS", "FUZZ_LIMITS", "TARGETS"]
 
@@ -38,6 +55,7 @@ FUZZ_LIMITS = ImageLimits(
 """Small enough that no input is slow, so that what is slow is a bug."""
 
 _SIDE_PX = 48
+_MAX_COMPLAINT_CHARS = 4000
 _EXIF = b"Exif\0\0II*\0\x08\0\0\0\1\0\x12\1\3\0\1\0\0\0\6\0\0\0\0\0\0\0"
 
 
@@ -81,9 +99,64 @@ def card(data: bytes) -> None:
     if not isinstance(stated, dict):
         return
     metadata = {key: value if isinstance(value, str) else json.dumps(value) for key, value in stated.items()}
-    for read in (read_detector_card, read_fleet_card, read_second_look_card):
+    file = Path("fuzzed.onnx"), "0" * 64
+    with contextlib.suppress(VehAnchorError):
+        read_detector_card(*file, metadata)
+    for kind in (FleetCard, SecondLookCard):
         with contextlib.suppress(VehAnchorError):
-            read(Path("fuzzed.onnx"), "0" * 64, metadata)
+            read_companion_card(kind, *file, metadata)
+
+
+def metadata(data: bytes) -> None:
+    """Read what a file says of its camera, or what its EXIF block or XMP packet alone does."""
+
+    def read_at(offset: int, count: int) -> bytes:
+        return data[offset : offset + count]
+
+    for tags in (read_exif(read_at, MAX_XMP_BYTES), read_exif(lambda at, count: data[6 + at : 6 + at + count], 1000)):
+        assert all(isinstance(value, str | float | bytes) for value in tags.values())
+    assert all(len(text) <= MAX_XMP_BYTES for text in read_xmp(data).properties.values())
+    found = read_camera(read_at)
+    if found is not None:
+        numbers = [value for value in vars(found).values() if isinstance(value, int | float)]
+        assert all(math.isfinite(number) for number in numbers), found
+
+
+class _Silent(Context[Any, Any]):
+    """A call that nobody follows."""
+
+    @property
+    def client_capabilities(self) -> None:
+        """None are known."""
+
+    async def report_progress(self, progress: float, total: float | None = None, message: str | None = None) -> None:
+        """Tell nobody."""
+
+
+@cache
+def _tools() -> tuple[asyncio.AbstractEventLoop, dict[str, StrictTool]]:
+    logging.disable()  # a line a call
+    settings = Settings(detector="/nowhere.onnx", in_process=True, max_megapixels=1, max_image_mb=1)
+    return asyncio.new_event_loop(), {tool.name: tool for tool in create_tools(create_services(settings))}
+
+
+def arguments(data: bytes) -> None:
+    """Call a tool as a model would; what needs a detector ends there."""
+    try:
+        given = json.loads(data)
+    except (ValueError, RecursionError):
+        return
+    if not isinstance(given, dict):
+        return
+    loop, tools = _tools()
+    tool = tools.get(str(given.pop("tool", "")), tools["estimate_gsd"])
+    try:
+        result = loop.run_until_complete(tool.run(given, _Silent(), convert_result=True))
+    except CallError as error:  # UnexpectedToolError is none
+        if len(str(error)) > _MAX_COMPLAINT_CHARS:
+            raise
+    else:
+        assert isinstance(result, CallToolResult), type(result)
 
 
 def graph(data: bytes) -> None:
@@ -186,6 +259,66 @@ def _cards() -> list[bytes]:
     return [json.dumps(each).encode() for each in (detector, fleet, detector | fleet)]
 
 
+def _metadata() -> list[bytes]:
+    camera: dict[str, Any] = {
+        "Make": "DJI",
+        "Model": "FC6310",
+        "FocalLength": (88, 10),
+        "PixelXDimension": 5472,
+        "PixelYDimension": 3648,
+        "FocalPlaneXResolution": (4000, 10),
+        "FocalPlaneResolutionUnit": 3,
+        "DigitalZoomRatio": (1, 1),
+        "FocalLengthIn35mmFilm": 24,
+        "GPSLatitudeRef": "N",
+        "GPSLatitude": (52, 1, 30, 1, 1234, 100),
+        "GPSLongitudeRef": "E",
+        "GPSLongitude": (13, 1, 20, 1, 999, 100),
+        "GPSAltitudeRef": b"\0",
+        "GPSAltitude": (1200, 10),
+    }
+    packets = [
+        blocks.xmp(
+            {"drone-dji": "http://www.dji.com/drone-dji/1.0/"},
+            'drone-dji:RelativeAltitude="+50.20" drone-dji:GimbalPitchDegree="-90.00" '
+            'drone-dji:GimbalRollDegree="+0.00" drone-dji:CalibratedFocalLength="3666.666504"',
+        ),
+        blocks.xmp(
+            {"Camera": "http://pix4d.com/camera/1.0"}, "<Camera:Pitch>2.1</Camera:Pitch><Camera:Roll>1/2</Camera:Roll>"
+        ),
+    ]
+    exifs = [blocks.exif(camera, order) for order in "<>"]
+    return [
+        *packets,
+        *exifs,
+        *[_EXIF[:6] + each for each in exifs],
+        blocks.jpeg(exif=exifs[0], xmp=packets[0]),
+        blocks.png_with_xmp(packets[1], exifs[1]),
+        blocks.webp_with_exif(exifs[0], packets[0]),
+    ]
+
+
+def _arguments() -> list[bytes]:
+    image = {"kind": "base64", "data": base64.b64encode(_images()[2]).decode()}
+    path = {"kind": "path", "path": "/images/a.png"}
+    known: dict[str, Any] = {"gsd_m_per_px": 0.15}
+    points = [{"x": 1, "y": 2}, {"x": 40.5, "y": 30}]
+    frame = {"width_px": 24, "height_px": 24}
+    box = {"x_min": 1, "y_min": 2, "x_max": 30, "y_max": 40}
+    calls: list[tuple[str, dict[str, Any]]] = [
+        ("estimate_gsd", {"image": path, "region": "europe", "include_overlay": True, "detail": "full"}),
+        ("estimate_gsd", {"image": image, "height_m": 60, "focal_35mm": 24, "reference_length_m": 4.6}),
+        ("estimate_gsd", {"image": {"kind": "url", "url": "https://a.test/b.png"}}),
+        ("measure_distance", {"image": image, **known, "points": points}),
+        ("measure_distance", {"image": image, **known, "points": points, "frame": frame}),
+        ("measure_area", {"image": image, **known, "target": {"box": box}}),
+        ("measure_area", {"image": path, **known, "target": {"points": points}, "coordinates": "per_mille"}),
+        ("view_image", {"image": image, "width_px": 32}),
+        ("view_image", {"image": image, "region": box}),
+    ]
+    return [json.dumps({"tool": name, **given}).encode() for name, given in calls]
+
+
 def _graphs() -> list[bytes]:
     import onnx
     from onnx import TensorProto, helper
@@ -208,6 +341,8 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "calibration": calibration,
     "card": card,
     "graph": graph,
+    "metadata": metadata,
+    "arguments": arguments,
 }
 
 CORPUS: dict[str, Callable[[], list[bytes]]] = {
@@ -216,4 +351,6 @@ CORPUS: dict[str, Callable[[], list[bytes]]] = {
     "calibration": _calibrations,
     "card": _cards,
     "graph": _graphs,
+    "metadata": _metadata,
+    "arguments": _arguments,
 }

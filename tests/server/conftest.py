@@ -112,7 +112,7 @@ def images(_images: Path) -> Path:
 
 @pytest.fixture
 def settings(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Settings:
-    return Settings(roots=(images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1)
+    return Settings(roots=(images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, in_process=True)
 
 
 @pytest.fixture

@@ -197,8 +197,10 @@ async def test_what_strict_mode_makes_a_model_send_is_accepted(
         "coordinates": "pixels",
         "detail": "short",
     }
-    if tool != "estimate_gsd":
-        left_out |= {"targets": None, "scale": None}
+    if tool == "estimate_gsd":
+        left_out |= {"more_images": None, "same_scale": False}
+    else:
+        left_out |= {"targets": None, "scale": None, "object_height_m": None}
     arguments = {**by_path(images / "pool.png"), **more, **left_out}
     jsonschema.validate(arguments, files["openai.json"][TOOLS.index(tool)]["parameters"])
     async with Client(server) as client:

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from vehanchor.options import ImageLimits
 from vehanchor_server.settings import Settings, SettingsError
 
 
@@ -43,6 +44,12 @@ def test_the_defaults_read_nothing_and_listen_to_this_machine_only() -> None:
 def test_options_without_meaning_are_refused(options: dict[str, Any], words: str) -> None:
     with pytest.raises(SettingsError, match=words):
         Settings(**options)
+
+
+def test_the_memory_of_decoding_follows_the_pixels_until_it_is_named() -> None:
+    assert Settings().image_limits == ImageLimits()
+    assert Settings(max_megapixels=500).image_limits.max_decoded_bytes == 5_000_000_000
+    assert Settings(max_megapixels=500, max_decoded_mb=64).image_limits.max_decoded_bytes == 64 << 20
 
 
 def test_roots_are_resolved_once(tmp_path: Path) -> None:
@@ -127,6 +134,8 @@ def test_settings_survive_the_way_to_a_worker_process(tmp_path: Path) -> None:
         token_file=tmp_path / "tokens",
         workers=3,
         insecure=True,
+        in_process=True,
+        max_decoded_mb=70.0,
     )
     assert Settings.from_json(settings.to_json()) == settings
     assert Settings.from_json(Settings().to_json()) == Settings()

@@ -14,6 +14,7 @@ import torch
 
 from training.detector.distractors import draw_distractors
 from training.detector.network import STRIDE_PX
+from training.detector.shade import shaded
 from vehanchor.detection.boxes import box_corners, boxes_from_corners
 from vehanchor_evaluation.dota import read_labels
 
@@ -376,6 +377,6 @@ class CropStream:
                 crop = lay_over(crop, draw())
         if rng.random() < _DISTRACTOR_SHARE:
             crop = distracted(rng, crop)
-        image = photometric(rng, crop.image)
+        image = photometric(rng, shaded(rng, crop.image, crop.boxes))
         pixels = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))
         return pixels, dense_target(crop.boxes, crop.ignore)

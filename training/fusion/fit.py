@@ -38,11 +38,13 @@ from vehanchor.scale.fusion import (
     credible_interval,
     mass_within,
     product,
+    settled_chance,
     vehicle_density,
 )
 
 _CAR_M = (3.0, 6.3)  # between these a box of known scale is taken for a car
 _COVER = 0.95
+_CERTAINTIES = tuple(np.arange(0.5, 2.51, 0.05).round(2).tolist())
 _LOG_SDS, _CLUTTER, _TRUST, _WRONG = (0.10, 0.13, 0.16), (0.3, 0.6, 1.0), (0.3, 0.45, 0.6, 0.8), (0.02, 0.05, 0.1)
 
 
@@ -122,7 +124,17 @@ def judged(cases: list[Case], votes: Votes) -> tuple[Verdict, NDArray[np.float64
         chances.append(mass_within(density, case.estimate_m_per_px, TOLERANCE))
         right.append(abs(case.estimate_m_per_px / case.gsd_m_per_px - 1) < TOLERANCE)
     verdict = Verdict(float(np.mean(logs)), float(np.mean(held)), float(np.median(widths)))
-    return verdict, np.array(chances), np.array(right)
+    return verdict, settled_chance(chances, votes.certainty), np.array(right)
+
+
+def best_certainty(chances: NDArray[np.float64], right: NDArray[np.bool_]) -> float:
+    """The exponent on the odds under which what happened is likeliest."""
+
+    def likelihood(certainty: float) -> float:
+        said = settled_chance(chances, certainty)
+        return float(np.sum(np.log(np.where(right, said, 1 - said))))
+
+    return max(_CERTAINTIES, key=likelihood)
 
 
 def best_votes(cases: list[Case]) -> Votes:
@@ -133,7 +145,9 @@ def best_votes(cases: list[Case]) -> Votes:
         votes = Votes(zero, slope, log_sd, clutter, trust, wrong)
         trials.append((judged(cases, votes)[0], votes))
     enough = [trial for trial in trials if trial[0].cover >= _COVER]
-    return max(enough or trials, key=lambda trial: trial[0].log_density if enough else trial[0].cover)[1]
+    votes = max(enough or trials, key=lambda trial: trial[0].log_density if enough else trial[0].cover)[1]
+    _, chances, right = judged(cases, votes)
+    return votes._replace(certainty=best_certainty(chances, right))
 
 
 def tell(name: str, cases: list[Case], votes: Votes) -> None:

@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from training.detector.data import TrainImage, photometric
+from training.detector.shade import shaded
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.nms import oriented_nms
 from vehanchor.detection.second_look import CHIP_LENGTH_PX, CHIP_PX, surroundings
@@ -32,6 +33,7 @@ _LENGTH_RATIO = 1.35
 _PART_RATIO = 0.55  # of a car's length: what is shorter and stands on it is a part of it, no car
 _JITTER = 0.06  # of a length, of place and size
 _TURN = 0.08  # radians
+_CANDIDATE = np.array([[CHIP_PX / 2, CHIP_PX / 2, CHIP_LENGTH_PX, 0.45 * CHIP_LENGTH_PX, 0.0]])  # on its chip
 
 
 class Candidates(NamedTuple):
@@ -145,7 +147,7 @@ class ChipStream:
         rng = np.random.default_rng([self.seed, index])
         car = int(rng.random() < 0.5)
         chosen = min(int(np.searchsorted(self._weight[car], rng.random())), len(self.candidates.car) - 1)
-        cut = photometric(rng, varied(rng, self.candidates.chips[chosen]))
+        cut = photometric(rng, shaded(rng, varied(rng, self.candidates.chips[chosen]), _CANDIDATE))
         return torch.from_numpy(np.ascontiguousarray(cut.transpose(2, 0, 1))), torch.tensor(float(car))
 
 

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import anyio.from_thread
 
 from vehanchor_server.calls.job import PERCENT_DONE, Job, Stages
-from vehanchor_server.calls.workers import Task, perform
+from vehanchor_server.calls.task import Task, perform
+from vehanchor_server.errors import CallError
 
 if TYPE_CHECKING:
     from mcp.server.mcpserver import Context
 
     from vehanchor_server.calls.capacity import Stop
     from vehanchor_server.images.argument import AnyImage
-    from vehanchor_server.images.source import OpenedImage
     from vehanchor_server.services import Services
 
 __all__ = ["run_call"]
@@ -24,7 +24,11 @@ Result = TypeVar("Result")
 
 
 async def run_call(
-    services: Services, ctx: Context[Any, Any], image: AnyImage, work: Callable[[Services, Job, OpenedImage], Result]
+    services: Services,
+    ctx: Context[Any, Any],
+    image: AnyImage,
+    work: Callable[..., Result],
+    more: Sequence[AnyImage] = (),
 ) -> Result:
     """Run the work of a call, if there is a place for it.
 
@@ -33,7 +37,10 @@ async def run_call(
         ctx: of the call.
         image: the caller's argument.
         work: done in a worker process, or in a thread where the server has none; a function of a module, or a
-            ``functools.partial`` of one. The library's errors that it raises are passed on to the caller.
+            ``functools.partial`` of one, of services, job and opened image. The library's errors that it raises are
+            passed on to the caller.
+        more: other images; where there are any, the work gets them and their bytes as a fourth argument, and opens
+            them itself.
 
     Raises:
         CallError: the call was refused, failed for a reason that its caller can act on, or took too long.
@@ -42,8 +49,8 @@ async def run_call(
     async def call(stop: Stop) -> Result:
         await ctx.report_progress(0, PERCENT_DONE, "reading the image")
         fetched = await services.sources.fetched(image)
-
-        task = Task(work, image, fetched)
+        others = await services.sources.fetched_together(more, len(fetched or b""))
+        task = Task(work, image, fetched, others)
 
         def report(percent: float, message: str) -> None:
             anyio.from_thread.run(ctx.report_progress, percent, PERCENT_DONE, message)
@@ -52,7 +59,14 @@ async def run_call(
             with Stages() as stages:
                 if services.workers is not None:
                     return services.workers.run(task, stop, report, stages.enter)
-                return perform(services, task, Job(stop, report, stages.enter))
+                try:
+                    return perform(services, task, Job(stop, report, stages.enter))
+                except MemoryError as error:  # of whatever the library does beside decoding and models
+                    raise CallError(
+                        "out_of_memory",
+                        "this server has too little memory left just now. Try again when less is running, or send a "
+                        "smaller image.",
+                    ) from error
 
         result = await services.capacity.in_thread(stop, in_thread)
         await ctx.report_progress(PERCENT_DONE, PERCENT_DONE, "done")

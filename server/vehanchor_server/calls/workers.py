@@ -2,7 +2,9 @@
 
 Each has its models loaded and waits for a call; a thread of the server sends it one and passes on what it reports. At
 the deadline, and when nobody waits any more, it is killed, and the next one is started at once. Its memory and
-processor time are limited by the system besides. The processes and their pipes are those of the standard library's
+processor time are limited by the system besides. One is started with the server, another whenever more calls than ever
+before run at once; after a call each gives the memory back that it no longer needs. The processes and their pipes are
+those of the standard library's
 ``multiprocessing``. No pool was found that fits: ``anyio.to_process`` kills, but has no way for progress and swallows
 what a worker logs; ``concurrent.futures`` and ``loky`` break the whole pool with one killed worker; ``pebble`` is under
 the LGPL.
@@ -13,100 +15,45 @@ from __future__ import annotations
 import contextlib
 import logging
 import multiprocessing
-import os
-import queue
-import signal
+import sys
+import tempfile
 import threading
-import traceback
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from vehanchor_server.calls.capacity import Stop
-from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.worker_process import serve_tasks
 from vehanchor_server.errors import CallError
-from vehanchor_server.images.source import OpenedImage, library_errors
+from vehanchor_server.models import SLOW_IMPORTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from multiprocessing.connection import Connection
+    from multiprocessing.context import BaseContext
     from multiprocessing.process import BaseProcess
 
-    from vehanchor_server.images.argument import AnyImage
-    from vehanchor_server.images.source import ImageSources
-    from vehanchor_server.models import Models
+    from vehanchor_server.calls.capacity import Stop
+    from vehanchor_server.calls.task import Parts, Task
+    from vehanchor_server.calls.worker_process import WorkerLimits
 
-__all__ = ["Task", "WorkerFailedError", "WorkerLimits", "WorkerPool", "perform"]
+__all__ = ["WorkerFailedError", "WorkerPool"]
 
 Result = TypeVar("Result")
 
 _MIB = 1 << 20
 _ENDS_WITHIN_S = 5.0  # a killed process, unless the system is stuck
 _LOOKS_S = 0.05  # how often a thread that waits for a worker to be ready looks whether it still shall
-_OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")  # OpenCV's, C++'s, ONNX's
 _logger = logging.getLogger(__name__)
-
-
-class Parts(Protocol):
-    """The parts of a server that work needs: its ``Services``, which hold the workers as well."""
-
-    @property
-    def sources(self) -> ImageSources:
-        """Where images come from."""
-
-    @property
-    def models(self) -> Models:
-        """The operator's models."""
 
 
 class WorkerFailedError(Exception):
     """A bug in a worker; its message is the traceback there."""
 
 
-@dataclass(frozen=True)
-class Task(Generic[Result]):
-    """One call's work, as it is sent to a worker.
-
-    Attributes:
-        work: does it with the ``Services`` of the process that it runs in; a function of a module, or a
-            ``functools.partial`` of one.
-        image: the caller's argument.
-        fetched: its bytes, if it is a URL.
-    """
-
-    work: Callable[[Any, Job, OpenedImage], Result]
-    image: AnyImage
-    fetched: bytes | None
-
-
-@dataclass(frozen=True)
-class WorkerLimits:
-    """What one worker may use.
-
-    Attributes:
-        memory_bytes: of data.
-        cpu_s: processor time of a call.
-    """
-
-    memory_bytes: int
-    cpu_s: float
-
-
-def perform(services: Parts, task: Task[Result], job: Job) -> Result:
-    """Open the image and do the work, in this process and thread.
-
-    Raises:
-        CallError: the work failed for a reason that its caller can act on.
-    """
-    with services.sources.open(task.image, task.fetched) as source, library_errors(source):
-        return task.work(services, job, source)
-
-
 class WorkerPool:
-    """The workers of a server, one for each call that may run at once.
+    """The workers of a server, at most one for each call that may run at once.
 
     Args:
         make_services: makes a worker's parts; a function of a module, or a ``functools.partial`` of one.
-        n_workers: how many.
+        n_workers: how many at most.
         limits: what each may use.
     """
 
@@ -114,9 +61,8 @@ class WorkerPool:
         self._make_services = make_services
         self._limits = limits
         self._workers = [_Worker(self) for _ in range(n_workers)]
-        self._idle: queue.SimpleQueue[_Worker] = queue.SimpleQueue()
-        for worker in self._workers:
-            self._idle.put(worker)
+        self._lock = threading.Lock()
+        self._idle = list(self._workers)
         self._closed = False
 
     @property
@@ -137,14 +83,13 @@ class WorkerPool:
         return [worker.process.pid for worker in self._workers if worker.process and worker.process.pid]
 
     def start(self, delay_s: float = 0.0) -> None:
-        """Start all that do not run, in the background, after a while."""
+        """Start the first, in the background, after a while."""
 
-        def start_all() -> None:
-            for worker in self._workers:
-                if not self._closed:
-                    worker.start()
+        def start_first() -> None:
+            if not self._closed:
+                self._workers[0].start()
 
-        timer = threading.Timer(delay_s, start_all)
+        timer = threading.Timer(delay_s, start_first)
         timer.name, timer.daemon = "vehanchor-workers", True
         timer.start()
 
@@ -168,13 +113,16 @@ class WorkerPool:
             CallStoppedError: the stop was requested.
             WorkerFailedError: a bug.
         """
-        worker = self._idle.get()  # there is one: as many calls as workers are admitted
+        with self._lock:
+            worker = max(self._idle, key=_Worker.warmth)  # there is one: as many calls as workers are admitted
+            self._idle.remove(worker)
         try:
             return worker.run(task, stop, report, enter)
         finally:
             if not self._closed:
                 worker.renew()
-            self._idle.put(worker)
+            with self._lock:
+                self._idle.append(worker)
 
     def close(self) -> None:
         """End all workers."""
@@ -200,10 +148,12 @@ class _Worker:
             if self.process is not None and self.process.is_alive():
                 return
             self._reap()
-            context = multiprocessing.get_context("spawn")
+            context = _start_context()
             ours, theirs = context.Pipe()
             process = context.Process(
-                target=_serve, args=(theirs, self._pool._make_services, self._pool._limits), name="vehanchor-worker"
+                target=serve_tasks,
+                args=(theirs, self._pool._make_services, self._pool._limits),
+                name="vehanchor-worker",
             )
             process.daemon = True
             process.start()
@@ -220,6 +170,14 @@ class _Worker:
         """Start the next process after one that ended; one that never loaded is not started again before a call."""
         if self.process is not None and not self.process.is_alive() and self.loaded:
             self.start()
+
+    def warmth(self) -> int:
+        """How soon it can work: 2 at once, 1 when its models are loaded, 0 when it was started before that."""
+        process = self.process
+        if process is None or not process.is_alive():
+            return 0
+        self.look()
+        return 2 if self.loaded else 1
 
     def look(self) -> None:
         """See whether the models are loaded by now; never blocks."""
@@ -325,6 +283,20 @@ class _Worker:
         self.loaded = False
 
 
+def _start_context() -> BaseContext:
+    """How processes start: on Linux from one that has imported everything, so that a killed one is soon replaced.
+
+    That one opens no model, as sessions have threads, which a fork would lose; and it needs a place for its socket.
+    """
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):  # a read-only file system: each process imports for itself
+            tempfile.gettempdir()
+            context = multiprocessing.get_context("forkserver")
+            context.set_forkserver_preload([serve_tasks.__module__, "vehanchor_server.services", *SLOW_IMPORTS])
+            return context
+    return multiprocessing.get_context("spawn")
+
+
 class _KilledOnRequest:
     """One call's turn with a process: a context manager in which a stop request kills it, and after which none does.
 
@@ -358,67 +330,3 @@ class _KilledOnRequest:
             if self._has_turn:
                 self._killed = True
                 self._process.kill()
-
-
-def _serve(connection: Connection, make_services: Callable[[], Parts], limits: WorkerLimits) -> None:
-    """Load the models and do tasks until the server is gone; the main function of a worker."""
-    from vehanchor_server.request_log import configure_logging
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # from the keyboard it comes to all, and the server ends its workers
-    os.dup2(2, 1)  # stdout belongs to the server's protocol
-    configure_logging()
-    threading.Thread(target=_end_with_server, name="vehanchor-server", daemon=True).start()
-    _limit_memory(limits.memory_bytes)
-    services = make_services()
-    services.models.load_all()
-    connection.send(("loaded", services.models.failure))
-    with contextlib.suppress(EOFError):
-        while True:
-            task = connection.recv()
-            _limit_cpu(limits.cpu_s)
-            connection.send(_outcome(services, task, connection))
-
-
-def _outcome(services: Parts, task: Task[Any], connection: Connection) -> tuple[Any, ...]:
-    def enter(stage: str) -> None:
-        connection.send(("enter", stage))
-
-    def report(percent: float, message: str) -> None:
-        connection.send(("report", percent, message))
-
-    try:
-        return "value", perform(services, task, Job(Stop(), report, enter))
-    except Exception as error:
-        if isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):
-            _logger.warning("a worker ran out of memory", exc_info=True)
-            return "exhausted", CallError(
-                "worker_killed", "the work on the image took more memory than this server allows. Send a smaller image."
-            )
-        if isinstance(error, CallError):
-            return "refused", error
-        return "failed", traceback.format_exc()
-
-
-def _end_with_server() -> None:
-    """End this process when the server's does, also in the middle of a call."""
-    server = multiprocessing.parent_process()
-    assert server is not None
-    server.join()
-    os._exit(1)
-
-
-def _limit_memory(n_bytes: int) -> None:
-    """Limit this process's data; not on Windows, which has no such limit, nor where the system refuses one."""
-    with contextlib.suppress(ImportError, OSError, ValueError):
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_DATA, (n_bytes, n_bytes))
-
-
-def _limit_cpu(seconds: float) -> None:
-    """Limit the processor time that this process may still take; the system kills it when it is used up."""
-    with contextlib.suppress(ImportError, OSError, ValueError):
-        import resource
-
-        used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
-        resource.setrlimit(resource.RLIMIT_CPU, (int(used + seconds) + 1, resource.RLIM_INFINITY))

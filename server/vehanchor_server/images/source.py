@@ -14,7 +14,7 @@ from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import AnyImage, Base64Image, PathImage, UrlImage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from vehanchor_server.images.fetch import Fetcher
     from vehanchor_server.images.sandbox import Sandbox
@@ -45,6 +45,30 @@ class ImageSources:
     async def fetched(self, image: AnyImage) -> bytes | None:
         """The bytes of an image that must be fetched first; None for the other kinds."""
         return await self.fetcher.fetch(image.url) if isinstance(image, UrlImage) else None
+
+    async def fetched_together(
+        self, images: Sequence[AnyImage], n_bytes: int = 0
+    ) -> tuple[tuple[AnyImage, bytes | None], ...]:
+        """Several images with their bytes where those must be fetched first; together no more than one may have.
+
+        Args:
+            images: the caller's arguments.
+            n_bytes: that were fetched before.
+
+        Raises:
+            CallError: one cannot be fetched, or they have too many bytes together.
+        """
+        found: list[tuple[AnyImage, bytes | None]] = []
+        for image in images:
+            fetched = await self.fetched(image)
+            n_bytes += len(fetched or b"")
+            if n_bytes > self.max_bytes:
+                raise CallError(
+                    "image_too_large",
+                    f"the images have more than {self.max_bytes} bytes together. Name fewer, or smaller copies.",
+                )
+            found.append((image, fetched))
+        return tuple(found)
 
     def listed(self, first: int, count: int) -> tuple[list[str], bool]:
         """Images that callers may name by path, in order, and whether there are more; see ``Sandbox.listed``."""

@@ -21,6 +21,13 @@ from vehanchor_server.calls.job import Job
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
+from vehanchor_server.tools.flight_question import (
+    MoreImagesArgument,
+    SameScaleArgument,
+    check_flight_question,
+    estimate_among,
+)
+from vehanchor_server.tools.scale_answer import scale_answer
 from vehanchor_server.tools.scale_question import (
     CoordinatesArgument,
     DetailArgument,
@@ -36,6 +43,7 @@ from vehanchor_server.tools.sentences import (
     POLICY,
     interval,
     not_to_be_used,
+    nothing_found,
     rounded,
     sources,
     warnings,
@@ -68,11 +76,17 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         coordinates: CoordinatesArgument = "pixels",
         include_overlay: Annotated[bool, Field(description="Also return a picture of what was measured.")] = False,
         detail: DetailArgument = "short",
+        more_images: MoreImagesArgument = None,
+        same_scale: SameScaleArgument = False,
     ) -> Annotated[CallToolResult, GsdEstimate]:
         question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
         paged = client_supports_apps(ctx)
         wanted = WantedPictures(include_overlay, paged)
-        answer = await run_call(services, ctx, image, partial(_estimate, question=question, wanted=wanted))
+        work = partial(_estimate, question=question, wanted=wanted)
+        if more_images:
+            check_flight_question(question)
+            work = partial(estimate_among, question=question, wanted=wanted, same_scale=same_scale)
+        answer = await run_call(services, ctx, image, work, more_images or ())
         words = describe_estimate(answer.record, detail)
         return answer.to_result(words, detail=detail, paged=paged)
 
@@ -82,6 +96,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         description=_DESCRIPTION,
         meta=APP_META,
         answered=("status", "gsd_m_per_px", "confidence"),
+        unlisted=("more_images", "same_scale"),
     )
 
 
@@ -97,9 +112,6 @@ def _estimate(
     """
     from vehanchor.estimate import analyse_raster, open_detector
     from vehanchor.imagery.raster import open_raster
-    from vehanchor.pictures.scale import draw_overlay
-    from vehanchor_server.app_page.panel import drawing_of, length_histogram
-    from vehanchor_server.calls.overlay import draw_pictures
 
     detector = services.models.detector()
     options = question.options(services.settings, services.models)
@@ -107,11 +119,7 @@ def _estimate(
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         analysis = analyse_raster(raster, detector, options, progress=job.searched, run_options=job.run_options)
-        if any(wanted):
-            job.enter("overlay")
-        pictures = draw_pictures(raster, job.stop, wanted, lambda seen: draw_overlay(seen, analysis))
-    drawing = drawing_of(analysis) if wanted.page else None
-    return Answer((analysis.estimate,), pictures.overlay, length_histogram(analysis), pictures.page, drawing)
+        return scale_answer(raster, analysis, wanted, job)
 
 
 def describe_estimate(estimate: GsdEstimate, detail: Detail = "full") -> str:
@@ -125,7 +133,7 @@ def describe_estimate(estimate: GsdEstimate, detail: Detail = "full") -> str:
 
 def _scale_in_words(estimate: GsdEstimate) -> str:
     if estimate.gsd_m_per_px is None:
-        return "No vehicles found, confidence 0: no metric scale; use another anchor."
+        return f"{nothing_found(estimate).capitalize()}."
     scale = f"{rounded(estimate.gsd_m_per_px)} m/px"
     scale += interval(estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px)
     scale += f", confidence {estimate.confidence:.2f} from {sources(estimate)}: "

@@ -24,7 +24,7 @@ from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.measuring import MeasuredBy, copy_hint
 from vehanchor_server.tools.scale_question import (
-    FLEET_ARGUMENTS,
+    UNLISTED_ARGUMENTS,
     CoordinatesArgument,
     DetailArgument,
     FocalLengthArgument,
@@ -33,6 +33,7 @@ from vehanchor_server.tools.scale_question import (
     HeightArgument,
     KnownLengthsArgument,
     KnownScaleArgument,
+    ObjectHeightArgument,
     ReferenceLengthArgument,
     RegionArgument,
     ScaleQuestion,
@@ -41,6 +42,7 @@ from vehanchor_server.tools.sentences import (
     OBEY,
     interval,
     not_to_be_used,
+    nothing_found,
     numbered,
     rounded,
     scale_origin,
@@ -91,13 +93,14 @@ def measure_area_tool(services: Services) -> StrictTool:
         known_lengths: KnownLengthsArgument = None,
         height_m: HeightArgument = None,
         focal_35mm: FocalLengthArgument = None,
+        object_height_m: ObjectHeightArgument = None,
         include_overlay: Annotated[
             bool, Field(description="Also return a picture with the first object's outline.")
         ] = False,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, AreaMeasurement]:
         question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
-        asked = _Question(_named(target, targets), MeasuredBy(gsd_m_per_px, scale, question))
+        asked = _Question(_named(target, targets), MeasuredBy(gsd_m_per_px, scale, question, object_height_m))
         paged = client_supports_apps(ctx)
         wanted = WantedPictures(include_overlay, paged)
         answer = await run_call(services, ctx, image, partial(_measure, question=asked, wanted=wanted))
@@ -116,7 +119,7 @@ def measure_area_tool(services: Services) -> StrictTool:
         meta=APP_META,
         answered=("status", "area_m2", "confidence", "inscribed_diameter_m"),
         required=("targets",),
-        unlisted=("target", *FLEET_ARGUMENTS),
+        unlisted=("target", *UNLISTED_ARGUMENTS),
     )
 
 
@@ -163,7 +166,14 @@ def _measure(
     with open_raster(source, limits=options.reading.limits) as raster:
         job.segmenting()
         found = analyse_objects(
-            raster, prompts, segmenter, scale, options, progress=job.searched, run_options=job.run_options
+            raster,
+            prompts,
+            segmenter,
+            scale,
+            options,
+            object_height_m=question.by.object_height_m,
+            progress=job.searched,
+            run_options=job.run_options,
         )
         first = found[0]
         if any(wanted):
@@ -205,8 +215,8 @@ def _area_in_words(area: AreaMeasurement) -> str:
         return "No object found there: no area. Draw a box tightly around one that can be seen."
     if area.area_m2 is None:
         return (
-            f"The object covers {area.mask_area_px} px, but no vehicles were found, confidence 0: no metric scale, so "
-            "no area; use another anchor, and give its scale as gsd_m_per_px."
+            f"No area: the object covers {area.mask_area_px} px, but {nothing_found(area.scale)}, and give its scale "
+            "as gsd_m_per_px."
         )
     size = f"{rounded(area.area_m2)} m2{interval(area.area_ci95_low_m2, area.area_ci95_high_m2)}"
     if area.length_m is not None and area.width_m is not None and area.inscribed_diameter_m is not None:

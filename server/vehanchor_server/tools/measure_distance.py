@@ -20,7 +20,7 @@ from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.measuring import MeasuredBy, copy_hint
 from vehanchor_server.tools.scale_question import (
-    FLEET_ARGUMENTS,
+    UNLISTED_ARGUMENTS,
     CoordinatesArgument,
     DetailArgument,
     FocalLengthArgument,
@@ -29,6 +29,7 @@ from vehanchor_server.tools.scale_question import (
     HeightArgument,
     KnownLengthsArgument,
     KnownScaleArgument,
+    ObjectHeightArgument,
     ReferenceLengthArgument,
     RegionArgument,
     ScaleQuestion,
@@ -37,6 +38,7 @@ from vehanchor_server.tools.sentences import (
     OBEY,
     interval,
     not_to_be_used,
+    nothing_found,
     numbered,
     rounded,
     scale_origin,
@@ -94,10 +96,11 @@ def measure_distance_tool(services: Services) -> StrictTool:
         known_lengths: KnownLengthsArgument = None,
         height_m: HeightArgument = None,
         focal_35mm: FocalLengthArgument = None,
+        object_height_m: ObjectHeightArgument = None,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, DistanceMeasurement]:
         question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
-        asked = _Question(lines, MeasuredBy(gsd_m_per_px, scale, question))
+        asked = _Question(lines, MeasuredBy(gsd_m_per_px, scale, question, object_height_m))
         answer = await run_call(services, ctx, image, partial(_measure, question=asked))
         first = answer.record
         places = ((point.x, point.y) for line in lines for point in line.points)
@@ -113,7 +116,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
         title="Measure distances in an aerial image",
         description=_DESCRIPTION,
         answered=("status", "distance_m", "confidence"),
-        unlisted=FLEET_ARGUMENTS,
+        unlisted=UNLISTED_ARGUMENTS,
     )
 
 
@@ -133,7 +136,15 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
     options, scale = question.by.resolve(services)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
-        found = analyse_paths(raster, paths, scale, options, progress=job.searched, run_options=job.run_options)
+        found = analyse_paths(
+            raster,
+            paths,
+            scale,
+            options,
+            object_height_m=question.by.object_height_m,
+            progress=job.searched,
+            run_options=job.run_options,
+        )
     histogram = None if found[0].scale is None else length_histogram(found[0].scale)
     return Answer(tuple(each.measurement for each in found), None, histogram)
 
@@ -146,8 +157,8 @@ def describe_distance(record: DistanceMeasurement, detail: Detail = "full") -> s
 def _distance_in_words(record: DistanceMeasurement) -> str:
     if record.distance_m is None:
         return (
-            f"The line is {record.length_px:.0f} px long, but no vehicles were found, confidence 0: no metric scale, "
-            "so no distance; use another anchor, and give its scale as gsd_m_per_px."
+            f"No distance: the line is {record.length_px:.0f} px long, but {nothing_found(record.scale)}, and give its "
+            "scale as gsd_m_per_px."
         )
     said = f"{rounded(record.distance_m)} m{interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
     said += f"; {scale_origin(record)}: "

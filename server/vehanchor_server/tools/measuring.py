@@ -27,11 +27,13 @@ class MeasuredBy:
         gsd_m_per_px: the scale where the caller knows it.
         scale: the scale of an earlier answer.
         question: how the scale is found otherwise, and how places are written.
+        object_height_m: of what is measured, above the ground.
     """
 
     gsd_m_per_px: float | None
     scale: KnownScale | None
     question: ScaleQuestion
+    object_height_m: float | None = None
 
     def resolve(self, services: Services) -> tuple[ScaleOptions, ScaleInput]:
         """The method's options, and what finds the scale or is it; a model is loaded only where one is needed.

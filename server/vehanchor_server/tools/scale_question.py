@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from vehanchor_server.settings import Settings
 
 __all__ = [
-    "FLEET_ARGUMENTS",
+    "UNLISTED_ARGUMENTS",
     "CoordinatesArgument",
     "DetailArgument",
     "FocalLengthArgument",
@@ -28,6 +28,7 @@ __all__ = [
     "KnownLengthsArgument",
     "KnownLine",
     "KnownScaleArgument",
+    "ObjectHeightArgument",
     "ReferenceLengthArgument",
     "RegionArgument",
     "ScaleQuestion",
@@ -104,8 +105,25 @@ FocalLengthArgument: TypeAlias = Annotated[
     ),
 ]
 
-FLEET_ARGUMENTS = ("region", "reference_length_m", "known_lengths", "height_m", "focal_35mm")
-"""Arguments of a search, which tools that measure take, too, but need not list: a model gives them to estimate_gsd."""
+ObjectHeightArgument: TypeAlias = Annotated[
+    float | None,
+    Field(
+        ge=0,
+        le=1000,
+        allow_inf_nan=False,
+        description="Height of what is measured above the ground, as of a roof; needs the camera's height or lens.",
+    ),
+]
+
+UNLISTED_ARGUMENTS = (
+    "region",
+    "reference_length_m",
+    "known_lengths",
+    "height_m",
+    "focal_35mm",
+    "object_height_m",
+)
+"""Arguments that tools that measure take, but do not list: those of a search a model gives to estimate_gsd."""
 
 
 @dataclass(frozen=True)

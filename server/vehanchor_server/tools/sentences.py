@@ -17,6 +17,7 @@ __all__ = [
     "POLICY",
     "interval",
     "not_to_be_used",
+    "nothing_found",
     "numbered",
     "rounded",
     "scale_origin",
@@ -101,6 +102,14 @@ def not_to_be_used(estimate: GsdEstimate | None) -> str:
         return "do not rely on it; fall back to another anchor."
     why, helps = ADVICE[estimate.reason]
     return f"do not rely on it ({why}); {helps}, or fall back to another anchor."
+
+
+def nothing_found(estimate: GsdEstimate | None) -> str:
+    """That there is no scale, and what would help."""
+    said = "nothing of known size was found, confidence 0: no metric scale"
+    if estimate is None or estimate.reason is None:
+        return f"{said}; use another anchor"
+    return f"{said}; {ADVICE[estimate.reason].helps}, or use another anchor"
 
 
 def scale_origin(measured: AreaMeasurement | DistanceMeasurement) -> str:

@@ -7,7 +7,10 @@ in ``VEHANCHOR_*`` variables.
 from __future__ import annotations
 
 import os
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from functools import partial
+from typing import Any
 
 import uvicorn
 from mcp.server.auth.settings import AuthSettings
@@ -19,7 +22,7 @@ from starlette.routing import Route
 
 from vehanchor_server.app import create_server
 from vehanchor_server.request_log import configure_logging
-from vehanchor_server.services import create_services
+from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.auth import token_verifier
 from vehanchor_server.transport.connections import BACKLOG, MAX_HEAD_BYTES, ConnectionLimits, LimitedProtocol
@@ -79,8 +82,21 @@ def create_app(settings: Settings | None = None) -> Starlette:
         origins=security.allowed_origins,
         max_large_bodies=services.capacity.max_concurrency + _SPARE_BODIES,
     )
+    app.router.lifespan_context = partial(_closing, services, app.router.lifespan_context)
     app.router.routes += [Route("/healthz", healthz), Route("/readyz", readyz)]  # open to probes, which have no token
     return app
+
+
+@asynccontextmanager
+async def _closing(
+    services: Services, lifespan: Callable[[Starlette], AbstractAsyncContextManager[Any]], app: Starlette
+) -> AsyncIterator[Any]:
+    """The application's life, after which no call runs and no worker process is left."""
+    try:
+        async with lifespan(app) as state:
+            yield state
+    finally:
+        services.close()
 
 
 def serve_http(settings: Settings) -> None:

@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from vehanchor.anchors.evidence import ImageFacts
     from vehanchor.detection.sighting import Sighting
     from vehanchor.options import ScaleOptions
+    from vehanchor.records import GsdEstimate
 
-__all__ = ["Attitude", "attitude", "levelled", "plane_with", "tilt_record"]
+__all__ = ["Attitude", "attitude", "levelled", "plane_with", "tilt_record", "with_scale"]
 
 TILT_SD_DEG = 1.5  # of a gimbal's own angle, and of ground that is not quite level
 _END_HEIGHT = 0.2  # of a car's length: how high its far end stands
@@ -128,3 +129,20 @@ def tilt_record(looked: Attitude, image: ImageFacts, gsd_m_per_px: float | None)
         gsd_least_m_per_px=least,
         gsd_largest_m_per_px=largest,
     )
+
+
+def with_scale(tilt: TiltEstimate, record: GsdEstimate, gsd_m_per_px: float | None) -> TiltEstimate:
+    """The same tilt under another scale at the centre.
+
+    Args:
+        tilt: of an image.
+        record: of that image.
+        gsd_m_per_px: the other scale; None for none.
+    """
+    size = record.image_width_px, record.image_height_px
+    least, largest = (
+        (None, None)
+        if gsd_m_per_px is None
+        else GroundPlane(gsd_m_per_px, tilt.tilt_deg, tilt.focal_length_px, *size, tilt.roll_deg).gsd_range
+    )
+    return tilt.model_copy(update={"gsd_least_m_per_px": least, "gsd_largest_m_per_px": largest})

@@ -7,8 +7,10 @@ of the picture as it was taken: of a resized copy the pitch is corrected by the 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
+from vehanchor.anchors.evidence import Mark
 from vehanchor.anchors.stated import on_grid, says_nothing, stated
 from vehanchor.notices import NoticeCode
 from vehanchor.records import Notice
@@ -77,7 +79,10 @@ class Camera:
                 return says_nothing(self.kind, _tilted(camera.off_nadir_deg, "and without a focal length"))
             zero = camera.focal_mm is not None and camera.focal_mm <= 0
             return self._unusable("the focal length is 0") if zero else says_nothing(self.kind)
-        return self._measure(camera, camera.height_m, seen)
+        measured = self._measure(camera, camera.height_m, seen)
+        if measured.gsd_m_per_px is None:
+            return measured
+        return replace(measured, marks=(Mark.of_height(view.image, camera.height_m),))
 
     def _measure(self, camera: CameraMetadata, height_m: float, seen: Lens) -> StatedEvidence:
         tilt = math.radians(camera.off_nadir_deg or 0.0)

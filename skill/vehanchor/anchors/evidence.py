@@ -70,10 +70,10 @@ class View:
 
 
 class Mark(NamedTuple):
-    """A line that a ruler was laid along.
+    """A line that a ruler was laid along, or the place for which it speaks.
 
     Attributes:
-        points: its corners, x and y in pixels of the image.
+        points: its corners, x and y in pixels of the image; one alone is a place.
         label: what is written beside its middle, as "60 m"; empty for nothing.
         closed: whether the last corner is joined to the first.
     """
@@ -81,6 +81,11 @@ class Mark(NamedTuple):
     points: tuple[tuple[float, float], ...]
     label: str = ""
     closed: bool = False
+
+    @classmethod
+    def of_height(cls, image: ImageFacts, height_m: float) -> Mark:
+        """The height of the camera, in the middle of the image."""
+        return cls(((image.width_px / 2, image.height_px / 2),), f"{height_m:.4g} m up")
 
 
 @dataclass(frozen=True, eq=False)

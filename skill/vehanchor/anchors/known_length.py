@@ -102,7 +102,8 @@ class GivenHeight:
                     f"{gsd:.3g} m/px.",
                 ),
             )
-        return stated(self.kind, gsd, math.hypot(_HEIGHT_LOG_SD, seen.log_sd), _CHANCE_WRONG_HEIGHT, said)
+        log_sd, marks = math.hypot(_HEIGHT_LOG_SD, seen.log_sd), [Mark.of_height(image, chosen.height_m)]
+        return stated(self.kind, gsd, log_sd, _CHANCE_WRONG_HEIGHT, said, marks=marks)
 
 
 _FOCAL_LENGTH_MISSING = Notice(

@@ -141,6 +141,7 @@ class VehicleEvidence(Evidence):
         guard_length_px: ``P_thresh`` of the resolution guard.
         guarded: whether the guard holds.
         resolved: share of the pixels' resolution at which there is detail.
+        certainty: of the detector's votes, see ``vehanchor.scale.fusion.settled_chance``.
     """
 
     fleet: Fleet
@@ -151,6 +152,7 @@ class VehicleEvidence(Evidence):
     guard_length_px: float
     guarded: bool
     resolved: float
+    certainty: float = 1.0
 
     @property
     def fusable_density(self) -> NDArray[np.float64] | None:
@@ -217,6 +219,7 @@ class Vehicles:
             guard_length_px=guard_px,
             guarded=guarded,
             resolved=resolved,
+            certainty=1.0 if card.votes is None else card.votes.certainty,
         )
 
 

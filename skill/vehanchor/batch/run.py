@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,6 +14,7 @@ from vehanchor.batch.engines.local import local_rows, local_workers
 from vehanchor.batch.engines.ray import ray_rows, require_ray
 from vehanchor.batch.files import find_images
 from vehanchor.batch.journal import Journal
+from vehanchor.batch.known_lengths import check_all_named, read_known_lengths
 from vehanchor.batch.row import BatchRow
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, Task
@@ -27,6 +28,8 @@ from vehanchor.options import ScaleOptions
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+
+    from vehanchor.batch.known_lengths import KnownLengthTable
 
 __all__ = ["BatchSummary", "Engine", "run_batch"]
 
@@ -60,6 +63,7 @@ def run_batch(
     detector: str | os.PathLike[str] | None = None,
     classes: Sequence[str | int] | None = None,
     options: ScaleOptions | None = None,
+    known_lengths: str | os.PathLike[str] | None = None,
     providers: Sequence[str] = DEFAULT_PROVIDERS,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
@@ -74,31 +78,32 @@ def run_batch(
         inputs: directories, patterns and files; see ``find_images``.
         output: ``.parquet`` (extra ``parquet``), ``.csv`` or ``.jsonl``.
         engine: ``local`` for processes of this machine, ``ray`` (extra ``ray``) for Ray Data with a model per actor.
-        address: of a Ray cluster; None starts a Ray on this machine for the run.
+        address: of a Ray cluster; None starts one here.
         workers: models at work at once; default one a CPU of the machine or cluster.
         detector: name of a bundled model or path of an ONNX file; default the bundled one.
         classes: of the model, by name or index, that count as vehicles; default the model's own.
         options: every choice of the method, without a frame.
+        known_lengths: a CSV of lines of known length in single images; see ``read_known_lengths``.
         providers: execution providers of ONNX Runtime, in order of preference.
-        overwrite: start anew; a complete table there is replaced once the new one is complete.
+        overwrite: start anew; a complete table stays until the new one is complete.
         progress: called with (images done, images in all).
 
     Raises:
         ImageNotFoundError: a directory that does not exist, a directory or pattern without images.
         InvalidParameterError: an option has no meaning, or an unfinished run at ``output`` had others.
+        KnownLengthError: the CSV cannot be used, or names another image.
         OutputError: the table exists, or cannot be written.
         ModelError: the detector cannot be used.
         MissingExtraError: Ray or pyarrow is not installed.
         WorkerDiedError: a worker was killed.
     """
     table, chosen = check_table_path(Path(output)), options or ScaleOptions()
-    journal_file = journal_path(table)
     _check(engine, address, workers, chosen)
     _check_unfinished(table, overwrite)
-    tasks = list(map(Task.of, find_images(inputs, leave_out=(table, journal_file))))
-    job = _job(detector, classes, chosen, tuple(providers))
+    tasks = list(map(Task.of, find_images(inputs, leave_out=(table, journal_path(table)))))
+    job = replace(_job(detector, classes, chosen, tuple(providers)), known_lengths=_lines(known_lengths, tasks))
     if overwrite:  # only now that the run can begin; the table itself stays until the new one is whole
-        journal_file.unlink(missing_ok=True)
+        journal_path(table).unlink(missing_ok=True)
     journal = open_journal(table, job)
     keys = {task.file: task.key() for task in tasks}  # of the images as they are now
     missing = [task for task in tasks if keys[task.file] not in journal]
@@ -136,6 +141,8 @@ def _settings(job: BatchJob) -> dict[str, Any]:
     """Collect what the rows depend on: neither engine nor workers nor threads."""
     options = asdict(job.options)
     del options["frame"]
+    if job.known_lengths:
+        options["lines_of"] = job.known_lengths
     return {
         "vehanchor": version("vehanchor"),
         "model_sha256": job.detector_sha256,
@@ -157,6 +164,15 @@ def _job(
     bundled = model.path in bundled_models().values()  # elsewhere in the cluster it may lie elsewhere
     name = model.path.stem if bundled else str(model.path.resolve())
     return BatchJob(name, model.card.sha256, named, options, providers)
+
+
+def _lines(known_lengths: str | os.PathLike[str] | None, tasks: Sequence[Task]) -> KnownLengthTable:
+    """The lines of known length, all of them in these images."""
+    if known_lengths is None:
+        return {}
+    lines = read_known_lengths(known_lengths)
+    check_all_named(lines, (task.path for task in tasks))
+    return lines
 
 
 def _check(engine: str, address: str | None, workers: int | None, options: ScaleOptions) -> None:

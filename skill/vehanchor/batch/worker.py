@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vehanchor.batch.journal import Key, Source
+from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.batch.row import BatchRow
 from vehanchor.detection.detector import Detector
-from vehanchor.errors import ModelContractError, VehAnchorError
+from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
 from vehanchor.estimate import analyse_scale, open_detector
 from vehanchor.models.session import DEFAULT_PROVIDERS
 from vehanchor.models.zoo import resolve_model
@@ -17,6 +18,8 @@ from vehanchor.options import ScaleOptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+    from vehanchor.batch.known_lengths import KnownLengthTable
 
 __all__ = ["BatchJob", "Task", "Worker"]
 
@@ -32,6 +35,7 @@ class BatchJob:
         options: every choice of the method, without a frame.
         providers: execution providers of ONNX Runtime.
         threads: CPU threads of each worker's model; rows are the same with any.
+        known_lengths: lines of single images, whose pixels they are in; those of the options are in every image.
     """
 
     detector: str
@@ -40,6 +44,7 @@ class BatchJob:
     options: ScaleOptions = field(default_factory=ScaleOptions)
     providers: tuple[str, ...] = DEFAULT_PROVIDERS
     threads: int = 1
+    known_lengths: KnownLengthTable = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,7 @@ class Worker:
     """
 
     def __init__(self, job: BatchJob) -> None:
-        self._options = job.options
+        self._options, self._known_lengths = job.options, job.known_lengths
         self._detector = open_detector(
             Detector(resolve_model(job.detector), classes=job.classes, threads=job.threads, providers=job.providers),
             job.options,
@@ -87,9 +92,12 @@ class Worker:
     def row(self, task: Task) -> BatchRow:
         """The row of one image; whatever goes wrong with it is the row's error."""
         try:
-            estimate = analyse_scale(task.path, self._options, detector=self._detector).estimate
+            options = with_lines_of(self._options, self._known_lengths, task.path)
+            estimate = analyse_scale(task.path, options, detector=self._detector).estimate
         except VehAnchorError as error:
             return BatchRow.failed(task.file, error)
+        except MemoryError:
+            return BatchRow.failed(task.file, OutOfMemoryError("too little memory was left for it"))
         except Exception as error:  # one image that finds a defect must not end a run over a million
             return BatchRow(file=task.file, error_code="internal_error", error=f"{type(error).__name__}: {error}")
         return BatchRow(file=task.file, estimate=estimate)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import sys
 import time
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from vehanchor.cli.declared import Chosen, scale_command
+from vehanchor.cli.given_scale import KnownLengthsFile
 from vehanchor.cli.terminal import INTERRUPTED, exit_on_error, image_progress, printable
 from vehanchor.errors import InvalidParameterError
 
@@ -60,6 +62,7 @@ def batch(
     same_scale: Annotated[
         bool, typer.Option("--same-scale", help="All are of one scale: their evidence is put together (one worker).")
     ] = False,
+    known_lengths: KnownLengthsFile = None,
     *,
     chosen: Chosen,
 ) -> None:
@@ -71,29 +74,31 @@ def batch(
         started = time.monotonic()
         with image_progress() as progress:
             try:
-                if same_scale:
-                    summary = _of_one_scale(inputs, output, engine, workers, chosen, progress, overwrite=overwrite)
-                else:
-                    summary = _of_any_scale(
-                        inputs, output, engine, address, workers, chosen, progress, overwrite=overwrite
-                    )
+                run = partial(_run, inputs, output, chosen, progress, workers, overwrite=overwrite)
+                summary = run(engine, address, known_lengths, same_scale=same_scale)
             except KeyboardInterrupt:
                 print("interrupted: the rows so far are kept; the same command goes on from there", file=sys.stderr)
                 raise typer.Exit(INTERRUPTED) from None
         print(_summary_text(summary, time.monotonic() - started), file=sys.stderr)
 
 
-def _of_any_scale(
+def _run(
     inputs: list[str],
     output: Path,
-    engine: _Engine,
-    address: str | None,
-    workers: int | None,
     chosen: Chosen,
     progress: Callable[[int, int], None],
+    workers: int | None,
+    engine: _Engine,
+    address: str | None,
+    known_lengths: Path | None,
     *,
     overwrite: bool,
+    same_scale: bool,
 ) -> BatchSummary:
+    if same_scale:
+        if known_lengths is not None:
+            raise InvalidParameterError("--same-scale takes no --known-lengths: leave one of them out")
+        return _of_one_scale(inputs, output, engine, workers, chosen, progress, overwrite=overwrite)
     from vehanchor.batch import run_batch
     from vehanchor.models.session import DEFAULT_PROVIDERS
 
@@ -107,6 +112,7 @@ def _of_any_scale(
         detector=model.detector,
         classes=model.names_and_indices,
         options=chosen.options(),
+        known_lengths=known_lengths,
         providers=model.providers or DEFAULT_PROVIDERS,
         overwrite=overwrite,
         progress=progress,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vehanchor.cli.declared import Chosen, scale_command
-from vehanchor.cli.given_scale import GivenGsd, ScaleFile, read_scale
+from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
 from vehanchor.cli.spaced import SpacedCommand
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
@@ -43,6 +43,7 @@ def _distance(
     ] = None,
     gsd: GivenGsd = None,
     scale: ScaleFile = None,
+    object_height: ObjectHeight = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
     strict: Strict = False,
     *,
@@ -61,6 +62,7 @@ def _distance(
                     options,
                     gsd_m_per_px=gsd,
                     scale=known,
+                    object_height_m=object_height,
                     detector=chosen.detector.open() if gsd is None and known is None else None,
                     progress=step(0, image),
                 ).measurement

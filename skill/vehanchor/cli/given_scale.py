@@ -13,11 +13,27 @@ from vehanchor.errors import InvalidParameterError
 if TYPE_CHECKING:
     from vehanchor.records import KnownScale
 
-__all__ = ["GivenGsd", "ScaleFile", "read_scale"]
+__all__ = ["GivenGsd", "KnownLengthsFile", "ObjectHeight", "ScaleFile", "read_scale"]
 
 GivenGsd: TypeAlias = Annotated[
     float | None,
     typer.Option("--gsd", metavar="M/PX", help="The scale, metres per pixel of the full image: then no car is needed."),
+]
+
+KnownLengthsFile: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.csv", help="Lines of known length: file,x1,y1,x2,y2,metres, files relative to the table."
+    ),
+]
+
+ObjectHeight: TypeAlias = Annotated[
+    float | None,
+    typer.Option(
+        metavar="M",
+        help="How high above the ground lies what is measured, as a roof does: with --height, or where the file tells "
+        "the camera's height or lens.",
+    ),
 ]
 
 ScaleFile: TypeAlias = Annotated[

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 import typer
 
 from vehanchor.cli.declared import Chosen, DetectorChoice, scale_command
-from vehanchor.cli.given_scale import GivenGsd, ScaleFile, read_scale
+from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
 from vehanchor.cli.spaced import SpacedCommand
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
@@ -64,14 +64,14 @@ def _measure(
     ] = None,
     gsd: GivenGsd = None,
     scale: ScaleFile = None,
+    object_height: ObjectHeight = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
     overlay: Annotated[
         str | None,
         typer.Option(metavar="OUT.png", help="Write the image with the object's outline, the vehicles, a scale bar."),
     ] = None,
     mask: Annotated[
-        str | None,
-        typer.Option(metavar="OUT.png", help="Write the object's mask, white on black, as large as the image."),
+        str | None, typer.Option(metavar="OUT.png", help="Write the object's mask, white on black, in full size.")
     ] = None,
     segmenter: SegmenterFiles = None,
     strict: Strict = False,
@@ -91,6 +91,7 @@ def _measure(
                     _points(point, negative),
                     gsd,
                     known,
+                    object_height,
                     segmenter,
                     chosen.detector,
                     step(0, image),
@@ -151,6 +152,7 @@ def _analyse(
     points: list[tuple[float, float, bool]] | None,
     gsd: float | None,
     known: KnownScale | None,
+    object_height: float | None,
     segmenter: tuple[str, str] | None,
     detector: DetectorChoice,
     progress: Callable[[int, int], None] | None,
@@ -164,6 +166,7 @@ def _analyse(
         points=points,
         gsd_m_per_px=gsd,
         scale=known,
+        object_height_m=object_height,
         segmenter=_open_segmenter(segmenter, detector),
         detector=detector.open() if gsd is None and known is None else None,
         threads=detector.threads,

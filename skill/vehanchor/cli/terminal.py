@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeAlias
 
 import typer
 
-from vehanchor.errors import VehAnchorError
+from vehanchor.errors import OutOfMemoryError, VehAnchorError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -87,6 +87,9 @@ def exit_on_error() -> Iterator[None]:
         yield
     except VehAnchorError as error:
         report(error)
+        raise typer.Exit(BAD_INPUT) from None
+    except MemoryError:
+        report(OutOfMemoryError("too little memory is left for this. Try again when less is running"))
         raise typer.Exit(BAD_INPUT) from None
     except KeyboardInterrupt:
         raise typer.Exit(INTERRUPTED) from None

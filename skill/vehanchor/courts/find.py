@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from vehanchor.courts.axes import axes
 from vehanchor.courts.court import Court
 from vehanchor.courts.fit import AFFINE, HOMOGRAPHY, SIMILARITY, fit, pose_matrix, project
 from vehanchor.courts.match import Pose, Reach, match
@@ -29,13 +30,14 @@ if TYPE_CHECKING:
 
 __all__ = ["find_courts", "measure_court"]
 
-_FAR = Reach(math.radians(20), math.radians(4), 0.24, 0.04, 15, 3)
+_FAR = Reach(math.radians(3), math.radians(3), 0.32, 0.04, 15, 3)
 _NEAR = Reach(math.radians(4), math.radians(2), 0.045, 0.015, 3, 1)
 _THERE = Reach(0.0, 1.0, 0.01, 0.01, 1, 1)
 _MOST_COURTS = 4
-_MOST_IN_VAIN = 5  # proposals one after the other that are no courts: the surest come first
+_MOST_IN_VAIN = 8  # proposals one after the other that are no courts: the surest come first
 _PERSPECTIVE_PX = 150.0  # least length of a court for a homography
 _FITTED_PX = 220.0  # a court is fitted at the coarsest resolution at which it is at least so long, if there is one
+_AROUND = 0.6  # of a court's length: where the directions of its lines are looked for
 _MARGIN = 1.35  # of the patch that is read, over the court's half diagonal
 
 _WORTH_A_FIT = 0.3
@@ -126,7 +128,10 @@ def measure_court(raster: Raster, proposal: Proposal) -> Court | None:
     games = ((TENNIS,), BASKETBALL)[:: -1 if proposal.which else 1]
     firsts = [game[0] for game in games]  # each stands for its game while it is searched for
     patch = _read(raster, proposal.pose, firsts[0], max(1, proposal.factor // 2))
-    matched = match(patch.grey, firsts, patch.inside(proposal.pose), _FAR)
+    start = patch.inside(proposal.pose)
+    turned = axes(patch.grey, start.x, start.y, _AROUND * firsts[0].length_m * start.px_per_m)
+    angles = [axis + quarter for axis in turned for quarter in (0.0, math.pi / 2)]
+    matched = match(patch.grey, firsts, start, _FAR, angles)
     for (score, pose), game in sorted(zip(matched, games, strict=True), key=lambda each: -each[0][0]):
         court = _measured(raster, patch, pose, game) if score >= _WORTH_A_FIT else None
         if court is not None:

@@ -78,7 +78,11 @@ def ridges(grey: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.f
 
 
 def match(
-    grey: NDArray[np.float32], templates: Sequence[Template], start: Pose, reach: Reach
+    grey: NDArray[np.float32],
+    templates: Sequence[Template],
+    start: Pose,
+    reach: Reach,
+    angles: Sequence[float] | None = None,
 ) -> list[tuple[float, Pose]]:
     """Lay templates over the lines near a pose.
 
@@ -87,6 +91,7 @@ def match(
         templates: of the courts that it may be.
         start: where to search; its size is that of the first template, that of the others makes courts as long.
         reach: how far.
+        angles: around which it is searched, radians; None for the pose's own.
 
     Returns:
         For each template the best score and its pose: the share of the template under which there are lines, less that
@@ -104,7 +109,8 @@ def match(
     half_x, half_y = (int(half) for half in np.ceil(np.max(halves, axis=0)) + reach.place + 2)
     places = np.arange(-reach.place, reach.place + 1, reach.place_step)
     ends = [_Ends.of(template, each, half_x, half_y) for template, each in zip(templates, sizes, strict=True)]
-    for angle in start.angle + _steps(reach.angle, reach.angle_step):
+    turns = _steps(reach.angle, reach.angle_step)
+    for angle in (each + turn for each in angles or (start.angle,) for turn in turns):
         sums = _turned_sums(grey, start, float(angle), half_x, half_y)
         cos, sin = np.cos(angle), np.sin(angle)
         for index, template_ends in enumerate(ends):

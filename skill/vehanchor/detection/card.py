@@ -20,12 +20,12 @@ __all__ = [
     "MIN_SCORE",
     "REFERENCE_LENGTH_M",
     "REFERENCE_LENGTH_SD_M",
+    "CompanionCard",
     "DetectorCard",
     "FleetCard",
     "SecondLookCard",
+    "read_companion_card",
     "read_detector_card",
-    "read_fleet_card",
-    "read_second_look_card",
 ]
 
 MIN_SCORE = 0.1  # paper, section III-B
@@ -106,9 +106,11 @@ class DetectorCard(_Card):
     @classmethod
     def _votes_in_range(cls, value: Votes | None) -> Votes | None:
         if value is not None and not (
-            value.log_sd > 0 and value.clutter_density > 0 and 0 < value.trust <= 1 and 0 < value.chance_wrong < 1
+            min(value.log_sd, value.clutter_density, value.certainty) > 0
+            and 0 < value.trust <= 1
+            and 0 < value.chance_wrong < 1
         ):
-            raise ValueError("expected log_sd and clutter_density > 0, trust and chance_wrong in 0..1")
+            raise ValueError("expected log_sd, clutter_density and certainty > 0, trust and chance_wrong in 0..1")
         return value
 
     @field_validator("length_range_px")
@@ -119,17 +121,28 @@ class DetectorCard(_Card):
         return value
 
 
-class FleetCard(_Card):
-    """What the file of a network that tells fleets apart says of itself.
+class CompanionCard(_Card):
+    """What the file of a network beside a detector says of itself.
 
     Attributes:
         sha256: of the file.
         detector: name of the detector for which its numbers were measured: they hold for no other.
-        lengths: how what it says of vehicles becomes a reference length.
     """
 
     sha256: str
     detector: str
+
+
+_CompanionT = TypeVar("_CompanionT", bound=CompanionCard)
+
+
+class FleetCard(CompanionCard):
+    """What the file of a network that tells fleets apart says of itself.
+
+    Attributes:
+        lengths: how what it says of vehicles becomes a reference length.
+    """
+
     lengths: FleetLengths
 
     @field_validator("lengths")
@@ -143,20 +156,16 @@ class FleetCard(_Card):
         return value
 
 
-class SecondLookCard(_Card):
+class SecondLookCard(CompanionCard):
     """What the file of a network that judges a detector's candidates once more says of itself.
 
     Attributes:
-        sha256: of the file.
-        detector: name of the detector with which it was weighed: its numbers hold for no other.
         weights: of the detector's logit, of its own, and what is added: the logit of the combined score.
         least_score: candidates are what the detector gives at least this score.
         min_score: combined scores below it are dropped.
         clear_score: combined score that the best tenth of the cars of any place reaches; 0 where it is not known.
     """
 
-    sha256: str
-    detector: str
     weights: tuple[_Weight, _Weight, float]
     least_score: _Share
     min_score: _Share
@@ -230,20 +239,25 @@ _DETECTOR_ENTRIES: dict[str, _Entry] = {
     "stride_px": ("stride", _whole, "a whole number >= 1"),
     "votes": ("vehanchor.votes", _votes, "a JSON object of the fields of Votes"),
 }
+_FOR_DETECTOR: dict[str, _Entry] = {"detector": ("vehanchor.detector", str, "a detector's name")}
 _SECOND_LOOK_ENTRIES: dict[str, _Entry] = {
-    "detector": ("vehanchor.detector", str, "a detector's name"),
+    **_FOR_DETECTOR,
     "weights": ("vehanchor.weights", _range, "three numbers, 'detector,look,bias'"),
     "least_score": ("vehanchor.least_score", float, "a number from 0 to 1"),
     "min_score": ("vehanchor.min_score", float, "a number from 0 to 1"),
     "clear_score": ("vehanchor.clear_score", float, "a number from 0 to 1"),
 }
 _FLEET_ENTRIES: dict[str, _Entry] = {
-    "detector": ("vehanchor.detector", str, "a detector's name"),
+    **_FOR_DETECTOR,
     "lengths": (
         "vehanchor.fleet_lengths",
         _fleet_lengths,
         "a JSON object of log_lengths, length_m, sd_m and neutral_vehicles",
     ),
+}
+_COMPANION_ENTRIES: dict[type[CompanionCard], dict[str, _Entry]] = {
+    FleetCard: _FLEET_ENTRIES,
+    SecondLookCard: _SECOND_LOOK_ENTRIES,
 }
 
 
@@ -329,10 +343,11 @@ def read_detector_card(
     return _checked(DetectorCard, path, metadata, _DETECTOR_ENTRIES, {**values, "sha256": sha256})
 
 
-def read_fleet_card(path: Path, sha256: str, metadata: Mapping[str, str]) -> FleetCard:
-    """The card of a network that tells fleets apart.
+def read_companion_card(kind: type[_CompanionT], path: Path, sha256: str, metadata: Mapping[str, str]) -> _CompanionT:
+    """The card of a network beside a detector.
 
     Args:
+        kind: which network's.
         path: of the file.
         sha256: of the file.
         metadata: of the file.
@@ -343,23 +358,5 @@ def read_fleet_card(path: Path, sha256: str, metadata: Mapping[str, str]) -> Fle
     Raises:
         ModelContractError: an entry is missing, or has no meaning.
     """
-    values = _stated(path, metadata, _FLEET_ENTRIES) | {"sha256": sha256}
-    return _checked(FleetCard, path, metadata, _FLEET_ENTRIES, values)
-
-
-def read_second_look_card(path: Path, sha256: str, metadata: Mapping[str, str]) -> SecondLookCard:
-    """The card of a network that judges a detector's candidates once more.
-
-    Args:
-        path: of the file.
-        sha256: of the file.
-        metadata: of the file.
-
-    Returns:
-        The card.
-
-    Raises:
-        ModelContractError: an entry is missing, or has no meaning.
-    """
-    values = _stated(path, metadata, _SECOND_LOOK_ENTRIES) | {"sha256": sha256}
-    return _checked(SecondLookCard, path, metadata, _SECOND_LOOK_ENTRIES, values)
+    entries = _COMPANION_ENTRIES[kind]
+    return _checked(kind, path, metadata, entries, _stated(path, metadata, entries) | {"sha256": sha256})

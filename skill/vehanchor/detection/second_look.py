@@ -6,21 +6,16 @@ brought to one length; a small network reads from it the logit that it is a car,
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
 
-from vehanchor.detection.card import read_second_look_card
+from vehanchor.detection.card import SecondLookCard
+from vehanchor.detection.companion import Companion
 from vehanchor.detection.sighting import Objects
-from vehanchor.errors import ModelContractError
-from vehanchor.models.files import models_sha256, read_model
-from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import onnxruntime
     from numpy.typing import ArrayLike, NDArray
 
@@ -29,7 +24,6 @@ __all__ = ["CHIP_LENGTH_PX", "CHIP_PX", "SecondLook", "surroundings"]
 CHIP_PX = 48  # rows and columns
 CHIP_LENGTH_PX = 20.0  # the candidate's own length on its chip, along the columns: 0.7 lengths of surroundings each way
 _SHARPNESS = 1.5  # of the chip's resolution: the image is averaged down to it before it is sampled
-_INPUT, _OUTPUT = "chips", "logit"
 _BATCH = 64  # chips at a time: a car park has a thousand candidates
 _MARGIN = 1e-4  # scores of 0 and 1 have no logit
 
@@ -89,39 +83,14 @@ class Weights(NamedTuple):
         return np.asarray(1 / (1 + np.exp(-np.clip(total, -50, 50))))
 
 
-class SecondLook:
-    """A network from chips of candidates to the logit of a car: ``chips [n, 3, 48, 48]`` to ``logit [n]``.
+class SecondLook(Companion[SecondLookCard]):
+    """A network from chips of candidates to the logit of a car: ``chips [n, 3, 48, 48]`` to ``logit [n]``."""
 
-    Args:
-        path: the ONNX file.
-        threads: CPU threads; None leaves it to ONNX Runtime.
-        providers: ONNX Runtime execution providers in order of preference.
-
-    Attributes:
-        path: the ONNX file.
-        card: what it says of itself.
-
-    Raises:
-        ModelNotFoundError: there is no such file.
-        ModelContractError: it is no such network, or does not say for which detector and how to weigh it.
-        ProviderUnavailableError: an execution provider is not installed.
-    """
-
-    def __init__(
-        self, path: str | Path, *, threads: int | None = None, providers: Sequence[str] = DEFAULT_PROVIDERS
-    ) -> None:
-        self.path = Path(path)
-        file = read_model(self.path)
-        self._session = open_session(self.path, content=file.content, threads=threads, providers=providers)
-        inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
-        names = [each.name for each in (*inputs, *outputs)]
-        if names != [_INPUT, _OUTPUT] or inputs[0].shape[1:] != [3, CHIP_PX, CHIP_PX]:
-            raise ModelContractError(
-                f"{self.path} has {', '.join(names)}: expected {_INPUT} [n, 3, {CHIP_PX}, {CHIP_PX}] and "
-                f"{_OUTPUT} [n], as training/verifier writes them"
-            )
-        metadata = self._session.get_modelmeta().custom_metadata_map
-        self.card = read_second_look_card(self.path, models_sha256(file), metadata)
+    named = "second look"
+    trained_by = "training/verifier"
+    chip_shape = (3, CHIP_PX, CHIP_PX)
+    outputs = ("logit",)
+    card_type = SecondLookCard
 
     def judged(
         self, pixels: NDArray[np.uint8], found: Objects, run_options: onnxruntime.RunOptions | None = None
@@ -137,10 +106,6 @@ class SecondLook:
         for start in range(0, len(found), _BATCH):
             chips = np.stack([surroundings(pixels, box) for box in found.boxes[start : start + _BATCH]])
             batch = np.ascontiguousarray(chips.transpose(0, 3, 1, 2), dtype=np.float32) / np.float32(255)
-            described = f"the second look {self.path} fails on {list(batch.shape)}"
-            logit = np.asarray(run_session(self._session, [_OUTPUT], {_INPUT: batch}, run_options, described)[0])
-            if logit.shape != (len(chips),) or not np.isfinite(logit).all():
-                raise ModelContractError(f"the second look {self.path} does not give one number for each candidate")
-            logits.append(logit)
+            logits.extend(self.answers(batch, run_options))
         scores = Weights(*self.card.weights).score(found.scores, np.concatenate(logits))
         return Objects(found.boxes, scores, found.classes)

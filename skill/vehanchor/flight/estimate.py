@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from typing import Unpack
 
+    import onnxruntime
+
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
     from vehanchor.flight.features import Features
@@ -127,6 +129,7 @@ def look_at_flight(
     featured: bool = False,
     journal: Journal[Look] | None = None,
     progress: Callable[[int, int], None] | None = None,
+    run_options: onnxruntime.RunOptions | None = None,
 ) -> list[Photograph | Failure]:
     """Look at every photograph, one after the other.
 
@@ -138,6 +141,7 @@ def look_at_flight(
         journal: what was found before; takes what is found now, at once.
         progress: called with (photographs looked at, photographs in all); of a video nobody knows how many there are,
             and both are the same.
+        run_options: ONNX Runtime's, for a caller that may have to end a running model.
 
     Returns:
         Each photograph with what it says by itself, or why it cannot be used.
@@ -153,7 +157,7 @@ def look_at_flight(
         key = _key(name, image)
         known = journal.get(key) if journal is not None and key is not None else None
         try:
-            look, features = _look(image, detector, options, known, featured=featured)
+            look, features = _look(image, detector, options, known, run_options, featured=featured)
         except VehAnchorError as error:
             found.append(Failure(name, error))
             continue
@@ -170,7 +174,13 @@ def look_at_flight(
 
 
 def _look(
-    image: ImageSource, detector: Detector, options: ScaleOptions, known: Look | None, *, featured: bool
+    image: ImageSource,
+    detector: Detector,
+    options: ScaleOptions,
+    known: Look | None,
+    run_options: onnxruntime.RunOptions | None,
+    *,
+    featured: bool,
 ) -> tuple[Look, Features | None]:
     """Look at one photograph; where that is known already, only at its features, which are quickly found again."""
     if known is not None and not featured:
@@ -179,7 +189,7 @@ def _look(
         features = find_features(raster) if featured else None
         if known is not None:
             return known, features
-        analysis = analyse_raster(raster, detector, options)
+        analysis = analyse_raster(raster, detector, options, run_options=run_options)
         return Look.of(image_facts(raster), analysis.detections, analysis), features
 
 

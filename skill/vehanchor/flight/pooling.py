@@ -7,12 +7,13 @@ say less of the ground than ten places do.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.anchors.attitude import with_scale
 from vehanchor.anchors.evidence import Evidence
 from vehanchor.anchors.scene_scale import SceneScale
 from vehanchor.detection.look import FleetLook
@@ -79,7 +80,12 @@ def pool(
     sighting = pooled_sighting([member.measured for member in members], offsets)
     resolved = _resolved(members)
     view = fixed_view(_facts(members, reference), sighting, chief.card, chief.options, resolved)
-    return analyse_sighting(view, (*_pooled_others(members, offsets), *added), level=False)
+    pooled = analyse_sighting(view, (*_pooled_others(members, offsets), *added), level=False)
+    own = members[reference].analysis.estimate
+    if own.tilt is None:
+        return pooled
+    tilt = with_scale(own.tilt, own, pooled.estimate.gsd_m_per_px)
+    return replace(pooled, estimate=pooled.estimate.model_copy(update={"tilt": tilt}))
 
 
 def pooled_sighting(sightings: Sequence[Sighting], offsets: ArrayLike) -> Sighting:

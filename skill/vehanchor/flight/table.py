@@ -12,6 +12,7 @@ from vehanchor.batch.run import BatchSummary, journal_path
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.errors import OutputError
 from vehanchor.flight.estimate import analyse_flight
+from vehanchor.flight.single import estimate_in_flight
 
 if TYPE_CHECKING:
     import os
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import FlightPhotograph, GsdEstimate
+    from vehanchor.records import FlightEstimate, FlightPhotograph
 
 __all__ = ["run_same_scale"]
 
@@ -56,25 +57,12 @@ def run_same_scale(
     if overwrite:
         journal.unlink(missing_ok=True)
     record = analyse_flight(images, options, same_scale=True, detector=detector, journal=journal, progress=progress)
-    pooled = record.islands[0].pooled
-    write_table(table, (_row(each, pooled) for each in record.photographs))
+    write_table(table, (_row(record, each) for each in record.photographs))
     return BatchSummary(table, len(images), 0, Counter(each.status for each in record.photographs))
 
 
-def _row(photograph: FlightPhotograph, pooled: GsdEstimate) -> BatchRow:
+def _row(flight: FlightEstimate, photograph: FlightPhotograph) -> BatchRow:
     """The photograph's own row with the scale of all in it."""
     if photograph.own is None:
         return BatchRow(file=photograph.photograph, error_code=photograph.error_code, error=photograph.error)
-    shared = ("p_within_20", "reason", "scale_source", "rulers")
-    estimate = photograph.own.model_copy(
-        update={
-            **{name: getattr(pooled, name) for name in shared},
-            "status": photograph.status,
-            "gsd_m_per_px": photograph.gsd_m_per_px,
-            "gsd_ci95_low_m_per_px": photograph.gsd_ci95_low_m_per_px,
-            "gsd_ci95_high_m_per_px": photograph.gsd_ci95_high_m_per_px,
-            "confidence": photograph.confidence,
-            "scale": photograph.scale,
-        }
-    )
-    return BatchRow(file=photograph.photograph, estimate=estimate)
+    return BatchRow(file=photograph.photograph, estimate=estimate_in_flight(flight, photograph))

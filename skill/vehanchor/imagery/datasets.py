@@ -125,6 +125,7 @@ def open_tiff(
             if (dataset.width, dataset.height) != (header.width_px, header.height_px):
                 raise ImageDecodeError(f"the TIFF ({source}) declares two different sizes: damaged")
             _check_block(dataset, "TIFF", limits)
+            check_block("TIFF's mask", layout.mask_block_px, 1, 1, limits)
             # A geotransform speaks of the stored frame: such files are shown as stored.
             orientation = 1 if layout.georeferenced else header.orientation
             raster = DatasetRaster(dataset, source, bands, orientation=orientation)

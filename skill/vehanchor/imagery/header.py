@@ -16,6 +16,7 @@ from vehanchor.imagery.ifd import (
     TIFF_SIGNATURES,
     ReadAt,
     exif_orientation,
+    later_directories,
     orientation_of,
     read_ifd,
 )
@@ -32,6 +33,7 @@ _TIFF_PIXEL_BYTES = 4  # OpenCV decodes 8 bits and less to four bands
 _MAX_EXIF_BYTES = 1 << 16  # the first directory, with the orientation, stands at the start; JPEG holds no more anyway
 
 _TAG_WIDTH, _TAG_HEIGHT, _TAG_BITS, _TAG_PHOTOMETRIC = 256, 257, 258, 262
+_TAG_SUBFILE, _SUBFILE_MASK = 254, 4
 _TAG_SAMPLES, _TAG_ROWS_PER_STRIP, _TAG_PLANAR, _TAG_SAMPLE_FORMAT = 277, 278, 284, 339
 _TAG_TILE_WIDTH, _TAG_TILE_HEIGHT = 322, 323
 _GEO_TAGS = frozenset({33550, 34264, 34735})  # ModelPixelScale, ModelTransformation, GeoKeyDirectory
@@ -63,6 +65,7 @@ class TiffLayout:
         planar: bands are stored one after the other.
         georeferenced: it carries GeoTIFF tags.
         block_px: pixels of the strips or tiles in which it is stored, each decoded as a whole.
+        mask_block_px: those of the mask that comes with it, 0 without one.
     """
 
     bands: int
@@ -72,6 +75,7 @@ class TiffLayout:
     planar: bool
     georeferenced: bool
     block_px: int
+    mask_block_px: int
 
     @property
     def pixel_bytes(self) -> int:
@@ -284,6 +288,7 @@ def _read_tiff(read_at: ReadAt) -> ImageHeader:
         planar=tags.get(_TAG_PLANAR, (1,))[0] == 2,
         georeferenced=not _GEO_TAGS.isdisjoint(tags),
         block_px=_block_px(tags, width, height),
+        mask_block_px=_mask_block_px(read_at),
     )
     pixel_bytes = max(_TIFF_PIXEL_BYTES, layout.pixel_bytes)
     return ImageHeader(
@@ -294,6 +299,18 @@ def _read_tiff(read_at: ReadAt) -> ImageHeader:
         tiff=layout,
         decoding_bytes=(width * height + max(width * height, layout.block_px)) * pixel_bytes,
     )
+
+
+def _mask_block_px(read_at: ReadAt) -> int:
+    """Pixels of the largest strip or tile of a mask, a directory of its own; 0 without one."""
+    largest = 0
+    for offset in later_directories(read_at):
+        (kind, *_) = read_ifd(read_at, frozenset({_TAG_SUBFILE}), offset=offset).get(_TAG_SUBFILE, (0,))
+        if kind & _SUBFILE_MASK:
+            tags = read_ifd(read_at, _TAGS_OF_ONE, offset=offset)
+            (width, *_), (height, *_) = tags.get(_TAG_WIDTH, (0,)), tags.get(_TAG_HEIGHT, (0,))
+            largest = max(largest, _block_px(tags, width, height))
+    return largest
 
 
 def _block_px(tags: dict[int, tuple[int, ...]], width: int, height: int) -> int:

@@ -6,8 +6,10 @@ A size that was checked must be the size that is decoded, so whatever two parser
 
 from __future__ import annotations
 
+import contextlib
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 from vehanchor.errors import ImageDecodeError
 
@@ -17,6 +19,7 @@ __all__ = [
     "TIFF_SIGNATURES",
     "ReadAt",
     "exif_orientation",
+    "later_directories",
     "orientation_of",
     "read_ifd",
 ]
@@ -27,18 +30,32 @@ ReadAt = Callable[[int, int], bytes]
 TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # classic and BigTIFF, either byte order
 TAG_ORIENTATION = 274
 _INTEGER_TYPES = {1: "B", 3: "H", 4: "I", 16: "Q"}
+_MAX_DIRECTORIES = 1000
 _MAX_ENTRIES = 4096  # a real directory has some dozens
 MAX_VALUES = 64
 """Values of a tag that are read, one per band: what is equal in the first 64 is taken to be equal in all."""
 
 
-def read_ifd(read_at: ReadAt, wanted: frozenset[int], bare: frozenset[int] = frozenset()) -> dict[int, tuple[int, ...]]:
-    """Read tags of the first directory.
+class _Form(NamedTuple):
+    """How the numbers of a directory are written, and where the first one is."""
+
+    order: str
+    first: int
+    count: str
+    entry: str
+    value_bytes: int
+
+
+def read_ifd(
+    read_at: ReadAt, wanted: frozenset[int], bare: frozenset[int] = frozenset(), *, offset: int | None = None
+) -> dict[int, tuple[int, ...]]:
+    """Read tags of a directory.
 
     Args:
         read_at: of the file, or of the block that begins with a TIFF's signature.
         wanted: tags whose values are integers.
         bare: tags of which it only matters that they are there; their values are left out.
+        offset: where the directory begins; None for the first.
 
     Returns:
         Up to 64 values for each of these tags that is there.
@@ -47,24 +64,12 @@ def read_ifd(read_at: ReadAt, wanted: frozenset[int], bare: frozenset[int] = fro
         ImageDecodeError: a tag stands twice, or a wanted one holds no integers.
         struct.error: the file ends before the directory or a value does.
     """
-    head = read_at(0, 16)
-    order = {b"II": "<", b"MM": ">"}.get(head[:2])
-    if order is None:
-        raise ImageDecodeError("the TIFF directory names no byte order: damaged")
-    (version,) = struct.unpack_from(order + "H", head, 2)
-    if version == 43:  # BigTIFF
-        (offset,) = struct.unpack_from(order + "Q", head, 8)
-        count_format, entry_format, value_bytes = order + "Q", order + "HHQ", 8
-    else:
-        (offset,) = struct.unpack_from(order + "I", head, 4)
-        count_format, entry_format, value_bytes = order + "H", order + "HHI", 4
-    count_bytes = struct.calcsize(count_format)
-    (n_entries,) = struct.unpack(count_format, read_at(offset, count_bytes))
-    if n_entries > _MAX_ENTRIES:
-        raise ImageDecodeError(f"the TIFF directory declares {n_entries} entries: damaged")
+    form = _form(read_at)
+    entry_format, value_bytes, order = form.entry, form.value_bytes, form.order
     value_at = struct.calcsize(entry_format)
     entry_bytes = value_at + value_bytes
-    table = read_at(offset + count_bytes, n_entries * entry_bytes)
+    table_at, n_entries = _table(read_at, form, form.first if offset is None else offset)
+    table = read_at(table_at, n_entries * entry_bytes)
     seen: set[int] = set()
     tags: dict[int, tuple[int, ...]] = {}
     for start in range(0, n_entries * entry_bytes, entry_bytes):
@@ -77,6 +82,51 @@ def read_ifd(read_at: ReadAt, wanted: frozenset[int], bare: frozenset[int] = fro
         elif tag in wanted:
             tags[tag] = _values(read_at, table, start + value_at, order, (tag, kind, count), value_bytes)
     return tags
+
+
+def later_directories(read_at: ReadAt) -> Iterator[int]:
+    """Where the directories after the first begin, as far as the chain can be followed.
+
+    Raises:
+        ImageDecodeError: there are more than a thousand.
+    """
+    form = _form(read_at)
+    at, seen = form.first, {form.first}
+    entry_bytes = struct.calcsize(form.entry) + form.value_bytes
+    with contextlib.suppress(struct.error):  # the chain leads out of the file: no reader goes on
+        while True:
+            table_at, n_entries = _table(read_at, form, at)
+            offset_format = form.order + ("I" if form.value_bytes == 4 else "Q")
+            next_at = read_at(table_at + n_entries * entry_bytes, form.value_bytes)
+            (at,) = struct.unpack(offset_format, next_at)
+            if at == 0 or at in seen:
+                return
+            if len(seen) > _MAX_DIRECTORIES:
+                raise ImageDecodeError(f"the TIFF has more than {_MAX_DIRECTORIES} directories; save its first alone")
+            seen.add(at)
+            yield at
+
+
+def _form(read_at: ReadAt) -> _Form:
+    head = read_at(0, 16)
+    order = {b"II": "<", b"MM": ">"}.get(head[:2])
+    if order is None:
+        raise ImageDecodeError("the TIFF directory names no byte order: damaged")
+    (version,) = struct.unpack_from(order + "H", head, 2)
+    if version == 43:  # BigTIFF
+        (first,) = struct.unpack_from(order + "Q", head, 8)
+        return _Form(order, first, order + "Q", order + "HHQ", 8)
+    (first,) = struct.unpack_from(order + "I", head, 4)
+    return _Form(order, first, order + "H", order + "HHI", 4)
+
+
+def _table(read_at: ReadAt, form: _Form, offset: int) -> tuple[int, int]:
+    """Where a directory's entries begin, and how many there are."""
+    count_bytes = struct.calcsize(form.count)
+    (n_entries,) = struct.unpack(form.count, read_at(offset, count_bytes))
+    if n_entries > _MAX_ENTRIES:
+        raise ImageDecodeError(f"the TIFF directory declares {n_entries} entries: damaged")
+    return offset + count_bytes, n_entries
 
 
 def _values(

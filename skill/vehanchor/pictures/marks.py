@@ -1,4 +1,4 @@
-"""What rulers beside vehicles were laid along: lines of known length, outlines of courts, each with its metres."""
+"""What rulers beside vehicles were laid along: lines and outlines with their metres; a height stands in the middle."""
 
 from __future__ import annotations
 
@@ -42,6 +42,8 @@ def draw_marks(picture: NDArray[np.uint8], marks: Sequence[Mark], scale: NDArray
             cv2.polylines(picture, [fixed_point], mark.closed, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
         if not mark.closed and len(points) == 2:
             _draw_ends(picture, points, line)
+        elif len(points) == 1:
+            _draw_cross(picture, points[0], line)
         if mark.label:
             labels.append((mark.label, points[:2].mean(axis=0)))
     for label, middle in labels:
@@ -55,6 +57,15 @@ def _draw_ends(picture: NDArray[np.uint8], points: NDArray[np.float64], line: in
     for end in points:
         stroke = np.rint(np.array([end - across, end + across]) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
         for colour, thickness in ((_RIM_RGB, line + 2), (MARK_RGB, line)):
+            cv2.polylines(picture, [stroke], False, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
+
+
+def _draw_cross(picture: NDArray[np.uint8], middle: NDArray[np.float64], line: int) -> None:
+    """A cross where a ruler holds that was laid along nothing."""
+    reach = 6.0 + 3 * line
+    for colour, thickness in ((_RIM_RGB, line + 2), (MARK_RGB, line)):
+        for arm in ((reach, 0.0), (0.0, reach)):
+            stroke = np.rint(np.array([middle - arm, middle + arm]) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
             cv2.polylines(picture, [stroke], False, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 

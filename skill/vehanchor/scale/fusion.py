@@ -20,6 +20,7 @@ __all__ = [
     "GRID",
     "LOG_STEP",
     "TOLERANCE",
+    "USABLE_CHANCE",
     "Fused",
     "Votes",
     "blurred",
@@ -29,11 +30,14 @@ __all__ = [
     "fuse",
     "mass_within",
     "product",
+    "settled_chance",
     "vehicle_density",
 ]
 
 LOG_STEP = 0.005
 TOLERANCE = 0.2  # relative error up to which a planner can use a scale
+USABLE_CHANCE = 0.9  # of an error below it: with less a scale is not to be used
+_LEAST_CHANCE = 1e-6
 _FINEST, _COARSEST = 0.003, 3.0  # metres per pixel
 GRID: NDArray[np.float64] = np.arange(np.log(_FINEST), np.log(_COARSEST), LOG_STEP)
 """``[g]`` natural logs of metres per pixel."""
@@ -53,6 +57,7 @@ class Votes(NamedTuple):
         clutter_density: density of false alarms per unit of log length: over how wide a range they are spread.
         trust: exponent on the votes together: boxes of one image err alike, so that n of them say less than n.
         chance_wrong: weight of the flat density: that none of them are cars.
+        certainty: see ``settled_chance``.
     """
 
     share_at_zero: float
@@ -61,6 +66,7 @@ class Votes(NamedTuple):
     clutter_density: float
     trust: float
     chance_wrong: float
+    certainty: float = 1.0
 
     def car_shares(self, scores: ArrayLike) -> NDArray[np.float64]:
         """Chance that each box is a car, from its score."""
@@ -80,12 +86,13 @@ class Fused(NamedTuple):
     p_within_20: float
 
 
-def fuse(gsd_m_per_px: float, *densities: NDArray[np.float64]) -> Fused:
+def fuse(gsd_m_per_px: float, *densities: NDArray[np.float64], certainty: float = 1.0) -> Fused:
     """Judge a scale by the product of the rulers' densities.
 
     Args:
         gsd_m_per_px: the scale that is given out.
         *densities: ``[g]`` probabilities each.
+        certainty: see ``settled_chance``.
 
     Returns:
         Its interval, and the chance that it is right.
@@ -93,7 +100,23 @@ def fuse(gsd_m_per_px: float, *densities: NDArray[np.float64]) -> Fused:
     posterior = product(*densities)
     low, high = credible_interval(posterior)
     interval = Interval(min(low, gsd_m_per_px), max(high, gsd_m_per_px))
-    return Fused(interval, mass_within(posterior, gsd_m_per_px, TOLERANCE))
+    chance = settled_chance(mass_within(posterior, gsd_m_per_px, TOLERANCE), certainty)
+    return Fused(interval, float(chance))
+
+
+def settled_chance(chance: ArrayLike, certainty: float) -> NDArray[np.float64]:
+    """Chances as they were borne out: their odds over those of ``USABLE_CHANCE``, to the power ``certainty``.
+
+    What is usable stays so, whatever the power; a density that is too flat says too much of what is not.
+
+    Args:
+        chance: ``[...]`` 0..1, mass of a density within the tolerance.
+        certainty: fitted by ``training/fusion/fit.py`` on images of known scale; 1 changes nothing.
+    """
+    inside = np.clip(np.asarray(chance, np.float64), _LEAST_CHANCE, 1 - _LEAST_CHANCE)
+    limit = np.log(USABLE_CHANCE / (1 - USABLE_CHANCE))
+    odds = limit + certainty * (np.log(inside / (1 - inside)) - limit)
+    return np.asarray(1.0 / (1.0 + np.exp(-odds)))
 
 
 def flat() -> NDArray[np.float64]:

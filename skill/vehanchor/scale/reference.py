@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ReferenceLength", "reference_length"]
 
+_LEFT_IN_REGION = 0.85  # with it 95 of 100 intervals hold the truth on the held-out tenth of train; 86 with a half
+
 
 class ReferenceLength(NamedTuple):
     """``L_ref`` of one image.
@@ -32,7 +34,8 @@ class ReferenceLength(NamedTuple):
 def reference_length(card: DetectorCard, given: Reference, look: FleetLook | None) -> ReferenceLength:
     """Choose the caller's reference length, else what the look of the vehicles says of their fleet, else the model's.
 
-    A caller who names the length or the region has settled most of what differs between regions: half of it remains.
+    A caller who names the length has settled most of what differs between regions: half of it remains. One who names
+    the region has settled less, for a city is not its region.
 
     Args:
         card: of the model that found the vehicles.
@@ -58,7 +61,9 @@ def reference_length(card: DetectorCard, given: Reference, look: FleetLook | Non
                 f"region is {given.region!r}: this model knows {', '.join(sorted(card.region_lengths_m))}; "
                 "or give reference_length_m"
             )
-        return ReferenceLength(card.region_lengths_m[given.region], card.reference_length_sd_m / 2, "region")
+        return ReferenceLength(
+            card.region_lengths_m[given.region], _LEFT_IN_REGION * card.reference_length_sd_m, "region"
+        )
     if card.fleet_lengths is not None and look is not None:
         fleets = card.fleet_lengths
         return ReferenceLength(fleets.reference_length(look.log_lengths), fleets.sd_m, "appearance")

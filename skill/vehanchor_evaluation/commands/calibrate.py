@@ -44,7 +44,7 @@ class CalibrateRequest(KnownScaleRequest):
         typer.Option(
             metavar="FILES",
             help="Photographs, or folders of them, whose scale another ruler than vehicles tells: the height in their "
-            "metadata, or --height. What it may be off by counts.",
+            "metadata, courts, --known-lengths, or --height. What it may be off by counts.",
             show_default=False,
         ),
     ] = None
@@ -101,12 +101,15 @@ def _check_outputs(out: Path, plot: str | None) -> None:
 def _known_scale(request: CalibrateRequest, chosen: Chosen) -> KnownScaleSet:
     """The images, by a georeference, a table, or another ruler than vehicles."""
     if not request.photographs:
+        if request.known_lengths is not None:
+            raise InvalidParameterError("--known-lengths tell the scale of --photographs: name those")
         return request.survey()
     if request.dota or request.table or request.geotiff:
         raise InvalidParameterError("name the images by one of --photographs, --dota, --table and --geotiff")
     from vehanchor_evaluation.photographs import survey_photographs
 
-    data = survey_photographs(request.photographs, open_shared(chosen, request.workers), chosen.options())
+    detector = open_shared(chosen, request.workers)
+    data = survey_photographs(request.photographs, detector, chosen.options(), request.lines)
     data = data.chosen(limit=request.limit)
     if not data.images:
         tell_issues(data.issues)

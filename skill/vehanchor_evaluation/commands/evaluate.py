@@ -52,6 +52,7 @@ class ScaleRequest(KnownScaleRequest):
 
     def benchmark(self, chosen: Chosen) -> ScaleBenchmark:
         """Survey the data, search the images, make trials of them; what is wrong with which file goes to stderr."""
+        from vehanchor.batch.known_lengths import with_lines_of
         from vehanchor.options import Reference
         from vehanchor_evaluation.dota import SMALL_VEHICLE
         from vehanchor_evaluation.gsd import benchmark_scale, check_options, with_regions
@@ -60,14 +61,15 @@ class ScaleRequest(KnownScaleRequest):
         options_of = with_regions(options, self._regions())
         data, detector = self.survey(), open_shared(chosen, self.workers)
         check_options(detector, data, options_of)
+        lines = self.lines(image.path for image in data.images)
         found = self.search(data, detector, options, chosen, self.cache or self.out / _CACHE_NAME)
         by_labels = replace(options, reference=Reference(self.label_reference_length))
         benchmark = benchmark_scale(
             data,
             found,
             detector.card,
-            options_of,
-            label_options_of=None if self.label_reference_length is None else lambda _: by_labels,
+            lambda image: with_lines_of(options_of(image), lines, image.path),
+            label_options_of=options_of if self.label_reference_length is None else lambda _: by_labels,
             label_classes=self.label_classes or (SMALL_VEHICLE,),
         )
         tell_issues(benchmark.issues)

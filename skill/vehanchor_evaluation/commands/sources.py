@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from vehanchor.cli.given_scale import KnownLengthsFile
 from vehanchor.cli.terminal import printable, tile_progress
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from vehanchor.batch.known_lengths import KnownLengthTable
     from vehanchor.cli.declared import Chosen
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
@@ -82,6 +84,7 @@ class KnownScaleRequest:
     set_name: Annotated[str | None, typer.Option("--set", metavar="NAME", help="Only this set of the table.")] = None
     split: Annotated[str | None, typer.Option(metavar="NAME", help="Only this split of the table, as in 'val'.")] = None
     limit: Annotated[int | None, typer.Option(metavar="N", min=1, help="Only the first N images.")] = None
+    known_lengths: KnownLengthsFile = None
     workers: WorkersOption = None
     cache: Annotated[
         Path | None,
@@ -112,6 +115,20 @@ class KnownScaleRequest:
             tell_issues(data.issues)
             raise InvalidParameterError(f"no image of known scale in {data.source!r}")
         return data
+
+    def lines(self, images: Iterable[Path]) -> KnownLengthTable:
+        """The lines of known length of single images.
+
+        Raises:
+            KnownLengthError: they cannot be read, or lie in none of these images.
+        """
+        from vehanchor.batch.known_lengths import check_all_named, read_known_lengths
+
+        if self.known_lengths is None:
+            return {}
+        found = read_known_lengths(self.known_lengths)
+        check_all_named(found, images)
+        return found
 
     def search(
         self, data: KnownScaleSet, detector: Detector, options: ScaleOptions, chosen: Chosen, cache: Path | None

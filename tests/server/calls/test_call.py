@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,7 @@ async def test_over_capacity_a_call_is_refused_at_once(
     settings: Settings, images: Path, slow_tiles: Callable[[float], None], era: str
 ) -> None:
     slow_tiles(0.5)
-    services = create_services(Settings(roots=settings.roots, detector=settings.detector, threads=1, max_concurrency=1))
+    services = create_services(replace(settings, max_concurrency=1))
     codes: list[str] = []
     async with Client(create_server(services), mode=era) as client, anyio.create_task_group() as group:
 
@@ -63,7 +64,7 @@ async def test_the_deadline_ends_a_call_and_frees_its_place(
     settings: Settings, images: Path, slow_tiles: Callable[[float], None], era: str
 ) -> None:
     slow_tiles(0.1)
-    services = create_services(Settings(roots=settings.roots, detector=settings.detector, threads=1, deadline_s=0.3))
+    services = create_services(replace(settings, deadline_s=0.3))
     async with Client(create_server(services), mode=era) as client:
         with anyio.fail_after(2):
             result = await client.call_tool("estimate_gsd", by_path(images / "large.png"))
@@ -80,7 +81,7 @@ async def test_cancelling_stops_the_work_and_frees_its_place(
 ) -> None:
     caplog.set_level(logging.INFO, "vehanchor_server.calls")
     slow_tiles(0.1)
-    services = create_services(Settings(roots=settings.roots, detector=settings.detector, threads=1))
+    services = create_services(settings)
     async with Client(create_server(services), mode=era) as client:
         with anyio.move_on_after(0.4):
             await client.call_tool("estimate_gsd", by_path(images / "large.png"))
@@ -120,8 +121,20 @@ async def test_the_librarys_refusals_keep_their_code(
     assert error_of(result) == code
 
 
+async def test_want_of_memory_outside_decoding_and_models_is_told_by_its_code(
+    server: MCPServer[object], images: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def hungry(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("vehanchor.detection.detector.Detector.detect_tile", hungry)
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
+    assert error_of(result) == "out_of_memory"
+
+
 async def test_a_missing_model_is_the_operators_business(images: Path, caplog: pytest.LogCaptureFixture) -> None:
-    server = create_server(create_services(Settings(roots=(images,), detector="/nowhere/secret.onnx")))
+    server = create_server(create_services(Settings(roots=(images,), detector="/nowhere/secret.onnx", in_process=True)))
     async with Client(server) as client:
         result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
     assert error_of(result) == "model_unavailable"

@@ -21,7 +21,9 @@ pytestmark = pytest.mark.anyio
 async def test_noise_is_squeezed_below_the_pictures_limit(settings: Settings, tmp_path: Path) -> None:
     noise = np.random.default_rng(1).integers(0, 256, (1600, 1600, 3), dtype=np.uint8)
     assert cv2.imwrite(str(tmp_path / "noise.png"), noise)
-    server = create_server(create_services(Settings(roots=(tmp_path,), detector=settings.detector, threads=1)))
+    server = create_server(
+        create_services(Settings(roots=(tmp_path,), detector=settings.detector, threads=1, in_process=True))
+    )
     async with Client(server) as client:
         result = await client.call_tool("estimate_gsd", {**by_path(tmp_path / "noise.png"), "include_overlay": True})
     picture = result.content[1]

@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +25,8 @@ from tests.server.conversation import by_path, error_of, text_of
 from vehanchor_server.app import create_server
 from vehanchor_server.calls.capacity import CallStoppedError, Stop
 from vehanchor_server.calls.job import Job
-from vehanchor_server.calls.workers import Task, WorkerFailedError
+from vehanchor_server.calls.task import Task
+from vehanchor_server.calls.workers import WorkerFailedError
 from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import Base64Image
 from vehanchor_server.services import Services, create_services
@@ -53,7 +55,6 @@ def isolated(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> It
         segmenter=segmenter_paths,
         threads=1,
         max_concurrency=1,
-        workers_isolated=True,
         max_worker_mb=1500,
     )
     services = ready(create_services(settings))
@@ -74,6 +75,11 @@ def done(services: Services, work: Any, stop: Stop | None = None) -> Any:
 
 
 def number(services: Services, job: Job, source: Any) -> int:
+    return os.getpid()
+
+
+def a_while(services: Services, job: Job, source: Any) -> int:
+    time.sleep(1.0)
     return os.getpid()
 
 
@@ -189,7 +195,6 @@ async def test_the_deadline_is_kept_by_a_worker_that_does_not_listen(
         threads=1,
         max_concurrency=1,
         deadline_s=1.0,
-        workers_isolated=True,
     )
     services = ready(create_services(settings))
     try:
@@ -207,9 +212,7 @@ async def test_the_deadline_is_kept_by_a_worker_that_does_not_listen(
 
 
 async def test_a_model_that_cannot_be_loaded_is_the_operators_business(images: Path) -> None:
-    services = create_services(
-        Settings(roots=(images,), detector="/nowhere.onnx", workers_isolated=True, max_concurrency=1)
-    )
+    services = create_services(Settings(roots=(images,), detector="/nowhere.onnx", max_concurrency=1))
     try:
         async with Client(create_server(services)) as client:
             result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
@@ -220,9 +223,16 @@ async def test_a_model_that_cannot_be_loaded_is_the_operators_business(images: P
         services.close()
 
 
-def test_closing_leaves_no_process(settings: Settings) -> None:
-    services = ready(create_services(replace(settings, workers_isolated=True, max_concurrency=2)))
+def test_a_second_process_runs_once_two_calls_do_and_closing_leaves_none(settings: Settings) -> None:
+    services = ready(create_services(replace(settings, in_process=False, max_concurrency=3)))
     assert services.workers is not None
+    assert len(services.workers.processes) == 1
+    assert done(services, number) == done(services, number)
+    assert len(services.workers.processes) == 1
+    with ThreadPoolExecutor() as threads:
+        first = threads.submit(done, services, a_while)
+        time.sleep(0.1)
+        assert done(services, number) != first.result()
     processes = services.workers.processes
     assert len(processes) == 2
     services.close()

@@ -44,7 +44,10 @@ async def test_no_vehicle_is_a_result_not_an_error(server: MCPServer[object], im
     assert result.structured_content["status"] == "no_anchor"
     assert result.structured_content["gsd_m_per_px"] is None
     assert result.structured_content["confidence"] == 0
-    assert text_of(result) == "No vehicles found, confidence 0: no metric scale; use another anchor."
+    assert text_of(result) == (
+        "Nothing of known size was found, confidence 0: no metric scale; take in more cars: from higher up, or over "
+        "streets and car parks, or use another anchor."
+    )
 
 
 async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCPServer[object], images: Path) -> None:

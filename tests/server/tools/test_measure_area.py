@@ -102,8 +102,8 @@ async def test_no_vehicle_is_a_result_without_an_area(server: MCPServer[object],
     record = record_of(result)
     assert (record["status"], record["area_m2"], record["confidence"]) == ("no_anchor", None, 0)
     assert text_of(result).startswith(
-        f"The object covers {record['mask_area_px']} px, but no vehicles were found, confidence 0: no metric scale, so "
-        "no area; use another anchor, and give its scale as gsd_m_per_px."
+        f"No area: the object covers {record['mask_area_px']} px, but nothing of known size was found, confidence 0: "
+        "no metric scale; "
     )
 
 

@@ -100,7 +100,9 @@ async def test_places_mean_the_same_in_every_kind_of_coordinates(server: MCPServ
 async def test_no_vehicle_is_a_result_without_a_distance(server: MCPServer[object], images: Path) -> None:
     result = await asked(server, "measure_distance", images / "empty.png", lines=[LINE])
     assert (record_of(result)["status"], record_of(result)["distance_m"]) == ("no_anchor", None)
-    assert text_of(result).startswith("The line is 500 px long, but no vehicles were found, confidence 0")
+    assert text_of(result).startswith(
+        "No distance: the line is 500 px long, but nothing of known size was found, confidence 0"
+    )
 
 
 async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCPServer[object], images: Path) -> None:
@@ -132,7 +134,7 @@ async def test_a_place_that_may_be_one_of_a_copy_is_questioned(server: MCPServer
     from tests.server.conftest import paint_scene, write_image
 
     image = write_image(tmp_path / "large.png", paint_scene(3136, 1000, 0))
-    settings = Settings(roots=(tmp_path.resolve(),))
+    settings = Settings(roots=(tmp_path.resolve(),), in_process=True)
     server = create_server(create_services(settings))
     near = await asked(server, "measure_distance", image, lines=[LINE], gsd_m_per_px=0.1)
     assert "If you pointed in a smaller copy, give its size as frame" in text_of(near)

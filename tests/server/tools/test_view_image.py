@@ -111,7 +111,7 @@ async def test_what_cannot_be_shown_is_told(
 
 
 def _served(*roots: Path) -> MCPServer[object]:
-    return create_server(create_services(Settings(roots=tuple(root.resolve() for root in roots))))
+    return create_server(create_services(Settings(roots=tuple(root.resolve() for root in roots), in_process=True)))
 
 
 async def test_without_an_image_those_below_the_roots_are_named(server: MCPServer[object], images: Path) -> None:

@@ -11,6 +11,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +63,10 @@ def base(settings: Settings) -> Iterator[str]:
 @pytest.fixture(scope="module")
 def guarded(detector_path: Path) -> Iterator[str]:
     settings = Settings(
-        detector=str(detector_path), allowed_hosts=("vehanchor.test",), allowed_origins=("https://console.test",)
+        detector=str(detector_path),
+        allowed_hosts=("vehanchor.test",),
+        allowed_origins=("https://console.test",),
+        in_process=True,
     )
     with served(settings) as address:
         yield address
@@ -141,7 +145,7 @@ async def test_health_tells_alive_from_ready(settings: Settings) -> None:
         while client.get(f"{base}/readyz").status_code != 200 and time.monotonic() < deadline:
             time.sleep(0.05)
         assert client.get(f"{base}/readyz").json() == {"status": "ready"}
-    with served(Settings(detector="/nowhere.onnx")) as base, httpx.Client() as client:
+    with served(Settings(detector="/nowhere.onnx", in_process=True)) as base, httpx.Client() as client:
         assert client.get(f"{base}/healthz").status_code == 200
         deadline = time.monotonic() + 30
         while client.get(f"{base}/readyz").json()["error"] is None and time.monotonic() < deadline:
@@ -154,7 +158,7 @@ async def test_health_tells_alive_from_ready(settings: Settings) -> None:
 async def test_without_the_token_nothing_but_health_answers(
     settings: Settings, token_file: Path, images: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    protected = Settings(roots=settings.roots, detector=settings.detector, token_file=token_file)
+    protected = replace(settings, token_file=token_file)
     with served(protected) as base, httpx.Client() as client:
         for headers in (
             {},
@@ -185,6 +189,7 @@ async def test_an_oidc_server_says_where_to_get_a_token(settings: Settings) -> N
         oidc_issuer="https://issuer.test",
         oidc_audience="vehanchor",
         public_url="https://vehanchor.test/mcp",
+        in_process=True,
     )
     with served(protected) as base, httpx.Client() as client:
         answer = client.post(f"{base}/mcp", **discover())
@@ -247,7 +252,7 @@ async def test_an_image_of_some_megabytes_fits_a_request(base: str, tmp_path: Pa
 
 
 async def test_without_roots_paths_are_off(settings: Settings, images: Path) -> None:
-    with served(Settings(detector=settings.detector)) as base:
+    with served(replace(settings, roots=())) as base:
         async with Client(f"{base}/mcp") as client:
             result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
     assert error_of(result) == "source_disabled"
@@ -257,7 +262,7 @@ async def test_a_client_that_hangs_up_frees_its_place(
     settings: Settings, images: Path, slow_tiles: Callable[[float], None]
 ) -> None:
     slow_tiles(0.1)
-    one = Settings(roots=settings.roots, detector=settings.detector, threads=1, max_concurrency=1)
+    one = replace(settings, max_concurrency=1)
     with served(one) as base:
         async with Client(f"{base}/mcp") as client:
             with anyio.move_on_after(0.6):
@@ -291,7 +296,9 @@ def test_workers_may_read_what_the_operator_allowed_and_no_more(
     monkeypatch.setattr("vehanchor_server.transport.http.uvicorn.run", make_app_in_a_worker)
     monkeypatch.setattr("vehanchor_server.transport.http.configure_logging", lambda: None)
     monkeypatch.setattr("vehanchor_server.transport.http.create_services", note)
-    settings = Settings(roots=(tmp_path / "flight:b",), detector=str(detector_path), allowed_origins=("https://a,b",))
+    settings = Settings(
+        roots=(tmp_path / "flight:b",), detector=str(detector_path), allowed_origins=("https://a,b",), in_process=True
+    )
     serve_http(settings)
     assert seen == [settings]
     assert not [name for name in os.environ if name.startswith("VEHANCHOR_")]

@@ -32,7 +32,8 @@ _SLOW = (
 
 def command(settings: Settings, *, slow: bool = False) -> list[str]:
     roots = [part for root in settings.roots for part in ("--root", str(root))]
-    return [sys.executable, "-c", (_SLOW if slow else "") + _SERVE, *roots, "--detector", str(settings.detector)]
+    prelude, flags = (_SLOW, ["--in-process"]) if slow else ("", [])  # a worker would be quick
+    return [sys.executable, "-c", prelude + _SERVE, *roots, "--detector", str(settings.detector), *flags]
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor.batch import BatchJob, BatchRow, find_images, run_batch
 from vehanchor.batch.engines.local import local_workers
 from vehanchor.batch.row import COLUMNS
-from vehanchor.batch.run import journal_path
+from vehanchor.batch.run import journal_path, open_journal
 from vehanchor.batch.worker import Task, Worker
 from vehanchor.cli import app as cli
 from vehanchor.detection.detector import Detector
@@ -150,6 +150,17 @@ def test_a_defect_found_by_one_image_is_its_row(detector: Path, table: Path, mon
     assert [row["error_code"] for row in _rows(table)] == ["internal_error", "image_undecodable"]
     assert _rows(table)[0]["error"] == "ZeroDivisionError: division by zero"
     assert summary.statuses == {"error": 2}
+
+
+def test_want_of_memory_is_an_images_row_under_its_code(
+    detector: Path, table: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def hungry(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(Detector, "detect_tile", hungry)
+    run_batch(["cars.png"], table, detector=detector, workers=1)
+    assert [row["error_code"] for row in _rows(table)] == ["out_of_memory"]
 
 
 def test_a_worker_refuses_another_model_than_the_runs(detector: Path) -> None:
@@ -506,6 +517,57 @@ def test_batch_takes_the_options_of_estimate(
     estimate = estimate_gsd("cars.png", detector=detector, **expected)
     same = set(GsdEstimate.model_fields) & set(COLUMNS)
     assert {name: row[name] for name in same} == {name: getattr(estimate, name) for name in same}
+
+
+def test_lines_of_known_length_of_single_images_come_from_a_table(folder: Path, detector: Path, table: Path) -> None:
+    lines = table.with_name("lines.csv")
+    named = os.path.relpath(folder / "empty.png", lines.parent)
+    lines.write_text(f"file,x1,y1,x2,y2,metres,who\n{named},100,50,500,50,48,Ann\n{named},100,50,100,250,24,Ann\n")
+    common = ("cars.png", "empty.png", "--detector", detector, "--workers", 1)
+    result = _batch(*common, "-o", table, "--known-lengths", lines)
+    assert result.exit_code == 0, result.output
+    cars, empty = _rows(table)
+    assert (empty["scale_source"], empty["ruler_known_length_agrees"]) == ("known_length", True)
+    assert empty["gsd_m_per_px"] == pytest.approx(0.12, rel=1e-3)
+    assert cars["ruler_known_length_gsd_m_per_px"] is None
+    assert _batch(*common, "-o", table.with_name("without.jsonl")).exit_code == 0
+    assert cars == _rows(table.with_name("without.jsonl"))[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("file,x1,y1,x2,metres\ncars.png,1,2,300,40\n", "no column y2"),
+        ("file,x1,y1,x2,y2,metres\ncars.png,1,2,300,wide,40\n", "line 2"),
+        ("file,x1,y1,x2,y2,metres\ncars.png,1,2,300,4,40\ncars.png,1,2,3,4,40\n", "line 3: the line of known length"),
+        ("file,x1,y1,x2,y2,metres\ncars.png,1,2,300,4,-40\n", "line 2"),
+        ("file,x1,y1,x2,y2,metres\ncars.png,1,2,300,4,nan\n", "line 2"),
+        ("file,x1,y1,x2,y2,metres\n,1,2,300,4,40\n", "not named"),
+        ("file,x1,y1,x2,y2,metres\ncar.png,1,2,300,4,40\n", "none of the images"),
+        ("file,x1,y1,x2,y2,metres\n", "no line"),
+        ("", "no column file"),
+    ],
+)
+def test_a_table_of_lines_that_cannot_be_used_is_told_before_the_work(
+    text: str, words: str, folder: Path, detector: Path, table: Path
+) -> None:
+    lines = folder / "lines.csv"
+    lines.write_text(text)
+    result = _batch("cars.png", "-o", table, "--detector", detector, "--known-lengths", lines)
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error[invalid_known_length]: ")
+    assert words in result.stderr
+    assert list(table.parent.iterdir()) == []
+
+
+def test_a_run_begun_with_other_lines_is_not_mixed_in(folder: Path, detector: Path, table: Path) -> None:
+    job = BatchJob(str(detector.resolve()), Detector(detector).card.sha256)
+    open_journal(table, job).add(Task.of("cars.png").key(), BatchRow(file="cars.png", error_code="e", error="e"))
+    lines = folder / "lines.csv"
+    lines.write_text("file,x1,y1,x2,y2,metres\ncars.png,1,2,300,4,40\n")
+    result = _batch("cars.png", "-o", table, "--detector", detector, "--known-lengths", lines)
+    assert result.exit_code == 2
+    assert "lines_of" in result.stderr
 
 
 def test_a_class_that_the_model_does_not_know_is_told_before_the_work(detector: Path, table: Path) -> None:

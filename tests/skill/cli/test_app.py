@@ -318,6 +318,16 @@ def test_a_defect_is_told_in_one_line_unless_its_traceback_is_asked_for(
     assert isinstance(_estimate(run, "cars.png").exception, ZeroDivisionError)
 
 
+def test_want_of_memory_anywhere_is_told_by_its_code(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def hungry(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(perception, "analyse_scale", hungry)
+    result = _estimate(run, "cars.png")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error[out_of_memory]: ")
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes")
 @pytest.mark.parametrize(
     "arguments", [["estimate", "cars.png", "few.png", "--json", "--detector", "detector.onnx"], ["-h"]]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vehanchor.detection.card import read_detector_card, read_second_look_card
+from vehanchor.detection.card import SecondLookCard, read_companion_card, read_detector_card
 from vehanchor.detection.second_look import CHIP_PX, SecondLook, Weights, surroundings
 from vehanchor.detection.sighting import Objects
 from vehanchor.errors import ModelContractError
@@ -49,7 +49,7 @@ def test_weights_make_one_score_of_two_opinions() -> None:
 
 
 def test_the_card_takes_the_scores_of_the_second_look() -> None:
-    look = read_second_look_card(Path("look.onnx"), "b" * 64, _METADATA)
+    look = read_companion_card(SecondLookCard, Path("look.onnx"), "b" * 64, _METADATA)
     own = {"vehanchor.name": "vehicles", "vehanchor.min_score": "0.4"}
     card = read_detector_card(Path("vehicles.onnx"), "a" * 64, own, second_look=look)
     assert (card.min_score, card.clear_score, card.second_look_sha256) == (0.5, 0.72, "b" * 64)
@@ -66,7 +66,7 @@ def test_a_card_without_meaning_is_refused(key: str, text: str | None) -> None:
     if text is not None:
         metadata[f"vehanchor.{key}"] = text
     with pytest.raises(ModelContractError, match=f"vehanchor.{key}"):
-        read_second_look_card(Path("look.onnx"), "b" * 64, metadata)
+        read_companion_card(SecondLookCard, Path("look.onnx"), "b" * 64, metadata)
 
 
 def test_the_bundled_detector_has_one_and_it_is_no_detector() -> None:

@@ -97,9 +97,9 @@ def test_an_interrupted_flight_goes_on_where_it_stopped(
         vehanchor.estimate_flight(flight, same_scale=True, detector=detector, journal=journal, progress=stop)
     searched: list[object] = []
 
-    def counted(*arguments: Any) -> Any:
+    def counted(*arguments: Any, **more: Any) -> Any:
         searched.append(arguments)
-        return analyse_raster(*arguments)
+        return analyse_raster(*arguments, **more)
 
     monkeypatch.setattr(flight_estimate, "analyse_raster", counted)
     again = vehanchor.estimate_flight(flight, same_scale=True, detector=detector, journal=journal)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import time
 import tracemalloc
 from collections.abc import Callable
@@ -29,11 +30,13 @@ from tests.skill.imagery.files import (
     without_rasterio,
 )
 from vehanchor.errors import (
+    ImageDecodeError,
     ImageFormatError,
     ImageTooLargeError,
     InvalidParameterError,
     MissingExtraError,
 )
+from vehanchor.imagery.header import read_header
 from vehanchor.imagery.raster import MIN_SIDE_PX, open_raster
 from vehanchor.options import ImageLimits
 
@@ -132,6 +135,34 @@ def test_a_tiff_stored_in_one_huge_block_is_refused(tmp_path: Path) -> None:
     path = geotiff(tmp_path / "a.tif", NOISE, blockysize=NOISE.shape[0], compress="deflate")
     with pytest.raises(ImageTooLargeError, match="store it tiled"):
         open_raster(path, limits=ImageLimits(max_pixels=2000))
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_the_mask_of_a_tiff_is_held_to_the_same_limit_as_its_pixels(tmp_path: Path, order: str) -> None:
+    options = {"ENDIANNESS": "BIG"} if order == ">" else {}
+    data = bytearray(geotiff(tmp_path / "a.tif", NOISE, **options).read_bytes())
+    (first,) = struct.unpack_from(order + "I", data, 4)
+    (n_entries,) = struct.unpack_from(order + "H", data, first)
+    struct.pack_into(order + "I", data, first + 2 + 12 * n_entries, len(data))
+    mask = {254: 4, 256: 1000, 257: 1000, 258: 1, 259: 1, 262: 4, 273: 8, 277: 1, 278: 1000, 279: 125_000}
+    data += struct.pack(order + "H", len(mask))
+    for tag, value in mask.items():
+        data += struct.pack(order + "HHII", tag, 4, 1, value)
+    data += bytes(4)
+    (tmp_path / "masked.tif").write_bytes(data)
+    open_raster(tmp_path / "masked.tif", limits=ImageLimits(max_decoded_bytes=2_000_000)).close()
+    with pytest.raises(ImageTooLargeError, match="mask is stored in blocks of 1000000 pixels"):
+        open_raster(tmp_path / "masked.tif", limits=ImageLimits(max_decoded_bytes=1_999_999))
+
+
+def test_a_tiff_of_more_directories_than_a_thousand_is_refused_and_a_circle_of_them_ends() -> None:
+    directory = struct.pack("<HHHIIHHIIHHII", 3, 256, 4, 1, 64, 257, 4, 1, 64, 258, 3, 1, 8)
+    size = len(directory) + 4
+    chain = b"".join(directory + struct.pack("<I", 8 + size * (i + 1)) for i in range(1200))
+    with pytest.raises(ImageDecodeError, match="more than 1000 directories"):
+        read_header(lambda offset, count: (b"II*\0\x08\0\0\0" + chain)[offset : offset + count])
+    circle = b"II*\0\x08\0\0\0" + directory + struct.pack("<I", 8)
+    assert read_header(lambda offset, count: circle[offset : offset + count]).width_px == 64
 
 
 @pytest.mark.parametrize("name", ["max_bytes", "max_pixels", "max_windowed_pixels"])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from vehanchor.errors import ImageDecodeError, ImageTooLargeError
+from vehanchor.errors import ImageDecodeError, ImageTooLargeError, OutOfMemoryError
 from vehanchor.imagery.raster import open_raster
 from vehanchor.options import ImageLimits, Reading
 
@@ -36,6 +36,21 @@ def test_a_truncated_one_and_one_that_is_too_large_are_refused_by_their_codes() 
         open_raster(Image.open(BytesIO(encoded.getvalue()[:2000])))
     with pytest.raises(ImageTooLargeError, match="--max-megapixels"):
         open_raster(Image.fromarray(PIXELS), limits=ImageLimits(max_pixels=2000))
+
+
+def test_the_memory_that_it_takes_is_limited_by_its_mode_and_told_by_its_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    for mode, n_bytes in (("L", 3), ("RGB", 10), ("RGBA", 12), ("F", 12), ("CMYK", 10)):
+        image = Image.fromarray(PIXELS).convert(mode)
+        open_raster(image, limits=ImageLimits(max_decoded_bytes=2400 * n_bytes))
+        with pytest.raises(ImageTooLargeError, match=f"takes {2400 * n_bytes} bytes"):
+            open_raster(image, limits=ImageLimits(max_decoded_bytes=2400 * n_bytes - 1))
+
+    def fail(self: Image.Image) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(Image.Image, "getexif", fail)
+    with pytest.raises(OutOfMemoryError):
+        open_raster(Image.fromarray(PIXELS))
 
 
 def test_an_array_of_opencv_is_read_as_bgr_where_that_is_said() -> None:

@@ -190,6 +190,21 @@ def test_a_line_of_known_length_is_drawn_where_it_lies_with_its_metres_beside_it
     assert letters[370:400, 450:540].sum() > 60  # "84 m", above and right of the middle
 
 
+def test_a_height_is_written_in_the_middle_of_the_picture() -> None:
+    def drawn(**options: float) -> NDArray[np.uint8]:
+        none = Sighting(np.zeros((0, 5)), np.zeros(0))
+        chosen = ScaleOptions.of(dict(options))
+        analysis = analyse_found(none, made_card(), chosen, image_width_px=1000, image_height_px=800)
+        return draw_overlay(_grey(1000, 800), analysis)[:800]
+
+    with_height, without = drawn(height_m=42.0, focal_35mm=24.0), drawn()
+    rows, columns = np.nonzero(_near(with_height, MARK_RGB))
+    assert (rows.mean(), columns.mean()) == (pytest.approx(400, abs=2), pytest.approx(500, abs=2))
+    assert max(np.ptp(rows), np.ptp(columns)) < 40
+    letters = (with_height == 255).all(axis=2) & ~(without == 255).all(axis=2)
+    assert letters[370:400, 500:620].sum() > 60  # "42 m up"
+
+
 def test_a_label_stays_inside_the_picture_and_a_line_beside_its_edge_is_no_error() -> None:
     corner = draw_overlay(_grey(1000, 800), _measured_by_lines([(990, 0, 1000, 6, 1), (0, 800, 9, 791, 1)], 0))
     assert corner.shape[1] == 1000

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from vehanchor.scale.fusion import (
     GRID,
     LOG_STEP,
+    USABLE_CHANCE,
     Votes,
     blurred,
     credible_interval,
@@ -16,6 +17,7 @@ from vehanchor.scale.fusion import (
     fuse,
     mass_within,
     product,
+    settled_chance,
     vehicle_density,
 )
 
@@ -95,3 +97,16 @@ def test_what_the_reference_length_is_off_by_widens_the_interval_of_any_number_o
     known, unknown = (fuse(0.15, vehicle_density(lengths, np.full(400, 0.9), 4.5, sd, _VOTES)) for sd in (0.0, 0.45))
     assert known.interval.high / known.interval.low < 1.1
     assert unknown.interval.high / unknown.interval.low == pytest.approx(np.exp(2 * 1.96 * 0.1), rel=0.05)
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.2, 3.0))
+def test_certainty_moves_chances_away_from_the_limit_of_use_and_none_across_it(chance: float, certainty: float) -> None:
+    settled = float(settled_chance(chance, certainty))
+    assert 0 <= settled <= 1
+    assert (settled >= USABLE_CHANCE - 1e-9) or chance < USABLE_CHANCE
+    assert (settled <= USABLE_CHANCE + 1e-9) or chance > USABLE_CHANCE
+
+
+def test_a_certainty_of_one_changes_no_chance() -> None:
+    assert settled_chance([0.1, 0.9, 0.99], 1.0) == pytest.approx([0.1, 0.9, 0.99])
+    assert fuse(0.2, _normal(0.2, 0.15), certainty=2.0).p_within_20 < fuse(0.2, _normal(0.2, 0.15)).p_within_20 < 0.9

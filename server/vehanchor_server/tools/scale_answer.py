@@ -1,0 +1,33 @@
+"""The answer that an analysis of the scale gives: its record, and the pictures that explain it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from vehanchor_server.calls.answer import Answer
+
+if TYPE_CHECKING:
+    from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.imagery.raster import Raster
+    from vehanchor.records import GsdEstimate
+    from vehanchor_server.calls.answer import WantedPictures
+    from vehanchor_server.calls.job import Job
+
+__all__ = ["scale_answer"]
+
+
+def scale_answer(raster: Raster, analysis: ScaleAnalysis, wanted: WantedPictures, job: Job) -> Answer[GsdEstimate]:
+    """Draw what was wanted, and put it beside the record.
+
+    Raises:
+        CallStoppedError: the call was asked to end.
+    """
+    from vehanchor.pictures.scale import draw_overlay
+    from vehanchor_server.app_page.panel import drawing_of, length_histogram
+    from vehanchor_server.calls.overlay import draw_pictures
+
+    if any(wanted):
+        job.enter("overlay")
+    pictures = draw_pictures(raster, job.stop, wanted, lambda seen: draw_overlay(seen, analysis))
+    drawing = drawing_of(analysis) if wanted.page else None
+    return Answer((analysis.estimate,), pictures.overlay, length_histogram(analysis), pictures.page, drawing)

@@ -1,0 +1,101 @@
+"""Lines of known length for many images: a CSV with a line of it for each line on the ground."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from vehanchor.errors import KnownLengthError
+from vehanchor.ruler_options import KnownLength, Rulers
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Iterable, Mapping
+
+    from vehanchor.options import ScaleOptions
+
+__all__ = ["KnownLengthTable", "check_all_named", "read_known_lengths", "with_lines_of"]
+
+KnownLengthTable: TypeAlias = "Mapping[str, tuple[KnownLength, ...]]"
+"""Lines by the absolute path of the image that they lie in."""
+
+_COLUMNS = ("file", "x1", "y1", "x2", "y2", "metres")
+_MOST_BYTES = 64 << 20
+
+
+def read_known_lengths(path: str | os.PathLike[str]) -> dict[str, tuple[KnownLength, ...]]:
+    """Read a CSV with the columns ``file`` (relative to the table), ``x1``, ``y1``, ``x2``, ``y2`` and ``metres``.
+
+    Args:
+        path: of the table; an image may have several lines.
+
+    Returns:
+        The lines of each image, in pixels of the image.
+
+    Raises:
+        KnownLengthError: the table cannot be read, or one of its lines is none; the message names which.
+    """
+    table = Path(path)
+    found: dict[str, tuple[KnownLength, ...]] = {}
+    try:
+        if table.stat().st_size > _MOST_BYTES:
+            raise KnownLengthError(f"{str(table)!r} is larger than {_MOST_BYTES >> 20} MiB: give a table of lines")
+        with table.open(newline="", encoding="utf-8-sig") as handle:
+            reader = csv.DictReader(handle)
+            missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
+            if missing:
+                raise KnownLengthError(
+                    f"{str(table)!r} has no column {', '.join(missing)}: the first line has to name "
+                    f"{','.join(_COLUMNS)}"
+                )
+            for row in reader:
+                image = _resolved(table.parent / (row["file"] or ""))
+                found[image] = (*found.get(image, ()), _line(table, reader.line_num, row))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise KnownLengthError(f"cannot read the known lengths in {str(table)!r}: {error}") from None
+    if not found:
+        raise KnownLengthError(f"{str(table)!r} has no line of known length: give at least one")
+    return found
+
+
+def check_all_named(lines: KnownLengthTable, images: Iterable[str | os.PathLike[str]]) -> None:
+    """Refuse lines of images that are not looked at: a misspelt name would leave a line out in silence.
+
+    Args:
+        lines: by image.
+        images: the files that are looked at.
+
+    Raises:
+        KnownLengthError: there is one.
+    """
+    strangers = sorted(set(lines) - {_resolved(Path(image)) for image in images})
+    if strangers:
+        raise KnownLengthError(
+            f"a line of known length lies in {strangers[0]!r}, which is none of the images"
+            + (f", and so are {len(strangers) - 1} more" if len(strangers) > 1 else "")
+            + ": files are named relative to the table"
+        )
+
+
+def with_lines_of(options: ScaleOptions, lines: KnownLengthTable, image: str | os.PathLike[str]) -> ScaleOptions:
+    """The options with the lines of one image; themselves where it has none."""
+    own = lines.get(_resolved(Path(image))) if lines else None
+    return options if own is None else replace(options, rulers=replace(options.rulers, known_lengths=own))
+
+
+def _resolved(path: Path) -> str:
+    return str(path.resolve())
+
+
+def _line(table: Path, number: int, row: Mapping[str, str | None]) -> KnownLength:
+    try:
+        if not row["file"]:
+            raise KnownLengthError("the file is not named")
+        values = [float(row[name] or "") for name in _COLUMNS[1:]]
+        rulers = Rulers(known_lengths=(KnownLength(*values),))
+        rulers.check_lengths()
+    except (ValueError, KnownLengthError) as error:
+        raise KnownLengthError(f"{str(table)!r}, line {number}: {error}") from None
+    return rulers.known_lengths[0]

@@ -1,0 +1,60 @@
+"""The directions in which most edges of a patch run: a court's lines, its fence and its slab are at right angles."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["axes"]
+
+_QUARTER = math.pi / 2
+_BINS = 45  # of a quarter turn: 2 degrees each
+_SMOOTH_PX = 1.2  # steps of a line as wide as a pixel have directions of their own
+_CLEAREST = 160.0  # of Scharr's sums, ten grey levels in all: one shadow's edge must not outweigh all painted lines
+_NO_EDGE = 0.7  # share of the patch that is texture and noise: rounded grey levels have directions of their own
+_SECOND = 0.8  # share of the strongest direction from which another one is looked at, too
+_APART_BINS = 5
+
+
+def axes(grey: NDArray[np.float32], x: float, y: float, radius: float) -> list[float]:
+    """Find how a rectangle of lines may be turned, from the gradients around a place.
+
+    Args:
+        grey: ``[h, w]`` grey levels.
+        x: of the place, pixels (the first pixel's centre is 0).
+        y: of the place.
+        radius: pixels around it that count.
+
+    Returns:
+        One or two angles, radians in 0 to a quarter turn, the clearest first; its perpendicular belongs to each.
+    """
+    smoothed = cv2.GaussianBlur(grey, (0, 0), _SMOOTH_PX)
+    across = cv2.Scharr(smoothed, cv2.CV_32F, 1, 0)
+    down = cv2.Scharr(smoothed, cv2.CV_32F, 0, 1)
+    rows, columns = np.ogrid[: grey.shape[0], : grey.shape[1]]
+    near = (columns - x) ** 2 + (rows - y) ** 2 < radius**2
+    steepness = np.hypot(across, down)[near]
+    clear = np.where(steepness > np.quantile(steepness, _NO_EDGE), steepness, 0.0)
+    weights = np.minimum(clear, _CLEAREST)
+    turned = np.arctan2(down[near], across[near]) % _QUARTER
+    cells = (turned / _QUARTER * _BINS).astype(np.intp) % _BINS
+    counts = np.bincount(cells, weights, _BINS)
+    smooth = (np.roll(counts, 1) + 2 * counts + np.roll(counts, -1)) / 4
+    found: list[float] = []
+    left = smooth.copy()
+    while len(found) < 2:
+        peak = int(left.argmax())
+        if found and left[peak] < _SECOND * smooth.max():
+            break
+        before, top, after = smooth[peak - 1], smooth[peak], smooth[(peak + 1) % _BINS]
+        bend = before - 2 * top + after
+        shift = (before - after) / (2 * bend) if bend < 0 else 0.0
+        found.append((peak + 0.5 + shift) * _QUARTER / _BINS)
+        left[(peak + np.arange(-_APART_BINS, _APART_BINS + 1)) % _BINS] = 0.0
+    return found

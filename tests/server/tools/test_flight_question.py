@@ -1,0 +1,155 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcp import Client
+from mcp.server import MCPServer
+
+from tests.models import paint_vehicles
+from tests.server.conftest import LENGTH_PX, paint_scene, write_image
+from tests.server.conversation import by_path, error_of, picture_of, text_of
+from tests.skill.flight.ground import ground, photograph_of
+from vehanchor_server.app import create_server
+from vehanchor_server.images.fetch import Fetcher
+from vehanchor_server.services import create_services
+from vehanchor_server.settings import Settings
+from vehanchor_server.tools.flight_question import MAX_MORE_IMAGES
+
+pytestmark = pytest.mark.anyio
+
+CARS_M = 5.045  # the stand-in detector's reference length
+
+
+def _named(path: Path) -> dict[str, str]:
+    return {"kind": "path", "path": str(path)}
+
+
+def _among(first: Path, *others: Path, **more: Any) -> dict[str, Any]:
+    return {**by_path(first), "more_images": [_named(path) for path in others], **more}
+
+
+@pytest.fixture(scope="session")
+def flight(images: Path) -> Path:
+    """``here.png`` without a car, ``near.png`` beside it with cars at 0.8 of its scale, ``elsewhere.png``."""
+    folder = images / "flight"
+    folder.mkdir()
+    world, other = ground(seed=5), ground(seed=6)
+    near = np.ascontiguousarray(photograph_of(world, 660, 580, turn_deg=30))
+    paint_vehicles(near, [[60 + 70 * (k % 6), 60 + 90 * (k // 6), LENGTH_PX + k % 3 - 1, 14, 0.4] for k in range(24)])
+    write_image(folder / "near.png", near)
+    write_image(folder / "here.png", photograph_of(world, 600, 600, scale=1.25))
+    write_image(folder / "elsewhere.png", photograph_of(other, 600, 600))
+    (folder / "broken.png").write_text("no image")
+    return folder
+
+
+async def test_an_image_without_a_car_has_the_scale_of_those_of_its_flight_that_it_overlaps(
+    server: MCPServer[object], flight: Path
+) -> None:
+    arguments = _among(flight / "here.png", flight / "elsewhere.png", flight / "near.png")
+    async with Client(server) as client:
+        alone = await client.call_tool("estimate_gsd", by_path(flight / "here.png"))
+        among = await client.call_tool(
+            "estimate_gsd", {**arguments, "frame": {"width_px": 250, "height_px": 250}, "include_overlay": True}
+        )
+    assert alone.structured_content is not None
+    assert alone.structured_content["gsd_m_per_px"] is None
+    assert not among.is_error, text_of(among)
+    record = among.structured_content
+    assert record is not None
+    assert record["gsd_m_per_px"] == pytest.approx(1.25 * CARS_M / LENGTH_PX, rel=0.03)
+    assert record["frame"]["gsd_m_per_px"] == pytest.approx(2 * record["gsd_m_per_px"])
+    assert record["rulers"][0]["gsd_m_per_px"] == pytest.approx(record["gsd_m_per_px"], rel=0.01)
+    assert record["gsd_ci95_low_m_per_px"] < record["gsd_m_per_px"] < record["gsd_ci95_high_m_per_px"]
+    assert record["scale"]["gsd_m_per_px"] == record["gsd_m_per_px"]
+    assert record["warnings"] == []
+    assert picture_of(among).shape[0] > 250
+
+
+async def test_an_image_that_nothing_ties_to_the_others_keeps_its_own_scale_and_is_told(
+    server: MCPServer[object], flight: Path
+) -> None:
+    async with Client(server) as client:
+        own = await client.call_tool("estimate_gsd", by_path(flight / "near.png"))
+        among = await client.call_tool("estimate_gsd", _among(flight / "near.png", flight / "elsewhere.png"))
+    assert own.structured_content is not None
+    assert among.structured_content is not None
+    assert [each["code"] for each in among.structured_content["warnings"]] == ["not_tied"]
+    assert {**among.structured_content, "warnings": []} == own.structured_content
+
+
+async def test_images_of_one_scale_put_their_vehicles_together(server: MCPServer[object], images: Path) -> None:
+    write_image(images / "more.png", paint_scene(640, 512, 9))
+    arguments = _among(images / "two.png", images / "more.png", images / "empty.png", same_scale=True)
+    async with Client(server) as client:
+        alone = await client.call_tool("estimate_gsd", by_path(images / "two.png"))
+        among = await client.call_tool("estimate_gsd", arguments)
+    assert alone.structured_content is not None
+    assert among.structured_content is not None
+    assert among.structured_content["status"] == "ok"
+    assert among.structured_content["rulers"][0]["n"] == 11
+    assert among.structured_content["confidence"] > alone.structured_content["confidence"]
+
+
+async def test_what_cannot_be_used_is_named_by_its_place(server: MCPServer[object], flight: Path, images: Path) -> None:
+    here, near = flight / "here.png", flight / "near.png"
+    line = {"x1": 0, "y1": 0, "x2": 99, "y2": 0, "metres": 9}
+    cases = [
+        (_among(here, near, flight / "broken.png"), "image_undecodable", "more_images.1"),
+        (_among(here, near, Path("/etc/passwd")), "path_not_allowed", "more_images.1"),
+        (_among(here, near, images / "no such.png"), "image_not_found", "more_images.1"),
+        (_among(here, near, here), "invalid_arguments", "more_images.1 is the same picture as image"),
+        (_among(flight / "broken.png", near), "image_undecodable", ""),
+        (_among(here, *[near] * (MAX_MORE_IMAGES + 1)), "invalid_arguments", "more_images"),
+        (
+            _among(here, near, known_lengths=[line]),
+            "invalid_arguments",
+            "known_lengths belong",
+        ),
+        ({**by_path(here), "more_images": [{"kind": "data", "data": "x"}]}, "invalid_arguments", "more_images.0"),
+    ]
+    async with Client(server) as client:
+        for arguments, code, words in cases:
+            result = await client.call_tool("estimate_gsd", arguments)
+            assert error_of(result).startswith(code), text_of(result)
+            assert words in text_of(result)
+            assert "/proc/" not in text_of(result)
+
+
+async def test_images_that_were_fetched_together_have_no_more_bytes_than_one_may(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch, flight: Path
+) -> None:
+    services = create_services(replace(settings, max_image_mb=1.0))
+
+    async def fetched(self: Fetcher, url: str) -> bytes:
+        return b"0" * 400_000
+
+    monkeypatch.setattr(Fetcher, "fetch", fetched)
+    address = {"kind": "url", "url": "https://example.org/photo.jpg"}
+    async with Client(create_server(services)) as client:
+        result = await client.call_tool("estimate_gsd", {**by_path(flight / "here.png"), "more_images": [address] * 3})
+    assert error_of(result) == "image_too_large"
+
+
+async def test_the_listed_tool_does_not_name_them_and_the_whole_schema_does(server: MCPServer[object]) -> None:
+    async with Client(server) as client:
+        tools = {tool.name: tool for tool in (await client.list_tools()).tools}
+    assert not {"more_images", "same_scale"} & set(tools["estimate_gsd"].input_schema["properties"])
+
+
+@pytest.mark.slow
+async def test_a_worker_process_gives_the_same_answer(
+    settings: Settings, server: MCPServer[object], flight: Path
+) -> None:
+    arguments = _among(flight / "here.png", flight / "near.png")
+    isolated = create_server(create_services(replace(settings, workers_isolated=True, max_concurrency=1)))
+    async with Client(server) as client:
+        here = await client.call_tool("estimate_gsd", arguments)
+    async with Client(isolated) as client:
+        apart = await client.call_tool("estimate_gsd", arguments)
+    assert not apart.is_error, text_of(apart)
+    assert apart.structured_content == here.structured_content
