@@ -23,6 +23,7 @@ _VIEWED_WITH = (  # settings that are options of ``view``, too
     "segmenter",
     "calibration",
     "threads",
+    "providers",
     "min_score",
     "max_image_mb",
     "max_megapixels",

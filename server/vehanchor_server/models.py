@@ -149,8 +149,10 @@ class Models:
 
     def _load_detector(self) -> Detector:
         from vehanchor.detection.detector import load_detector
+        from vehanchor.models.session import DEFAULT_PROVIDERS
 
-        return load_detector(resolve_model(self._settings.detector), threads=self._settings.threads)
+        path, providers = resolve_model(self._settings.detector), self._settings.providers or DEFAULT_PROVIDERS
+        return load_detector(path, threads=self._settings.threads, providers=providers)
 
     def _load_calibration(self) -> Calibration:
         from vehanchor.scale.calibration import load_calibration
@@ -162,6 +164,8 @@ class Models:
         return calibration
 
     def _load_segmenter(self) -> Segmenter:
+        from vehanchor.models.session import DEFAULT_PROVIDERS
         from vehanchor.segmentation.segmenter import load_segmenter
 
-        return load_segmenter(*resolve_segmenter(self._settings.segmenter), threads=self._settings.threads)
+        paths, providers = resolve_segmenter(self._settings.segmenter), self._settings.providers or DEFAULT_PROVIDERS
+        return load_segmenter(*paths, threads=self._settings.threads, providers=providers)

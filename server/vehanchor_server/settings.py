@@ -75,6 +75,15 @@ class Settings:
         metadata=_words("Reference length that 'vehanchor calibrate' measured.", panel=_WORK, metavar="FILE"),
     )
     threads: int | None = field(default=None, metadata=_words("CPU threads of a model.", panel=_WORK))
+    providers: tuple[str, ...] = field(
+        default=(),
+        metadata=_words(
+            "Where models run: cpu, cuda, tensorrt, coreml, openvino, directml; repeatable, in order of preference.",
+            panel=_WORK,
+            flag="provider",
+            if_unset="cpu",
+        ),
+    )
     min_score: float | None = field(default=None, metadata=_words("Lowest detection score.", panel=_WORK))
     effort: str = field(
         default="auto", metadata=_words("Of images of 16 megapixels and more: full, auto or fast.", panel=_WORK)

@@ -54,7 +54,12 @@ def sample(field: Field[Any], folder: Path) -> Any:
     if field.name in SAMPLES:
         return SAMPLES[field.name]
     kind = typing.get_type_hints(Settings)[field.name]
-    one = {"roots": (folder,), "allowed_hosts": ("a.test",), "allowed_origins": ("https://a.test",)}
+    one = {
+        "roots": (folder,),
+        "providers": ("cuda", "cpu"),
+        "allowed_hosts": ("a.test",),
+        "allowed_origins": ("https://a.test",),
+    }
     if field.name in one:
         return one[field.name]
     bare = next(option for option in (*typing.get_args(kind), kind) if isinstance(option, type))

@@ -40,7 +40,7 @@ def find_images(
     excluded = {path.resolve() for path in leave_out}
     found: dict[str, None] = {}
     named = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
-    for name in map(os.fspath, named):
+    for name in [os.fspath(each) for each in named]:
         images = [path for path in _images(name) if Path(path).resolve() not in excluded]
         if not images:
             raise ImageNotFoundError(f"no image in {name!r}; a directory is searched for {', '.join(sorted(SUFFIXES))}")

@@ -62,7 +62,8 @@ class DetectorChoice:
     providers: list[str] | None = field(
         default=None,
         metadata=choice(
-            "ONNX Runtime execution provider, in order of preference. Default: CPUExecutionProvider.",
+            "Where models run: cpu, cuda, tensorrt, coreml, openvino, directml, or another provider of ONNX Runtime by "
+            "name; may be repeated, in order of preference. Default: cpu.",
             metavar="NAME",
             flag="provider",
         ),

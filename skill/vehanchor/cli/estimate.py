@@ -67,6 +67,14 @@ def estimate(
             metavar="OUT.png", help="Write the plot of lengths, mode and interval (extra 'plots'). '{stem}' too."
         ),
     ] = None,
+    boxes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="OUT.geojson",
+            help="Write the vehicles as .geojson, .gpkg (on the ground, where the file says where that is) or DOTA's "
+            ".txt. '{stem}' too.",
+        ),
+    ] = None,
     strict: Strict = False,
     *,
     chosen: Chosen,
@@ -75,7 +83,7 @@ def estimate(
     with exit_on_error():
         try:
             _refuse_folders(images)
-            outputs = _outputs(images, overlay, plot)
+            outputs = _outputs(images, overlay, plot, boxes)
             options, model = chosen.options(), chosen.open_detector()
         except VehAnchorError as error:
             if as_json:  # every image gets its line
@@ -120,7 +128,7 @@ def _estimate_all(
                 print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
             rows.append((source, analysis.estimate))
             try:
-                _write_pictures(source, analysis, options, outputs[number])
+                _write_outputs(analysis, outputs[number])
             except VehAnchorError as error:
                 n_failed += 1
                 report(error, source if len(images) > 1 else "")
@@ -129,33 +137,36 @@ def _estimate_all(
 
 @dataclass(frozen=True)
 class _Outputs:
-    """The pictures to write of one image."""
+    """The files to write of one image."""
 
     overlay: Path | None
     plot: Path | None
+    boxes: Path | None
 
 
-def _outputs(images: Sequence[str], overlay: str | None, plot: str | None) -> list[_Outputs]:
-    """Where each image's pictures go, checked before the work: folder, suffix, no file for two purposes."""
+def _outputs(images: Sequence[str], overlay: str | None, plot: str | None, boxes: str | None) -> list[_Outputs]:
+    """Where each image's files go, checked before the work: folder, suffix, no file for two purposes."""
     if plot is not None:
         from vehanchor.pictures.plot import require_plots
 
         require_plots()
     overlays, plots = _names(images, "--overlay", overlay), _names(images, "--plot", plot)
-    chosen = [path for path in (*overlays, *plots) if path is not None]
+    tables = _names(images, "--boxes", boxes)
+    chosen = [path for path in (*overlays, *plots, *tables) if path is not None]
     if chosen:
+        from vehanchor.exports import check_boxes_path
         from vehanchor.pictures.scale import check_picture_path
 
         inputs = {Path(source).resolve() for source in images}
         seen: set[Path] = set()
         for path in chosen:
-            resolved = check_picture_path(path).resolve()
+            resolved = (check_boxes_path if path in tables else check_picture_path)(path).resolve()
             if resolved in inputs:
                 raise InvalidParameterError(f"{str(path)!r} is one of the images: writing there would destroy it")
             if resolved in seen:
-                raise InvalidParameterError(f"two pictures would both be written to {str(path)!r}: choose other names")
+                raise InvalidParameterError(f"two files would both be written to {str(path)!r}: choose other names")
             seen.add(resolved)
-    return [_Outputs(first, second) for first, second in zip(overlays, plots, strict=True)]
+    return [_Outputs(*paths) for paths in zip(overlays, plots, tables, strict=True)]
 
 
 def _names(images: Sequence[str], option: str, pattern: str | None) -> list[Path | None]:
@@ -177,18 +188,19 @@ def _analyse(
     return analyse_scale(source, options, detector=model, progress=progress)
 
 
-def _write_pictures(source: str, analysis: ScaleAnalysis, options: ScaleOptions, outputs: _Outputs) -> None:
+def _write_outputs(analysis: ScaleAnalysis, outputs: _Outputs) -> None:
     if outputs.overlay is not None:
-        from vehanchor.imagery.raster import open_raster
-        from vehanchor.pictures.scale import draw_overlay, read_reduced, write_picture
+        from vehanchor.pictures.scale import write_picture
 
-        with open_raster(source, bands=options.reading.bands, limits=options.reading.limits) as raster:
-            image = read_reduced(raster)
-        write_picture(outputs.overlay, draw_overlay(image, analysis))
+        write_picture(outputs.overlay, analysis.overlay())
     if outputs.plot is not None:
-        from vehanchor.pictures.plot import plot_scale, write_plot
+        from vehanchor.pictures.plot import write_plot
 
-        write_plot(outputs.plot, plot_scale(analysis))
+        write_plot(outputs.plot, analysis.plot())
+    if outputs.boxes is not None:
+        from vehanchor.exports import write_boxes
+
+        write_boxes(outputs.boxes, analysis)
 
 
 def _estimate_table(source: str, record: GsdEstimate) -> Table:

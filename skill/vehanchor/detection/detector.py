@@ -95,6 +95,7 @@ class Detector:
         providers: Sequence[str] = DEFAULT_PROVIDERS,
     ) -> None:
         self.path = Path(path)
+        self.providers = tuple(providers)
         file = read_model(self.path)
         self._session = open_session(self.path, content=file.content, threads=threads, providers=providers)
         beside = fleet if fleet is not None else fleet_beside(self.path)

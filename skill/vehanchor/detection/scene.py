@@ -19,7 +19,7 @@ from vehanchor.errors import ModelContractError
 from vehanchor.imagery.tiles import read_reduced_window
 from vehanchor.imagery.windows import Window
 from vehanchor.models.cache import file_cached
-from vehanchor.models.session import open_session, run_session
+from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
 from vehanchor.models.zoo import bundled_scene_scale
 from vehanchor.scale.fusion import GRID, floored
 
@@ -160,14 +160,15 @@ class SceneScaleNetwork:
         path: ONNX file with an input ``tiles`` ``[n, 3, 160, 160]`` uint8 RGB and an output ``log_probs``
             ``[n, bins]``, and its calibration in the metadata.
         threads: CPU threads; None leaves it to ONNX Runtime.
+        providers: execution providers of ONNX Runtime in order of preference.
 
     Raises:
         ModelContractError: it is another kind of file.
     """
 
-    def __init__(self, path: Path, *, threads: int | None = None) -> None:
+    def __init__(self, path: Path, *, threads: int | None = None, providers: Sequence[str] = DEFAULT_PROVIDERS) -> None:
         self.path = path
-        self._session = open_session(path, threads=threads)
+        self._session = open_session(path, threads=threads, providers=providers)
         names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
         if names != ["tiles", "log_probs"]:
             raise ModelContractError(f"{path} has {', '.join(names)}: expected the input tiles, the output log_probs")
@@ -195,15 +196,17 @@ class SceneScaleNetwork:
         return SceneSighting(tuple(levels), self.calibration)
 
 
-def load_scene_scale(*, threads: int | None = None) -> SceneScaleNetwork | None:
+def load_scene_scale(
+    *, threads: int | None = None, providers: tuple[str, ...] = DEFAULT_PROVIDERS
+) -> SceneScaleNetwork | None:
     """Load the bundled network, or the one that is loaded already; None where this installation has none."""
     path = bundled_scene_scale()
-    return None if path is None else _loaded(path, threads=threads)
+    return None if path is None else _loaded(path, threads=threads, providers=providers)
 
 
 @file_cached(max_models=2)
-def _loaded(path: Path, *, threads: int | None) -> SceneScaleNetwork:
-    return SceneScaleNetwork(path, threads=threads)
+def _loaded(path: Path, *, threads: int | None, providers: tuple[str, ...]) -> SceneScaleNetwork:
+    return SceneScaleNetwork(path, threads=threads, providers=providers)
 
 
 def _tile(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:

@@ -30,6 +30,7 @@ class ArrayRaster(Raster):
         bands: which bands are red, green and blue.
         bgr: the first three bands are blue, green and red.
         orientation: how the stored image is to be turned, as EXIF counts.
+        georeference_gsd_m_per_px: what its coordinates say; None without any.
 
     Raises:
         InvalidParameterError: ``bands`` names one that is not there.
@@ -37,12 +38,26 @@ class ArrayRaster(Raster):
     """
 
     def __init__(
-        self, pixels: NDArray[Any], source: str, bands: BandChoice, *, bgr: bool = False, orientation: int = 1
+        self,
+        pixels: NDArray[Any],
+        source: str,
+        bands: BandChoice,
+        *,
+        bgr: bool = False,
+        orientation: int = 1,
+        georeference_gsd_m_per_px: float | None = None,
     ) -> None:
         pixels = _checked(pixels)
         height, width, n_bands = pixels.shape
         channels, notes = choose_bands(n_bands, bands)
-        super().__init__(source, width, height, orientation=orientation, notes=notes)
+        super().__init__(
+            source,
+            width,
+            height,
+            orientation=orientation,
+            georeference_gsd_m_per_px=georeference_gsd_m_per_px,
+            notes=notes,
+        )
         stored = (2, 1, 0, 3) if bgr and n_bands >= 3 else tuple(range(n_bands))
         self._channels = tuple(stored[channel] for channel in channels)
         self._pixels = pixels

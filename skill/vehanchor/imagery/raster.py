@@ -16,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehanchor.errors import ImageDecodeError, ImageNotFoundError, ImageTooLargeError, InvalidParameterError
+from vehanchor.imagery.addresses import gdal_name, is_address, ranges_of, whole_of
 from vehanchor.imagery.arrays import ArrayRaster
 from vehanchor.imagery.camera_metadata import read_camera
+from vehanchor.imagery.data_arrays import DataArray, data_array_gsd_m_per_px, data_array_pixels, is_data_array
 from vehanchor.imagery.datasets import Dataset, is_dataset, open_dataset, open_tiff
 from vehanchor.imagery.decoding import decode, decodes_tiff
 from vehanchor.imagery.header import is_tiff
@@ -33,10 +35,19 @@ if TYPE_CHECKING:
 __all__ = ["MIN_SIDE_PX", "ImageSource", "Raster", "RasterNote", "Window", "can_be_read_again", "open_raster"]
 
 ImageSource: TypeAlias = (
-    str | os.PathLike[str] | bytes | bytearray | memoryview | BinaryIO | NDArray[Any] | Dataset | PillowImage
+    str
+    | os.PathLike[str]
+    | bytes
+    | bytearray
+    | memoryview
+    | BinaryIO
+    | NDArray[Any]
+    | Dataset
+    | PillowImage
+    | DataArray
 )
-"""A path, an encoded image in memory, a binary file object, an array [h, w] or [h, w, bands] with RGB order, an open
-rasterio dataset, or a Pillow image."""
+"""A path or http(s) address, an encoded image in memory, a binary file object, an array [h, w] or [h, w, bands] with
+RGB order, an open rasterio dataset, a Pillow image, or a DataArray of xarray."""
 
 _MIB = 1 << 20
 
@@ -57,7 +68,8 @@ def open_raster(
     Args:
         image: a path to a local file, an encoded image (bytes or a binary file object, read from where it stands), an
             array [h, w] or [h, w, bands], RGB, of uint8, uint16 or floats, or an open rasterio dataset; arrays are
-            neither copied nor changed, datasets are left open. Or a Pillow image, which is turned as its EXIF says.
+            neither copied nor changed, datasets are left open. Or a Pillow image, which is turned as its EXIF says; a
+            ``DataArray`` of xarray; an http(s) address, of which a TIFF is read by windows, anything else whole.
         bands: which bands are red, green and blue; they count from 1.
         limits: what to refuse; None stands for the defaults.
         bgr: an array's first three bands are blue, green and red, as OpenCV reads them; files say it themselves.
@@ -76,25 +88,39 @@ def open_raster(
     if isinstance(image, np.ndarray):
         return ArrayRaster(image, "array", bands, bgr=bgr)
     if isinstance(image, str | os.PathLike):
-        return _open_path(os.fspath(image), bands, limits)
+        name = os.fspath(image)
+        return _open_address(name, bands, limits) if is_address(name) else _open_path(name, bands, limits)
     if isinstance(image, bytes | bytearray | memoryview):
         check_bytes(memoryview(image).nbytes, limits)
         return _open_bytes(bytes(image), "bytes", bands, limits)
     if is_pillow(image):
         return ArrayRaster(pillow_pixels(image, limits), "image", bands)
+    if is_data_array(image):
+        pixels, gsd = data_array_pixels(image, limits), data_array_gsd_m_per_px(image)
+        return ArrayRaster(pixels, "DataArray", bands, georeference_gsd_m_per_px=gsd)
     if is_dataset(image):
         return open_dataset(image, bands, limits)
     if hasattr(image, "read"):
         return _open_bytes(_read_stream(cast("BinaryIO", image), limits), "file", bands, limits)
     raise InvalidParameterError(
-        "image must be a path, bytes, a binary file, a numpy array, a Pillow image or a rasterio dataset, got "
-        f"{type(image).__name__}"
+        "image must be a path, an address, bytes, a binary file, a numpy array, a Pillow image, a DataArray or a "
+        f"rasterio dataset, got {type(image).__name__}"
     )
 
 
 def can_be_read_again(image: ImageSource) -> bool:
     """Whether an image is there a second time: a stream is not."""
     return is_dataset(image) or is_pillow(image) or not hasattr(image, "read")
+
+
+def _open_address(address: str, bands: BandChoice, limits: ImageLimits) -> Raster:
+    read_at = ranges_of(address)
+    if not is_tiff(read_at(0, 4)):
+        return _open_bytes(whole_of(address, limits), address, bands, limits)
+    header = read_checked_header(read_at, limits)
+    raster = open_tiff(gdal_name(address), address, header, bands, limits)
+    raster.camera = read_camera(read_at)
+    return raster
 
 
 def _open_path(path: str, bands: BandChoice, limits: ImageLimits) -> Raster:

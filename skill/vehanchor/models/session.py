@@ -6,10 +6,12 @@ import. What a planner looks at is nobody's business: this module says no, unles
 
 from __future__ import annotations
 
+import logging
 import math
 import numbers
 import os
 import re
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
@@ -34,6 +36,17 @@ if TYPE_CHECKING:
 __all__ = ["DEFAULT_PROVIDERS", "MAX_THREADS", "metadata_number", "open_session", "run_session", "stoppable"]
 
 DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
+
+_SHORT_NAMES = {  # what people say
+    "cpu": "CPUExecutionProvider",
+    "cuda": "CUDAExecutionProvider",
+    "tensorrt": "TensorrtExecutionProvider",
+    "coreml": "CoreMLExecutionProvider",
+    "openvino": "OpenVINOExecutionProvider",
+    "directml": "DmlExecutionProvider",
+    "rocm": "ROCMExecutionProvider",
+}
+_logger = logging.getLogger(__name__)
 
 MAX_THREADS = 256
 """More are refused: each takes a stack, and no machine that runs these models has more cores for one of them."""
@@ -60,25 +73,21 @@ def open_session(
         content: the file's bytes where they are read already: then these are what is run, unless the graph keeps
             weights in files beside it, which ONNX Runtime finds by the path alone.
         threads: CPU threads; None leaves it to ONNX Runtime.
-        providers: execution providers in order of preference.
+        providers: execution providers in order of preference, by their names or cpu, cuda, tensorrt, coreml, openvino,
+            directml, rocm. With cpu among them, those that are not installed are left out; whenever the first does
+            not run, the log says so.
 
     Returns:
         The session.
 
     Raises:
         ModelContractError: ONNX Runtime cannot load it.
-        ProviderUnavailableError: an execution provider is not installed.
+        ProviderUnavailableError: an execution provider is not installed, and the CPU was not named beside it.
         InvalidParameterError: bad ``threads``.
         OutOfMemoryError: there is too little memory for it now.
     """
     _check_threads(threads)
-    available = onnxruntime.get_available_providers()
-    missing = [name for name in providers if name not in available]
-    if missing:
-        raise ProviderUnavailableError(
-            f"ONNX Runtime has no {missing[0]} here; it has {', '.join(available)}. Install the matching "
-            "onnxruntime build"
-        )
+    wanted = _installed(providers)
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4  # fatal only: a broken file is reported by our own error
     options.enable_cpu_mem_arena = False  # it keeps what the largest run took, a third of a server, and is no faster
@@ -87,9 +96,37 @@ def open_session(
         options.inter_op_num_threads = 1
     by_path = content is None or external_locations(content)
     try:
-        return onnxruntime.InferenceSession(str(path) if by_path else content, options, providers=list(providers))
+        session = onnxruntime.InferenceSession(str(path) if by_path else content, options, providers=wanted)
     except Exception as error:  # ONNX Runtime's own exception types are private
         raise _as_ours(error, f"{path} is not an ONNX model that ONNX Runtime can load") from None
+    if wanted[0] not in session.get_providers():  # ONNX Runtime goes on with the CPU, and says nothing
+        _tell_once(f"{wanted[0]} cannot start here: models run on {session.get_providers()[0]}")
+    return session
+
+
+def _installed(providers: Sequence[str]) -> list[str]:
+    """Full names of those that this build of ONNX Runtime has.
+
+    Raises:
+        ProviderUnavailableError: one is missing, and the CPU is not named beside it; or none is named.
+    """
+    available = onnxruntime.get_available_providers()
+    wanted = [_SHORT_NAMES.get(name.strip().lower(), name.strip()) for name in providers]
+    missing = [name for name in wanted if name not in available]
+    if not wanted or (missing and "CPUExecutionProvider" not in wanted):
+        raise ProviderUnavailableError(
+            f"ONNX Runtime has no {missing[0] if missing else 'provider of no name'} here; it has "
+            f"{', '.join(available)}. Install the matching onnxruntime build, or name cpu beside it to fall back"
+        )
+    if missing:
+        _tell_once(f"ONNX Runtime has no {', '.join(missing)} here: models run without")
+    return [name for name in wanted if name in available]
+
+
+@cache
+def _tell_once(text: str) -> None:
+    """Warn in the log: there are several models, and one warning is enough."""
+    _logger.warning(text)
 
 
 def run_session(

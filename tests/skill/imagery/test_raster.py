@@ -69,7 +69,6 @@ def bad_paths(tmp_path: Path) -> dict[str, str]:
         "empty name": "",
         "nul": "a\0b.png",
         "long": "a" * 5000,
-        "url": "https://example.com/a.tif",
         "vsi": "/vsicurl/https://example.com/a.tif",
     }
 
@@ -85,7 +84,6 @@ def bad_paths(tmp_path: Path) -> dict[str, str]:
         ("empty name", "No such file"),
         ("nul", "null"),
         ("long", "too long"),
-        ("url", "No such file"),
         ("vsi", "No such file"),
     ],
 )

@@ -3,9 +3,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import onnxruntime
 import pytest
 
-from tests.models import write_other_model
+from tests.models import write_detector, write_other_model
 from tests.sam_models import keep_weights_beside, write_sam2
 from vehanchor.errors import InvalidParameterError, ModelContractError, ProviderUnavailableError
 from vehanchor.models.session import metadata_number, open_session
@@ -50,6 +51,33 @@ def test_what_cannot_be_loaded_is_our_error_that_names_the_file(tmp_path: Path) 
     for threads in (0, -1, 1.5):
         with pytest.raises(InvalidParameterError, match="threads"):
             open_session(path, threads=threads)  # type: ignore[arg-type]
+
+
+def test_providers_have_short_names_and_one_that_is_missing_gives_way_to_a_cpu_named_beside_it(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = write_detector(tmp_path / "m.onnx")
+    assert open_session(path, providers=["cpu"]).get_providers() == ["CPUExecutionProvider"]
+    with pytest.raises(ProviderUnavailableError, match=r"no DmlExecutionProvider.*name cpu beside it"):
+        open_session(path, providers=["DirectML"])
+    with pytest.raises(ProviderUnavailableError, match="no name"):
+        open_session(path, providers=[])
+    for _ in range(2):
+        assert open_session(path, providers=["coreml", "cpu"]).get_providers() == ["CPUExecutionProvider"]
+    said = [record.getMessage() for record in caplog.records]
+    assert said == ["ONNX Runtime has no CoreMLExecutionProvider here: models run without"]
+
+
+def test_a_provider_that_is_installed_and_does_not_start_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_detector(tmp_path / "m.onnx")
+    available = ["CUDAExecutionProvider", "CPUExecutionProvider"]
+    opened = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: available)
+    monkeypatch.setattr(onnxruntime, "InferenceSession", lambda *_, **__: opened)  # as where there is no driver
+    assert open_session(path, providers=["cuda"]) is opened
+    assert "CUDAExecutionProvider cannot start here: models run on CPUExecutionProvider" in caplog.text
 
 
 def test_a_number_in_the_metadata_is_finite_and_not_negative() -> None:
