@@ -1,8 +1,9 @@
-"""Courts as a ruler: ``python benchmarks/courts.py [tiles] [scenes] [val] [time]``. Prints Markdown, for RESULTS.md.
+"""Courts as a ruler: ``python benchmarks/courts.py [PART ...]``. Prints Markdown, for RESULTS.md.
 
 ``tiles``: 70 real tiles with tennis courts at 0.3048 m/px, the held-out tenth apart; ``scenes``: rendered sports
-grounds, by scale, where a whole court is in sight; ``val``: images of the validation splits, with next to no courts in
-them; ``time``: what looking for courts adds to an estimate of 4096 x 4096 without any.
+grounds, by scale, where a whole court is in sight; ``fused``: such grounds with 3 to 10 cars, by cars, by courts and by
+both; ``val``: images of the validation splits, with next to no courts in them; ``time``: what looking for courts adds
+to an estimate of 4096 x 4096 without any.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ _VIEW_M = 90.0
 _HIDDEN_SHARE = 0.05  # a court of which trees hide more is not in sight
 _FIRST_SEED = 5000  # training has other ones
 _TOLERANCE = 0.1
-_PARTS = ("tiles", "scenes", "val", "time")
+_PARTS = ("tiles", "scenes", "fused", "val", "time")
 
 
 class Case(NamedTuple):
@@ -104,6 +105,29 @@ def scenes(card: DetectorCard, scales: Sequence[float], number: int) -> list[str
         lines.append(row(f"scenes, {gsd:g} m/px", cases))
         total += cases
     return [*lines, row("scenes, all", total)]
+
+
+def fused(number: int) -> list[str]:
+    """Rendered sports grounds with a whole court and 3 to 10 cars: errors by cars, by courts, by both."""
+    detector = Detector(resolve_model())
+    said: dict[str, list[Case]] = {"vehicles": [], "courts": [], "all rulers": []}
+    rng, seed = np.random.default_rng(9), _FIRST_SEED + 500
+    while len(said["courts"]) < number:
+        gsd = float(np.exp(rng.uniform(np.log(0.12), np.log(0.3))))
+        side = round(_VIEW_M / gsd)
+        cars = int(rng.integers(3, 11))
+        scene = render_scene(gsd, width_px=side, height_px=side, seed=seed, layout="sports", n_vehicles=cars)
+        seed += 1
+        if not any(not court.cut and court.hidden_share <= _HIDDEN_SHARE for court in scene.courts):
+            continue
+        estimate = analyse_scale(scene.image, detector=detector).estimate
+        by_kind = {ruler.kind: ruler.gsd_m_per_px for ruler in estimate.rulers}
+        if not {"vehicles", "courts"} <= set(by_kind):
+            continue
+        for name in ("vehicles", "courts"):
+            said[name].append(Case(gsd, by_kind[name], 1))
+        said["all rulers"].append(Case(gsd, estimate.gsd_m_per_px, 1))
+    return [row(f"fused, {name}", cases) for name, cases in said.items()]
 
 
 def val(card: DetectorCard) -> list[str]:
@@ -165,6 +189,8 @@ def main() -> None:
         print(*tiles(card), sep="\n", flush=True)
     if "scenes" in options.parts:
         print(*scenes(card, options.scales, options.scenes), sep="\n", flush=True)
+    if "fused" in options.parts:
+        print(*fused(options.scenes), sep="\n", flush=True)
     if "val" in options.parts:
         print(*val(card), sep="\n", flush=True)
     if "time" in options.parts:

@@ -134,7 +134,8 @@ def view(
         roots = () if photographs is None else (photographs if chosen is None else chosen.parent,)
         given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
         said: dict[str, Any] = {name: value for name, value in given.items() if _says_something(value)}
-        serve_viewer(Settings(roots=roots, deadline_s=_VIEW_DEADLINE_S, **said), chosen, port, opened)
+        settings = Settings(roots=roots, deadline_s=_VIEW_DEADLINE_S, in_process=True, **said)  # one's own photographs
+        serve_viewer(settings, chosen, port, opened)
     except SettingsError as error:
         typer.echo(f"error[invalid_settings]: {error}", err=True)
         raise typer.Exit(2) from None

@@ -171,6 +171,24 @@ def test_sets_have_rows_and_regions_of_their_own(tmp_path: Path, detector: Path)
         assert message in refused.stderr
 
 
+def test_lines_of_known_length_are_heard_where_they_lie(tmp_path: Path, detector: Path) -> None:
+    for name in ("a", "b"):
+        paint(tmp_path / f"{name}.png", cars(20))
+    truth = 0.9 * REFERENCE_M / 20
+    (tmp_path / "t.csv").write_text(f"file,gsd_m_per_px\na.png,{truth}\nb.png,{truth}\n")
+    (tmp_path / "lines.csv").write_text(f"file,x1,y1,x2,y2,metres\na.png,20,220,420,220,{400 * truth}\n")
+    arguments = ["evaluate", "gsd", "--table", tmp_path / "t.csv", "--detector", detector, "--out", tmp_path]
+    result = _run(*arguments, "--known-lengths", tmp_path / "lines.csv")
+    assert result.exit_code == 0, result.stderr
+    images = {Path(row["file"]).name: float(row["signed_error"]) for row in _rows(tmp_path / "images.csv")}
+    assert images["a.png"] == pytest.approx(0, abs=0.01)
+    assert images["b.png"] == pytest.approx(1 / 0.9 - 1, abs=1e-3)
+    (tmp_path / "lines.csv").write_text("file,x1,y1,x2,y2,metres\na.png,20,220,420,2200,40\n")
+    outside = _run(*arguments, "--known-lengths", tmp_path / "lines.csv")
+    assert outside.exit_code == 2
+    assert "leaves the picture" in outside.stderr
+
+
 def test_labels_may_have_a_reference_length_of_their_own(dota: Path, detector: Path) -> None:
     out = dota.parent / "out"
     arguments = ["evaluate", "gsd", "--dota", dota, "--detector", detector, "--out", out]

@@ -135,7 +135,6 @@ class _Silent(Context[Any, Any]):
 
 @cache
 def _tools() -> tuple[asyncio.AbstractEventLoop, dict[str, StrictTool]]:
-    logging.disable()  # a line a call
     settings = Settings(detector="/nowhere.onnx", in_process=True, max_megapixels=1, max_image_mb=1)
     return asyncio.new_event_loop(), {tool.name: tool for tool in create_tools(create_services(settings))}
 
@@ -150,13 +149,17 @@ def arguments(data: bytes) -> None:
         return
     loop, tools = _tools()
     tool = tools.get(str(given.pop("tool", "")), tools["estimate_gsd"])
+    logging.disable()  # a line a call
     try:
-        result = loop.run_until_complete(tool.run(given, _Silent(), convert_result=True))
+        context = _Silent()  # type: ignore[call-arg] # private fields of the SDK's, which have defaults
+        result = loop.run_until_complete(tool.run(given, context, convert_result=True))
     except CallError as error:  # UnexpectedToolError is none
         if len(str(error)) > _MAX_COMPLAINT_CHARS:
             raise
     else:
         assert isinstance(result, CallToolResult), type(result)
+    finally:
+        logging.disable(logging.NOTSET)
 
 
 def graph(data: bytes) -> None:

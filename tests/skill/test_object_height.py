@@ -44,7 +44,8 @@ def test_an_area_on_a_roof_is_smaller_by_the_square() -> None:
     image = blank_image(400, 300)
     image[100:200, 120:260] = (200, 60, 40)
     common: dict[str, Any] = {"box": (110, 90, 270, 210), "gsd_m_per_px": GROUND, "height_m": 50.0}
-    ground, roof = (vehanchor.measure_area(image, **common, **more) for more in ({}, {"object_height_m": 10.0}))
+    more_options: tuple[dict[str, Any], ...] = ({}, {"object_height_m": 10.0})
+    ground, roof = (vehanchor.measure_area(image, **common, **more) for more in more_options)
     assert ground.area_m2 is not None
     assert roof.area_m2 == pytest.approx(0.64 * ground.area_m2)
 

@@ -15,6 +15,8 @@ from __future__ import annotations
 import contextlib
 import logging
 import multiprocessing
+import multiprocessing.util
+import shutil
 import sys
 import tempfile
 import threading
@@ -27,7 +29,7 @@ from vehanchor_server.models import SLOW_IMPORTS
 if TYPE_CHECKING:
     from collections.abc import Callable
     from multiprocessing.connection import Connection
-    from multiprocessing.context import BaseContext
+    from multiprocessing.context import ForkServerContext, SpawnContext
     from multiprocessing.process import BaseProcess
 
     from vehanchor_server.calls.capacity import Stop
@@ -129,6 +131,12 @@ class WorkerPool:
         self._closed = True
         for worker in self._workers:
             worker.kill()
+
+    def leave_nothing(self) -> None:
+        """Remove the workers' socket, for a process that ends without its exit handlers; no worker starts after it."""
+        self.close()
+        if self.processes:
+            shutil.rmtree(multiprocessing.util.get_temp_dir(), ignore_errors=True)
 
 
 class _Worker:
@@ -283,7 +291,7 @@ class _Worker:
         self.loaded = False
 
 
-def _start_context() -> BaseContext:
+def _start_context() -> ForkServerContext | SpawnContext:
     """How processes start: on Linux from one that has imported everything, so that a killed one is soon replaced.
 
     That one opens no model, as sessions have threads, which a fork would lose; and it needs a place for its socket.

@@ -33,7 +33,7 @@ def serve_stdio(settings: Settings) -> None:
     services = create_services(settings)
     services.preload(PRELOAD_DELAY_S)
     anyio.run(_serve, services)
-    _leave()
+    _leave(services)
 
 
 async def _serve(services: Services) -> None:
@@ -52,10 +52,12 @@ async def _leave_on_signal(services: Services) -> None:
             with anyio.move_on_after(_GRACE_S):
                 while services.capacity.running:
                     await anyio.sleep(0.01)
-            _leave()
+            _leave(services)
 
 
-def _leave() -> None:
+def _leave(services: Services) -> None:
     """End the process now: a thread that waits for stdin cannot be woken, and the interpreter would wait for it."""
+    if services.workers is not None:
+        services.workers.leave_nothing()
     sys.stderr.flush()
     os._exit(0)

@@ -34,7 +34,7 @@ _FAR = Reach(math.radians(3), math.radians(3), 0.32, 0.04, 15, 3)
 _NEAR = Reach(math.radians(4), math.radians(2), 0.045, 0.015, 3, 1)
 _THERE = Reach(0.0, 1.0, 0.01, 0.01, 1, 1)
 _MOST_COURTS = 4
-_MOST_IN_VAIN = 8  # proposals one after the other that are no courts: the surest come first
+_MOST_IN_VAIN = 4  # proposals one after the other that are no courts, and one for each size that is searched
 _PERSPECTIVE_PX = 150.0  # least length of a court for a homography
 _FITTED_PX = 220.0  # a court is fitted at the coarsest resolution at which it is at least so long, if there is one
 _AROUND = 0.6  # of a court's length: where the directions of its lines are looked for
@@ -88,13 +88,14 @@ def find_courts(
     """
     proposals = boxes_of_courts(sighting, card)
     network = load_court_network()
+    factors = [] if network is None else coarse_factors(raster, sighting)
     if network is not None:
-        for factor in coarse_factors(raster, sighting):
+        for factor in factors:
             proposals += network.propose(raster, factor, run_options=run_options)
     found: list[Court] = []
     in_vain = 0
     for proposal in _apart(proposals):
-        if in_vain == _MOST_IN_VAIN or len(found) == _MOST_COURTS:
+        if in_vain == _MOST_IN_VAIN + len(factors) or len(found) == _MOST_COURTS:
             break
         if any(_lies_in(proposal.pose, court) for court in found):
             continue

@@ -41,7 +41,7 @@ class _Form(NamedTuple):
 
     order: str
     first: int
-    count: str
+    n_entries: str
     entry: str
     value_bytes: int
 
@@ -122,8 +122,8 @@ def _form(read_at: ReadAt) -> _Form:
 
 def _table(read_at: ReadAt, form: _Form, offset: int) -> tuple[int, int]:
     """Where a directory's entries begin, and how many there are."""
-    count_bytes = struct.calcsize(form.count)
-    (n_entries,) = struct.unpack(form.count, read_at(offset, count_bytes))
+    count_bytes = struct.calcsize(form.n_entries)
+    (n_entries,) = struct.unpack(form.n_entries, read_at(offset, count_bytes))
     if n_entries > _MAX_ENTRIES:
         raise ImageDecodeError(f"the TIFF directory declares {n_entries} entries: damaged")
     return offset + count_bytes, n_entries

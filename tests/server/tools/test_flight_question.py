@@ -146,7 +146,7 @@ async def test_a_worker_process_gives_the_same_answer(
     settings: Settings, server: MCPServer[object], flight: Path
 ) -> None:
     arguments = _among(flight / "here.png", flight / "near.png")
-    isolated = create_server(create_services(replace(settings, workers_isolated=True, max_concurrency=1)))
+    isolated = create_server(create_services(replace(settings, in_process=False, max_concurrency=1)))
     async with Client(server) as client:
         here = await client.call_tool("estimate_gsd", arguments)
     async with Client(isolated) as client:

@@ -88,7 +88,10 @@ async def test_tools_are_listed_and_called_over_pipes(settings: Settings, images
     assert error_of(refused) == "path_not_allowed"
 
 
-def test_stdout_carries_the_protocol_and_stderr_a_line_of_json_for_the_call(start: Starter, images: Path) -> None:
+def test_stdout_carries_the_protocol_and_stderr_a_line_of_json_for_the_call(
+    start: Starter, images: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     process = start()
     call = message("tools/call", name="estimate_gsd", arguments=by_path(images / "cars.png"))
     assert process.stdin is not None
@@ -107,6 +110,7 @@ def test_stdout_carries_the_protocol_and_stderr_a_line_of_json_for_the_call(star
     assert logged["status"] == "ok"
     assert logged["megapixels"] == pytest.approx(0.328)
     assert logged["ms"] > 0
+    assert list(tmp_path.iterdir()) == []  # no socket of the workers
 
 
 def test_the_first_list_is_answered_before_any_model_is_loaded(start: Starter) -> None:

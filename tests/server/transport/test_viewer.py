@@ -30,7 +30,9 @@ WEB = httpx.Client(timeout=60, verify=False)  # one for all: each looks for cert
 def address(
     _images: Path, detector_path: Path, segmenter_paths: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Address]:
-    settings = Settings(roots=(_images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1)
+    settings = Settings(
+        roots=(_images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, in_process=True
+    )
     with viewing(settings, tmp_path_factory.mktemp("view").resolve() / "dropped") as found:
         yield found
 

@@ -139,7 +139,7 @@ def test_a_tiff_stored_in_one_huge_block_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_the_mask_of_a_tiff_is_held_to_the_same_limit_as_its_pixels(tmp_path: Path, order: str) -> None:
-    options = {"ENDIANNESS": "BIG"} if order == ">" else {}
+    options: dict[str, Any] = {"ENDIANNESS": "BIG"} if order == ">" else {}
     data = bytearray(geotiff(tmp_path / "a.tif", NOISE, **options).read_bytes())
     (first,) = struct.unpack_from(order + "I", data, 4)
     (n_entries,) = struct.unpack_from(order + "H", data, first)

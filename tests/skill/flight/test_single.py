@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.analyses import made_card
+from tests.skill.anchors.test_attitude import CAR_M, FACTS, FOCAL, GSD, _cars
+from tests.skill.flight.ground import sighting_of
+from vehanchor.anchors.attitude import Attitude
+from vehanchor.anchors.evidence import ImageFacts
+from vehanchor.detection.sighting import Sighting
+from vehanchor.errors import ImageNotFoundError
+from vehanchor.flight.concluding import Failure, conclude_flight
+from vehanchor.flight.islands import single_island
+from vehanchor.flight.photograph import Look, Photograph
+from vehanchor.flight.single import estimate_in_flight
+from vehanchor.options import ScaleOptions
+from vehanchor.records import FlightEstimate
+
+LOOKED = Attitude(35.0, 0.0, FOCAL, "metadata")
+NOTHING = Sighting(np.zeros((0, 5)), np.zeros(0))
+
+
+def _photograph(name: str, image: ImageFacts, found: Sighting) -> Photograph:
+    return Photograph.of(name, Look(image, found, 1.0), made_card(CAR_M), ScaleOptions())
+
+
+def _flight(*looks: Photograph | Failure) -> FlightEstimate:
+    places = [place for place, look in enumerate(looks) if isinstance(look, Photograph)]
+    return conclude_flight(looks, [single_island(places, 0)], made_card(CAR_M), same_scale=True)
+
+
+def test_a_photograph_of_a_flight_has_its_own_record_with_the_flights_scale() -> None:
+    fleet = 50.0 * (1 + 0.05 * np.linspace(-1, 1, 12) ** 3)
+    cars = _photograph("cars", ImageFacts(500, 500), sighting_of(fleet))
+    bare = _photograph("bare", ImageFacts(500, 400), NOTHING)
+    flight = _flight(cars, bare)
+    record = estimate_in_flight(flight, flight.photographs[1])
+    assert bare.analysis.estimate.gsd_m_per_px is None
+    assert (record.n_vehicles, record.image_height_px) == (0, 400)
+    assert record.gsd_m_per_px == flight.gsd_m_per_px
+    assert (record.status, record.scale_source) == ("ok", "vehicles")
+    assert [ruler.gsd_m_per_px for ruler in record.rulers] == pytest.approx([flight.gsd_m_per_px])
+
+
+def test_a_photograph_that_could_not_be_read_has_no_record() -> None:
+    flight = _flight(
+        _photograph("cars", ImageFacts(500, 500), sighting_of(np.full(9, 50.0))),
+        Failure("gone", ImageNotFoundError("no such file")),
+    )
+    with pytest.raises(ValueError, match="gone could not be read"):
+        estimate_in_flight(flight, flight.photographs[1])
+
+
+def test_a_flight_that_looked_aside_tells_its_tilt_at_its_own_scale() -> None:
+    members = [_photograph("one", FACTS, _cars(LOOKED)), _photograph("bare", FACTS, NOTHING)]
+    flight = _flight(*members)
+    pooled, bare = flight.islands[0].pooled, estimate_in_flight(flight, flight.photographs[1])
+    for record in (pooled, bare):
+        assert record.tilt is not None
+        assert record.tilt.tilt_deg == 35.0
+        assert record.gsd_m_per_px is not None
+        assert record.gsd_m_per_px == pytest.approx(GSD, rel=0.12)
+        assert record.tilt.gsd_least_m_per_px is not None
+        assert record.tilt.gsd_largest_m_per_px is not None
+        assert record.tilt.gsd_least_m_per_px < record.gsd_m_per_px < record.tilt.gsd_largest_m_per_px
+    own = members[1].analysis.estimate.tilt
+    assert own is not None
+    assert own.gsd_least_m_per_px is None
