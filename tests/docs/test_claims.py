@@ -11,6 +11,7 @@ from dataclasses import fields as fields_of
 from importlib import import_module
 from importlib.metadata import entry_points
 from importlib.util import find_spec
+from inspect import signature
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,7 @@ from tests.conftest import ROOT
 from tests.docs.documents import DOCUMENTS
 from tests.packaging.dockerfile import read_dockerfile
 from vehanchor.estimate import open_detector
+from vehanchor.measure import measure_area
 from vehanchor.options import Frame, Lengths, Reading, Reference, ScaleOptions, Search
 from vehanchor.records import AreaMeasurement, GsdEstimate
 from vehanchor_server.settings import Settings
@@ -64,6 +66,7 @@ def test_the_commands_options_and_variables_it_names_exist(document: Path) -> No
     records = set(GsdEstimate.model_fields) | set(AreaMeasurement.model_fields)
     measured = re.findall(r"`(\w+_(?:m|m2|px|m_per_px|m2|ci95_\w+))`", text)
     choices = {field.name for group in (Search, Lengths, Reference, Frame, Reading) for field in fields_of(group)}
+    choices |= set(signature(measure_area).parameters)
     assert not set(measured) - records - choices
 
 
