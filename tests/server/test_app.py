@@ -17,7 +17,8 @@ async def test_it_greets_with_its_name_and_an_icon_that_needs_no_network(server:
         itself = client.server_info
     assert itself is not None
     assert (itself.name, itself.title) == ("vehanchor", "VehAnchor")
-    (icon,) = itself.icons or ()
+    assert itself.icons is not None
+    (icon,) = itself.icons
     kind, _, encoded = icon.src.partition(",")
     picture = base64.b64decode(encoded, validate=True)
     assert (kind, icon.mime_type) == ("data:image/png;base64", "image/png")

@@ -35,7 +35,7 @@ __all__ = ["distance"]
 def _distance(
     image: Annotated[
         str,
-        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, BMP, TIFF, GeoTIFF.", show_default=False),
+        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, GeoTIFF.", show_default=False),
     ],
     point: Annotated[
         list[str] | None,

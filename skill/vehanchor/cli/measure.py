@@ -50,7 +50,7 @@ SegmenterFiles: TypeAlias = Annotated[
 def _measure(
     image: Annotated[
         str,
-        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, BMP, TIFF, GeoTIFF.", show_default=False),
+        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, GeoTIFF.", show_default=False),
     ],
     box: Annotated[
         tuple[float, float, float, float] | None,
