@@ -19,7 +19,7 @@ from vehanchor.errors import OutputError
 from vehanchor.output import whole_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
@@ -59,7 +59,7 @@ class _Layer(NamedTuple):
 
     name: str
     features: list[dict[str, Any]]
-    columns: dict[str, type]
+    columns: Mapping[str, type]
     kind: str
     category: str
 

@@ -11,6 +11,7 @@ from dataclasses import fields as fields_of
 from importlib import import_module
 from importlib.metadata import entry_points
 from importlib.util import find_spec
+from inspect import signature
 from pathlib import Path
 
 import pytest
@@ -19,11 +20,13 @@ from tests.conftest import ROOT
 from tests.docs.documents import DOCUMENTS
 from tests.packaging.dockerfile import read_dockerfile
 from vehanchor.estimate import open_detector
+from vehanchor.measure import measure_area
 from vehanchor.options import Frame, Lengths, Reading, Reference, ScaleOptions, Search
 from vehanchor.records import AreaMeasurement, GsdEstimate
 from vehanchor_server.settings import Settings
 
 _README = (ROOT / "README.md").read_text(encoding="utf-8")
+_READING = (ROOT / "docs/reading.md").read_text(encoding="utf-8")
 _IDS = [path.relative_to(ROOT).as_posix() for path in DOCUMENTS]
 
 
@@ -40,7 +43,9 @@ def test_every_number_of_the_accuracy_table_is_measured() -> None:
 
 
 def test_the_record_table_names_fields_that_exist() -> None:
-    named = re.findall(r"^\| (`.*?`) \|", _section("Reading the record"), flags=re.MULTILINE)
+    named = re.findall(
+        r"^\| (`.*?`) \|", _READING.partition("## The fields\n")[2].partition("\n## ")[0], flags=re.MULTILINE
+    )
     fields = {name for cell in named for name in re.findall(r"`(\w+)`", cell)}
     assert len(fields) >= 10
     assert fields <= set(GsdEstimate.model_fields)
@@ -63,7 +68,8 @@ def test_the_commands_options_and_variables_it_names_exist(document: Path) -> No
     assert set(re.findall(r"VEHANCHOR_[A-Z_]*[A-Z]", text)) <= fields
     records = set(GsdEstimate.model_fields) | set(AreaMeasurement.model_fields)
     measured = re.findall(r"`(\w+_(?:m|m2|px|m_per_px|m2|ci95_\w+))`", text)
-    choices = {field.name for group in (Search, Lengths, Reference, Frame, Reading) for field in fields_of(group)}
+    choices = set(signature(measure_area).parameters)
+    choices |= {field.name for group in (Search, Lengths, Reference, Frame, Reading) for field in fields_of(group)}
     assert not set(measured) - records - choices
 
 
