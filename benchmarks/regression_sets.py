@@ -28,6 +28,7 @@ import numpy as np
 
 from training.detector.distractors import KINDS, draw_distractors
 from training.detector.places import Place, is_held_out, looked_at, places
+from vehanchor.defaults import CAR_LENGTH_M
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
@@ -48,14 +49,13 @@ _LEAST_SCORE = 0.15
 _THRESHOLDS = (0.2, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8)
 _SURE = 0.5
 _HIGH_ERROR = 0.2
-_NEAR_CAR_M = 3.0  # of a car that is there, a box is not false
+_NEARCAR_LENGTH_M = 3.0  # of a car that is there, a box is not false
 _RENDERED_SIDE_PX = 512
 _RENDERED_SIZES = (0.6, 1.0, 1.8)
 _PARTS = ("people", "clutter", "mistakes", "levels")
 _RIGHT_LEVEL = 1.5  # the next level is at 2
 _LEAST_CARS = 3
 _NADIR_DEG = -85.0
-_CAR_M = 4.7
 _FILM_WIDTH_MM = 36.0  # what focal lengths "in 35 mm" refer to
 _GARFIELD_M_PER_PX = 0.047  # from the GPS track and matched features: ../shared/data/README.md
 
@@ -152,7 +152,7 @@ def people_images(data: Path, held_out: bool) -> Iterator[tuple[str, Path, Path]
 def with_known_cars(place: Place, detector: Detector) -> Sighted:
     """A place that nobody labelled, cars seen on contact sheets spared."""
     cars = [(x, y) for x, y, kind in looked_at().get(place.path.name, []) if kind in ("car", "ignore")]
-    reach = _NEAR_CAR_M / place.gsd_m_per_px
+    reach = _NEARCAR_LENGTH_M / place.gsd_m_per_px
     return sighted(place.path, detector)._replace(spared=np.array(cars).reshape(-1, 2), spared_px=reach)
 
 
@@ -263,9 +263,9 @@ def fine_images(data: Path) -> Iterator[tuple[str, Path, float]]:
                 path = data / "tilt" / row["file"]
                 with open_raster(path) as raster:
                     width_m = _FILM_WIDTH_MM * float(row["height_above_takeoff_m"]) / float(row["focal_length_35mm"])
-                    yield "tilt, nadir", path, _CAR_M * raster.width_px / width_m
+                    yield "tilt, nadir", path, CAR_LENGTH_M * raster.width_px / width_m
     for path in sorted((data / "flights" / "garfield").glob("*.jpg")):
-        yield "garfield", path, _CAR_M / _GARFIELD_M_PER_PX
+        yield "garfield", path, CAR_LENGTH_M / _GARFIELD_M_PER_PX
 
 
 def levels_report(data: Path, detector: Detector) -> list[str]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import copy
 import math
-import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -19,6 +18,8 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
+
+from vehanchor.output import whole_file
 
 _CLIP_NORM = 5.0
 _CHECKPOINT = "checkpoint.pt"
@@ -168,14 +169,10 @@ def load_average(network: nn.Module, run: Path) -> None:
 
 
 def save_atomically(state: object, path: Path) -> None:
-    """Write beside, flush to the disk, rename: whoever reads finds the old file or the new one, never half of it."""
+    """Write so that whoever reads finds the old file or the new one, never half of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_suffix(".tmp")
-    with beside.open("wb") as handle:
-        torch.save(state, handle)
-        handle.flush()
-        os.fsync(handle.fileno())
-    beside.replace(path)
+    with whole_file(path) as partial:
+        torch.save(state, partial)
 
 
 @torch.no_grad()

@@ -146,7 +146,7 @@ def halls(site: Site, width: float, depth: float) -> None:
         )
     site.roof(parts, "flat", rng.uniform(6, 10), hall)
     yard = building[3] + 8.5
-    if rng.random() < 0.6:
+    if rng.random() < 0.6 and yard < depth:
         car_park(site.at(0, yard), width, depth - yard)
         return
     site.rect((0, yard - 8, width, depth), jitter(rng, site.palette.paving, 6), Material.PAVING)

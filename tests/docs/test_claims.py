@@ -68,8 +68,8 @@ def test_the_commands_options_and_variables_it_names_exist(document: Path) -> No
     assert set(re.findall(r"VEHANCHOR_[A-Z_]*[A-Z]", text)) <= fields
     records = set(GsdEstimate.model_fields) | set(AreaMeasurement.model_fields)
     measured = re.findall(r"`(\w+_(?:m|m2|px|m_per_px|m2|ci95_\w+))`", text)
-    choices = set(signature(measure_area).parameters)
-    choices |= {field.name for group in (Search, Lengths, Reference, Frame, Reading) for field in fields_of(group)}
+    choices = {field.name for group in (Search, Lengths, Reference, Frame, Reading) for field in fields_of(group)}
+    choices |= set(signature(measure_area).parameters)
     assert not set(measured) - records - choices
 
 

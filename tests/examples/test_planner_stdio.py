@@ -129,8 +129,8 @@ def test_it_tries_the_next_zone_and_then_the_next_anchor() -> None:
     small, roof = "48 1 168 30", "255 160 535 470"
     decision, _ = _planned("safe.jpg", "--zone", *small.split(), "--zone", *roof.split())
     assert (decision["action"], decision["zone"]["x_min"]) == ("land", 255)
-    ground = "318 186 410 300"
-    decision, log = _planned("too_coarse.jpg", "--zone", *ground.split(), "--altitude", "60", "--focal", "120")
+    roof_there = "318 48 406 100"
+    decision, log = _planned("too_coarse.jpg", "--zone", *roof_there.split(), "--altitude", "60", "--focal", "120")
     assert "planner: trying the next anchor: barometer" in log
     assert (decision["action"], decision["anchor"]) == ("land", "barometer")
 

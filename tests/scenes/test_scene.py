@@ -84,6 +84,10 @@ def test_the_same_arguments_give_the_same_bytes_whatever_the_threads() -> None:
     assert len(digests) == 1
 
 
+def test_a_hall_on_a_shallow_block_has_no_car_park() -> None:
+    assert render_scene(0.5, width_px=480, height_px=360, seed=6, layout="urban").image.shape == (360, 480, 3)
+
+
 def test_another_seed_gives_another_scene() -> None:
     first, second = (render_scene(0.2, width_px=64, height_px=64, seed=seed) for seed in (1, 2))
     assert (first.image != second.image).any()

@@ -6,7 +6,6 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-import onnx
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -14,13 +13,13 @@ from torch.nn import functional
 from training.courts.data import CropStream, load_empty, load_real, load_rendered
 from training.courts.network import CELL_PX, CourtNet
 from training.loop import Recipe, Schedule, load_average, train
+from training.onnx_file import LICENCE, write_metadata, write_onnx
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _RATE = 4e-3
 _BATCH = 24
-_OPSET = 17
 _POSE_WEIGHT = 1.0
 
 
@@ -55,21 +54,15 @@ class Exported(nn.Module):
 
 def export(network: CourtNet, out: Path) -> None:
     """Write a network as ONNX."""
-    torch.onnx.export(
-        Exported(network).eval(),
+    write_onnx(
+        Exported(network),
         (torch.zeros(1, 3, 12 * CELL_PX, 16 * CELL_PX, dtype=torch.uint8),),
-        str(out),
-        input_names=["tiles"],
-        output_names=["courts"],
-        dynamic_axes={"tiles": {0: "n", 2: "h", 3: "w"}, "courts": {0: "n", 2: "rows", 3: "columns"}},
-        opset_version=_OPSET,
-        dynamo=False,
+        out,
+        ["tiles"],
+        ["courts"],
+        {"tiles": {0: "n", 2: "h", 3: "w"}, "courts": {0: "n", 2: "rows", 3: "columns"}},
     )
-    model = onnx.load(out)
-    del model.metadata_props[:]
-    onnx.helper.set_model_props(model, {"name": "courts", "license": "Apache-2.0"})
-    model.producer_name, model.producer_version, model.doc_string = "vehanchor", "", ""
-    onnx.save(model, out)
+    write_metadata(out, {"name": "courts", "license": LICENCE})
 
 
 def main() -> None:

@@ -39,6 +39,7 @@ from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import ScaleAnalysis, analyse_scale
 from vehanchor.imagery.raster import open_raster
 from vehanchor.options import Search
+from vehanchor.output import whole_file
 from vehanchor.scale.lengths import inlier_mask, modal_length
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.gsd import KnownScaleImage, read_table
@@ -254,7 +255,8 @@ def main() -> None:
         "min_length_px": float(first_good),
         "clear_score": round(clear_score(analyses) - 0.005, 2),
     }
-    options.out.write_text(json.dumps(calibration, indent=2) + "\n")
+    with whole_file(options.out) as partial:
+        partial.write_text(json.dumps(calibration, indent=2) + "\n")
     print(options.out.read_text())
 
 

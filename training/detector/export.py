@@ -14,15 +14,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import cast
 
-import onnx
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from training.detector.network import STRIDE_PX, VehicleNet
-
-OPSET = 17
-LICENCE = "Apache-2.0"
+from training.onnx_file import LICENCE, write_metadata, write_onnx
 
 
 class LengthCorrection(nn.Module):
@@ -78,15 +75,6 @@ def load_network(run: Path) -> VehicleNet:
     return network.eval()
 
 
-def write_metadata(path: Path, metadata: dict[str, str]) -> None:
-    """Replace the custom metadata of an ONNX file."""
-    model = onnx.load(path)
-    del model.metadata_props[:]
-    onnx.helper.set_model_props(model, metadata)
-    model.producer_name, model.producer_version, model.doc_string = "vehanchor", "", ""
-    onnx.save(model, path)
-
-
 def export(run: Path, out: Path, calibration: dict[str, object]) -> None:
     """Write a run as one ONNX file.
 
@@ -96,16 +84,13 @@ def export(run: Path, out: Path, calibration: dict[str, object]) -> None:
         calibration: of ``calibrate.py``; becomes metadata, its ``length_correction`` part of the graph.
     """
     correction = cast("Sequence[tuple[float, float]]", calibration.get("length_correction", ()))
-    out.parent.mkdir(parents=True, exist_ok=True)
-    torch.onnx.export(
-        UltralyticsLayout(load_network(run), correction).eval(),
+    write_onnx(
+        UltralyticsLayout(load_network(run), correction),
         (torch.zeros(1, 3, 256, 256),),
-        str(out),
-        input_names=["images"],
-        output_names=["output0"],
-        dynamic_axes={"images": {0: "batch", 2: "height", 3: "width"}, "output0": {0: "batch", 2: "anchors"}},
-        opset_version=OPSET,
-        dynamo=False,
+        out,
+        ["images"],
+        ["output0"],
+        {"images": {0: "batch", 2: "height", 3: "width"}, "output0": {0: "batch", 2: "anchors"}},
     )
     metadata = {
         "description": "VehAnchor oriented-box vehicle detector",

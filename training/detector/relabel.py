@@ -21,6 +21,7 @@ from training.detector.data import is_dev
 from vehanchor.detection.boxes import boxes_from_corners, canonical_boxes
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.nms import oriented_nms
+from vehanchor.output import whole_file
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.gsd import read_table
 
@@ -146,7 +147,7 @@ def main() -> None:
     options = parser.parse_args()
     detector = Detector(options.model)
     counts = dict.fromkeys(KINDS, 0)
-    with options.out.open("w", newline="") as handle:
+    with whole_file(options.out) as partial, partial.open("w", newline="") as handle:
         table = csv.writer(handle)
         table.writerow(("file", "kind", "x", "y", "length", "width", "angle", "score"))
         for item in read_table(options.data / "gsd" / "table.csv"):

@@ -27,6 +27,7 @@ from training.detector.data import TrainImage, corrected, read_corrections
 from training.detector.places import Place, is_held_out, looked_at, places
 from training.detector.relabel import Consensus, search
 from vehanchor.detection.detector import Detector
+from vehanchor.output import whole_file
 from vehanchor_evaluation.dota import read_labels
 
 SCENERY = Path(__file__).with_name("scenery.csv")
@@ -174,7 +175,7 @@ def main() -> None:
     detector = Detector(options.model)
     seen = looked_at()
     counts: dict[str, int] = {}
-    with options.out.open("w", newline="") as handle:
+    with whole_file(options.out) as partial, partial.open("w", newline="") as handle:
         table = csv.writer(handle)
         table.writerow(("file", "kind", "x", "y", "length", "width", "angle", "score"))
         for place in places(options.data):
@@ -202,7 +203,8 @@ def _searched(place: Place, detector: Detector, kept: Path | None) -> Consensus:
     found = search(np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8), place.gsd_m_per_px, detector)
     if file:
         file.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(file, boxes=found.boxes, scores=found.scores)
+        with whole_file(file) as partial, partial.open("wb") as handle:
+            np.savez(handle, boxes=found.boxes, scores=found.scores)
     return found
 
 

@@ -24,6 +24,7 @@ from vehanchor.detection.detector import Detector
 from vehanchor.detection.look import MAX_CHIPS, FleetLengths, vehicle_chips
 from vehanchor.estimate import analyse_scale
 from vehanchor.imagery.raster import open_raster
+from vehanchor.output import whole_file
 from vehanchor_evaluation.gsd import KnownScaleImage, read_table
 
 _LABELLED = 5  # cars of an image that counts
@@ -136,7 +137,8 @@ def main() -> None:
             errors = log_errors([case for case in cases if case.set == name], best)
             print(f"{name} {kind}: {len(errors)} images, median log error {np.median(errors):+.3f}")
     out = options.run / "fleet_lengths.json"
-    out.write_text(json.dumps(best._asdict(), indent=2) + "\n")
+    with whole_file(out) as partial:
+        partial.write_text(json.dumps(best._asdict(), indent=2) + "\n")
     print(out.read_text())
 
 

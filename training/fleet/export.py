@@ -10,7 +10,7 @@ import json
 import shutil
 from pathlib import Path
 
-from training.detector.export import LICENCE, write_metadata
+from training.onnx_file import LICENCE, write_metadata
 
 
 def export_fleet(run: Path, out: Path, detector: str) -> None:

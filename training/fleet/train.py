@@ -32,6 +32,7 @@ from training.fleet.data import (
 )
 from training.fleet.network import FleetNet, Mirrored
 from training.loop import Recipe, Schedule, train
+from training.onnx_file import write_onnx
 from vehanchor.detection.look import CHIP_SHAPE
 
 if TYPE_CHECKING:
@@ -45,7 +46,6 @@ _BETA = 0.05  # of a log length: beyond it an error counts linearly, for some la
 _LENGTH_WEIGHT = 8.0  # brings both losses to the same size
 _REPORT_LENGTHS_PX = (12.0, 16.0, 24.0, 40.0)
 _LEAST_VEHICLES = 3  # of an image in the report
-_OPSET = 17
 
 
 class ChipStream:
@@ -91,15 +91,13 @@ def trained(vehicles: list[Vehicle], steps: int, seed: int, run: Path | None = N
 
 def export(network: FleetNet, out: Path) -> None:
     """Write a network as ONNX, the mean over mirror images: ``chips`` to ``log_odds`` and ``log_length`` ``[n]``."""
-    torch.onnx.export(
-        Mirrored(network).eval(),
+    write_onnx(
+        Mirrored(network),
         (torch.zeros(2, 1, *CHIP_SHAPE),),
-        str(out),
-        input_names=["chips"],
-        output_names=["log_odds", "log_length"],
-        dynamic_axes={"chips": {0: "n"}, "log_odds": {0: "n"}, "log_length": {0: "n"}},
-        opset_version=_OPSET,
-        dynamo=False,
+        out,
+        ["chips"],
+        ["log_odds", "log_length"],
+        {"chips": {0: "n"}, "log_odds": {0: "n"}, "log_length": {0: "n"}},
     )
 
 

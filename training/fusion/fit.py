@@ -30,6 +30,7 @@ from vehanchor.detection.search import search
 from vehanchor.estimate import image_facts
 from vehanchor.imagery.raster import open_raster
 from vehanchor.options import ScaleOptions, Search
+from vehanchor.output import whole_file
 from vehanchor.scale.fusion import (
     GRID,
     LOG_STEP,
@@ -164,7 +165,8 @@ def write(path: Path, votes: Votes) -> None:
     model = onnx.load(path)
     stated = {entry.key: entry.value for entry in model.metadata_props}
     onnx.helper.set_model_props(model, stated | {"vehanchor.votes": json.dumps(votes._asdict())})
-    onnx.save(model, path)
+    with whole_file(path) as partial:
+        onnx.save(model, partial)
 
 
 def main() -> None:

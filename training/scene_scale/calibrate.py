@@ -27,6 +27,7 @@ from training.scene_scale.density import (
     quantiles,
     scene_density,
 )
+from vehanchor.output import whole_file
 
 BINS = SceneBins(FIRST_LOG_GSD, LOG_STEP)
 _CHOICES: dict[str, Sequence[float]] = {
@@ -114,7 +115,8 @@ def main() -> None:
         calibration = SceneCalibration(**json.loads(options.out.read_text()))
     else:
         calibration = fit(cases)
-        options.out.write_text(json.dumps(asdict(calibration)))
+        with whole_file(options.out) as partial:
+            partial.write_text(json.dumps(asdict(calibration)))
     print(f"{calibration}, log score {log_score(cases, calibration):.3f}")
     print("\n".join(report(cases, calibration)))
 

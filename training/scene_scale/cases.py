@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from training.scene_scale.data import SETS, ScaledImage, load_images, load_val_images
 from training.scene_scale.density import TILE_PX, cut_tiles, tile_places
+from vehanchor.output import whole_file
 
 _REDUCED = 2  # random reductions beside each image as it is
 _SMALLEST_PX = 1.25 * TILE_PX  # shorter side of a reduced image
@@ -69,13 +70,14 @@ def save(cases: Sequence[Case], path: Path) -> None:
     levels = [
         (k, factor, len(seen)) for k, c in enumerate(cases) for factor, seen in zip(c.factors, c.log_probs, strict=True)
     ]
-    np.savez_compressed(
-        path,
-        text=np.array([(c.set, c.name) for c in cases]),
-        numbers=np.array([(c.gsd_m_per_px, c.reduced) for c in cases]),
-        levels=np.array(levels),
-        log_probs=np.concatenate([seen for c in cases for seen in c.log_probs]),
-    )
+    with whole_file(path) as partial, partial.open("wb") as handle:
+        np.savez_compressed(
+            handle,
+            text=np.array([(c.set, c.name) for c in cases]),
+            numbers=np.array([(c.gsd_m_per_px, c.reduced) for c in cases]),
+            levels=np.array(levels),
+            log_probs=np.concatenate([seen for c in cases for seen in c.log_probs]),
+        )
 
 
 def load(path: Path) -> list[Case]:

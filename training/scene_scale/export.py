@@ -11,17 +11,16 @@ import json
 from pathlib import Path
 from typing import cast
 
-import onnx
 import torch
 from torch import Tensor, nn
 
 from training.loop import load_average
+from training.onnx_file import LICENCE, write_metadata, write_onnx
 from training.scene_scale.bins import FIRST_LOG_GSD, LOG_STEP
 from training.scene_scale.density import TILE_PX
 from training.scene_scale.network import SceneScaleNet
 
-_OPSET = 17
-_NAME, _LICENCE = "scene-scale", "Apache-2.0"
+_NAME = "scene-scale"
 
 
 class FromBytes(nn.Module):
@@ -38,28 +37,21 @@ class FromBytes(nn.Module):
 
 def export(network: SceneScaleNet, out: Path, calibration: dict[str, float]) -> None:
     """Write a network and its calibration (fields of ``SceneCalibration``) as one file."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    torch.onnx.export(
-        FromBytes(network).eval(),
+    write_onnx(
+        FromBytes(network),
         (torch.zeros(2, 3, TILE_PX, TILE_PX, dtype=torch.uint8),),
-        str(out),
-        input_names=["tiles"],
-        output_names=["log_probs"],
-        dynamic_axes={"tiles": {0: "n"}, "log_probs": {0: "n"}},
-        opset_version=_OPSET,
-        dynamo=False,
+        out,
+        ["tiles"],
+        ["log_probs"],
+        {"tiles": {0: "n"}, "log_probs": {0: "n"}},
     )
-    model = onnx.load(out)
-    del model.metadata_props[:]
     metadata = {
         "name": _NAME,
-        "license": _LICENCE,
+        "license": LICENCE,
         "vehanchor.scene_bins": json.dumps([FIRST_LOG_GSD, LOG_STEP]),
         "vehanchor.scene_calibration": json.dumps(calibration),
     }
-    onnx.helper.set_model_props(model, metadata)
-    model.producer_name, model.producer_version, model.doc_string = "vehanchor", "", ""
-    onnx.save(model, out)
+    write_metadata(out, metadata)
 
 
 def main() -> None:

@@ -21,6 +21,7 @@ import numpy as np
 from benchmarks.segmenter import Trial, read_targets, report, run_trial, segmenter_method
 from training.segmenter.data import group_of, is_dev
 from training.segmenter.export import export
+from vehanchor.output import whole_file
 from vehanchor.segmentation.segmenter import Segmenter
 
 _GOOD_IOU = 0.7
@@ -74,7 +75,8 @@ def main() -> None:
         "min_score": limit,
         "mask_area_log_sd": round(mask_area_log_sd(trials, limit), 4),
     }
-    options.out.write_text(json.dumps(found, indent=1) + "\n")
+    with whole_file(options.out) as partial:
+        partial.write_text(json.dumps(found, indent=1) + "\n")
     print("\n".join(report({"held out": trials})))
     print(found)
 

@@ -18,13 +18,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from training.detector.export import write_metadata
+from training.onnx_file import LICENCE, write_metadata, write_onnx
 from training.segmenter.network import EMBEDDING_CHANNELS, STRIDE_PX, Prompt, Segmenter
 
-OPSET = 17
 INPUT_PX = 256
 NAME = "vehanchor-segmenter"
-_LICENCE = "Apache-2.0"
 
 
 _MIRRORS: tuple[tuple[int, ...], ...] = ((), (3,), (2,), (2, 3))  # dimensions of [b, c, h, w] that are reversed
@@ -107,20 +105,17 @@ def export(run: Path, folder: Path, calibration: dict[str, object]) -> tuple[Pat
     Its ``mask_offset`` enters the graph as well.
     """
     network = load_network(run)
-    folder.mkdir(parents=True, exist_ok=True)
     encoder, decoder = folder / "segmenter-encoder.onnx", folder / "segmenter-decoder.onnx"
     cells = INPUT_PX // STRIDE_PX
-    torch.onnx.export(
-        EncoderGraph(network).eval(),
+    write_onnx(
+        EncoderGraph(network),
         (torch.zeros(INPUT_PX, INPUT_PX, 3),),
-        str(encoder),
-        input_names=["input_image"],
-        output_names=["image_embeddings"],
-        opset_version=OPSET,
-        dynamo=False,
+        encoder,
+        ["input_image"],
+        ["image_embeddings"],
     )
-    torch.onnx.export(
-        DecoderGraph(network, INPUT_PX, float(str(calibration.get("mask_offset", 0.0)))).eval(),
+    write_onnx(
+        DecoderGraph(network, INPUT_PX, float(str(calibration.get("mask_offset", 0.0)))),
         (
             torch.zeros(1, len(_MIRRORS) * EMBEDDING_CHANNELS, cells, cells),
             torch.tensor([[[40.0, 50.0], [200.0, 180.0], [120.0, 100.0]]]),
@@ -129,8 +124,8 @@ def export(run: Path, folder: Path, calibration: dict[str, object]) -> tuple[Pat
             torch.zeros(1),
             torch.tensor([300.0, 400.0]),
         ),
-        str(decoder),
-        input_names=[
+        decoder,
+        [
             "image_embeddings",
             "point_coords",
             "point_labels",
@@ -138,19 +133,17 @@ def export(run: Path, folder: Path, calibration: dict[str, object]) -> tuple[Pat
             "has_mask_input",
             "orig_im_size",
         ],
-        output_names=["masks", "iou_predictions", "low_res_masks"],
-        dynamic_axes={
+        ["masks", "iou_predictions", "low_res_masks"],
+        {
             "point_coords": {1: "num_points"},
             "point_labels": {1: "num_points"},
             "masks": {2: "height", 3: "width"},
         },
-        opset_version=OPSET,
-        dynamo=False,
     )
     metadata = {
         "description": "VehAnchor promptable segmenter",
         "author": "VehAnchor",
-        "license": _LICENCE,
+        "license": LICENCE,
         "vehanchor.name": NAME,
         "vehanchor.input_size_px": str(INPUT_PX),
     }

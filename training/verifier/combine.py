@@ -16,7 +16,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from training.detector.export import LICENCE, write_metadata
+from training.onnx_file import LICENCE, write_metadata
 from training.verifier.data import Candidates, load, middle
 from vehanchor.detection.second_look import Weights
 

@@ -17,6 +17,7 @@ from training.detector.shade import shaded
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.nms import oriented_nms
 from vehanchor.detection.second_look import CHIP_LENGTH_PX, CHIP_PX, surroundings
+from vehanchor.output import whole_file
 
 STORED_PX = 72  # room for jitter and turns around a chip of 48
 _CAR_PX = (
@@ -108,7 +109,8 @@ def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
 def save(candidates: Candidates, path: Path) -> None:
     """Write candidates beside a run."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    np.savez(path, **candidates._asdict())
+    with whole_file(path) as partial, partial.open("wb") as handle:
+        np.savez(handle, **candidates._asdict())
 
 
 def load(path: Path) -> Candidates:

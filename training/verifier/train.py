@@ -18,11 +18,11 @@ from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from training.loop import Recipe, Schedule, train
+from training.onnx_file import write_onnx
 from training.verifier.data import ChipStream, load, middle
 from training.verifier.network import VerifierNet
 from vehanchor.detection.second_look import CHIP_PX
 
-_OPSET = 17
 _RATE = 2e-3
 _BATCH = 96
 _SMOOTHING = 0.02  # labels are wrong now and then
@@ -37,16 +37,8 @@ def losses(network: nn.Module, batch: tuple[Tensor, Tensor], device: torch.devic
 
 def export(network: VerifierNet, out: Path) -> None:
     """Write a network as ONNX."""
-    torch.onnx.export(
-        network.eval(),
-        (torch.zeros(2, 3, CHIP_PX, CHIP_PX),),
-        str(out),
-        input_names=["chips"],
-        output_names=["logit"],
-        dynamic_axes={"chips": {0: "n"}, "logit": {0: "n"}},
-        opset_version=_OPSET,
-        dynamo=False,
-    )
+    example = torch.zeros(2, 3, CHIP_PX, CHIP_PX)
+    write_onnx(network, (example,), out, ["chips"], ["logit"], {"chips": {0: "n"}, "logit": {0: "n"}})
 
 
 def logits(network: VerifierNet, chips: NDArray[np.uint8]) -> NDArray[np.float64]:

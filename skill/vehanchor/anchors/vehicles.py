@@ -10,6 +10,7 @@ import numpy as np
 
 from vehanchor.anchors.evidence import Evidence
 from vehanchor.anchors.stated import lognormal, on_grid
+from vehanchor.defaults import CAR_LENGTH_M
 from vehanchor.notices import FLEET_DOUBTS, NoticeCode
 from vehanchor.records import Notice
 from vehanchor.scale.confidence import composite, confidence_terms, fleet_doubts, guard_length
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 __all__ = ["Fleet", "VehicleEvidence", "Vehicles", "select"]
 
 _LEAST_SCORE = 1e-3  # below it a detection is no evidence, but still one
-_CAR_LENGTH_M = 4.6  # of any fleet, to a fifth
 _Z95 = 1.959963984540054
 _MODE_REACH, _MODE_SHARE = 0.25, 0.3  # of log scale, and of the density
 _DOUBTS: dict[NoticeCode, str] = {
@@ -115,7 +115,7 @@ def _scene_weights(sighting: Sighting) -> NDArray[np.float64]:
     if sighting.scene is None:
         return np.ones(len(sighting.boxes))
     density = sighting.scene.density
-    return np.asarray(np.interp(np.log(_CAR_LENGTH_M / sighting.boxes[:, 2]), GRID, density / density.max()))
+    return np.asarray(np.interp(np.log(CAR_LENGTH_M / sighting.boxes[:, 2]), GRID, density / density.max()))
 
 
 def _working_scale(sighting: Sighting, kept: NDArray[np.bool_]) -> float | None:

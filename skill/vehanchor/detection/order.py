@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from vehanchor.defaults import CAR_LENGTH_M
 from vehanchor.scale.fusion import GRID
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["TileOrder", "TilePlace", "level_shares", "spread_order"]
 
-_CAR_LENGTH_M = 4.6  # of any fleet, to a fifth
 _SHARE_OF_ALL = 0.2  # of the tiles go to all resolutions alike: the ground may say something wrong
 _SPREAD_EVERY = 4  # every so many tiles one is taken whatever the image shows
 _PRIOR_TILES = 2.0  # neighbours that a coarse view weighs as much as
@@ -58,7 +58,7 @@ def level_shares(
     even = 1.0 / len(length_ranges_px)
     if density is None:
         return dict.fromkeys(length_ranges_px, even)
-    lengths = _CAR_LENGTH_M / np.exp(GRID)
+    lengths = CAR_LENGTH_M / np.exp(GRID)
     fitting = {
         factor: float(density[(lengths >= low * factor) & (lengths <= high * factor)].sum())
         for factor, (low, high) in length_ranges_px.items()

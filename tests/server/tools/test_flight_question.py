@@ -32,7 +32,16 @@ def _among(first: Path, *others: Path, **more: Any) -> dict[str, Any]:
     return {**by_path(first), "more_images": [_named(path) for path in others], **more}
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A root of our own: others count what is in theirs."""
+    root = tmp_path_factory.mktemp("flights").resolve()
+    for name, cars in (("two.png", 2), ("more.png", 9), ("empty.png", 0)):
+        write_image(root / name, paint_scene(640, 512, cars))
+    return root
+
+
+@pytest.fixture(scope="module")
 def flight(images: Path) -> Path:
     """``here.png`` without a car, ``near.png`` beside it with cars at 0.8 of its scale, ``elsewhere.png``."""
     folder = images / "flight"
@@ -83,7 +92,6 @@ async def test_an_image_that_nothing_ties_to_the_others_keeps_its_own_scale_and_
 
 
 async def test_images_of_one_scale_put_their_vehicles_together(server: MCPServer[object], images: Path) -> None:
-    write_image(images / "more.png", paint_scene(640, 512, 9))
     arguments = _among(images / "two.png", images / "more.png", images / "empty.png", same_scale=True)
     async with Client(server) as client:
         alone = await client.call_tool("estimate_gsd", by_path(images / "two.png"))
