@@ -1,4 +1,7 @@
-"""Draws the figures of the concepts page and of the detector's card from real runs: ``python docs/figures.py``."""
+"""Draws the icons, and figures of the concepts page and of the detector's card from real runs.
+
+To be run as ``python docs/figures.py``.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +28,10 @@ MEASURED = (  # on that page: the tool, and from where to where, pixels of the i
     ("Area", (255, 160), (535, 470)),
     ("Distance", (217, 120), (292, 188)),
 )
+ICONS = {  # and their side, pixels
+    ROOT / "server/vehanchor_server/icon.png": 48,  # sent with every greeting, so that it has to be small
+    ROOT / "examples/clients/mcpb/icon.png": 512,
+}
 CROP = (slice(250, 510), slice(380, 760))  # rows and columns of the image, pixels
 HIT_IOU = 0.5
 BLUE, ORANGE, INK = "#0072B2", "#D55E00", "#222222"
@@ -132,8 +139,37 @@ def photograph_page(image: Path, picture: Path) -> None:
         viewer.terminate()
 
 
+def draw_icon(side_px: int) -> np.ndarray:
+    """A car from above over a measured length, ``[side_px, side_px, 4]`` BGRA; drawn larger, and reduced."""
+    large = 1024
+    icon = np.zeros((large, large, 4), np.uint8)
+    ground, paint, glass, line = (
+        (0xB2, 0x72, 0x00, 255),
+        (255, 255, 255, 255),
+        (0x66, 0x44, 0x11, 255),
+        (0, 0xD4, 255, 255),
+    )
+
+    def block(left: int, top: int, right: int, bottom: int, radius: int, colour: tuple[int, ...]) -> None:
+        cv2.rectangle(icon, (left + radius, top), (right - radius, bottom), colour, -1)
+        cv2.rectangle(icon, (left, top + radius), (right, bottom - radius), colour, -1)
+        for x in (left + radius, right - radius):
+            for y in (top + radius, bottom - radius):
+                cv2.circle(icon, (x, y), radius, colour, -1)
+
+    block(0, 0, large - 1, large - 1, 200, ground)
+    block(170, 230, 854, 560, 110, paint)
+    block(330, 275, 420, 515, 30, glass)
+    block(640, 275, 710, 515, 30, glass)
+    for left, top, right, bottom in ((170, 740, 854, 790), (170, 670, 220, 860), (804, 670, 854, 860)):
+        block(left, top, right, bottom, 20, line)
+    return cv2.resize(icon, (side_px, side_px), interpolation=cv2.INTER_AREA)
+
+
 def main() -> None:
-    """Write the images of ``docs/images``."""
+    """Write the icons of server and bundle, and the images of ``docs/images``."""
+    for icon, side_px in ICONS.items():
+        cv2.imwrite(str(icon), draw_icon(side_px), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     pixels = cv2.imread(str(IMAGE))
     assert pixels is not None
     draw(analyse_scale(IMAGE), pixels[:, :, ::-1]).savefig(ROOT / "docs" / "images" / "image_to_number.png")

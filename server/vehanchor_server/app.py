@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Sequence
 from importlib.metadata import version
+from importlib.resources import files
 from typing import Any
 
 from mcp.server import MCPServer
@@ -11,7 +13,7 @@ from mcp.server.auth.provider import TokenVerifier
 from mcp.server.auth.settings import AuthSettings
 from mcp.server.caching import CacheableMethod, CacheHint
 from mcp.server.mcpserver import Context
-from mcp.types import CallToolResult, InputRequiredResult
+from mcp.types import CallToolResult, Icon, InputRequiredResult
 
 from vehanchor_server.app_page import app_extension
 from vehanchor_server.errors import CallError, shortened
@@ -43,6 +45,7 @@ def create_server(
         description="Metric scale and areas from aerial images without metadata: cars as the ruler.",
         instructions=_instructions(tools, services.settings),
         version=version("vehanchor"),
+        icons=[_icon()],
         tools=list(tools),
         extensions=[app_extension()],
         cache_hints=dict.fromkeys(_FIXED, CacheHint(ttl_ms=_LIST_TTL_MS, scope="public")),
@@ -50,6 +53,13 @@ def create_server(
         auth=auth,
         token_verifier=token_verifier,
     )
+
+
+def _icon() -> Icon:
+    """The server's picture, itself in the address: nothing has to be fetched, and a host behind no network shows it."""
+    picture = files("vehanchor_server").joinpath("icon.png").read_bytes()
+    source = f"data:image/png;base64,{base64.b64encode(picture).decode()}"
+    return Icon(src=source, mime_type="image/png", sizes=["48x48"])
 
 
 class _Server(MCPServer[object]):

@@ -1,6 +1,6 @@
-"""Files of boxes for other programs: GeoJSON and GeoPackage for maps, DOTA's text for training detectors.
+"""Boxes, outlines and lines for other programs: GeoJSON and GeoPackage for maps, DOTA's text for training detectors.
 
-Boxes of a georeferenced file are where they are on the ground; of any other image they are in its pixels, y down.
+Those of a georeferenced file are where they are on the ground; of any other image they are in its pixels, y down.
 """
 
 from __future__ import annotations
@@ -15,18 +15,23 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from vehanchor.detection.boxes import box_corners
 from vehanchor.errors import OutputError
 from vehanchor.output import whole_file
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from numpy.typing import NDArray
 
     from vehanchor.exhibits import ScaleAnalysis
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement
 
-__all__ = ["BOX_SUFFIXES", "check_boxes_path", "write_boxes"]
+__all__ = ["BOX_SUFFIXES", "LINE_SUFFIXES", "check_boxes_path", "write_boxes", "write_measured"]
 
 BOX_SUFFIXES = (".geojson", ".gpkg", ".txt")
+LINE_SUFFIXES = (".geojson", ".gpkg")  # DOTA has boxes only
+_WKB_KINDS = {"LineString": 2, "Polygon": 3, "MultiPolygon": 6}
+_COLUMN_TYPES = {bool: "BOOLEAN", str: "TEXT"}  # all others are DOUBLE
 
 _GPKG_ID, _GPKG_VERSION = 0x47504B47, 10300  # "GPKG", version 1.3
 _UNDEFINED_SRS = -1  # of the standard: Cartesian, of no known place
@@ -38,9 +43,25 @@ CREATE TABLE gpkg_contents (table_name TEXT NOT NULL PRIMARY KEY, data_type TEXT
   min_x DOUBLE, min_y DOUBLE, max_x DOUBLE, max_y DOUBLE, srs_id INTEGER);
 CREATE TABLE gpkg_geometry_columns (table_name TEXT NOT NULL PRIMARY KEY, column_name TEXT NOT NULL,
   geometry_type_name TEXT NOT NULL, srs_id INTEGER NOT NULL, z TINYINT NOT NULL, m TINYINT NOT NULL);
-CREATE TABLE vehicles (fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, geom BLOB, kept BOOLEAN, score DOUBLE,
-  length_px DOUBLE);
 """
+
+
+class _Layer(NamedTuple):
+    """What one file holds.
+
+    Attributes:
+        name: of the table.
+        features: as GeoJSON has them, in pixels of the image; all of one kind, with the same properties.
+        columns: the properties' names and types.
+        kind: of their geometries.
+        category: DOTA's, of each.
+    """
+
+    name: str
+    features: list[dict[str, Any]]
+    columns: Mapping[str, type]
+    kind: str
+    category: str
 
 
 class _Ground(NamedTuple):
@@ -50,15 +71,16 @@ class _Ground(NamedTuple):
     crs: Any
 
 
-def check_boxes_path(path: str | Path) -> Path:
-    """Make sure that boxes can be written there, before the work of finding them.
+def check_boxes_path(path: str | Path, suffixes: tuple[str, ...] = BOX_SUFFIXES) -> Path:
+    """Make sure that boxes, or what else these suffixes are for, can be written there, before the work of finding them.
 
     Raises:
-        OutputError: the suffix is none of ``BOX_SUFFIXES``, or the folder does not exist.
+        OutputError: the suffix is none of ``suffixes``, or the folder does not exist.
     """
     target = Path(path)
-    if target.suffix.lower() not in BOX_SUFFIXES:
-        raise OutputError(f"cannot write boxes as {str(path)!r}: use one of the suffixes {', '.join(BOX_SUFFIXES)}")
+    if target.suffix.lower() not in suffixes:
+        what = "boxes" if suffixes == BOX_SUFFIXES else "lines"
+        raise OutputError(f"cannot write {what} as {str(path)!r}: use one of the suffixes {', '.join(suffixes)}")
     if not target.parent.is_dir() or target.is_dir():
         raise OutputError(f"cannot write {str(path)!r}: name a file in a folder that exists")
     return target
@@ -78,77 +100,150 @@ def write_boxes(path: str | Path, analysis: ScaleAnalysis) -> Path:
     Raises:
         OutputError: see ``check_boxes_path``; or the file system refuses.
     """
-    target = check_boxes_path(path)
+    georeferenced = analysis.estimate.georeference_gsd_m_per_px is not None
+    columns = {"kept": bool, "score": float, "length_px": float}
+    layer = _Layer("vehicles", analysis.__geo_interface__["features"], columns, "Polygon", "vehicle")
+    return _write(check_boxes_path(path), layer, _ground(analysis.image) if georeferenced else None)
+
+
+def write_measured(path: str | Path, record: AreaMeasurement | DistanceMeasurement, image: object) -> Path:
+    """Write the outline, or the line, that was measured, with its metres, in the form that the suffix says.
+
+    Args:
+        path: as in ``write_boxes``; DOTA's text has the smallest turned rectangle around an outline, and no lines.
+        record: what was measured.
+        image: where; only of a path is it known where on the ground it lies.
+
+    Returns:
+        The path.
+
+    Raises:
+        OutputError: see ``check_boxes_path``; or the file system refuses.
+        ImageError: the image cannot be read any more.
+    """
+    geometry = record.__geo_interface__
+    is_line = geometry["type"] == "LineString"
+    names = ("distance_m", "distance_ci95_low_m", "distance_ci95_high_m")
+    if not is_line:
+        names = ("area_m2", "area_ci95_low_m2", "area_ci95_high_m2")
+    columns = {"status": str, **dict.fromkeys((*names, "gsd_m_per_px", "confidence"), float)}
+    properties = {name: getattr(record, name) for name in columns}
+    features = [{"type": "Feature", "geometry": geometry, "properties": properties}] if geometry["coordinates"] else []
+    layer = _Layer("lines" if is_line else "outlines", features, columns, geometry["type"], "object")
+    target = check_boxes_path(path, LINE_SUFFIXES if is_line else BOX_SUFFIXES)
+    return _write(target, layer, _ground(image) if _is_georeferenced(image) else None)
+
+
+def _write(target: Path, layer: _Layer, ground: _Ground | None) -> Path:
     suffix = target.suffix.lower()
     with whole_file(target) as partial:
         if suffix == ".txt":
-            partial.write_text(_dota(analysis), encoding="utf-8")
+            partial.write_text(_dota(layer), encoding="utf-8")
         elif suffix == ".geojson":
-            partial.write_text(json.dumps(_geojson(analysis)), encoding="utf-8")
+            partial.write_text(json.dumps(_geojson(layer, ground)), encoding="utf-8")
         else:
-            _write_geopackage(partial, analysis)
+            _write_geopackage(partial, layer, ground)
     return target
 
 
-def _dota(analysis: ScaleAnalysis) -> str:
-    rows = box_corners(analysis.detections.boxes).reshape(-1, 8)
-    return "".join(" ".join(f"{value:.1f}" for value in row) + " vehicle 0\n" for row in rows)
+def _dota(layer: _Layer) -> str:
+    import cv2
+
+    lines = []
+    for feature in layer.features:
+        rings = _rings(feature["geometry"])
+        corners = np.array(rings[0][:4])
+        if layer.kind != "Polygon":
+            corners = cv2.boxPoints(cv2.minAreaRect(np.concatenate(rings).astype(np.float32))).astype(float)
+        lines.append(" ".join(f"{value:.1f}" for value in corners.ravel()) + f" {layer.category} 0\n")
+    return "".join(lines)
 
 
-def _geojson(analysis: ScaleAnalysis) -> dict[str, Any]:
-    collection = analysis.__geo_interface__
-    ground = _ground(analysis)
+def _geojson(layer: _Layer, ground: _Ground | None) -> dict[str, Any]:
+    features = layer.features
     if ground is not None:
         from rasterio.warp import transform
 
-        for feature in collection["features"]:
-            (ring,) = feature["geometry"]["coordinates"]
-            longitudes, latitudes = transform(ground.crs, "EPSG:4326", *_on_ground(np.array(ring), ground).T.tolist())
-            feature["geometry"]["coordinates"] = [list(map(list, zip(longitudes, latitudes, strict=True)))]
-    return collection
+        def degrees(points: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.column_stack(transform(ground.crs, "EPSG:4326", *_on_ground(points, ground).T.tolist()))
+
+        features = [{**feature, "geometry": _moved(feature["geometry"], degrees)} for feature in features]
+    return {"type": "FeatureCollection", "features": features}
 
 
-def _write_geopackage(path: Path, analysis: ScaleAnalysis) -> None:
-    ground = _ground(analysis)
-    corners = box_corners(analysis.detections.boxes)
+def _write_geopackage(path: Path, layer: _Layer, ground: _Ground | None) -> None:
     systems: list[tuple[str, int, str, int, str]] = [
         ("Undefined Cartesian", _UNDEFINED_SRS, "NONE", _UNDEFINED_SRS, "undefined"),
         ("Undefined geographic", 0, "NONE", 0, "undefined"),
     ]
     srs = _UNDEFINED_SRS
+    geometries = [feature["geometry"] for feature in layer.features]
     if ground is not None:
-        corners = _on_ground(corners.reshape(-1, 2), ground).reshape(corners.shape)
+        geometries = [_moved(geometry, lambda points: _on_ground(points, ground)) for geometry in geometries]
         srs = ground.crs.to_epsg() or 100_000  # numbers from there are the writer's own
         systems.append((f"EPSG:{srs}", srs, "EPSG", srs, ground.crs.to_wkt()))
-    extent = [*corners.min(axis=(0, 1)).tolist(), *corners.max(axis=(0, 1)).tolist()] if len(corners) else [None] * 4
+    places = np.concatenate([np.empty((0, 2)), *(ring for geometry in geometries for ring in _rings(geometry))])
+    extent = [*places.min(axis=0).tolist(), *places.max(axis=0).tolist()] if len(places) else [None] * 4
+    columns = "".join(f", {name} {_COLUMN_TYPES.get(kind, 'DOUBLE')}" for name, kind in layer.columns.items())
     with closing(sqlite3.connect(path)) as file:
         file.executescript(_GPKG_TABLES)
+        file.execute(f"CREATE TABLE {layer.name} (fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, geom BLOB{columns})")
         file.execute(f"PRAGMA application_id = {_GPKG_ID}")
         file.execute(f"PRAGMA user_version = {_GPKG_VERSION}")
         file.executemany("INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, NULL)", systems)
         file.execute(
             "INSERT INTO gpkg_contents (table_name, data_type, identifier, min_x, min_y, max_x, max_y, srs_id) "
-            "VALUES ('vehicles', 'features', 'vehicles', ?, ?, ?, ?, ?)",
-            (*extent, srs),
+            "VALUES (?, 'features', ?, ?, ?, ?, ?, ?)",
+            (layer.name, layer.name, *extent, srs),
         )
-        file.execute("INSERT INTO gpkg_geometry_columns VALUES ('vehicles', 'geom', 'POLYGON', ?, 0, 0)", (srs,))
-        found = analysis.detections
+        file.execute(
+            "INSERT INTO gpkg_geometry_columns VALUES (?, 'geom', ?, ?, 0, 0)", (layer.name, layer.kind.upper(), srs)
+        )
         file.executemany(
-            "INSERT INTO vehicles (geom, kept, score, length_px) VALUES (?, ?, ?, ?)",
+            f"INSERT INTO {layer.name} (geom, {', '.join(layer.columns)}) VALUES (?{', ?' * len(layer.columns)})",
             [
-                (_polygon(ring, srs), bool(kept), float(score), float(length))
-                for ring, kept, score, length in zip(
-                    corners, analysis.kept, found.scores, found.boxes[:, 2], strict=True
-                )
+                (_header(srs) + _wkb(geometry), *(feature["properties"][name] for name in layer.columns))
+                for geometry, feature in zip(geometries, layer.features, strict=True)
             ],
         )
         file.commit()
 
 
-def _polygon(ring: NDArray[np.float64], srs: int) -> bytes:
-    """A ring of four corners as the GeoPackage's binary: its header without an envelope, then WKB, little endian."""
-    closed = np.concatenate([ring, ring[:1]]).astype("<f8")
-    return struct.pack("<2sBBiBIII", b"GP", 0, 1, srs, 1, 3, 1, len(closed)) + closed.tobytes()
+def _header(srs: int) -> bytes:
+    """What a GeoPackage puts before a geometry: here without an envelope, little endian."""
+    return struct.pack("<2sBBi", b"GP", 0, 1, srs)
+
+
+def _wkb(geometry: dict[str, Any]) -> bytes:
+    """A geometry of GeoJSON as well-known binary, little endian."""
+    kind, parts = geometry["type"], geometry["coordinates"]
+    start = struct.pack("<BII", 1, _WKB_KINDS[kind], len(parts))
+    if kind == "LineString":
+        return start + np.array(parts, dtype="<f8").tobytes()
+    if kind == "Polygon":
+        return start + b"".join(struct.pack("<I", len(ring)) + np.array(ring, "<f8").tobytes() for ring in parts)
+    return start + b"".join(_wkb({"type": "Polygon", "coordinates": rings}) for rings in parts)
+
+
+def _rings(geometry: dict[str, Any]) -> list[NDArray[np.float64]]:
+    """All runs of places of a geometry."""
+    parts = geometry["coordinates"]
+    if geometry["type"] == "LineString":
+        parts = [parts]
+    elif geometry["type"] == "MultiPolygon":
+        parts = [ring for polygon in parts for ring in polygon]
+    return [np.array(part, dtype=np.float64) for part in parts]
+
+
+def _moved(geometry: dict[str, Any], move: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> dict[str, Any]:
+    """The same geometry in other coordinates."""
+
+    def moved(part: Any) -> Any:
+        if isinstance(part[0][0], int | float):
+            return move(np.array(part, dtype=np.float64)).tolist()
+        return [moved(each) for each in part]
+
+    return {**geometry, "coordinates": moved(geometry["coordinates"])}
 
 
 def _on_ground(points: NDArray[np.float64], ground: _Ground) -> NDArray[np.float64]:
@@ -158,11 +253,20 @@ def _on_ground(points: NDArray[np.float64], ground: _Ground) -> NDArray[np.float
     return np.column_stack([a * x + b * y + c, d * x + e * y + f])
 
 
-def _ground(analysis: ScaleAnalysis) -> _Ground | None:
-    """Where the image lies; None for one that is not georeferenced, or was no file."""
-    if analysis.estimate.georeference_gsd_m_per_px is None or not isinstance(analysis.image, str | os.PathLike):
+def _is_georeferenced(image: object) -> bool:
+    if not isinstance(image, str | os.PathLike):
+        return False
+    from vehanchor.imagery.raster import open_raster
+
+    with open_raster(image) as raster:
+        return raster.georeference_gsd_m_per_px is not None
+
+
+def _ground(image: object) -> _Ground | None:
+    """Where a georeferenced image lies; None for one that is no file."""
+    if not isinstance(image, str | os.PathLike):
         return None
     import rasterio  # the file was read by it
 
-    with rasterio.open(analysis.image) as dataset:
+    with rasterio.open(image) as dataset:
         return _Ground(dataset.transform, dataset.crs)

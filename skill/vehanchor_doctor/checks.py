@@ -88,13 +88,19 @@ class FolderCheck:
     reasons: Counter[str] = field(default_factory=Counter)
 
 
-def check_images(images: Sequence[str], detector: Detector, progress: Callable[[int, int], None]) -> FolderCheck:
+def check_images(
+    images: Sequence[str],
+    detector: Detector,
+    progress: Callable[[int, int], None],
+    max_megapixels: float | None = None,
+) -> FolderCheck:
     """Estimate the scale of images and count.
 
     Args:
         images: paths.
         detector: finds the vehicles.
         progress: called with (images done, images in all).
+        max_megapixels: as in ``estimate_gsd``.
     """
     from vehanchor.errors import VehAnchorError
     from vehanchor.estimate import estimate_gsd
@@ -103,7 +109,7 @@ def check_images(images: Sequence[str], detector: Detector, progress: Callable[[
     for image in images:
         check.n += 1
         try:
-            record = estimate_gsd(image, detector=detector)
+            record = estimate_gsd(image, detector=detector, max_megapixels=max_megapixels)
         except VehAnchorError as error:
             check.reasons[error.code] += 1
         else:

@@ -26,6 +26,10 @@ def doctor(
         ),
     ] = None,
     sample: Annotated[int, typer.Option(metavar="N", min=1, help="Look at so many of them, taken by chance.")] = 20,
+    max_megapixels: Annotated[
+        float | None,
+        typer.Option(metavar="MP", help="Decode images of up to so many megapixels whole. Default: 100."),
+    ] = None,
     test: Annotated[bool, typer.Option("--test/--no-test", help="Measure a scene of known scale.")] = True,
 ) -> None:
     """Tell what is installed, test it on a scene of known scale, and say whether it will work on your images."""
@@ -51,17 +55,22 @@ def doctor(
             print_table(facts_table("a rendered scene", facts))
         if images:
             chosen = sorted(random.Random(0).sample(images, min(sample, len(images))))
-            print_table(facts_table(f"{len(chosen)} of {len(images)} images", _advice(_counted(chosen, detector))))
+            print_table(
+                facts_table(
+                    f"{len(chosen)} of {len(images)} images", _advice(_counted(chosen, detector, max_megapixels))
+                )
+            )
         if not passed:
             raise typer.Exit(FAILED_TEST)
 
 
-def _counted(images: Sequence[str], detector: object) -> FolderCheck:
+def _counted(images: Sequence[str], detector: object, max_megapixels: float | None) -> FolderCheck:
     from vehanchor.detection.detector import Detector
     from vehanchor_doctor.checks import check_images
 
     assert isinstance(detector, Detector)
-    return check_images(images, detector, seldom(lambda n, total: f"{n} of {total} images", sys.stderr))
+    tell = seldom(lambda n, total: f"{n} of {total} images", sys.stderr)
+    return check_images(images, detector, tell, max_megapixels)
 
 
 def _advice(check: FolderCheck) -> list[tuple[str, str]]:

@@ -26,7 +26,7 @@ __all__ = [
 DATASET_LIMITS = ImageLimits(max_bytes=2 << 30, max_pixels=500_000_000)
 """Benchmark images are the user's own, not a stranger's: DOTA's largest have 20,000 x 20,000 px."""
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".avif")
 
 
 class KnownScaleImage(NamedTuple):

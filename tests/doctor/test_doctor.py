@@ -66,6 +66,8 @@ def test_it_says_of_a_folder_how_many_will_do_and_what_helps_the_others(tmp_path
     assert f"{n} of {n} images" in out
     assert re.search(rf"usable\s+1 of {n} ", out)
     assert re.search(r"1 x image_undecodable\s+an error", out)
+    code, out, _ = run("doctor", "--no-test", "--max-megapixels", "0.1", tmp_path)
+    assert re.search(rf"{n - 1} x image_too_large", out)
     code, out, _ = run("doctor", "--no-test", "--sample", "1", tmp_path)
     assert f"1 of {n} images" in out
 

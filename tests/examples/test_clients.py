@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+import struct
 import subprocess
 import sys
 import tomllib
@@ -81,6 +82,12 @@ def test_the_registrys_file_has_what_its_documentation_requires() -> None:
     assert (package["registryType"], package["registryBaseUrl"]) == ("pypi", "https://pypi.org")
     assert package["identifier"] == "vehanchor"
     assert package["transport"] == {"type": "stdio"}
+    (remote,) = server["remotes"]
+    assert (remote["type"], remote["url"]) == ("streamable-http", "https://{host}/mcp")
+    assert set(remote["variables"]) == {"host"}, "every name in braces is asked for"
+    (header,) = remote["headers"]
+    assert (header["name"], header["value"]) == ("Authorization", "Bearer {token}")
+    assert header["variables"]["token"]["isSecret"]
     serve, root = package["packageArguments"]
     assert (serve["type"], serve["value"]) == ("positional", "serve")
     assert (root["type"], root["name"], root["isRequired"]) == ("named", "--root", True)
@@ -92,6 +99,11 @@ def test_the_bundle_names_the_servers_tools() -> None:
     assert (BUNDLE / manifest["server"]["entry_point"]).is_file()
     assert manifest["server"]["mcp_config"]["args"][-1] == "${user_config.images}"
     assert "images" in manifest["user_config"]
+    registry = _read(CLIENTS / "server.json")
+    assert manifest["description"] == registry["description"]
+    icon = (BUNDLE / manifest["icon"]).read_bytes()
+    assert icon.startswith(b"\x89PNG")
+    assert struct.unpack(">II", icon[16:24]) == (512, 512), "what the bundle's format recommends"
 
 
 @pytest.mark.slow

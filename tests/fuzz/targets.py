@@ -183,6 +183,7 @@ def _images() -> list[bytes]:
         (".png", []),
         (".webp", [cv2.IMWRITE_WEBP_QUALITY, 60]),
         (".webp", [cv2.IMWRITE_WEBP_QUALITY, 101]),
+        (".avif", [cv2.IMWRITE_AVIF_QUALITY, 60]),
         (".bmp", []),
         (".tif", []),
     ):

@@ -112,3 +112,57 @@ def test_the_command_writes_them_and_refuses_before_the_work(cars: np.ndarray, m
     assert (refused.exit_code, ".geojson, .gpkg, .txt" in refused.stderr) == (2, True)
     with pytest.raises(OutputError, match="folder that exists"):
         write_boxes(tmp_path / "none" / "a.txt", analyse_scale(cars, detector=Detector(model)))
+
+
+def _run(*arguments: object) -> None:
+    result = CliRunner().invoke(app, list(map(str, arguments)))
+    assert result.exit_code == 0, result.output
+
+
+def test_a_measured_line_is_written_where_it_lies_with_its_metres(on_ground: ScaleAnalysis, tmp_path: Path) -> None:
+    for name in ("line.gpkg", "line.geojson"):
+        points = ("--point", 10, 20, "--point", 110, 20, "--gsd", 0.15)
+        _run("distance", on_ground.image, *points, "--line", tmp_path / name)
+    with sqlite3.connect(tmp_path / "line.gpkg") as file:
+        ((blob, status, metres, gsd),) = file.execute("SELECT geom, status, distance_m, gsd_m_per_px FROM lines")
+        ((kind, srs),) = file.execute("SELECT geometry_type_name, srs_id FROM gpkg_geometry_columns")
+    assert (status, kind, srs) == ("ok", "LINESTRING", 32633)
+    assert (metres, gsd) == (pytest.approx(15), 0.15)
+    assert struct.unpack("<2sBBiBII4d", blob) == (
+        *(b"GP", 0, 1, 32633, 1, 2, 2),
+        *(500_000 + 0.15 * 10, 5_000_000 - 0.15 * 20, 500_000 + 0.15 * 110, 5_000_000 - 0.15 * 20),
+    )
+    (feature,) = json.loads((tmp_path / "line.geojson").read_text())["features"]
+    expected = np.transpose(transform("EPSG:32633", "EPSG:4326", [500_001.5, 500_016.5], [4_999_997] * 2))
+    np.testing.assert_allclose(feature["geometry"]["coordinates"], expected, atol=1e-9)
+    assert feature["properties"]["distance_m"] == pytest.approx(15)
+
+
+def test_a_line_is_no_box(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["distance", "a.jpg", "--point", "1", "1", "--line", str(tmp_path / "a.txt")])
+    assert result.exit_code != 0
+    assert "use one of the suffixes .geojson, .gpkg" in " ".join(result.output.split())
+
+
+def test_a_measured_outline_is_written_in_every_form(tmp_path: Path) -> None:
+    image = np.full((200, 300, 3), 90, np.uint8)
+    cv2.rectangle(image, (80, 60), (219, 139), (230, 230, 230), -1)  # 140 x 80 px
+    cv2.imwrite(str(tmp_path / "roof.png"), image)
+    target = ("--box", 75, 55, 225, 145, "--gsd", 0.1)
+    for name in ("roof.gpkg", "roof.geojson", "roof.txt"):
+        _run("measure", tmp_path / "roof.png", *target, "--outline", tmp_path / name)
+    (feature,) = json.loads((tmp_path / "roof.geojson").read_text())["features"]
+    assert feature["geometry"]["type"] == "MultiPolygon"
+    assert feature["properties"]["area_m2"] == pytest.approx(112, rel=0.05)
+    with sqlite3.connect(tmp_path / "roof.gpkg") as file:
+        ((blob, area),) = file.execute("SELECT geom, area_m2 FROM outlines")
+        ((kind, srs),) = file.execute("SELECT geometry_type_name, srs_id FROM gpkg_geometry_columns")
+    assert (kind, srs, area) == ("MULTIPOLYGON", -1, feature["properties"]["area_m2"])
+    _, _, _, _, order, code, n_polygons, ring_order, ring_code, n_rings, n = struct.unpack_from("<2sBBiBIIBIII", blob)
+    assert (order, code, n_polygons, ring_order, ring_code, n_rings) == (1, 6, 1, 1, 3, 1)
+    ring = np.frombuffer(blob, "<f8", offset=struct.calcsize("<2sBBiBIIBIII")).reshape(n, 2)
+    np.testing.assert_allclose(ring, feature["geometry"]["coordinates"][0][0])
+    *corners, category, difficult = (tmp_path / "roof.txt").read_text().split()
+    assert (category, difficult) == ("object", "0")
+    places = np.array(corners, float).reshape(4, 2)
+    np.testing.assert_allclose([places.min(axis=0), places.max(axis=0)], [(80, 60), (220, 140)], atol=3)

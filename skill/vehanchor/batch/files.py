@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 __all__ = ["SUFFIXES", "find_images"]
 
 _SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
-SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff"})  # what a directory is searched for
+SUFFIXES = frozenset(
+    {".jpg", ".jpeg", ".png", ".webp", ".avif", ".bmp", ".tif", ".tiff"}
+)  # what a directory is searched for
 
 
 def find_images(

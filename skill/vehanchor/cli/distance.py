@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -35,7 +36,7 @@ __all__ = ["distance"]
 def _distance(
     image: Annotated[
         str,
-        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, BMP, TIFF, GeoTIFF.", show_default=False),
+        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, GeoTIFF.", show_default=False),
     ],
     point: Annotated[
         list[str] | None,
@@ -44,6 +45,12 @@ def _distance(
     gsd: GivenGsd = None,
     scale: ScaleFile = None,
     object_height: ObjectHeight = None,
+    line: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OUT.geojson", help="Write the line with its metres: .geojson or .gpkg, as `measure` does."
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
     strict: Strict = False,
     *,
@@ -54,6 +61,10 @@ def _distance(
         try:
             path, options, known = _path(point or ()), chosen.options(), read_scale(scale, image)
             from vehanchor.distance import analyse_distance
+            from vehanchor.exports import LINE_SUFFIXES, check_boxes_path, write_measured
+
+            if line is not None:
+                check_boxes_path(line, LINE_SUFFIXES)
 
             with tile_progress(1, lines_on_terminal=as_json) as step:
                 record = analyse_distance(
@@ -75,6 +86,8 @@ def _distance(
         else:
             print_table(facts_table(image, _facts(record)))
             print_warnings(record, "")
+        if line is not None:
+            write_measured(line, record, image)
         exit_strictly(strict, [record.status])
 
 

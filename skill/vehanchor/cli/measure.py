@@ -45,12 +45,23 @@ SegmenterFiles: TypeAlias = Annotated[
     ),
 ]
 
+MaskFile: TypeAlias = Annotated[
+    str | None, typer.Option(metavar="OUT.png", help="Write the object's mask, white on black, in full size.")
+]
+OutlineFile: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="OUT.geojson",
+        help="Write the outline with its area: .geojson, .gpkg, or .txt (DOTA); on the ground if georeferenced.",
+    ),
+]
+
 
 @scale_command()
 def _measure(
     image: Annotated[
         str,
-        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, BMP, TIFF, GeoTIFF.", show_default=False),
+        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, GeoTIFF.", show_default=False),
     ],
     box: Annotated[
         tuple[float, float, float, float] | None,
@@ -70,9 +81,8 @@ def _measure(
         str | None,
         typer.Option(metavar="OUT.png", help="Write the image with the object's outline, the vehicles, a scale bar."),
     ] = None,
-    mask: Annotated[
-        str | None, typer.Option(metavar="OUT.png", help="Write the object's mask, white on black, in full size.")
-    ] = None,
+    mask: MaskFile = None,
+    outline: OutlineFile = None,
     segmenter: SegmenterFiles = None,
     strict: Strict = False,
     *,
@@ -81,7 +91,7 @@ def _measure(
     """Measure the area (square metres) of the object in a box or at a point, by the scale of the cars in the image."""
     with exit_on_error():
         try:
-            outputs = _outputs(image, overlay, mask)
+            outputs = _outputs(image, overlay, mask, outline)
             options, known = chosen.options(), read_scale(scale, image)
             with tile_progress(1, lines_on_terminal=as_json) as step:
                 analysis = _analyse(
@@ -105,7 +115,7 @@ def _measure(
         else:
             print_table(facts_table(image, _facts(analysis.measurement)))
             print_warnings(analysis.measurement, "")
-        _write_pictures(image, analysis, options, *outputs)
+        _write_files(image, analysis, options, *outputs, outline)
         exit_strictly(strict, [analysis.measurement.status])
 
 
@@ -126,8 +136,14 @@ def _points(on: Sequence[str] | None, beside: Sequence[str] | None) -> list[tupl
     return points or None
 
 
-def _outputs(image: str, overlay: str | None, mask: str | None) -> tuple[Path | None, Path | None]:
+def _outputs(
+    image: str, overlay: str | None, mask: str | None, outline: Path | None
+) -> tuple[Path | None, Path | None]:
     """Where the pictures go, checked before the work: folder, suffix, no file for two purposes."""
+    if outline is not None:
+        from vehanchor.exports import check_boxes_path
+
+        check_boxes_path(outline)
     chosen = [None if name is None else Path(name) for name in (overlay, mask)]
     if any(chosen):
         from vehanchor.pictures.scale import check_picture_path
@@ -185,9 +201,18 @@ def _open_segmenter(files: Any, detector: DetectorChoice) -> Any:
     return load_segmenter(*paths, threads=detector.threads, providers=tuple(detector.providers))
 
 
-def _write_pictures(
-    image: str, analysis: AreaAnalysis, options: ScaleOptions, overlay: Path | None, mask: Path | None
+def _write_files(
+    image: str,
+    analysis: AreaAnalysis,
+    options: ScaleOptions,
+    overlay: Path | None,
+    mask: Path | None,
+    outline: Path | None,
 ) -> None:
+    if outline is not None:
+        from vehanchor.exports import write_measured
+
+        write_measured(outline, analysis.measurement, image)
     if overlay is None and mask is None:
         return
     from vehanchor.imagery.raster import open_raster

@@ -24,7 +24,7 @@ _WORLD_SUFFIXES = {".png": ".pgw", ".jpg": ".jgw", ".jpeg": ".jgw"}
 def scalebar(
     image: Annotated[
         str,
-        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, BMP, TIFF, GeoTIFF.", show_default=False),
+        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, GeoTIFF.", show_default=False),
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="OUT.png", help="The picture with its bar, .png or .jpg.")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from contextlib import contextmanager
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -43,6 +45,11 @@ def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
         raise ImageDecodeError(f"the {header.format} ({source}) is truncated: its end mark is missing")
     if header.format == "PNG":
         data = picture_chunks(data)
+    if header.format == "AVIF" and not _decodes_avif():
+        raise ImageDecodeError(
+            f"this OpenCV, {cv2.__version__}, reads no AVIF ({source}): pip install -U opencv-python-headless, or "
+            "convert it to JPEG"
+        )
     try:
         with _QUIET_OPENCV.entered():
             pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -68,6 +75,12 @@ def decodes_tiff(layout: TiffLayout) -> bool:
     return (
         layout.sample_format == 1 and bits in ({1}, {8}, {16}) and (white_is_zero or layout.photometric in (1, 2, 3, 6))
     )
+
+
+@cache
+def _decodes_avif() -> bool:
+    """Whether this build of OpenCV was made with a decoder of AVIF."""
+    return re.search(r"AVIF:\s+(?!NO)\S", cv2.getBuildInformation()) is not None
 
 
 class _QuietOpenCV:

@@ -10,6 +10,7 @@ import struct
 from dataclasses import dataclass
 
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
+from vehanchor.imagery.avif import is_avif, read_avif_size
 from vehanchor.imagery.ifd import (
     MAX_VALUES,
     TAG_ORIENTATION,
@@ -29,6 +30,7 @@ _PNG_BANDS = {0: 1, 2: 3}  # of grey and of RGB; all others, and these with tran
 _PICTURE_CHUNKS = frozenset({b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"})
 _MAX_PNG_CHUNKS = 100_000  # 512 MiB in chunks of 8 KiB, as libpng writes them, would be 65,536
 _COPIES = 2  # OpenCV 5 copies what it has decoded before it gives it away (measured)
+_AV1_FRAME_BYTES = 2  # what AV1 decodes to, of 8 bits, its colours at half the resolution
 _TIFF_PIXEL_BYTES = 4  # OpenCV decodes 8 bits and less to four bands
 _MAX_EXIF_BYTES = 1 << 16  # the first directory, with the orientation, stands at the start; JPEG holds no more anyway
 
@@ -88,11 +90,11 @@ class ImageHeader:
     """The declared form of an encoded image.
 
     Attributes:
-        format: JPEG, PNG, TIFF, WebP or BMP.
+        format: JPEG, PNG, TIFF, WebP, AVIF or BMP.
         width_px: declared width as stored, before the orientation is applied.
         height_px: declared height as stored.
         orientation: EXIF orientation, 1 to 8; 1 where none or a meaningless one is given.
-        complete: False if the file ends before its format's end mark (known for JPEG, PNG, WebP).
+        complete: False if the file ends before its format's end mark (known for JPEG, PNG, WebP, AVIF).
         tiff: the layout of a TIFF, None for other formats.
         decoding_bytes: memory that decoding it whole takes: its pixels, and what the decoder holds beside them.
         n_scans: how often the decoder goes over the whole image; more than 1 for some JPEGs.
@@ -117,7 +119,7 @@ def read_header(read_at: ReadAt) -> ImageHeader:
     """Read format, declared size, orientation and completeness.
 
     Raises:
-        ImageDecodeError: not one of the five formats, or the header itself is broken.
+        ImageDecodeError: not one of the six formats, or the header itself is broken.
     """
     start = read_at(0, 32)
     if start.startswith(b"\xff\xd8\xff"):
@@ -130,8 +132,10 @@ def read_header(read_at: ReadAt) -> ImageHeader:
         name, parse = "WebP", _read_webp
     elif start.startswith(b"BM"):
         name, parse = "BMP", _read_bmp
+    elif is_avif(start):
+        name, parse = "AVIF", _read_avif
     else:
-        raise ImageDecodeError(f"not a JPEG, PNG, TIFF, WebP or BMP image: {_instead(start)}")
+        raise ImageDecodeError(f"not a JPEG, PNG, TIFF, WebP, AVIF or BMP image: {_instead(start)}")
     try:
         return parse(read_at)
     except struct.error:
@@ -143,7 +147,7 @@ _INSTEAD = (  # what is often handed over, by its first bytes, and what to do wi
     (0, b"%PDF", "it is a PDF; save its picture by 'pdfimages -all FILE OUT' and send that"),
     (4, b"ftypheic", _HEIC := "it is HEIC; convert it to JPEG, or open it by pillow-heif and pass the array"),
     (4, b"ftypmif1", _HEIC),
-    (4, b"ftypavif", "it is AVIF; open it by Pillow and pass the image, or convert it to JPEG"),
+    (4, b"ftypavis", "it is an animation; save one picture of it as PNG and send that"),
     (4, b"jP  ", "it is JPEG 2000; open it by rasterio and pass the dataset, or convert it to a tiled TIFF"),
     (4, b"ftyp", _VIDEO := "it is a video; save a frame of it by 'ffmpeg -i FILE -frames:v 1 OUT.png' and send that"),
     (8, b"AVI ", _VIDEO),
@@ -267,6 +271,18 @@ def _read_bmp(read_at: ReadAt) -> ImageHeader:
         width, height = struct.unpack("<ii", read_at(18, 8))
     width, height = abs(width), abs(height)  # a negative height means rows from top to bottom
     return ImageHeader("BMP", width, height, decoding_bytes=_COPIES * 4 * width * height)
+
+
+def _read_avif(read_at: ReadAt) -> ImageHeader:
+    size = read_avif_size(read_at)
+    return ImageHeader(
+        "AVIF",
+        size.width_px,
+        size.height_px,
+        orientation=size.orientation,
+        complete=size.complete,
+        decoding_bytes=(_COPIES * 4 + _AV1_FRAME_BYTES) * (2 if size.deep else 1) * size.decoded_px,
+    )
 
 
 def _read_tiff(read_at: ReadAt) -> ImageHeader:

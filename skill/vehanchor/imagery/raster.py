@@ -1,8 +1,8 @@
 """Any aerial image as a raster of 8-bit RGB that is read by windows.
 
-JPEG, PNG, WebP, BMP and plain TIFF are decoded whole by OpenCV. GeoTIFF and COG, TIFF that OpenCV cannot decode (more
-than four bands, say) and TIFF too large to decode whole are read by windows through rasterio (extra ``geo``). Which of
-the two reads a file depends on the file alone, never on whether rasterio is installed (why: docs/decisions.md).
+JPEG, PNG, WebP, AVIF, BMP and plain TIFF are decoded whole by OpenCV. GeoTIFF and COG, TIFF that OpenCV cannot decode
+(more than four bands, say) and TIFF too large to decode whole are read by windows through rasterio (extra ``geo``).
+Which of the two reads a file depends on the file alone, never on whether rasterio is installed (docs/decisions.md).
 """
 
 from __future__ import annotations

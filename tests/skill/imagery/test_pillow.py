@@ -69,7 +69,7 @@ def test_megapixels_are_a_limit_of_pixels_and_of_memory() -> None:
         (b"GIF89a" + bytes(40), "a GIF has 256 colours"),
         (b"%PDF-1.7" + bytes(40), "pdfimages"),
         (b"\0\0\0\x18ftypheic" + bytes(40), "HEIC; convert"),
-        (b"\0\0\0\x18ftypavif" + bytes(40), "AVIF; open it by Pillow"),
+        (b"\0\0\0\x18ftypavis" + bytes(40), "an animation; save one picture"),
         (b"\0\0\0\x18ftypisom" + bytes(40), "a video; save a frame"),
         (b"RIFF\0\0\0\0AVI LIST" + bytes(40), "a video; save a frame"),
         (b"\x1aE\xdf\xa3" + bytes(40), "a video; save a frame"),
