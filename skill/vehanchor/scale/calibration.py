@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 __all__ = [
     "MIN_VEHICLES",
     "Calibration",
-    "ReferenceLength",
+    "ModalLength",
     "SurveyedImage",
     "as_calibration",
     "calibrate",
     "length_density",
     "load_calibration",
-    "reference_length",
+    "modal_length_m",
     "save_calibration",
 ]
 
@@ -127,7 +127,7 @@ class SurveyedImage(NamedTuple):
     gsd_log_sd: float = 0.0
 
 
-class ReferenceLength(NamedTuple):
+class ModalLength(NamedTuple):
     """A modal vehicle length and how well it is known, metres.
 
     Attributes:
@@ -143,7 +143,7 @@ class ReferenceLength(NamedTuple):
     sd_m: float
 
 
-def reference_length(images: Sequence[SurveyedImage]) -> ReferenceLength:
+def modal_length_m(images: Sequence[SurveyedImage]) -> ModalLength:
     """KDE mode of ``L_i = P_i * GSD_i`` (paper, section III-F), with a bootstrap interval from a fixed seed.
 
     What is resampled are squares of 50 m on the ground with all cars in them, since neighbours are alike; single
@@ -164,11 +164,11 @@ def reference_length(images: Sequence[SurveyedImage]) -> ReferenceLength:
     modes = _resampled_modes(metres, weights, smoothing, _blocks(images))
     low, high = np.percentile(modes, [2.5, 97.5])
     spread = float(np.sqrt(np.mean(np.log(modes / mode) ** 2))) * mode
-    return ReferenceLength(mode, min(float(low), mode), max(float(high), mode), spread)
+    return ModalLength(mode, min(float(low), mode), max(float(high), mode), spread)
 
 
 def length_density(images: Sequence[SurveyedImage], at: ArrayLike) -> NDArray[np.float64]:
-    """The density that ``reference_length`` takes the mode of.
+    """The density that ``modal_length_m`` takes the mode of.
 
     Args:
         images: vehicles and true scales, at least two lengths among them.
@@ -280,7 +280,7 @@ def calibrate(
             their modal length is below the resolution guard (paper, equation 6), where lengths come out too short.
     """
     with_vehicles = _with_vehicles(images, source)
-    length = reference_length(with_vehicles)
+    length = modal_length_m(with_vehicles)
     truth_log_sd = _truth_log_sd(with_vehicles)
     spread_m = math.hypot(length.sd_m, region_sd_m / 2, truth_log_sd * length.mode_m)
     _check_lengths(length.mode_m, spread_m)
@@ -317,7 +317,7 @@ def _truth_log_sd(images: Sequence[SurveyedImage]) -> float:
     return float(np.median(np.repeat([i.gsd_log_sd for i in images], [len(i.boxes) for i in images])))
 
 
-def _widened(length: ReferenceLength, log_sd: float) -> tuple[float, float]:
+def _widened(length: ModalLength, log_sd: float) -> tuple[float, float]:
     """The interval's ends, moved away from the mode by an independent doubt."""
     if log_sd == 0:
         return length.low_m, length.high_m

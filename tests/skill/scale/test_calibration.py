@@ -32,7 +32,7 @@ from vehanchor.scale.calibration import (
     calibrate,
     length_density,
     load_calibration,
-    reference_length,
+    modal_length_m,
     save_calibration,
 )
 from vehanchor_evaluation.dota import labelled_boxes
@@ -65,19 +65,19 @@ def test_the_reference_length_is_the_papers_kde_mode() -> None:
     metres = np.concatenate([image.boxes[:, 2] * image.gsd_m_per_px for image in images])
     at = np.linspace(3.5, 5.0, 15001)
     expected = at[np.argmax(gaussian_kde(metres)(at))]  # Scott's rule is scipy's default
-    assert reference_length(images).mode_m == pytest.approx(expected, abs=2e-4)
+    assert modal_length_m(images).mode_m == pytest.approx(expected, abs=2e-4)
 
 
 def test_the_interval_holds_the_true_mode_about_as_often_as_it_says() -> None:
     held = 0
     for seed in range(60):
-        low, high = reference_length([SurveyedImage(_boxes(200, seed=seed), GSD)])[1:3]
+        low, high = modal_length_m([SurveyedImage(_boxes(200, seed=seed), GSD)])[1:3]
         held += low <= FLEET_M <= high
     assert 48 <= held <= 60  # 95 % of 60 is 57
 
 
 def test_the_interval_narrows_with_more_vehicles_and_never_leaves_the_mode_out() -> None:
-    few, many = (reference_length([SurveyedImage(_boxes(n), GSD)]) for n in (100, 3000))
+    few, many = (modal_length_m([SurveyedImage(_boxes(n), GSD)]) for n in (100, 3000))
     assert few.low_m <= few.mode_m <= few.high_m
     assert many.low_m <= many.mode_m <= many.high_m
     assert many.high_m - many.low_m < 0.75 * (few.high_m - few.low_m)
@@ -91,11 +91,11 @@ def test_cars_of_one_place_count_as_less_than_cars_of_many_places() -> None:
         boxes = _boxes(25, mean_m=FLEET_M + rng.normal(0, 0.3), spread_m=0.05, seed=int(rng.integers(1 << 30)))
         spread += [SurveyedImage(boxes[[k]], GSD) for k in range(25)]
         crowded.append(SurveyedImage(np.column_stack([np.full((25, 2), 10.0), boxes[:, 2:]]), GSD))
-    assert reference_length(crowded).sd_m > 1.2 * reference_length(spread).sd_m
+    assert modal_length_m(crowded).sd_m > 1.2 * modal_length_m(spread).sd_m
 
 
 def test_vehicles_all_of_one_length_are_that_length() -> None:
-    length = reference_length([SurveyedImage(_boxes(120, spread_m=0.0), GSD)])
+    length = modal_length_m([SurveyedImage(_boxes(120, spread_m=0.0), GSD)])
     assert length == pytest.approx((FLEET_M, FLEET_M, FLEET_M, 0.0), abs=1e-9)
 
 
@@ -407,7 +407,7 @@ def test_labels_can_be_asked_for_and_bound_to_a_detector(folder: Path, tmp_path:
     record = load_calibration(tmp_path / "c.json")
     assert (record.source, record.n_vehicles, record.detector) == ("labels", 120, "detector")
     measured = labelled_boxes(tmp_path / "labels" / "a.txt", ("car",))
-    assert record.reference_length_m == pytest.approx(reference_length([SurveyedImage(measured, GSD)]).mode_m)
+    assert record.reference_length_m == pytest.approx(modal_length_m([SurveyedImage(measured, GSD)]).mode_m)
 
 
 def test_the_command_refuses_with_a_reason(folder: Path, tmp_path: Path) -> None:
@@ -472,6 +472,6 @@ def test_the_density_that_is_drawn_peaks_at_the_reference_length() -> None:
     at = np.linspace(1.0, 6.0, 2001)
     for given in (None, scores):
         images = [SurveyedImage(boxes, 0.15, given)]
-        assert at[np.argmax(length_density(images, at))] == pytest.approx(reference_length(images).mode_m, abs=0.01)
+        assert at[np.argmax(length_density(images, at))] == pytest.approx(modal_length_m(images).mode_m, abs=0.01)
     weighted, plain = (length_density([SurveyedImage(boxes, 0.15, s)], [22 * 0.15])[0] for s in (scores, None))
     assert weighted < 0.5 * plain  # what scores low counts little
