@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import cv2
@@ -18,6 +19,7 @@ from training.fleet.data import (  # noqa: E402
     NORTH_AMERICA,
     Vehicle,
     fold_of,
+    load_scene_vehicles,
     load_vehicles,
     random_chip,
     vehicle_at_length,
@@ -27,6 +29,7 @@ from training.fleet.network import FleetNet  # noqa: E402
 from training.fleet.train import ChipStream, export, losses, report, trained  # noqa: E402
 from vehanchor.detection.fleet import FleetNetwork  # noqa: E402
 from vehanchor.detection.look import CHIP_SHAPE, FleetLengths  # noqa: E402
+from vehanchor_scenes import render_scene  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
@@ -87,6 +90,21 @@ def test_vehicles_of_unknown_length_teach_no_length() -> None:
     parts = losses(network, (chips, american, torch.full((2,), torch.nan)), torch.device("cpu"))
     assert parts["length"].item() == 0
     assert parts["entropy"].item() > 0
+
+
+def test_rendered_cars_teach_their_length_and_no_region(tmp_path: Path) -> None:
+    scene = render_scene(0.15, width_px=300, height_px=200, seed=3, layout="parking")
+    scene.write(tmp_path / "scene.jpg")
+    vehicles = load_scene_vehicles(tmp_path)
+    lengths = sorted(vehicle.length_m for vehicle in vehicles if vehicle.length_m is not None)
+    assert len(lengths) == len(vehicles) > 5
+    assert 3 < lengths[0] < lengths[-1] < 6.5
+    _, american, length = ChipStream(vehicles, 0)[0]
+    assert math.isnan(american)
+    assert any(math.exp(length) == pytest.approx(each, rel=1e-4) for each in lengths)
+    parts = losses(FleetNet(), (torch.zeros(1, 1, *CHIP_SHAPE), american[None], length[None]), torch.device("cpu"))
+    assert parts["entropy"].item() == 0
+    assert parts["length"].item() > 0
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 NORTH_AMERICA = "ucm"  # the one set of the train split from there
 OTHERS = ("cannes", "saopaulo", "jekhor", "estonia")
+SCENES = "scene"  # rendered: of no region, but each car's length is known
 MEASURED = ("ucm", "cannes", "saopaulo", "estonia")  # of known scale, so that a car's length in metres is known, too
 _STORED_LENGTH_PX = 40.0
 _LENGTHS_PX = (11.0, 18.0)  # all are shown at lengths that the coarsest set has, or sharpness would tell the set
@@ -67,6 +68,18 @@ def load_vehicles(data: Path) -> list[Vehicle]:
             cars = [known.box for known in turned.get(place.path.name, []) if known.kind == "car"]
             labels = np.asarray(cars, np.float64).reshape(-1, 5)
             out += _vehicles(rng, place.path, place.set, place.path.name, labels, place.gsd_m_per_px)
+    return out
+
+
+def load_scene_vehicles(folder: Path) -> list[Vehicle]:
+    """Up to 25 vehicles of each rendered scene (``training.detector.render_scenes``)."""
+    rng = np.random.default_rng(0)
+    out = []
+    for path in sorted(folder.glob("*.jpg")):
+        labels = read_labels(path.with_suffix(".txt"))
+        if labels.gsd_m_per_px is not None:
+            boxes = boxes_from_corners(labels.of_class("small-vehicle"))
+            out += _vehicles(rng, path, SCENES, path.name, boxes, labels.gsd_m_per_px)
     return out
 
 

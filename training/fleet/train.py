@@ -23,9 +23,11 @@ from training.fleet.data import (
     MEASURED,
     N_FOLDS,
     NORTH_AMERICA,
+    SCENES,
     Vehicle,
     beside,
     fold_of,
+    load_scene_vehicles,
     load_vehicles,
     random_chip,
     vehicle_at_length,
@@ -61,7 +63,10 @@ class ChipStream:
         self.seed = seed
 
     def __getitem__(self, index: int) -> tuple[Tensor, Tensor, Tensor]:
-        """A chip ``[1, 16, 24]``, whether it is North American, 0 or 1, and the log of its length in metres or NaN."""
+        """A chip ``[1, 16, 24]``, whether it is North American, and the log of its length in metres.
+
+        NaN where nobody knows: a rendered car is of no region, and not all scales are known.
+        """
         rng = np.random.default_rng((self.seed, index))
         others = [name for name in self.by_set if name != NORTH_AMERICA]
         american = rng.random() < 0.5 and NORTH_AMERICA in self.by_set
@@ -69,16 +74,19 @@ class ChipStream:
         vehicle = among[rng.integers(len(among))]
         length = math.nan if vehicle.length_m is None else math.log(vehicle.length_m)
         cut = random_chip(vehicle, rng)
-        return torch.from_numpy(cut)[None], torch.tensor(float(american)), torch.tensor(length)
+        of_america = math.nan if vehicle.set == SCENES else float(american)
+        return torch.from_numpy(cut)[None], torch.tensor(of_america), torch.tensor(length)
 
 
 def losses(network: nn.Module, batch: tuple[Tensor, Tensor, Tensor], device: torch.device) -> Mapping[str, Tensor]:
-    """Cross-entropy of the log odds, and smooth L1 of the log lengths that are known."""
+    """Cross-entropy of the log odds and smooth L1 of the log lengths, both where they are known."""
     chips, american, lengths = (part.to(device) for part in batch)
     odds, seen = network(chips)
     known = lengths.isfinite()
     wrong = smooth_l1_loss(seen[known], lengths[known], beta=_BETA) if known.any() else seen.sum() * 0
-    return {"entropy": binary_cross_entropy_with_logits(odds, american), "length": _LENGTH_WEIGHT * wrong}
+    placed = american.isfinite()
+    entropy = binary_cross_entropy_with_logits(odds[placed], american[placed]) if placed.any() else odds.sum() * 0
+    return {"entropy": entropy, "length": _LENGTH_WEIGHT * wrong}
 
 
 def trained(vehicles: list[Vehicle], steps: int, seed: int, run: Path | None = None) -> FleetNet:
@@ -131,12 +139,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--run", type=Path, default=Path("runs/fleet"))
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--scenes", type=Path, help="folder of rendered scenes (training.detector.render_scenes)")
     parser.add_argument("--steps", type=int, default=_STEPS)
     parser.add_argument("--beside", type=float, default=0.0, metavar="LENGTHS")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     options.run.mkdir(parents=True, exist_ok=True)
-    vehicles = [beside(vehicle, options.beside) for vehicle in load_vehicles(options.data)]
+    found = load_vehicles(options.data) + (load_scene_vehicles(options.scenes) if options.scenes else [])
+    vehicles = [beside(vehicle, options.beside) for vehicle in found]
     dev = [vehicle for vehicle in vehicles if is_dev(vehicle.file, vehicle.set)]
     learned = [vehicle for vehicle in vehicles if not is_dev(vehicle.file, vehicle.set)]
     parts = {"fleet": (learned, dev)}
