@@ -89,10 +89,12 @@ class Image:
         """ENTRYPOINT with these arguments (or CMD), as the image's user on a read-only root where possible."""
         entrypoint = [*SERVER.last("ENTRYPOINT").words, *(arguments or SERVER.last("CMD").words)]
         entrypoint[0] = str(self.root / "opt/vehanchor/bin" / entrypoint[0])
-        if not _isolates():
+        if not _isolates("true"):
             return entrypoint
         user, group = SERVER.last("USER").text.split(":")
-        drop = f"--reuid={user} --regid={group} --clear-groups --no-new-privs --bounding-set=-all"
+        drop = "--no-new-privs --bounding-set=-all"
+        if _isolates(str(self.root / "opt/vehanchor/bin/python"), "-c", _STARTS_ITSELF):
+            drop += f" --reuid={user} --regid={group} --clear-groups"
         return [
             "unshare",
             "--mount",
@@ -115,9 +117,16 @@ class Image:
         return Path(self.moved(SERVER.last("WORKDIR").text))
 
 
-def _isolates() -> bool:
-    """Whether a read-only root and another user can be had here (root on Linux)."""
-    probe = ["unshare", "--mount", "sh", "-c", "mount -o remount,bind,ro / && setpriv --reuid=1 --clear-groups true"]
+_STARTS_ITSELF = "import subprocess, sys; subprocess.run([sys.executable, '-c', ''], check=True)"
+
+
+def _isolates(*command: str) -> bool:
+    """Whether a read-only root and another user who can run a command can be had here (root on Linux).
+
+    A Python that was installed for root alone can be run by nobody else, and then starts no workers.
+    """
+    without_root = 'mount -o remount,bind,ro / && exec setpriv --reuid=1 --clear-groups "$@"'
+    probe = ["unshare", "--mount", "sh", "-c", without_root, "sh", *command]
     return bool(shutil.which("setpriv")) and subprocess.run(probe, capture_output=True, check=False).returncode == 0
 
 

@@ -136,7 +136,8 @@ class WorkerPool:
         """Remove the workers' socket, for a process that ends without its exit handlers; no worker starts after it."""
         self.close()
         if self.processes:
-            shutil.rmtree(multiprocessing.util.get_temp_dir(), ignore_errors=True)
+            with contextlib.suppress(OSError):  # on a read-only file system there is none
+                shutil.rmtree(multiprocessing.util.get_temp_dir(), ignore_errors=True)
 
 
 class _Worker:
