@@ -30,13 +30,14 @@ function shapesOf(record, drawing) {
   return shapes.filter(({ lines }) => lines.length);
 }
 
-const middle = ([[x1, y1], [x2, y2]]) => [(x1 + x2) / 2, (y1 + y2) / 2];
+const middle = ([[x1, y1], [x2, y2] = [x1, y1]]) => [(x1 + x2) / 2, (y1 + y2) / 2]; // a single point is its own
 
 function paintShapes(canvas, shapes) {
   const path = ({ lines, closed }) =>
     lines.map((points) => `M${points.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`).join("L")}${closed ? "Z" : ""}`).join("");
-  const halos = shapes.map((each) => svg("path", { class: "halo", d: path(each) }));
-  const lines = shapes.map((each) => svg("path", { class: each.kind, d: path(each) }));
+  const outlined = shapes.filter(({ lines }) => !lines.length || lines.some((points) => points.length > 1)); // a place has no line
+  const halos = outlined.map((each) => svg("path", { class: "halo", d: path(each) }));
+  const lines = outlined.map((each) => svg("path", { class: each.kind, d: path(each) }));
   const labels = shapes
     .filter(({ label }) => label)
     .map(({ lines: [points], label }) => svg("text", { x: middle(points)[0], y: middle(points)[1] }, label));
