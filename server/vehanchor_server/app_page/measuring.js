@@ -33,7 +33,7 @@ async function measureBetween(kind, ends, record) {
   if (kind === "distance") asked.lines = [{ points: [{ x: x1, y: y1 }, { x: x2, y: y2 }] }];
   else asked.targets = [{ box: { x_min: Math.min(x1, x2), y_min: Math.min(y1, y2), x_max: Math.max(x1, x2), y_max: Math.max(y1, y2) } }];
   const result = await callTool(`measure_${kind}`, asked);
-  const found = result._meta?.[PANEL_KEY]?.record ?? result.structuredContent;
+  const found = recordOf(result);
   if (kind === "area" && !found.mask_area_px) throw new Error("no object was found in that box");
   return { kind, ends, record: found };
 }
@@ -53,6 +53,7 @@ function measuring(record, view, canvas, redraw) {
   const form = lengthForm(record, words);
   const buttons = {};
   let mode, first, pressed, preview;
+  let choices = 0; // how often a tool was taken or put down
 
   const sketch = (ends) => {
     preview?.remove();
@@ -64,6 +65,7 @@ function measuring(record, view, canvas, redraw) {
   };
   const choose = (name, text) => {
     sketch();
+    choices += 1;
     [mode, first, pressed] = [name, undefined, undefined];
     view.picking = Boolean(name);
     view.frame.classList.toggle("drawing", Boolean(name));
@@ -90,12 +92,15 @@ function measuring(record, view, canvas, redraw) {
       return form.ask(ends);
     }
     choose(undefined, "Measuring.");
+    const asked = choices;
+    const takeUpAgain = () => choices === asked && choose(kind, MODES[kind].first); // unless another was taken meanwhile
     try {
       call.measured.push(await measureBetween(kind, ends, record));
       refresh();
-      choose(kind, MODES[kind].first);
+      takeUpAgain();
     } catch (error) {
-      choose(kind, `Not measured: ${error.message}`);
+      takeUpAgain();
+      words.textContent = `Not measured: ${error.message}`;
     }
   };
 
@@ -202,7 +207,7 @@ function lengthForm(record, words) {
 }
 
 async function measureAllAgain(result) {
-  const record = result._meta?.[PANEL_KEY]?.record ?? result.structuredContent;
+  const record = recordOf(result);
   for (const [i, { kind, ends }] of call.measured.entries()) call.measured[i] = await measureBetween(kind, ends, record);
 }
 

@@ -4,8 +4,12 @@ const isArea = (record) => "mask_area_px" in record;
 const textOf = (result) => (result.content ?? []).filter((part) => part.type === "text").map((part) => part.text).join(" ");
 const scaleOf = (record) => (isArea(record) ? record.scale : record);
 
+// The whole record, wherever a short answer has it; the first of several.
+const recordOf = (result) =>
+  result._meta?.[PANEL_KEY]?.record ?? result.structuredContent?.measurements?.[0] ?? result.structuredContent;
+
 function show(result) {
-  const record = result._meta?.[PANEL_KEY]?.record ?? result.structuredContent?.measurements?.[0] ?? result.structuredContent;
+  const record = recordOf(result);
   if (result.isError) return fail(textOf(result));
   byId("panel").setAttribute("aria-busy", "false");
   say(textOf(result));

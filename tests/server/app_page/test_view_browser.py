@@ -82,6 +82,7 @@ def test_a_person_measures_a_distance_and_an_area_and_takes_them_away(page: Any,
     page.locator(".picture").scroll_into_view_if_needed()
     press(page, "Distance")
     drag(page, (640, 512), (100, 300), (300, 300))
+    says(page, "ol.measured .number", re.compile(r"^[\d.,]+ m$"))
     press(page, "Area")
     box = POOL_BOX
     drag(page, (640, 512), (box["x_min"], box["y_min"]), (box["x_max"], box["y_max"]))
@@ -100,6 +101,26 @@ def test_a_person_measures_a_distance_and_an_area_and_takes_them_away(page: Any,
     for blue_green_red in ((0xE9, 0xB4, 0x56), (0x42, 0xE4, 0xF0)):  # vehicles, and what was measured
         assert (picture == np.array(blue_green_red, np.uint8)).all(axis=2).any()
     assert area["area_m2"] > 0
+
+
+def test_a_tool_taken_while_something_is_measured_stays_taken(page: Any) -> None:
+    press(page, "pool.png")
+    says(page, "#status", "Safe to use")
+    page.locator(".picture").scroll_into_view_if_needed()
+    held: list[Any] = []
+    page.route(
+        "**", lambda route: held.append(route) if "measure_" in (route.request.post_data or "") else route.fallback()
+    )
+    press(page, "Distance")
+    drag(page, (640, 512), (100, 300), (300, 300))
+    press(page, "Area")
+    while not held:
+        page.wait_for_timeout(10)
+    held.pop().continue_()
+    says(page, "ol.measured li .number", re.compile(r"^[\d.,]+ m$"))
+    assert page.get_by_role("button", name="Area", exact=True).get_attribute("aria-pressed") == "true"
+    assert page.get_by_role("button", name="Distance", exact=True).get_attribute("aria-pressed") == "false"
+    page.unroute("**")
 
 
 def save(page: Any, name: str, folder: Path) -> Path:
