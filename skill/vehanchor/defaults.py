@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from typing import Literal
 
-__all__ = ["CAR_LENGTH_M", "NMS_IOU", "OUTLIER_ALPHA", "Aggregation"]
+__all__ = ["CAR_LENGTH_M", "NMS_IOU", "OUTLIER_ALPHA", "REGIONS", "Aggregation"]
 
 Aggregation = Literal["kde", "weighted_kde", "median", "mean"]
 """How lengths become one (see ``vehanchor.scale.lengths.modal_length``)."""
 
 NMS_IOU = 0.45  # paper, section III-B
 OUTLIER_ALPHA = 1.5  # paper, equation 2
+
+REGIONS = ("europe", "northern_europe", "north_america", "south_america", "south_asia")
+"""Of whose cars the bundled detector knows the length; a model of somebody's own may know others."""
 
 CAR_LENGTH_M = 4.6
 """Metres, of a car of any fleet, to a fifth: where only the resolution at which one is seen is asked for."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, get_args
 
 from vehanchor.choices import choice, positive, settle, whole
-from vehanchor.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, OUTLIER_ALPHA, Aggregation
+from vehanchor.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, OUTLIER_ALPHA, REGIONS, Aggregation
 from vehanchor.errors import FrameError, InvalidParameterError
 from vehanchor.ruler_options import KnownLength, RulerName, Rulers
 from vehanchor.search_options import Effort, Search
@@ -133,8 +133,7 @@ class Reference:
     region: str | None = field(
         default=None,
         metadata=choice(
-            "Take the model's reference length of a region: europe, northern_europe, north_america, south_america, "
-            "south_asia.",
+            f"Take the model's reference length of a region: {', '.join(REGIONS)}.",
             metavar="NAME",
         ),
     )

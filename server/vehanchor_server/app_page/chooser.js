@@ -1,6 +1,5 @@
 // ---- Photographs: those of the folder, and those that are dropped ----
 
-const REGIONS = ["europe", "northern_europe", "north_america", "south_america", "south_asia"];
 const known = new Map(); // by path: the button, and the result once there is one
 let chosen;
 
@@ -88,7 +87,6 @@ for (const [name, over] of [["dragenter", true], ["dragover", true], ["dragleave
 }
 byId("files").addEventListener("change", (event) => take(event.target.files));
 byId("open").addEventListener("click", () => byId("files").click());
-byId("region").append(...REGIONS.map((name) => html("option", { value: name }, name.replaceAll("_", " "))));
 byId("region").addEventListener("change", () => chosen && choose(chosen));
 say("Drop aerial photographs here, or choose one of the list.");
 byId("panel").setAttribute("aria-busy", "false");

@@ -13,6 +13,8 @@ from typing import Any
 
 from mcp.server.apps import Apps, ResourceCsp
 
+from vehanchor.defaults import REGIONS
+
 __all__ = ["APP_META", "APP_URI", "app_extension", "page_html", "view_html"]
 
 APP_URI = "ui://vehanchor/panel.html"
@@ -60,7 +62,9 @@ def page_html() -> str:
 @cache
 def view_html() -> str:
     """The page that ``vehanchor view`` serves: the same parts, and a list of photographs."""
-    return _assembled("view.html", ("panel.css", "view.css"), _BY_ITSELF, "img-src data:", "connect-src 'self'")
+    page = _assembled("view.html", ("panel.css", "view.css"), _BY_ITSELF, "img-src data:", "connect-src 'self'")
+    options = "".join(f'<option value="{name}">{name.replace("_", " ")}</option>' for name in REGIONS)
+    return page.replace("{{regions}}", options)
 
 
 def _assembled(template: str, styles: tuple[str, ...], scripts: tuple[str, ...], *allowed: str) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeVar, cast
 
 from pydantic import Field
 
+from vehanchor.defaults import REGIONS
 from vehanchor.options import Coordinates, Effort, Frame, KnownLength, Reading, Reference, Rulers, ScaleOptions, Search
 from vehanchor.records import KnownScale
 from vehanchor_server.calls.answer import Detail
@@ -60,7 +61,7 @@ RegionArgument: TypeAlias = Annotated[
     str | None,
     Field(
         max_length=64,
-        description="Where it was taken, if known: europe, northern_europe, north_america, south_america, south_asia.",
+        description=f"Where it was taken, if known: {', '.join(REGIONS)}.",
     ),
 ]
 ReferenceLengthArgument: TypeAlias = Annotated[

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import ROOT
+from vehanchor.defaults import REGIONS
 from vehanchor.detection.detector import Detector
 from vehanchor.estimate import estimate_gsd
 from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, fleet_beside, resolve_model
@@ -91,6 +92,7 @@ def test_the_shipped_file_carries_its_calibration(detector: Detector) -> None:
     card = detector.card
     assert card.name == DEFAULT_DETECTOR
     assert 4.0 < card.reference_length_m < 5.2
+    assert set(card.region_lengths_m) == set(REGIONS)
     assert card.region_lengths_m["europe"] < card.reference_length_m < card.region_lengths_m["north_america"]
     assert card.length_range_px == (9.0, 64.0)
     assert card.licence == "Apache-2.0"
