@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster, Window
     from vehanchor_server.calls.answer import WantedPictures
     from vehanchor_server.calls.capacity import Stop
+    from vehanchor_server.calls.job import Job
 
 __all__ = [
     "MAX_PAGE_BYTES",
@@ -47,19 +48,20 @@ class Pictures(NamedTuple):
 
 
 def draw_pictures(
-    raster: Raster, stop: Stop, wanted: WantedPictures, draw: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
+    raster: Raster, job: Job, wanted: WantedPictures, draw: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 ) -> Pictures:
     """Make the pictures of a result from one reading of the image.
 
     Args:
         raster: the image.
-        stop: ends the reading of a large image early.
+        job: is told of this stage, and ends the reading of a large image early.
         wanted: which.
         draw: makes the overlay, ``[h', w', 3]`` RGB, of the image or a reduced copy, ``[h, w, 3]``.
     """
     if not any(wanted):
         return Pictures()
-    seen = read_reduced(stoppable(raster, stop))
+    job.enter("overlay")
+    seen = read_reduced(stoppable(raster, job.stop))
     page = small_jpeg(seen, MAX_PAGE_BYTES) if wanted.page else None
     return Pictures(small_jpeg(draw(seen)) if wanted.overlay else None, page)
 

@@ -176,9 +176,7 @@ def _measure(
             run_options=job.run_options,
         )
         first = found[0]
-        if any(wanted):
-            job.enter("overlay")
-        pictures = draw_pictures(raster, job.stop, wanted, lambda seen: draw_area(seen, first))
+        pictures = draw_pictures(raster, job, wanted, lambda seen: draw_area(seen, first))
     histogram = None if first.scale is None else length_histogram(first.scale)
     drawing = drawing_of(first.scale) if wanted.page and first.scale is not None else None
     measured = tuple(each.measurement for each in found)

@@ -26,8 +26,6 @@ def scale_answer(raster: Raster, analysis: ScaleAnalysis, wanted: WantedPictures
     from vehanchor_server.app_page.panel import drawing_of, length_histogram
     from vehanchor_server.calls.overlay import draw_pictures
 
-    if any(wanted):
-        job.enter("overlay")
-    pictures = draw_pictures(raster, job.stop, wanted, lambda seen: draw_overlay(seen, analysis))
+    pictures = draw_pictures(raster, job, wanted, lambda seen: draw_overlay(seen, analysis))
     drawing = drawing_of(analysis) if wanted.page else None
     return Answer((analysis.estimate,), pictures.overlay, length_histogram(analysis), pictures.page, drawing)
