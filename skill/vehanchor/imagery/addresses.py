@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from vehanchor.errors import ImageDecodeError, ImageNotFoundError, ImageTooLargeError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from vehanchor.imagery.header import ReadAt
     from vehanchor.options import ImageLimits
 
@@ -76,32 +79,23 @@ def whole_of(address: str, limits: ImageLimits) -> bytes:
     return bytes(data)
 
 
-class _opened:  # noqa: N801 - used as a function
+@contextmanager
+def _opened(address: str, headers: dict[str, str]) -> Iterator[Any]:
     """A server's reply, closed at the end; its errors are ours."""
+    from http.client import HTTPException
+    from urllib.error import HTTPError
+    from urllib.request import Request, urlopen
 
-    def __init__(self, address: str, headers: dict[str, str]) -> None:
-        self._address = address
-        self._headers = headers
-
-    def __enter__(self) -> Any:
-        from http.client import HTTPException
-        from urllib.error import HTTPError
-        from urllib.request import Request, urlopen
-
+    try:
+        reply: Any = urlopen(Request(address, headers=headers), timeout=_TIMEOUT_S)
+    except HTTPError as error:
+        if error.code != 416:  # past the end
+            raise ImageNotFoundError(f"{address} answers {error.code} {error.reason}") from error
+        reply = error
+    except (OSError, ValueError, HTTPException) as error:
+        raise ImageNotFoundError(f"cannot read {address}: {error}; check the address") from error
+    with reply:
         try:
-            self._reply: Any = urlopen(Request(self._address, headers=self._headers), timeout=_TIMEOUT_S)
-        except HTTPError as error:
-            if error.code == 416:  # past the end
-                self._reply = error
-                return error
-            raise ImageNotFoundError(f"{self._address} answers {error.code} {error.reason}") from error
-        except (OSError, ValueError, HTTPException) as error:
-            raise ImageNotFoundError(f"cannot read {self._address}: {error}; check the address") from error
-        return self._reply
-
-    def __exit__(self, kind: Any, error: BaseException | None, _: Any) -> None:
-        from http.client import HTTPException
-
-        self._reply.close()
-        if isinstance(error, OSError | HTTPException):
-            raise ImageDecodeError(f"{self._address} broke off: {error}; try again") from error
+            yield reply
+        except (OSError, HTTPException) as error:
+            raise ImageDecodeError(f"{address} broke off: {error}; try again") from error
