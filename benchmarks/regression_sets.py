@@ -28,6 +28,7 @@ import numpy as np
 
 from training.detector.distractors import KINDS, draw_distractors
 from training.detector.places import Place, is_held_out, looked_at, places
+from vehanchor.anchors.camera import equivalent_lens
 from vehanchor.defaults import CAR_LENGTH_M
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector
@@ -56,7 +57,6 @@ _PARTS = ("people", "clutter", "mistakes", "levels")
 _RIGHT_LEVEL = 1.5  # the next level is at 2
 _LEAST_CARS = 3
 _NADIR_DEG = -85.0
-_FILM_WIDTH_MM = 36.0  # what focal lengths "in 35 mm" refer to
 _GARFIELD_M_PER_PX = 0.047  # from the GPS track and matched features: ../shared/data/README.md
 
 
@@ -262,8 +262,8 @@ def fine_images(data: Path) -> Iterator[tuple[str, Path, float]]:
             if float(row["camera_pitch_deg"]) < _NADIR_DEG:
                 path = data / "tilt" / row["file"]
                 with open_raster(path) as raster:
-                    width_m = _FILM_WIDTH_MM * float(row["height_above_takeoff_m"]) / float(row["focal_length_35mm"])
-                    yield "tilt, nadir", path, CAR_LENGTH_M * raster.width_px / width_m
+                    seen = equivalent_lens(raster.width_px, raster.height_px, float(row["focal_length_35mm"]))
+                yield "tilt, nadir", path, CAR_LENGTH_M * seen.pixels / float(row["height_above_takeoff_m"])
     for path in sorted((data / "flights" / "garfield").glob("*.jpg")):
         yield "garfield", path, CAR_LENGTH_M / _GARFIELD_M_PER_PX
 
