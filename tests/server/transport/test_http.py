@@ -7,8 +7,6 @@ import contextlib
 import importlib
 import json
 import os
-import socket
-import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -18,12 +16,12 @@ from typing import Any
 import anyio
 import httpx2 as httpx
 import pytest
-import uvicorn
 from mcp import Client
 from mcp.client.streamable_http import streamable_http_client
 
 from tests.server.conftest import paint_scene, write_image
 from tests.server.conversation import by_path, error_of, text_of
+from tests.server.serving import listening, serving
 from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings, SettingsError
 from vehanchor_server.transport.http import create_app, serve_http
@@ -37,21 +35,8 @@ ERAS = ("auto", "legacy")
 @contextlib.contextmanager
 def served(settings: Settings) -> Iterator[str]:
     """The server's address, for as long as it listens."""
-    listener = socket.socket()
-    listener.bind(("127.0.0.1", 0))
-    config = uvicorn.Config(create_app(settings), log_config=None, access_log=False, timeout_graceful_shutdown=2)
-    server = uvicorn.Server(config)
-    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
-    thread.start()
-    deadline = time.monotonic() + 20
-    while not server.started and time.monotonic() < deadline:
-        time.sleep(0.01)
-    try:
+    with listening() as listener, serving(create_app(settings), listener):
         yield f"http://127.0.0.1:{listener.getsockname()[1]}"
-    finally:
-        server.should_exit = True
-        thread.join(10)
-        listener.close()
 
 
 @pytest.fixture
