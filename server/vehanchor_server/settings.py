@@ -114,6 +114,12 @@ class Settings:
         default=ImageLimits.max_windowed_pixels / _MEGAPIXEL,
         metadata=_words("Largest TIFF read by windows, megapixels.", panel=_WORK),
     )
+    never_ask: bool = field(
+        default=False,
+        metadata=_words(
+            "Never ask the person at a client for a region, a height or a known length at low confidence.", panel=_WORK
+        ),
+    )
     max_concurrency: int | None = field(
         default=None, metadata=_words("Calls at once in a process.", panel=_WORK, if_unset="one a CPU, at least 2")
     )
