@@ -1,4 +1,4 @@
-"""``vehanchor scalebar``: the photograph with a bar of round length, and a world file for programs of maps."""
+"""``vehanchor scalebar``: the photograph with a bar of round length; world file and GeoTIFF for programs of maps."""
 
 from __future__ import annotations
 
@@ -35,6 +35,12 @@ def scalebar(
             "--world-file", help="Write a world file beside it: local metres, the upper left corner at 0, 0, y upwards."
         ),
     ] = False,
+    geotiff: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OUT.tif", help="Write the photograph in full size, without the bar, as a GeoTIFF in local metres."
+        ),
+    ] = None,
     gsd: GivenGsd = None,
     scale: ScaleFile = None,
     *,
@@ -44,6 +50,7 @@ def scalebar(
     with exit_on_error():
         from vehanchor.found_scale import choose_scale, find_scale
         from vehanchor.imagery.raster import open_raster
+        from vehanchor.metric_copy import check_copy_path, write_metric_copy
         from vehanchor.output import whole_file
         from vehanchor.pictures.scale import (
             check_picture_path,
@@ -53,8 +60,9 @@ def scalebar(
             write_picture,
         )
 
-        if check_picture_path(output).resolve() == Path(image).resolve():
-            raise InvalidParameterError(f"{str(output)!r} is the image itself: choose another name")
+        for path in (check_picture_path(output), None if geotiff is None else check_copy_path(geotiff)):
+            if path is not None and path.resolve() == Path(image).resolve():
+                raise InvalidParameterError(f"{str(path)!r} is the image itself: choose another name")
         options, known = chosen.options(), read_scale(scale, image)
         source = choose_scale(gsd, known, chosen.detector.open() if gsd is None and known is None else None, options)
         reading = options.reading
@@ -63,11 +71,13 @@ def scalebar(
             tile_progress(1, lines_on_terminal=False) as step,
         ):
             found = find_scale(raster, source, options, progress=step(0, image))
+            if found.gsd_m_per_px is None or found.status != "ok":
+                typer.echo(f"no bar: {_refusal(found.status)}; nothing was written", err=True)
+                raise typer.Exit(NOT_OK)
             picture = fit_for_eyes(read_reduced(raster))
             width_px = raster.width_px
-        if found.gsd_m_per_px is None or found.status != "ok":
-            typer.echo(f"no bar: {_refusal(found.status)}; nothing was written", err=True)
-            raise typer.Exit(NOT_OK)
+            if geotiff is not None:
+                write_metric_copy(geotiff, raster, found.gsd_m_per_px)
         drawn_gsd = found.gsd_m_per_px * width_px / picture.shape[1]
         draw_scale_bar(picture, drawn_gsd)
         write_picture(output, picture)

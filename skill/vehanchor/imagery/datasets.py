@@ -19,7 +19,7 @@ from vehanchor.errors import (
     VehAnchorError,
 )
 from vehanchor.imagery.bands import check_dtype, choose_bands, merge_bands
-from vehanchor.imagery.georeference import dataset_gsd_m_per_px
+from vehanchor.imagery.georeference import Ground, dataset_gsd_m_per_px
 from vehanchor.imagery.limits import check_block, check_windowed_size
 from vehanchor.imagery.stretch import SAMPLE_PX
 from vehanchor.imagery.windows import Raster, StoredPixels, Window, stored_window
@@ -214,6 +214,8 @@ class DatasetRaster(Raster):
             georeference_gsd_m_per_px=dataset_gsd_m_per_px(dataset),
             notes=notes,
         )
+        if self.georeference_gsd_m_per_px is not None:
+            self.ground = Ground(dataset.transform, dataset.crs)
         dtype = _dtype(dataset.dtypes[self._indexes[0] - 1])
         check_dtype(dtype)
         self._dataset = dataset
