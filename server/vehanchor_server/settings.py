@@ -232,6 +232,7 @@ class Settings:
             max_pixels=max_pixels,
             max_windowed_pixels=round(self.max_windowed_megapixels * _MEGAPIXEL),
             max_decoded_bytes=max_decoded_bytes,
+            max_unpacked_bytes=1,  # no caller fills the disk: a large JPEG is refused
         )
 
     @property

@@ -36,7 +36,9 @@ __all__ = ["distance"]
 def _distance(
     image: Annotated[
         str,
-        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, GeoTIFF.", show_default=False),
+        typer.Argument(
+            metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, TIFF, JP2, HEIC.", show_default=False
+        ),
     ],
     point: Annotated[
         list[str] | None,

@@ -61,7 +61,9 @@ OutlineFile: TypeAlias = Annotated[
 def _measure(
     image: Annotated[
         str,
-        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, GeoTIFF.", show_default=False),
+        typer.Argument(
+            metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, TIFF, JP2, HEIC.", show_default=False
+        ),
     ],
     box: Annotated[
         tuple[float, float, float, float] | None,

@@ -24,7 +24,9 @@ _WORLD_SUFFIXES = {".png": ".pgw", ".jpg": ".jgw", ".jpeg": ".jgw"}
 def scalebar(
     image: Annotated[
         str,
-        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, GeoTIFF.", show_default=False),
+        typer.Argument(
+            metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, TIFF, JP2, HEIC.", show_default=False
+        ),
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="OUT.png", help="The picture with its bar, .png or .jpg.")
@@ -51,7 +53,6 @@ def scalebar(
         from vehanchor.found_scale import choose_scale, find_scale
         from vehanchor.imagery.raster import open_raster
         from vehanchor.metric_copy import check_copy_path, write_metric_copy
-        from vehanchor.output import whole_file
         from vehanchor.pictures.scale import (
             check_picture_path,
             draw_scale_bar,
@@ -65,9 +66,8 @@ def scalebar(
                 raise InvalidParameterError(f"{str(path)!r} is the image itself: choose another name")
         options, known = chosen.options(), read_scale(scale, image)
         source = choose_scale(gsd, known, chosen.detector.open() if gsd is None and known is None else None, options)
-        reading = options.reading
         with (
-            open_raster(image, bands=reading.bands, limits=reading.limits) as raster,
+            open_raster(image, bands=options.reading.bands, limits=options.reading.limits) as raster,
             tile_progress(1, lines_on_terminal=False) as step,
         ):
             found = find_scale(raster, source, options, progress=step(0, image))
@@ -82,14 +82,17 @@ def scalebar(
         draw_scale_bar(picture, drawn_gsd)
         write_picture(output, picture)
         if world_file:
-            with whole_file(output.with_suffix(_WORLD_SUFFIXES[output.suffix.lower()])) as partial:
-                partial.write_text(_world(drawn_gsd), encoding="ascii")
+            _write_world(output, drawn_gsd)
 
 
 def _refusal(status: Status) -> str:
     return "there is no scale" if status == "no_anchor" else "the scale's confidence is below 0.5"
 
 
-def _world(gsd_m: float) -> str:
+def _write_world(picture: Path, gsd_m: float) -> None:
     """The six lines of a world file: the middle of the first pixel lies half a pixel off the corner."""
-    return "".join(f"{value:.10g}\n" for value in (gsd_m, 0, 0, -gsd_m, gsd_m / 2, -gsd_m / 2))
+    from vehanchor.output import whole_file
+
+    lines = "".join(f"{value:.10g}\n" for value in (gsd_m, 0, 0, -gsd_m, gsd_m / 2, -gsd_m / 2))
+    with whole_file(picture.with_suffix(_WORLD_SUFFIXES[picture.suffix.lower()])) as partial:
+        partial.write_text(lines, encoding="ascii")
