@@ -16,7 +16,7 @@ __all__ = ["SUFFIXES", "find_images"]
 
 _SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
 SUFFIXES = frozenset(
-    {".jpg", ".jpeg", ".png", ".webp", ".avif", ".bmp", ".tif", ".tiff"}
+    {".jpg", ".jpeg", ".png", ".webp", ".avif", ".bmp", ".tif", ".tiff", ".jp2", ".heic"}
 )  # what a directory is searched for
 
 

@@ -36,7 +36,9 @@ __all__ = ["distance"]
 def _distance(
     image: Annotated[
         str,
-        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, GeoTIFF.", show_default=False),
+        typer.Argument(
+            metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, TIFF, JP2, HEIC.", show_default=False
+        ),
     ],
     point: Annotated[
         list[str] | None,
@@ -67,7 +69,7 @@ def _distance(
                 check_boxes_path(line, LINE_SUFFIXES)
 
             with tile_progress(1, lines_on_terminal=as_json) as step:
-                record = analyse_distance(
+                analysis = analyse_distance(
                     image,
                     path,
                     options,
@@ -76,7 +78,8 @@ def _distance(
                     object_height_m=object_height,
                     detector=chosen.detector.open() if gsd is None and known is None else None,
                     progress=step(0, image),
-                ).measurement
+                )
+            record = analysis.measurement
         except VehAnchorError as error:
             if as_json:
                 print_json(failure(image, error))
@@ -87,7 +90,7 @@ def _distance(
             print_table(facts_table(image, _facts(record)))
             print_warnings(record, "")
         if line is not None:
-            write_measured(line, record, image)
+            write_measured(line, analysis)
         exit_strictly(strict, [record.status])
 
 

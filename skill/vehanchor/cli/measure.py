@@ -61,7 +61,9 @@ OutlineFile: TypeAlias = Annotated[
 def _measure(
     image: Annotated[
         str,
-        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, GeoTIFF.", show_default=False),
+        typer.Argument(
+            metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, TIFF, JP2, HEIC.", show_default=False
+        ),
     ],
     box: Annotated[
         tuple[float, float, float, float] | None,
@@ -115,7 +117,7 @@ def _measure(
         else:
             print_table(facts_table(image, _facts(analysis.measurement)))
             print_warnings(analysis.measurement, "")
-        _write_files(image, analysis, options, *outputs, outline)
+        _write_files(analysis, options, *outputs, outline)
         exit_strictly(strict, [analysis.measurement.status])
 
 
@@ -202,7 +204,6 @@ def _open_segmenter(files: Any, detector: DetectorChoice) -> Any:
 
 
 def _write_files(
-    image: str,
     analysis: AreaAnalysis,
     options: ScaleOptions,
     overlay: Path | None,
@@ -212,17 +213,14 @@ def _write_files(
     if outline is not None:
         from vehanchor.exports import write_measured
 
-        write_measured(outline, analysis.measurement, image)
+        write_measured(outline, analysis)
     if overlay is None and mask is None:
         return
-    from vehanchor.imagery.raster import open_raster
-    from vehanchor.pictures.area import draw_area, full_mask
-    from vehanchor.pictures.scale import read_reduced, write_picture
+    from vehanchor.pictures.area import full_mask
+    from vehanchor.pictures.scale import write_picture
 
     if overlay is not None:
-        with open_raster(image, bands=options.reading.bands, limits=options.reading.limits) as raster:
-            seen = read_reduced(raster)
-        write_picture(overlay, draw_area(seen, analysis))
+        write_picture(overlay, analysis.overlay())
     if mask is not None:
         write_picture(mask, full_mask(analysis, options.reading.limits))
 
