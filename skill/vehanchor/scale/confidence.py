@@ -13,27 +13,18 @@ import numpy as np
 from vehanchor.notices import NoticeCode
 from vehanchor.records import ConfidenceTerms
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES
+from vehanchor.scale.thresholds import DISPUTE_CONFIDENCE, GUARD_CONFIDENCE, GUARD_GSD_M_PER_PX
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 __all__ = [
-    "DISPUTE_CONFIDENCE",
-    "FALLBACK_CONFIDENCE",
-    "GUARD_CONFIDENCE",
-    "GUARD_GSD_M_PER_PX",
-    "UNSURE_CONFIDENCE",
     "composite",
     "confidence_terms",
     "fleet_doubts",
     "guard_length",
 ]
 
-FALLBACK_CONFIDENCE = 0.5  # paper, section III-E: below it a planner must fall back
-GUARD_GSD_M_PER_PX = 0.3  # paper, GSD_max
-GUARD_CONFIDENCE = 0.3  # paper: C = min(C_raw, 0.3)
-UNSURE_CONFIDENCE = 0.45  # where all rulers together leave more than a tenth to an error of a fifth and more
-DISPUTE_CONFIDENCE = 0.4  # where it is open whether the dominant lengths are those of cars
 _RIVAL_SHARE = 0.35  # of the dominant group's weight in another group of lengths
 _ALIKE_LOG_SPREAD = 0.045  # 99 of 100 fleets of the train split have 0.047 and more; equal things in rows 0.03 to 0.06
 _ALIKE_LOG_ODDS = 0.7  # standard deviation; fleets of the train split have 0.76 and more, caravans in rows 0.4 to 0.7
