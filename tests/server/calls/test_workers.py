@@ -6,6 +6,7 @@ import base64
 import errno
 import os
 import signal
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -286,6 +287,25 @@ def test_a_worker_for_which_there_is_no_process_is_not_the_images_fault(
         with pytest.raises(CallError, match="worker_unavailable"):
             done(isolated, number)
     assert done(isolated, number) != process
+
+
+def endless() -> Services:  # as a model that computes for ever while it is loaded
+    while True:
+        time.sleep(1)
+
+
+def test_a_call_to_a_worker_that_loads_for_ever_ends_at_its_deadline() -> None:
+    workers = WorkerPool(endless, 1, WorkerLimits(1 << 30, 10))
+    stop = Stop()
+    timer = threading.Timer(0.5, stop.request)
+    timer.start()
+    try:
+        with pytest.raises(CallStoppedError):
+            workers.run(Task(number, IMAGE, None), stop, lambda *_: None, lambda *_: None)
+        assert not workers.ready
+    finally:
+        timer.join()
+        workers.close()
 
 
 def lost_once(mark: Path, settings: Settings) -> Services:
