@@ -124,10 +124,7 @@ class TiltEstimate(_Record):
     tilt_ci95_high_deg: float = Field(ge=0, le=90, description="Upper end of its 95 % interval.")
     roll_deg: float = Field(description="Direction in which it looked aside, clockwise from the image's upper side.")
     focal_length_px: float = Field(gt=0, description="Focal length, pixels of the full image.")
-    source: str = Field(
-        description="Where the tilt is from: metadata, courts, vehicles, or several of them; and whether the focal "
-        "length is unknown, that of most drones then."
-    )
+    source: str = Field(description="metadata, courts, vehicles, or several of them; focal length unknown, if it is.")
     gsd_least_m_per_px: float | None = Field(description="Least metres per pixel in the image; null without a scale.")
     gsd_largest_m_per_px: float | None = Field(description="Largest metres per pixel in the image.")
 
