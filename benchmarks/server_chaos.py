@@ -33,7 +33,7 @@ from vehanchor_scenes import render_scene
 Question: TypeAlias = tuple[str, dict[str, Any]]
 Reply: TypeAlias = tuple[Any, str | None]
 
-RETRYABLE = ("busy", "worker_killed", "deadline_exceeded")
+RETRYABLE = ("busy", "worker_killed", "worker_unavailable", "deadline_exceeded")
 DEADLINE_S = 20.0
 N_PLACES = 4
 _SIDE_PX = 320

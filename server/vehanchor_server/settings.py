@@ -127,6 +127,12 @@ class Settings:
         default=False,
         metadata=_words("Decode and compute here, not in processes that can be killed at the deadline.", panel=_WORK),
     )
+    unconfined: bool = field(  # for systems on which a worker needs more than Python, the models and the roots
+        default=False,
+        metadata=_words(
+            "Let worker processes read, write and start what this user may; on Linux they cannot.", panel=_WORK
+        ),
+    )
     max_worker_mb: float = field(  # of one process, of which there are at most as many as calls at once
         default=2048.0,
         metadata=_words("Data of a worker process beside its models, MiB; it ends beyond.", panel=_WORK),

@@ -208,7 +208,7 @@ def analyse_objects(
     prompts = [prompt_in_image(each, options.frame, raster.width_px, raster.height_px) for each in prompts]
     # The masks first: they are the quicker of the two to find out that a prompt cannot be read.
     limits = options.reading.limits
-    masks = [segmenter.segment(raster, each, limits=limits, run_options=run_options) for each in prompts]
+    masks = segmenter.segment_all(raster, prompts, limits=limits, run_options=run_options)
     found = find_scale(
         raster, scale, options, object_height_m=object_height_m, progress=progress, run_options=run_options
     )

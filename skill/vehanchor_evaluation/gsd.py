@@ -14,8 +14,8 @@ from vehanchor.anchors.evidence import ImageFacts
 from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import ScaleAnalysis, analyse_scale, open_detector
 from vehanchor.options import Reference, ScaleOptions
-from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
 from vehanchor.scale.lengths import kde_mode
+from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor_evaluation.dota import SMALL_VEHICLE, labelled_boxes
 from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet, naming
 from vehanchor_evaluation.search import SearchedImage

@@ -18,6 +18,7 @@ from vehanchor_server.app_page import APP_META
 from vehanchor_server.calls.answer import Answer, Detail, WantedPictures
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
@@ -79,7 +80,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         height_m: HeightArgument = None,
         focal_35mm: FocalLengthArgument = None,
         coordinates: CoordinatesArgument = "pixels",
-        include_overlay: Annotated[bool, Field(description="Also return a picture of what was measured.")] = False,
+        include_overlay: Annotated[Flag, Field(description="Also return a picture of what was measured.")] = False,
         detail: DetailArgument = "short",
         more_images: MoreImagesArgument = None,
         same_scale: SameScaleArgument = False,
