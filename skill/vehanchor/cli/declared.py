@@ -16,7 +16,7 @@ import inspect
 import typing
 from dataclasses import MISSING, dataclass, field, fields
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 
@@ -29,7 +29,16 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detector import Detector
 
-__all__ = ["Chosen", "DetectorChoice", "option_parameters", "scale_command"]
+__all__ = ["Chosen", "DetectorChoice", "Photograph", "option_parameters", "scale_command"]
+
+Photograph: TypeAlias = Annotated[
+    str,
+    typer.Argument(
+        metavar="IMAGE",
+        help="Photograph: JPEG, PNG, WebP, AVIF, BMP, TIFF, JP2, HEIC; or its address.",
+        show_default=False,
+    ),
+]
 
 _UNITS = ("_px", "_m")
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.declared import Chosen, scale_command
+from vehanchor.cli.declared import Chosen, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
 from vehanchor.cli.spaced import SpacedCommand
 from vehanchor.cli.terminal import (
@@ -34,12 +34,7 @@ __all__ = ["distance"]
 
 @scale_command()
 def _distance(
-    image: Annotated[
-        str,
-        typer.Argument(
-            metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, TIFF, JP2, HEIC.", show_default=False
-        ),
-    ],
+    image: Photograph,
     point: Annotated[
         list[str] | None,
         typer.Option(metavar="X Y", help="A point of the line, pixels; two of them, or more in order."),

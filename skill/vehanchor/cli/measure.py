@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
-from vehanchor.cli.declared import Chosen, DetectorChoice, scale_command
+from vehanchor.cli.declared import Chosen, DetectorChoice, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
 from vehanchor.cli.spaced import SpacedCommand
 from vehanchor.cli.terminal import (
@@ -59,12 +59,7 @@ OutlineFile: TypeAlias = Annotated[
 
 @scale_command()
 def _measure(
-    image: Annotated[
-        str,
-        typer.Argument(
-            metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, TIFF, JP2, HEIC.", show_default=False
-        ),
-    ],
+    image: Photograph,
     box: Annotated[
         tuple[float, float, float, float] | None,
         typer.Option(metavar="X1 Y1 X2 Y2", help="A box around the object, pixels. Either this or points."),

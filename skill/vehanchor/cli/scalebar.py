@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.declared import Chosen, scale_command
+from vehanchor.cli.declared import Chosen, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ScaleFile, read_scale
 from vehanchor.cli.terminal import NOT_OK, exit_on_error, tile_progress
 from vehanchor.errors import InvalidParameterError
@@ -22,12 +22,7 @@ _WORLD_SUFFIXES = {".png": ".pgw", ".jpg": ".jgw", ".jpeg": ".jgw"}
 
 @scale_command()
 def scalebar(
-    image: Annotated[
-        str,
-        typer.Argument(
-            metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, TIFF, JP2, HEIC.", show_default=False
-        ),
-    ],
+    image: Photograph,
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="OUT.png", help="The picture with its bar, .png or .jpg.")
     ],
