@@ -16,6 +16,7 @@ The library's own codes (``vehanchor.errors``) pass through unchanged. The serve
   x ``worker_unavailable``  no process for work on images can start here; no fault of the image
   x ``server_stopping``     the server is shutting down
   x ``model_unavailable``   the operator's model cannot be loaded
+  x ``invalid_answer``      what the person at the client answered to a question has no meaning
   x ``internal_error``      a bug; the details are in the server's log only
 """
 

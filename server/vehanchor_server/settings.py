@@ -114,6 +114,12 @@ class Settings:
         default=ImageLimits.max_windowed_pixels / _MEGAPIXEL,
         metadata=_words("Largest TIFF read by windows, megapixels.", panel=_WORK),
     )
+    never_ask: bool = field(
+        default=False,
+        metadata=_words(
+            "Never ask the person at a client for a region, a height or a known length at low confidence.", panel=_WORK
+        ),
+    )
     max_concurrency: int | None = field(
         default=None, metadata=_words("Calls at once in a process.", panel=_WORK, if_unset="one a CPU, at least 2")
     )
@@ -232,6 +238,7 @@ class Settings:
             max_pixels=max_pixels,
             max_windowed_pixels=round(self.max_windowed_megapixels * _MEGAPIXEL),
             max_decoded_bytes=max_decoded_bytes,
+            max_unpacked_bytes=1,  # no caller fills the disk: a large JPEG is refused
         )
 
     @property

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from mcp.server.apps import client_supports_apps
 from mcp.server.mcpserver import Context
-from mcp.types import CallToolResult
+from mcp.types import CallToolResult, InputRequiredResult
 from pydantic import Field
 
 from vehanchor.records import GsdEstimate
@@ -22,6 +22,7 @@ from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
+from vehanchor_server.tools.asking import ask_for_help, with_the_persons_answer
 from vehanchor_server.tools.flight_question import (
     MoreImagesArgument,
     SameScaleArgument,
@@ -86,7 +87,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         effort: EffortArgument = None,
         max_tiles: MaxTilesArgument = None,
         max_seconds: MaxSecondsArgument = None,
-    ) -> Annotated[CallToolResult, GsdEstimate]:
+    ) -> Annotated[CallToolResult, GsdEstimate] | InputRequiredResult:
         question = ScaleQuestion(
             region,
             reference_length_m,
@@ -99,6 +100,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
             max_tiles,
             max_seconds,
         )
+        question = with_the_persons_answer(ctx, question)
         paged = client_supports_apps(ctx)
         wanted = WantedPictures(include_overlay, paged)
         work = partial(_estimate, question=question, wanted=wanted)
@@ -107,6 +109,10 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
             work = partial(estimate_among, question=question, wanted=wanted, same_scale=same_scale)
         answer = await run_call(services, ctx, image, work, more_images or ())
         words = describe_estimate(answer.record, detail)
+        if not (more_images or services.settings.never_ask):
+            asked = ask_for_help(ctx, question, answer.record, words)
+            if asked is not None:
+                return asked
         return answer.to_result(words, detail=detail, paged=paged)
 
     return StrictTool.read_only(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -92,7 +93,7 @@ def estimate_among(
     _refuse_twice(members)
     flight = conclude(looks, detector.card, same_scale=same_scale)
     analysis = replace(members[0].analysis, estimate=_answered(flight, asked))
-    with open_raster(source, limits=asked.reading.limits) as raster:
+    with open_raster(source, limits=asked.reading.limits) if any(wanted) else nullcontext() as raster:
         return scale_answer(raster, analysis, wanted, job)
 
 

@@ -13,7 +13,7 @@ from mcp.types import CallToolResult
 from pydantic import Field
 
 from vehanchor.records import AreaMeasurement, Notice
-from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
+from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor_server.app_page import APP_META
 from vehanchor_server.calls.answer import Answer, Detail, WantedPictures
 from vehanchor_server.calls.call import run_call
