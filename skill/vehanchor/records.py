@@ -132,6 +132,8 @@ class TiltEstimate(_Record):
 class KnownPlane(_Record):
     """Where the camera looked, for a scale that is given back: it is that of the image's centre then."""
 
+    model_config = ConfigDict(strict=True)
+
     tilt_deg: float = Field(gt=0, lt=90, description="Angle between the camera's axis and straight down.")
     roll_deg: float = Field(ge=-360, le=360, description="Direction in which it looked, clockwise from the upper side.")
     focal_length_px: float = Field(gt=0, description="Focal length, pixels of the full image.")

@@ -61,6 +61,7 @@ _NUMBERS: list[tuple[str, str, Any]] = [  # tool, argument, and where in it a nu
     ("measure_area", "target", {"points": [{"x": ..., "y": 3}]}),
     ("measure_distance", "lines", [{"points": [{"x": ..., "y": 1}, {"x": 9, "y": 9}]}]),
     *[("measure_area", "scale", {**_KNOWN, name: ...}) for name in ("gsd_m_per_px", "confidence")],
+    ("measure_area", "scale", {**_KNOWN, "plane": {"tilt_deg": ..., "roll_deg": 1, "focal_length_px": 900}}),
 ]
 
 
@@ -117,11 +118,11 @@ async def test_more_values_than_any_call_has_are_told_without_looking_at_each(
     server: MCPServer[object], deep: bool
 ) -> None:
     many = {f"a{i}": 0 for i in range(100_000)}
-    started = time.monotonic()
+    started = time.process_time()
     async with Client(server) as client:
         result = await client.call_tool("estimate_gsd", {"image": many} if deep else many)
     assert text_of(result).startswith("invalid_arguments: more than 1000 values.")
-    assert time.monotonic() - started < 2
+    assert time.process_time() - started < 2
 
 
 async def test_long_names_are_shortened_before_they_are_told(server: MCPServer[object]) -> None:
