@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _SIDE_PX = 4096
 
 
-def _large_scene() -> NDArray[np.uint8]:
+def large_scene() -> NDArray[np.uint8]:
     """One rendered 1024 px scene repeated: what matters here is the number of pixels and cars."""
     scene = render_scene(0.15, width_px=1024, height_px=1024, seed=5, layout="parking")
     return np.ascontiguousarray(np.tile(scene.image, (4, 4, 1)))
@@ -49,7 +49,7 @@ def _bare(session: onnxruntime.InferenceSession, tiles: list[NDArray[np.float32]
 
 def pipeline(rounds: int) -> list[str]:
     """Whole pipeline against bare ONNX Runtime."""
-    image = _large_scene()
+    image = large_scene()
     detector = Detector(resolve_model())
     tiles = []
     with open_raster(image) as raster:
@@ -79,7 +79,7 @@ def peak_memory() -> str:
     """Peak resident memory of a fresh process that estimates a 4096 x 4096 PNG."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "large.png"
-        cv2.imwrite(str(path), _large_scene()[:, :, ::-1])
+        cv2.imwrite(str(path), large_scene()[:, :, ::-1])
         # VmHWM and not getrusage: a child inherits its parent's ru_maxrss.
         code = (
             f"import vehanchor; vehanchor.estimate_gsd({str(path)!r}); "

@@ -12,7 +12,6 @@ with a confidence that a planner can act on.
 from __future__ import annotations
 
 import importlib
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from vehanchor.errors import VehAnchorError
@@ -29,6 +28,8 @@ if TYPE_CHECKING:
     from vehanchor.scale.calibration import Calibration, load_calibration
     from vehanchor.segmentation.segmenter import Segmenter
 
+    __version__: str
+
 _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
     "batch.files": ("find_images",),
     "detection.detector": ("Detector",),
@@ -42,8 +43,6 @@ _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing un
     "segmentation.segmenter": ("Segmenter",),
 }
 _HOME = {name: module for module, names in _LAZY.items() for name in names}
-
-__version__ = version("vehanchor")
 
 __all__ = [
     "AreaAnalysis",
@@ -80,6 +79,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version("vehanchor")  # alone costs more than all the rest
     if name in _HOME:
         return getattr(importlib.import_module(f"vehanchor.{_HOME[name]}"), name)
     raise AttributeError(f"module 'vehanchor' has no attribute {name!r}")

@@ -166,7 +166,8 @@ def analyse_scale(
     model = open_detector(detector, chosen, threads=threads)
     with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits, bgr=chosen.reading.bgr) as raster:
         analysis = analyse_raster(raster, model, chosen, progress=progress, run_options=run_options)
-    return replace(analysis, image=image if can_be_read_again(image) else None, reading=chosen.reading)
+    seen = image if can_be_read_again(image) else None
+    return replace(analysis, image=seen, reading=chosen.reading, ground=raster.ground)
 
 
 def open_detector(

@@ -19,8 +19,8 @@ from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliq
 from vehanchor.estimate import analyse_raster, georeference_notice, image_notices, open_detector
 from vehanchor.imagery.identity import image_id
 from vehanchor.records import GsdEstimate, KnownScale
-from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
 from vehanchor.scale.plane import GroundPlane
+from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 
 if TYPE_CHECKING:
     import os

@@ -10,9 +10,9 @@ from vehanchor.anchors.fused import anchors_among, fuse_rulers, shares
 from vehanchor.anchors.scene_scale import SceneScale
 from vehanchor.detection.stopping import Standing
 from vehanchor.notices import FLEET_DOUBTS, NoticeCode
-from vehanchor.scale.confidence import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX, UNSURE_CONFIDENCE
 from vehanchor.scale.fusion import USABLE_CHANCE, fuse, mass_within
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES, statistical_log_sds
+from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX, UNSURE_CONFIDENCE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

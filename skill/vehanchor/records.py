@@ -140,6 +140,8 @@ class KnownPlane(_Record):
 class KnownScale(_Record):
     """A scale to be given back for the next measurement in the same image, which then needs no search."""
 
+    model_config = ConfigDict(strict=True)  # it comes back from callers: true is no metre
+
     gsd_m_per_px: float = Field(gt=0, description="Metres per pixel of the full image.")
     gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its 95 % interval.")
     gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its 95 % interval.")

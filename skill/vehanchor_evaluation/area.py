@@ -25,7 +25,7 @@ from vehanchor.batch.pool import finished_in_threads
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.raster import open_raster
 from vehanchor.options import ImageLimits
-from vehanchor.scale.confidence import FALLBACK_CONFIDENCE
+from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor.segmentation.segmenter import Prompt
 from vehanchor_evaluation.area_errors import AreaErrors, area_errors
 from vehanchor_evaluation.known_scale import FileIssue

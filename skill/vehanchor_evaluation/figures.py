@@ -12,7 +12,7 @@ from vehanchor.imagery.raster import open_raster
 from vehanchor.pictures.plot import require_plots
 from vehanchor.pictures.scale import caption_panel, draw_vehicles, fit_for_eyes, read_reduced
 from vehanchor.scale.calibration import length_density
-from vehanchor.scale.confidence import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX
+from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX
 from vehanchor_evaluation.gsd import HIGH_ERROR
 from vehanchor_evaluation.known_scale import DATASET_LIMITS
 

@@ -30,7 +30,7 @@ from training.detector.export import LengthCorrection, UltralyticsLayout, export
 from training.detector.loss import detection_loss  # noqa: E402
 from training.detector.network import STRIDE_PX, Prediction, VehicleNet  # noqa: E402
 from training.detector.relabel import Consensus, agree, corrections, restored, symmetric  # noqa: E402
-from training.detector.warm_start import load_exported  # noqa: E402
+from training.warm_start import load_exported  # noqa: E402
 from vehanchor.detection.detector import Detector  # noqa: E402
 from vehanchor_scenes import render_scene  # noqa: E402
 

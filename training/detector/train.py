@@ -16,8 +16,8 @@ from training.detector.data import CropStream, Target, load_scenes, load_train_i
 from training.detector.loss import detection_loss
 from training.detector.network import VehicleNet
 from training.detector.scenery import load_scenery
-from training.detector.warm_start import load_exported
 from training.loop import Recipe, Schedule, train
+from training.warm_start import load_exported
 
 _STATISTICS_CROPS = 64
 

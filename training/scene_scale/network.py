@@ -13,8 +13,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from training.detector.network import VehicleNet
-from training.detector.warm_start import load_exported
 from training.scene_scale.bins import BINS
+from training.warm_start import load_exported
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -3,9 +3,6 @@
 Makes ``segmenter-encoder.onnx`` (``input_image`` ``[256, 256, 3]`` RGB 0..255, preprocessing inside) and
 ``segmenter-decoder.onnx`` with Meta's names. An image that is not square is scaled until its longer side is 256 and
 padded with zeros at the right and the bottom, as for SAM; the decoder undoes both from ``orig_im_size``.
-
-Both graphs look at the input four times, as it is and mirrored left to right, top to bottom and both ways; the
-embedding holds the four embeddings one after the other, and the mask's logits are their mean.
 """
 
 from __future__ import annotations
@@ -25,27 +22,8 @@ INPUT_PX = 256
 NAME = "vehanchor-segmenter"
 
 
-_MIRRORS: tuple[tuple[int, ...], ...] = ((), (3,), (2,), (2, 3))  # dimensions of [b, c, h, w] that are reversed
-
-
-def _mirror(images: Tensor, dims: tuple[int, ...]) -> Tensor:
-    return images.flip(dims) if dims else images
-
-
-def mirrored(images: Tensor) -> Tensor:
-    """``[1, c, h, w]`` to its four mirror images ``[4, c, h, w]``."""
-    return torch.cat([_mirror(images, dims) for dims in _MIRRORS])
-
-
-def mirrored_points(points: Tensor, side_px: int) -> Tensor:
-    """``[1, n, 2]`` x, y to ``[4, n, 2]``, where the mirror images of a square of ``side_px`` have them."""
-    turned = [[3 in dims, 2 in dims] for dims in _MIRRORS]
-    across = torch.tensor(turned, dtype=points.dtype).unsqueeze(1)
-    return points + across * (side_px - 2 * points)
-
-
 class EncoderGraph(nn.Module):
-    """``[s, s, 3]`` RGB in 0..255 to the embeddings of its mirror images, ``[1, 4 c, h, w]``."""
+    """``[s, s, 3]`` RGB in 0..255 to its embedding, ``[1, c, h, w]``."""
 
     def __init__(self, network: Segmenter) -> None:
         super().__init__()
@@ -53,8 +31,8 @@ class EncoderGraph(nn.Module):
 
     def forward(self, input_image: Tensor) -> Tensor:
         """Encode."""
-        views: Tensor = self.encoder(mirrored(input_image.permute(2, 0, 1).unsqueeze(0) / 255.0))
-        return views.flatten(0, 1).unsqueeze(0)
+        embedding: Tensor = self.encoder(input_image.permute(2, 0, 1).unsqueeze(0) / 255.0)
+        return embedding
 
 
 class DecoderGraph(nn.Module):
@@ -76,19 +54,16 @@ class DecoderGraph(nn.Module):
         orig_im_size: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Masks are logits at the original size."""
-        points = mirrored_points(point_coords + 0.5, self.side_px)  # SAM's coordinates are pixel indices
-        views = image_embeddings.reshape(len(_MIRRORS), EMBEDDING_CHANNELS, *image_embeddings.shape[2:])
-        labels, has_prior = point_labels.expand(len(_MIRRORS), -1), has_mask_input.expand(len(_MIRRORS))
-        found = self.decoder(views, Prompt(points, labels, mirrored(mask_input), has_prior))
-        turned_back = torch.cat([_mirror(mask, dims) for mask, dims in zip(found.mask.split(1), _MIRRORS, strict=True)])
-        logits = turned_back.mean(dim=0, keepdim=True) + self.mask_offset
+        points = point_coords + 0.5  # SAM's coordinates are pixel indices
+        found = self.decoder(image_embeddings, Prompt(points, point_labels, mask_input, has_mask_input))
+        logits = found.mask + self.mask_offset
         large = functional.interpolate(logits, (self.side_px, self.side_px), mode="bilinear", align_corners=False)
         size = orig_im_size.to(torch.float32)
         used = torch.floor(size * (self.side_px / torch.max(size)) + 0.5).to(torch.int64)
         large = large[:, :, : used[0], : used[1]]
         whole = orig_im_size.to(torch.int64)
         masks = functional.interpolate(large, [whole[0], whole[1]], mode="bilinear", align_corners=False)  # type: ignore[list-item]  # traced
-        return masks, found.iou.mean(dim=0, keepdim=True), logits
+        return masks, found.iou, logits
 
 
 def load_network(run: Path) -> Segmenter:
@@ -117,7 +92,7 @@ def export(run: Path, folder: Path, calibration: dict[str, object]) -> tuple[Pat
     write_onnx(
         DecoderGraph(network, INPUT_PX, float(str(calibration.get("mask_offset", 0.0)))),
         (
-            torch.zeros(1, len(_MIRRORS) * EMBEDDING_CHANNELS, cells, cells),
+            torch.zeros(1, EMBEDDING_CHANNELS, cells, cells),
             torch.tensor([[[40.0, 50.0], [200.0, 180.0], [120.0, 100.0]]]),
             torch.tensor([[2.0, 3.0, 1.0]]),
             torch.zeros(1, 1, cells, cells),

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from vehanchor.options import Frame
 from vehanchor_server.errors import CallError
+from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import AnyImage, ImageArgument
 from vehanchor_server.images.source import library_errors
 from vehanchor_server.tools.scale_answer import scale_answer
@@ -36,7 +37,7 @@ MoreImagesArgument: TypeAlias = Annotated[
     Field(max_length=MAX_MORE_IMAGES, description="Others of the same flight; the answer is for image."),
 ]
 SameScaleArgument: TypeAlias = Annotated[
-    bool, Field(description="With more_images: all are of one scale; else they are tied by what they overlap.")
+    Flag, Field(description="With more_images: all are of one scale; else they are tied by what they overlap.")
 ]
 
 

@@ -13,7 +13,7 @@ from vehanchor.estimate import model_id
 from vehanchor.flight.pooling import pool
 from vehanchor.flight.positions import POSITIONS, places_of
 from vehanchor.records import FlightAnchor, FlightEstimate, FlightIsland, FlightPhotograph, KnownScale
-from vehanchor.scale.confidence import FALLBACK_CONFIDENCE, UNSURE_CONFIDENCE
+from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, UNSURE_CONFIDENCE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -17,12 +17,14 @@ if TYPE_CHECKING:
     from vehanchor.segmentation.contracts import MaskLogits
     from vehanchor.segmentation.prompt import Prompt
 
-__all__ = ["crop_side", "crop_window", "place_mask", "read_resized"]
+__all__ = ["crop_side", "crop_window", "place_mask", "read_resized", "shares_window"]
 
 _BOX_CONTEXT = 2.0  # side of the crop over the box's longer side
 _MIN_CROP_PX = 256
 _POINT_CROP_PX = 512  # where points alone say nothing about the object's size
 _ROWS_A_STRIP = 1024
+_ROOM = 0.25  # of the box's longer side: what must be around it in a crop that was laid around another prompt
+_MOST_WIDER = 1.25  # side of such a crop over that of the prompt's own
 
 
 def crop_side(prompt: Prompt) -> int:
@@ -49,6 +51,33 @@ def crop_window(prompt: Prompt, image_width_px: int, image_height_px: int, side_
     left = math.floor((x1 + x2 - width) / 2 + 0.5)
     top = math.floor((y1 + y2 - height) / 2 + 0.5)
     return Window(min(max(left, 0), image_width_px - width), min(max(top, 0), image_height_px - height), width, height)
+
+
+def shares_window(prompt: Prompt, window: Window, image_width_px: int, image_height_px: int) -> bool:
+    """Whether a crop laid around another prompt shows this one about as well as its own would.
+
+    Args:
+        prompt: in pixels of the image.
+        window: the other's crop.
+        image_width_px: width of the image.
+        image_height_px: its height.
+
+    Returns:
+        True where the crop is about as large as the prompt's own, and holds it with room around it or to the image's
+        edge.
+    """
+    own = crop_window(prompt, image_width_px, image_height_px, crop_side(prompt))
+    if not 1 <= max(window.width_px, window.height_px) / max(own.width_px, own.height_px) <= _MOST_WIDER:
+        return False
+    x1, y1, x2, y2 = prompt.extent
+    room = _ROOM * max(x2 - x1, y2 - y1)
+    right, bottom = window.x_px + window.width_px, window.y_px + window.height_px
+    return (
+        max(0.0, x1 - room) >= window.x_px
+        and max(0.0, y1 - room) >= window.y_px
+        and min(x2 + room, image_width_px) <= right
+        and min(y2 + room, image_height_px) <= bottom
+    )
 
 
 def read_resized(raster: Raster, window: Window, size: tuple[int, int]) -> NDArray[np.uint8]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import ImageTooLargeError, ModelContractError
 from vehanchor.imagery.windows import Window, outer_sides
@@ -18,7 +18,7 @@ from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.session import DEFAULT_PROVIDERS, metadata_number, open_session
 from vehanchor.options import ImageLimits
 from vehanchor.segmentation.contracts import recognise_contract
-from vehanchor.segmentation.crop import crop_side, crop_window, place_mask, read_resized
+from vehanchor.segmentation.crop import crop_side, crop_window, place_mask, read_resized, shares_window
 from vehanchor.segmentation.prompt import Prompt
 from vehanchor.segmentation.shape import touches_edge
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.windows import Raster
+    from vehanchor.segmentation.contracts import Encoding
 
 __all__ = ["Prompt", "Segmentation", "Segmenter", "SegmenterCard", "load_segmenter"]
 
@@ -148,22 +149,82 @@ class Segmenter:
             ImageTooLargeError: the crop has more pixels than the limits allow to hold.
             ModelContractError: the model does not keep its contract.
         """
-        side = crop_side(prompt)
-        while True:
-            window = crop_window(prompt, raster.width_px, raster.height_px, side)
-            _check_window(window, limits or ImageLimits())
-            found = self._segment_window(raster, window, prompt, run_options)
-            if prompt.box is not None or not _runs_into_inner_side(found, raster):
-                return found
-            side *= 2
+        return self.segment_all(raster, [prompt], limits=limits, run_options=run_options)[0]
 
-    def _segment_window(
-        self, raster: Raster, window: Window, prompt: Prompt, run_options: onnxruntime.RunOptions | None
+    def segment_all(
+        self,
+        raster: Raster,
+        prompts: Sequence[Prompt],
+        *,
+        limits: ImageLimits | None = None,
+        run_options: onnxruntime.RunOptions | None = None,
+    ) -> tuple[Segmentation, ...]:
+        """Find the objects that prompts name; neighbours of about one size share an encoding.
+
+        Args:
+            raster: the image.
+            prompts: as for ``segment``.
+            limits: as for ``segment``.
+            run_options: as for ``segment``.
+
+        Returns:
+            For each prompt what ``segment`` gives, where another prompt's crop serves it as well: in that window.
+
+        Raises:
+            VehAnchorError: as ``segment``.
+        """
+        found: dict[int, Segmentation] = {}
+        for first, prompt in enumerate(prompts):
+            if first in found:
+                continue
+            view = self._encode(raster, prompt, crop_side(prompt), limits, run_options)
+            found[first] = self._settled(raster, prompt, view, limits, run_options)
+            for k in range(first + 1, len(prompts)):
+                if k not in found and shares_window(prompts[k], view.window, raster.width_px, raster.height_px):
+                    found[k] = self._settled(raster, prompts[k], view, limits, run_options)
+        return tuple(found[k] for k in range(len(prompts)))
+
+    def _settled(
+        self,
+        raster: Raster,
+        prompt: Prompt,
+        view: _View,
+        limits: ImageLimits | None,
+        run_options: onnxruntime.RunOptions | None,
     ) -> Segmentation:
-        image = read_resized(raster, window, self._contract.input_size(window.width_px, window.height_px))
-        local = prompt.moved(-window.x_px, -window.y_px)
-        chosen = self._contract.segment(image, local, (window.width_px, window.height_px), run_options)
+        """The object in a view; of points alone, in larger ones while it runs into an inner side."""
+        found = self._decode(view, prompt, run_options)
+        side = crop_side(prompt)
+        while prompt.box is None and _runs_into_inner_side(found, raster):
+            side *= 2
+            found = self._decode(self._encode(raster, prompt, side, limits, run_options), prompt, run_options)
+        return found
+
+    def _encode(
+        self,
+        raster: Raster,
+        prompt: Prompt,
+        side_px: int,
+        limits: ImageLimits | None,
+        run_options: onnxruntime.RunOptions | None,
+    ) -> _View:
+        window = crop_window(prompt, raster.width_px, raster.height_px, side_px)
+        _check_window(window, limits or ImageLimits())
+        size = window.width_px, window.height_px
+        image = read_resized(raster, window, self._contract.input_size(*size))
+        return _View(window, self._contract.encode(image, size, run_options))
+
+    def _decode(self, view: _View, prompt: Prompt, run_options: onnxruntime.RunOptions | None) -> Segmentation:
+        window = view.window
+        chosen = self._contract.decode(view.encoding, prompt.moved(-window.x_px, -window.y_px), run_options)
         return Segmentation(place_mask(chosen, window.width_px, window.height_px), window, chosen.score)
+
+
+class _View(NamedTuple):
+    """A part of the image, encoded."""
+
+    window: Window
+    encoding: Encoding
 
 
 @file_cached(max_models=2)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -12,18 +12,23 @@ from tests.sam_models import (
     write_sam,
     write_sam2,
 )
-from tests.skill.segmentation.objects import picture, segmented
+from tests.skill.segmentation.objects import OBJECT_RGB, full_mask, picture, segmented
 from vehanchor.errors import (
     InvalidParameterError,
     ModelContractError,
     ModelNotFoundError,
     ProviderUnavailableError,
 )
+from vehanchor.imagery.raster import open_raster
+from vehanchor.segmentation.contracts import SamContract
 from vehanchor.segmentation.prompt import Prompt
 from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
 
 if TYPE_CHECKING:
-    pass
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from vehanchor.segmentation.contracts import Encoding
 
 
 def test_the_card_names_both_files(tmp_path: Path) -> None:
@@ -107,3 +112,29 @@ def test_relative_paths_are_other_files_in_another_folder(tmp_path: Path, monkey
         monkeypatch.chdir(tmp_path / name)
         found.append(load_segmenter(Path(encoder.name), Path(decoder.name)))
     assert found[0].card.sha256 != found[1].card.sha256
+
+
+def test_neighbours_of_one_size_share_an_encoding_and_their_masks_are_as_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    segmenter = Segmenter(*write_sam(tmp_path, input_px=256))
+    image = picture(900, 700, (102, 102, 138, 138))
+    for x, y, side in ((162, 102, 36), (602, 402, 36), (302, 102, 180)):
+        image[y : y + side, x : x + side] = OBJECT_RGB
+    boxes = [(100.0, 100, 140, 140), (160.0, 100, 200, 140), (600.0, 400, 640, 440), (300.0, 100, 484, 284)]
+    prompts = [Prompt(box=box) for box in boxes]
+    alone = [full_mask(segmented(segmenter, image, prompt), image) for prompt in prompts]
+    encode, crops = SamContract.encode, []
+
+    def counted(contract: SamContract, crop: NDArray[np.uint8], crop_size: tuple[int, int], *others: Any) -> Encoding:
+        crops.append(crop_size)
+        return encode(contract, crop, crop_size, *others)
+
+    monkeypatch.setattr(SamContract, "encode", counted)
+    with open_raster(image) as raster:
+        together = segmenter.segment_all(raster, prompts)
+    assert crops == [(256, 256), (256, 256), (368, 368)]  # the second lies beside the first, the others far or large
+    assert together[0].window == together[1].window
+    for mask, found in zip(alone, together, strict=True):
+        assert mask.any()
+        assert (full_mask(found, image) == mask).all()

@@ -13,7 +13,7 @@ point is always added, which makes decoders exported with ``--return-single-mask
 
 from __future__ import annotations
 
-from vehanchor.segmentation.contracts.base import MaskLogits, SamContract
+from vehanchor.segmentation.contracts.base import Encoding, MaskLogits, SamContract
 from vehanchor.segmentation.contracts.registry import CONTRACTS, recognise_contract
 
-__all__ = ["CONTRACTS", "MaskLogits", "SamContract", "recognise_contract"]
+__all__ = ["CONTRACTS", "Encoding", "MaskLogits", "SamContract", "recognise_contract"]

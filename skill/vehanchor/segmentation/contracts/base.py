@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from vehanchor.segmentation.prompt import Prompt
 
-__all__ = ["DTYPES", "MEAN_RGB", "SAM_STRIDE_PX", "SD_RGB", "MaskLogits", "SamContract", "StretchedContract",
-           "cells_per_px", "corner_prompt", "fixed_side", "resized_side"]  # fmt: skip
+__all__ = ["DTYPES", "MEAN_RGB", "SAM_STRIDE_PX", "SD_RGB", "Encoding", "MaskLogits", "SamContract",
+           "StretchedContract", "cells_per_px", "corner_prompt", "fixed_side", "resized_side"]  # fmt: skip
 
 MEAN_RGB = np.array([123.675, 116.28, 103.53], dtype=np.float32)  # SAM's and ImageNet's, in 0..255
 SD_RGB = np.array([58.395, 57.12, 57.375], dtype=np.float32)
@@ -51,6 +51,21 @@ class MaskLogits:
     logits: NDArray[np.float32]
     score: float
     cells_per_px: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Encoding:
+    """A crop as the encoder sees it: any number of prompts is read from it.
+
+    Attributes:
+        outputs: of the encoder, by name.
+        size: width and height of the picture that it was fed.
+        crop_size: width and height of the crop, pixels.
+    """
+
+    outputs: dict[str, NDArray[Any]]
+    size: tuple[int, int]
+    crop_size: tuple[int, int]
 
 
 class SamContract(ABC):
@@ -129,22 +144,37 @@ class SamContract(ABC):
 
     @abstractmethod
     def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
-        """Width and height that a crop of this size is resized to before ``segment``."""
+        """Width and height that a crop of this size is resized to before ``encode``."""
 
-    @abstractmethod
-    def segment(
+    def encode(
         self,
         image: NDArray[np.uint8],
-        prompt: Prompt,
         crop_size: tuple[int, int],
         run_options: onnxruntime.RunOptions | None = None,
-    ) -> MaskLogits:
-        """Encode an image and decode one prompt.
+    ) -> Encoding:
+        """Run the encoder.
 
         Args:
             image: ``[h, w, 3]`` uint8 RGB, the crop resized to ``input_size``.
-            prompt: in pixels of the crop.
             crop_size: width and height of the crop, pixels.
+            run_options: ONNX Runtime's.
+        """
+        outputs = self._run(self._encoder, {self._image.name: self._prepared(image)}, run_options)
+        return Encoding(outputs, (image.shape[1], image.shape[0]), crop_size)
+
+    @abstractmethod
+    def _prepared(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """What the encoder is fed."""
+
+    @abstractmethod
+    def decode(
+        self, encoding: Encoding, prompt: Prompt, run_options: onnxruntime.RunOptions | None = None
+    ) -> MaskLogits:
+        """Read one prompt.
+
+        Args:
+            encoding: of the crop.
+            prompt: in pixels of the crop.
             run_options: ONNX Runtime's.
 
         Returns:

@@ -14,6 +14,7 @@ import numpy as np
 from vehanchor.errors import ModelContractError, PromptError
 from vehanchor.segmentation.contracts.base import (
     SAM_STRIDE_PX,
+    Encoding,
     MaskLogits,
     SamContract,
     cells_per_px,
@@ -61,30 +62,23 @@ class EfficientSam(SamContract):
         scale = min(1.0, self.input_px / max(width_px, height_px))  # enlarging is left to its graph
         return resized_side(width_px, scale), resized_side(height_px, scale)
 
-    def segment(
-        self,
-        image: NDArray[np.uint8],
-        prompt: Prompt,
-        crop_size: tuple[int, int],
-        run_options: onnxruntime.RunOptions | None = None,
+    def decode(
+        self, encoding: Encoding, prompt: Prompt, run_options: onnxruntime.RunOptions | None = None
     ) -> MaskLogits:
-        """Encode and decode; see ``SamContract.segment``. Points outside the object are refused, and more than six."""
+        """Decode; see ``SamContract.decode``. Points outside the object are refused, and more than six."""
         if not all(include for _, _, include in prompt.points):
             raise PromptError("EfficientSAM knows no points outside the object: leave them out, or use another model")
         if len(prompt.points) > _MAX_POINTS:
             raise PromptError(f"EfficientSAM reads {_MAX_POINTS} points at most, got {len(prompt.points)}")
-        height, width = image.shape[:2]
-        scale = width / crop_size[0], height / crop_size[1]
+        width, height = encoding.size
+        scale = width / encoding.crop_size[0], height / encoding.crop_size[1]
         # Its half pixel is one of its own input, added after it has scaled the coordinates to it.
         half = 0.5 / self.input_px
         coords, labels = corner_prompt(prompt, scale, shift=(half * width, half * height))
-        encoded = self._run(
-            self._encoder, {"batched_images": image.astype(np.float32).transpose(2, 0, 1)[None] / 255.0}, run_options
-        )
         outputs = self._run(
             self._decoder,
             {
-                "image_embeddings": encoded["image_embeddings"],
+                "image_embeddings": encoding.outputs["image_embeddings"],
                 "batched_point_coords": np.array(coords, np.float32).reshape(1, 1, -1, 2),
                 "batched_point_labels": np.array(labels, np.float32).reshape(1, 1, -1),
                 "orig_im_size": np.array([height, width], np.int64),
@@ -93,3 +87,7 @@ class EfficientSam(SamContract):
         )
         grid, score = self._chosen(outputs["output_masks"], outputs["iou_predictions"], prompt)
         return MaskLogits(grid, score, cells_per_px(grid, (width, height), scale))
+
+    def _prepared(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        scaled: NDArray[np.float32] = image.astype(np.float32).transpose(2, 0, 1)[None] / np.float32(255.0)
+        return scaled

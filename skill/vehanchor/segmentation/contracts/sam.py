@@ -15,6 +15,7 @@ import numpy as np
 from vehanchor.segmentation.contracts.base import (
     MEAN_RGB,
     SD_RGB,
+    Encoding,
     MaskLogits,
     SamContract,
     cells_per_px,
@@ -54,23 +55,18 @@ class Sam(SamContract):
         scale = self.input_px / max(width_px, height_px)
         return resized_side(width_px, scale), resized_side(height_px, scale)
 
-    def segment(
-        self,
-        image: NDArray[np.uint8],
-        prompt: Prompt,
-        crop_size: tuple[int, int],
-        run_options: onnxruntime.RunOptions | None = None,
+    def decode(
+        self, encoding: Encoding, prompt: Prompt, run_options: onnxruntime.RunOptions | None = None
     ) -> MaskLogits:
-        """Encode and decode with SAM's padding point; see ``SamContract.segment``."""
-        height, width = image.shape[:2]
-        scale = width / crop_size[0], height / crop_size[1]
+        """Decode with SAM's padding point; see ``SamContract.decode``."""
+        width, height = encoding.size
+        scale = width / encoding.crop_size[0], height / encoding.crop_size[1]
         coords, labels = corner_prompt(prompt, scale, shift=0.5)
         coords, labels = [*coords, (0.0, 0.0)], [*labels, _PADDING]
-        encoded = self._run(self._encoder, {"input_image": self._prepared(image)}, run_options)
         outputs = self._run(
             self._decoder,
             {
-                "image_embeddings": encoded["image_embeddings"],
+                "image_embeddings": encoding.outputs["image_embeddings"],
                 "point_coords": np.array([coords], np.float32),
                 "point_labels": np.array([labels], np.float32),
                 "orig_im_size": np.array([height, width], np.float32),

@@ -13,6 +13,7 @@ import numpy as np
 from vehanchor.segmentation.contracts.base import (
     MEAN_RGB,
     SD_RGB,
+    Encoding,
     MaskLogits,
     StretchedContract,
     corner_prompt,
@@ -42,21 +43,16 @@ class Sam2(StretchedContract):
         name = "image_embed"
         return fixed_side(self._encoder.get_outputs(), name) or fixed_side(self._decoder.get_inputs(), name)
 
-    def segment(
-        self,
-        image: NDArray[np.uint8],
-        prompt: Prompt,
-        crop_size: tuple[int, int],
-        run_options: onnxruntime.RunOptions | None = None,
+    def decode(
+        self, encoding: Encoding, prompt: Prompt, run_options: onnxruntime.RunOptions | None = None
     ) -> MaskLogits:
-        """Encode and decode; see ``SamContract.segment``."""
+        """Decode; see ``SamContract.decode``."""
+        crop_size = encoding.crop_size
         coords, labels = corner_prompt(prompt, self._scale(crop_size), shift=0.5)  # this graph pads by itself
-        pixels = ((image.astype(np.float32) - MEAN_RGB) / SD_RGB).transpose(2, 0, 1)[None]
-        encoded = self._run(self._encoder, {"image": pixels}, run_options)
         outputs = self._run(
             self._decoder,
             {
-                **encoded,
+                **encoding.outputs,
                 "point_coords": np.array([coords], np.float32),
                 "point_labels": np.array([labels], np.float32),
                 "orig_im_size": np.array([self.input_px, self.input_px], np.float32),
@@ -65,3 +61,7 @@ class Sam2(StretchedContract):
             run_options,
         )
         return self._covering(*self._chosen(outputs["masks"], outputs["iou_predictions"], prompt), crop_size)
+
+    def _prepared(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        normal: NDArray[np.float32] = ((image.astype(np.float32) - MEAN_RGB) / SD_RGB).transpose(2, 0, 1)[None]
+        return normal

@@ -14,6 +14,7 @@ import numpy as np
 from vehanchor.segmentation.contracts.base import (
     MEAN_RGB,
     SD_RGB,
+    Encoding,
     MaskLogits,
     StretchedContract,
     corner_prompt,
@@ -56,24 +57,18 @@ class Transformers(StretchedContract):
         side = self._embedding_side()
         return self.input_px == (_SAM3_INPUT_PX if side is None else side * _SAM3_STRIDE_PX)
 
-    def segment(
-        self,
-        image: NDArray[np.uint8],
-        prompt: Prompt,
-        crop_size: tuple[int, int],
-        run_options: onnxruntime.RunOptions | None = None,
+    def decode(
+        self, encoding: Encoding, prompt: Prompt, run_options: onnxruntime.RunOptions | None = None
     ) -> MaskLogits:
-        """Encode and decode, boxes apart from points; see ``SamContract.segment``."""
+        """Decode, boxes apart from points; see ``SamContract.decode``."""
+        crop_size = encoding.crop_size
         scale = self._scale(crop_size)
         coords, labels = corner_prompt(Prompt(points=prompt.points), scale, shift=0.5)
         corners, _ = corner_prompt(Prompt(box=prompt.box), scale, shift=0.5)
-        mean, sd = (_SAM3_LEVEL, _SAM3_LEVEL) if self._is_sam3() else (MEAN_RGB, SD_RGB)
-        pixels = ((image.astype(np.float32) - mean) / sd).transpose(2, 0, 1)[None]
-        encoded = self._run(self._encoder, {"pixel_values": pixels}, run_options)
         outputs = self._run(
             self._decoder,
             {
-                **encoded,
+                **encoding.outputs,
                 "input_points": np.array(coords, np.float32).reshape(1, 1, -1, 2),
                 "input_labels": np.array(labels, np.int64).reshape(1, 1, -1),
                 "input_boxes": np.array(corners, np.float32).reshape(1, -1, 4),
@@ -81,3 +76,8 @@ class Transformers(StretchedContract):
             run_options,
         )
         return self._covering(*self._chosen(outputs["pred_masks"], outputs["iou_scores"], prompt), crop_size)
+
+    def _prepared(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        mean, sd = (_SAM3_LEVEL, _SAM3_LEVEL) if self._is_sam3() else (MEAN_RGB, SD_RGB)
+        normal: NDArray[np.float32] = ((image.astype(np.float32) - mean) / sd).transpose(2, 0, 1)[None]
+        return normal

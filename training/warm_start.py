@@ -1,4 +1,4 @@
-"""Continue from an exported detector: its folded weights back into a trainable network.
+"""Continue from an exported network: its folded weights back into a trainable network.
 
 The ONNX file has every batch normalisation folded into the convolution before it. Here each one gets the statistics of
 real crops, and a scale and shift that undo them, so that the network computes what the file computes and its
@@ -18,31 +18,32 @@ from torch import Tensor, nn
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from training.detector.network import VehicleNet
 
-
-def load_exported(network: VehicleNet, path: Path, crops: Tensor) -> None:
+def load_exported(network: nn.Module, path: Path, *inputs: object) -> None:
     """Put the weights of an exported file into ``network``.
 
     Args:
         network: of the architecture that was exported.
         path: the ONNX file.
-        crops: ``[b, 3, h, w]`` float in 0..1, training crops to take the statistics from.
+        inputs: what the network is called with; training crops to take the statistics from.
 
     Raises:
-        ValueError: the file's convolutions are not this network's.
+        ValueError: the file's convolutions and linear layers are not this network's.
     """
     graph = onnx.load(path).graph
     values = {item.name: torch.tensor(numpy_helper.to_array(item)) for item in graph.initializer}
-    stored = [[values[name] for name in node.input[1:]] for node in graph.node if node.op_type == "Conv"]
-    order: list[nn.Conv2d] = []  # as the export traced them
+    for node in graph.node:  # weights that are equal are kept once
+        if node.op_type == "Identity" and node.input[0] in values:
+            values[node.output[0]] = values[node.input[0]]
+    stored = [[values[name] for name in node.input[1:]] for node in graph.node if node.op_type in ("Conv", "Gemm")]
+    order: list[nn.Conv2d | nn.Linear] = []  # as the export traced them
     hooks = [
         module.register_forward_hook(lambda module, _inputs, _output: order.append(module))
         for module in network.modules()
-        if isinstance(module, nn.Conv2d)
+        if isinstance(module, nn.Conv2d | nn.Linear)
     ]
     with torch.no_grad():
-        network.eval()(crops[:1])
+        network.eval()(*inputs)
     for hook in hooks:
         hook.remove()
     if [tuple(conv.weight.shape) for conv in order] != [tuple(weight.shape) for weight, _ in stored]:
@@ -74,6 +75,6 @@ def load_exported(network: VehicleNet, path: Path, crops: Tensor) -> None:
                 if isinstance(before, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
                     undo(norm, shift[before])
     with torch.no_grad():
-        network(crops)  # one pass: each normalisation is set just before it is used
+        network(*inputs)  # one pass: each normalisation is set just before it is used
     for hook in hooks:
         hook.remove()

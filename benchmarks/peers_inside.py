@@ -1,0 +1,153 @@
+"""What ``peers.py`` runs inside the peers' own environment: ``python peers_inside.py TOOL MODEL IMAGE TILES``.
+
+Nothing of this project is imported here, and nothing here by this project: ultralytics is under the AGPL. The last line
+printed is JSON: seconds, CPU seconds, peak memory, boxes, tiles. ``python peers_inside.py export FILE`` writes
+YOLO11n-OBB with random weights; nothing is fetched.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+TILE_PX = 1024
+OVERLAP_PX = 256
+LEAST_SCORE = 0.35  # that of the bundled file
+NMS_IOU = 0.45
+
+Found = tuple[int, int]
+"""Boxes and tiles."""
+
+
+def _bare(model: str, image: Any, tiles: list[tuple[int, int]]) -> Callable[[], Found]:
+    import numpy as np
+    import onnxruntime
+
+    session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
+    inputs = [
+        np.ascontiguousarray(image[y : y + TILE_PX, x : x + TILE_PX, ::-1].transpose(2, 0, 1)[None], np.float32) / 255
+        for x, y in tiles
+    ]
+    session.run(None, {"images": inputs[0]})
+
+    def run() -> Found:
+        found = [session.run(None, {"images": each})[0] for each in inputs]
+        return sum(int((each[0, 4] >= LEAST_SCORE).sum()) for each in found), len(inputs)
+
+    return run
+
+
+def _ultralytics(model: str, image: Any, tiles: list[tuple[int, int]]) -> Callable[[], Found]:
+    predict = _predictor(model)
+    predict(image[:TILE_PX, :TILE_PX])
+
+    def run() -> Found:
+        found = [predict(image[y : y + TILE_PX, x : x + TILE_PX]) for x, y in tiles]
+        return sum(len(each.obb) for each in found), len(tiles)
+
+    return run
+
+
+def _predictor(model: str) -> Callable[[Any], Any]:
+    from ultralytics import YOLO
+
+    network = YOLO(model, task="obb")
+
+    def predict(tile: Any) -> Any:
+        settings = {"imgsz": TILE_PX, "conf": LEAST_SCORE, "iou": NMS_IOU, "max_det": 3000}
+        return network.predict(tile, device="cpu", verbose=False, **settings)[0]
+
+    return predict
+
+
+def _sahi(model: str, image: Any, _tiles: Any, whole_image_too: bool = False) -> Callable[[], Found]:
+    from sahi import AutoDetectionModel
+    from sahi.predict import get_sliced_prediction
+    from sahi.slicing import get_slice_bboxes
+
+    network = AutoDetectionModel.from_pretrained(
+        "ultralytics", model_path=model, confidence_threshold=LEAST_SCORE, device="cpu", image_size=TILE_PX
+    )
+    share = OVERLAP_PX / TILE_PX
+    height, width = image.shape[:2]
+    n_slices = len(get_slice_bboxes(height, width, TILE_PX, TILE_PX, False, share, share)) + whole_image_too
+
+    def sliced(pixels: Any) -> Any:
+        return get_sliced_prediction(
+            pixels, network, slice_height=TILE_PX, slice_width=TILE_PX, overlap_height_ratio=share,
+            overlap_width_ratio=share, perform_standard_pred=whole_image_too, postprocess_match_threshold=NMS_IOU,
+            verbose=0,
+        )  # fmt: skip
+
+    rgb = image[:, :, ::-1].copy()
+    sliced(rgb[:TILE_PX, :TILE_PX])
+
+    def run() -> Found:
+        return len(sliced(rgb).object_prediction_list), n_slices
+
+    return run
+
+
+def _supervision(model: str, image: Any, _tiles: Any) -> Callable[[], Found]:
+    import supervision
+
+    predict = _predictor(model)
+    seen = []
+
+    def callback(tile: Any) -> Any:
+        seen.append(1)
+        return supervision.Detections.from_ultralytics(predict(tile))
+
+    slicer = supervision.InferenceSlicer(
+        callback, slice_wh=(TILE_PX, TILE_PX), overlap_wh=(OVERLAP_PX, OVERLAP_PX), iou_threshold=NMS_IOU
+    )
+    slicer(image[:TILE_PX, :TILE_PX])
+
+    def run() -> Found:
+        seen.clear()
+        return len(slicer(image)), len(seen)
+
+    return run
+
+
+def _export(path: Path) -> None:
+    from ultralytics import YOLO
+
+    written = YOLO("yolo11n-obb.yaml").export(format="onnx", imgsz=TILE_PX, opset=17, simplify=False)
+    shutil.move(written, path)
+
+
+def main() -> None:
+    """Command line."""
+    tool = sys.argv[1]
+    if tool == "export":
+        _export(Path(sys.argv[2]))
+        return
+    import cv2
+
+    model, image, tiles = sys.argv[2:5]
+    makers: dict[str, Callable[..., Callable[[], Found]]] = {
+        "ONNX Runtime alone": _bare,
+        "ultralytics, tile by tile, no merge": _ultralytics,
+        "SAHI": _sahi,
+        "SAHI, default": lambda *given: _sahi(*given, whole_image_too=True),
+        "supervision": _supervision,
+    }
+    run = makers[tool](model, cv2.imread(image), json.loads(Path(tiles).read_text()))
+    wall, cpu = time.perf_counter(), time.process_time()
+    n_boxes, n_tiles = run()
+    spent = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+    status = Path("/proc/self/status").read_text().splitlines()
+    peak_kib = next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
+    print(json.dumps({**spent, "peak_mib": peak_kib / 1024, "n_boxes": n_boxes, "n_tiles": n_tiles}))
+
+
+if __name__ == "__main__":
+    main()

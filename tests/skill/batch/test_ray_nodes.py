@@ -1,0 +1,64 @@
+"""The batch engine on a cluster of several nodes, all of them on this machine (Ray's own simulation)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.models import blank_image, paint_vehicles, write_detector
+from vehanchor.batch import run_batch
+from vehanchor.batch.run import journal_path
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+pytestmark = [pytest.mark.ray, pytest.mark.filterwarnings("ignore::DeprecationWarning")]  # of Ray, about itself
+N_IMAGES, KILLED_AFTER = 48, 12
+
+
+@pytest.fixture
+def cluster() -> Iterator[Any]:
+    """A head that computes nothing, and this process connected to it; the test adds nodes."""
+    ray = pytest.importorskip("ray")
+    utils = pytest.importorskip("ray.cluster_utils")
+    nodes = utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+    ray.init(nodes.address, log_to_driver=False)
+    yield nodes
+    ray.shutdown()
+    nodes.shutdown()
+
+
+def test_a_node_killed_in_the_middle_costs_no_row_and_doubles_none(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    detector = write_detector(tmp_path / "painted.onnx")
+    for k in range(N_IMAGES):
+        image = blank_image(800, 300)
+        paint_vehicles(
+            image, np.array([[50 + 70 * (i % 10), 60 + 90 * (i // 10), 29 + k / 40, 12, 0.3] for i in range(20)])
+        )
+        cv2.imwrite(str(tmp_path / f"{k:03}.png"), image[:, :, ::-1])
+    expected = tmp_path / "local.jsonl"
+    run_batch(["*.png"], expected, detector=detector, workers=1)
+    doomed, _spared = (cluster.add_node(num_cpus=1) for _ in range(2))
+    cluster.wait_for_nodes()
+    told: list[int] = []
+
+    def kill_one(done: int, _total: int) -> None:
+        told.append(done)
+        if done == KILLED_AFTER:
+            cluster.remove_node(doomed, allow_graceful=False)
+
+    table = tmp_path / "ray.jsonl"
+    summary = run_batch(["*.png"], table, detector=detector, engine="ray", workers=2, progress=kill_one)
+    assert summary.n_rows == N_IMAGES
+    assert told == list(range(N_IMAGES + 1))  # each row came once
+    assert table.read_bytes() == expected.read_bytes()
+    assert len({json.loads(line)["file"] for line in table.read_text().splitlines()}) == N_IMAGES
+    assert not journal_path(table).exists()
