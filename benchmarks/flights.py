@@ -1,16 +1,21 @@
-"""Flights of known scale, made from real pixels: ``python benchmarks/flights.py {pooled,matched,tilt} DATA``.
+"""Flights of known scale, made from real pixels: ``python benchmarks/flights.py {pooled,matched,cost} DATA``.
 
 ``pooled`` turns, dims, blurs and JPEG-codes tiles of one scale into flights of 24 photographs and compares the scale by
 all of them with the truth, with the region unknown and given. ``matched`` cuts overlapping photographs of mixed scales
-out of mosaics; two thirds of them lose their vehicles. ``tilt`` sees val tiles of at least 40 labelled cars from aside
-(pitch -80 to -50, three focal lengths) and from straight above, and has the cars tell where the camera looked.
+out of mosaics; two thirds of them lose their vehicles. ``cost`` measures what comes
+beyond the detection for 200 photographs of 12 Mpx: features, pairs, matches, the graph. Cameras that look aside:
+``benchmarks/tilt.py``.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import hashlib
+import json
 import math
+import resource
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,18 +23,19 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from vehanchor.anchors.camera import equivalent_lens
-from vehanchor.anchors.leaning import SURE, lean
-from vehanchor.detection.search import search
+from vehanchor.anchors.evidence import ImageFacts
+from vehanchor.batch.stored import from_json, to_json
+from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import open_detector
 from vehanchor.flight.concluding import Failure, chief_member, conclude_flight
 from vehanchor.flight.estimate import conclude, look_at_flight
+from vehanchor.flight.features import Features, find_features
 from vehanchor.flight.islands import single_island
+from vehanchor.flight.pairs import candidate_pairs
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.taken import Taken
 from vehanchor.imagery.raster import open_raster
 from vehanchor.options import ScaleOptions
-from vehanchor.scale.plane import GroundPlane
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,8 +47,7 @@ if TYPE_CHECKING:
 
 _REGIONS = {"cannes": "europe", "estonia": "europe", "ucm": "north_america", "saopaulo": "south_america"}
 _FLIGHTS, _PHOTOGRAPHS = 4, 24
-_TILTS_DEG = (0.0, 10.0, 20.0, 30.0, 40.0)
-_LEAST_LABELLED = 40
+_LOOKED_AT = 8  # photographs whose features are timed
 
 
 def tiles(data: Path, name: str, split: str) -> list[tuple[Path, float]]:
@@ -79,14 +84,40 @@ def turned(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uin
     return np.asarray(cv2.warpAffine(image, move, (inner, inner), flags=cv2.INTER_CUBIC), dtype=np.uint8)
 
 
-def pooled_flight(looks: Sequence[Photograph | Failure], detector: Detector) -> FlightEstimate:
+def looked_at(
+    taken: Sequence[Taken], detector: Detector, *, featured: bool = False, cache: Path | None = None
+) -> list[Photograph]:
+    """Photographs that were looked at, each only once: what was found is kept in a folder, by model and pixels."""
+    members = []
+    for name, image in taken:
+        pixels = np.ascontiguousarray(image)
+        known = None
+        if cache is not None:
+            key = hashlib.sha256(detector.card.sha256.encode() + repr(pixels.shape).encode() + pixels.tobytes())
+            cache.mkdir(parents=True, exist_ok=True)
+            known = cache / f"{key.hexdigest()[:24]}.json"
+        if known is None or not known.exists():
+            (seen,) = look_at_flight([Taken(name, pixels)], detector, ScaleOptions())
+            if isinstance(seen, Failure):
+                raise seen.error
+            look = Look.of(seen.view.image, seen.view.sighting, seen.analysis)
+            if known is not None:
+                known.write_text(json.dumps(to_json(look)))
+        else:
+            look = from_json(json.loads(known.read_text()))
+        with open_raster(pixels) as raster:
+            features = find_features(raster) if featured else None
+        members.append(Photograph.of(name, look, detector.card, ScaleOptions(), features))
+    return members
+
+
+def pooled_flight(looks: Sequence[Photograph], detector: Detector) -> FlightEstimate:
     """The record of photographs of one scale."""
-    members = [each for each in looks if isinstance(each, Photograph)]
-    places = [place for place, each in enumerate(looks) if isinstance(each, Photograph)]
-    return conclude_flight(looks, [single_island(places, chief_member(members))], detector.card, same_scale=True)
+    island = single_island(range(len(looks)), chief_member(looks))
+    return conclude_flight(looks, [island], detector.card, same_scale=True)
 
 
-def pooled(data: Path, split: str, flights: int) -> None:
+def pooled(data: Path, split: str, flights: int, cache: Path | None) -> None:
     """Print a table."""
     detector = open_detector(None, ScaleOptions(), threads=1)
     print("| set | region | error of each flight of 24 | median | inside the interval | high over low |")
@@ -99,7 +130,7 @@ def pooled(data: Path, split: str, flights: int) -> None:
             rng = np.random.default_rng([seed, 20261121])
             chosen = rng.choice(len(files), min(_PHOTOGRAPHS, len(files)), replace=False)
             taken = [Taken(str(k), spoiled(turned(read(files[k][0]), rng), rng)[:, :, ::-1]) for k in chosen]
-            looks = look_at_flight(taken, detector, ScaleOptions())
+            looks = looked_at(taken, detector, cache=cache)
             rows["unknown"].append(pooled_flight(looks, detector))
             if _REGIONS[name] in detector.card.region_lengths_m:
                 given = ScaleOptions.of({"region": _REGIONS[name]})
@@ -111,7 +142,6 @@ def pooled(data: Path, split: str, flights: int) -> None:
                         given,
                     )
                     for each in looks
-                    if isinstance(each, Photograph)
                 ]
                 rows["given"].append(pooled_flight(again, detector))
         for region, found in rows.items():
@@ -169,7 +199,7 @@ def cut_flight(
     return photographs, np.array(scales)
 
 
-def matched(data: Path) -> None:
+def matched(data: Path, cache: Path | None) -> None:
     """Print a table."""
     detector = open_detector(None, ScaleOptions(), threads=1)
     print("| world | in islands | median | 95th percentile | ratios alone, median | inside the interval | dropped |")
@@ -180,7 +210,7 @@ def matched(data: Path) -> None:
         rng = np.random.default_rng([number, 20261121])
         images, factors = cut_flight(world, rng, _PHOTOGRAPHS)
         taken = [Taken(str(place), image) for place, image in enumerate(images)]
-        looks = look_at_flight(taken, detector, ScaleOptions(), featured=True)
+        looks = looked_at(taken, detector, featured=True, cache=cache)
         looks = [each if place % 3 == 0 else without_vehicles(each) for place, each in enumerate(looks)]
         record = conclude(looks, detector.card, same_scale=False)
         errors, relative, held = [], [], 0
@@ -210,10 +240,60 @@ def matched(data: Path) -> None:
     )
 
 
-def without_vehicles(look: Photograph | Failure) -> Photograph | Failure:
+def cost(number: int) -> None:
+    """Print what a flight costs beyond the detection: nothing is searched, every third photograph has ten cars.
+
+    Features are found in eight photographs of 12 Mpx; those of the flights are made up, as many as a photograph has at
+    most, along the strips of a survey, so that pairs, matches and the graph are those of a real one.
+    """
+    detector = open_detector(None, ScaleOptions(), threads=1)
+    ground = cv2.resize(np.random.default_rng(18).integers(0, 256, (150, 200, 3), np.uint8), (4000, 3000))
+    looking = []
+    for _ in range(_LOOKED_AT):
+        begun = time.process_time()
+        with open_raster(np.ascontiguousarray(ground)) as raster:
+            n_features = len(find_features(raster))
+        looking.append(time.process_time() - begun)
+    print(f"features of 12 Mpx: {np.median(looking):.2f} CPU s a photograph ({n_features})")
+    print("| photographs | pairs | overlaps | islands | pairs, matches, graph, record: CPU s each | peak MiB |")
+    print("|---|---|---|---|---|---|")
+    for n in (number // 4, number // 2, number):
+        photographs = _made_up(n, detector)
+        begun = time.process_time()
+        record = conclude(photographs, detector.card, same_scale=False)
+        spent = (time.process_time() - begun) / n
+        pairs = len(candidate_pairs([each.features for each in photographs if each.features is not None]))
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        islands = ", ".join(str(island.n_photographs) for island in record.islands)
+        print(f"| {n} | {pairs} | {len(record.links)} | {islands} | {spent:.3f} | {peak:.0f} |", flush=True)
+
+
+def _made_up(n: int, detector: Detector) -> list[Photograph]:
+    """Photographs of 4000 x 3000 px along strips, 70 % and 50 % of each seen in the next."""
+    rng = np.random.default_rng(18)
+    strip = max(1, round(math.sqrt(n)))
+    extent = np.array([4000 + 1200 * strip, 3000 + 1500 * math.ceil(n / strip)])
+    per_photograph = 12_000_000 / 1200
+    world = rng.uniform(0, extent, (int(extent.prod() / per_photograph), 2))
+    described = rng.gamma(0.4, 1.0, (len(world), 128))
+    described = 255 * np.sqrt(described / described.sum(axis=1, keepdims=True))
+    photographs = []
+    for place in range(n):
+        corner = np.array([place % strip * 1200, place // strip * 1500])
+        inside = np.flatnonzero(((world >= corner) & (world < corner + np.array([4000, 3000]))).all(axis=1))[:1200]
+        points = world[inside] - corner + rng.normal(0, 1.0, (len(inside), 2))
+        descriptors = np.clip(np.rint(described[inside] + rng.normal(0, 3, (len(inside), 128))), 0, 255)
+        features = Features(points, descriptors.astype(np.uint8), 4.0)
+        boxes = rng.uniform((200, 200), (3800, 2800), (10 if place % 3 == 0 else 0, 2))
+        sizes = np.column_stack([rng.normal(90, 8, len(boxes)), np.full(len(boxes), 36.0), np.zeros(len(boxes))])
+        found = Sighting(np.column_stack([boxes, sizes]), np.full(len(boxes), 0.9))
+        look = Look(ImageFacts(4000, 3000), found, 1.0, ())
+        photographs.append(Photograph.of(str(place), look, detector.card, ScaleOptions(), features))
+    return photographs
+
+
+def without_vehicles(look: Photograph) -> Photograph:
     """The photograph as if no vehicle had been there."""
-    if isinstance(look, Failure):
-        return look
     seen = look.view.sighting
     bare = replace(
         seen,
@@ -227,72 +307,22 @@ def without_vehicles(look: Photograph | Failure) -> Photograph | Failure:
     return Photograph.of(look.name, again, look.view.card, look.view.options, look.features)
 
 
-def seen_aside(
-    tile: NDArray[np.uint8], tilt_deg: float, roll_deg: float, focal_px: float, size: tuple[int, int]
-) -> NDArray[np.uint8]:
-    """The ground of a tile as a camera sees it that looks aside; its scale at the centre is the tile's."""
-    plane = GroundPlane(1.0, tilt_deg, focal_px, *size, roll_deg)
-    corners = np.array([(0.0, 0.0), (size[0], 0.0), (size[0], size[1]), (0.0, size[1])])
-    centre = np.array([[size[0] / 2, size[1] / 2]])
-    down = plane.down
-    across = np.array([1.0, 0.0, 0.0]) - down[0] * down
-    across /= np.linalg.norm(across)
-    axes = np.stack([across, np.cross(down, across)])
-    ground = (plane.ground(corners) - plane.ground(centre)) @ axes.T + np.array(tile.shape[1::-1]) / 2
-    move = cv2.getPerspectiveTransform(ground.astype(np.float32), corners.astype(np.float32))
-    return np.asarray(cv2.warpPerspective(tile, move, size, flags=cv2.INTER_LINEAR), dtype=np.uint8)
-
-
-def tilted(data: Path, split: str, number: int) -> None:
-    """Print a table: tilt by the cars alone, with the focal length known and unknown."""
-    detector = open_detector(None, ScaleOptions(), threads=1)
-    rng = np.random.default_rng(18)
-    rows: dict[float, list[tuple[float, float, float]]] = {}
-    few = dict.fromkeys(_TILTS_DEG, 0)
-    with (data / "gsd" / "upright.csv").open() as file:
-        listed = [row for row in csv.DictReader(file) if row["split"] == split and row["set"] == "estonia"]
-    chosen = [row for row in listed if int(row["labelled_small_vehicles"] or 0) >= _LEAST_LABELLED][:number]
-    for row in chosen:
-        tile = read((data / "gsd" / row["file"]).resolve())
-        for tilt in _TILTS_DEG:
-            focal_35mm, roll = float(rng.choice((20.0, 26.0, 35.0))), float(rng.uniform(-10, 10))
-            size = (round(0.7 * tile.shape[1]), round(0.5 * tile.shape[0]))
-            focal = equivalent_lens(*size, focal_35mm).pixels
-            image = seen_aside(tile, tilt, roll, focal, size) if tilt else tile
-            with open_raster(np.ascontiguousarray(spoiled(image, rng)[:, :, ::-1])) as raster:
-                sighting = search(raster, detector, ScaleOptions().search)
-            known = lean(sighting, image.shape[1], image.shape[0], focal)
-            unknown = lean(sighting, image.shape[1], image.shape[0])
-            if known is None or unknown is None:
-                few[tilt] += 1
-                continue
-            rows.setdefault(tilt, []).append((known.tilt_deg, unknown.tilt_deg, unknown.chance_tilted))
-    print("| pitch | images | fewer than 25 cars | error, focal length known | unknown | warned of |")
-    print("|---|---|---|---|---|---|")
-    for tilt, found in sorted(rows.items()):
-        known_off, unknown_off = (np.median([abs(each[k] - tilt) for each in found]) for k in (0, 1))
-        warned = sum(each[2] >= SURE for each in found)
-        print(
-            f"| {tilt - 90:.0f} | {len(found)} | {few[tilt]} | {known_off:.1f} | {unknown_off:.1f} | "
-            f"{warned} of {len(found)} |"
-        )
-
-
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("pooled", "matched", "tilt"))
-    parser.add_argument("data", type=Path)
+    parser.add_argument("what", choices=("pooled", "matched", "cost"))
+    parser.add_argument("data", type=Path, nargs="?", default=Path("../shared/data"))
+    parser.add_argument("--photographs", type=int, default=200, help="of the largest flight whose cost is measured")
     parser.add_argument("--split", default="val")
     parser.add_argument("--flights", type=int, default=_FLIGHTS)
-    parser.add_argument("--images", type=int, default=8, help="tiles that are seen from aside")
+    parser.add_argument("--cache", type=Path, help="folder that keeps what was found in each image")
     arguments = parser.parse_args()
     if arguments.what == "pooled":
-        pooled(arguments.data, arguments.split, arguments.flights)
-    elif arguments.what == "tilt":
-        tilted(arguments.data, arguments.split, arguments.images)
+        pooled(arguments.data, arguments.split, arguments.flights, arguments.cache)
+    elif arguments.what == "cost":
+        cost(arguments.photographs)
     else:
-        matched(arguments.data)
+        matched(arguments.data, arguments.cache)
 
 
 if __name__ == "__main__":

@@ -13,8 +13,10 @@ The library's own codes (``vehanchor.errors``) pass through unchanged. The serve
   x ``busy``                every place is taken: try again
   x ``deadline_exceeded``   the call took longer than the server allows
   x ``worker_killed``       the process that worked on the image ended: too much memory or time, or a crash; try again
+  x ``worker_unavailable``  no process for work on images can start here; no fault of the image
   x ``server_stopping``     the server is shutting down
   x ``model_unavailable``   the operator's model cannot be loaded
+  x ``invalid_answer``      what the person at the client answered to a question has no meaning
   x ``internal_error``      a bug; the details are in the server's log only
 """
 

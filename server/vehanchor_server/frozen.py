@@ -1,10 +1,21 @@
-"""The one base of the server's own pydantic models."""
+"""The one base of the server's own pydantic models, and the types of numbers that callers send."""
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from typing import Annotated, TypeAlias
 
-__all__ = ["FrozenModel"]
+from pydantic import BaseModel, ConfigDict, Strict
+
+__all__ = ["Flag", "FrozenModel", "Number", "WholeNumber"]
+
+Number: TypeAlias = Annotated[float, Strict()]
+"""A number, and nothing that might be read as one: ``true`` is no metre."""
+
+WholeNumber: TypeAlias = Annotated[int, Strict()]
+"""A number without a fraction."""
+
+Flag: TypeAlias = Annotated[bool, Strict()]
+"""Yes or no, and no number."""
 
 
 class FrozenModel(BaseModel):

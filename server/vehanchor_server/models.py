@@ -9,11 +9,19 @@ import threading
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from vehanchor.errors import VehAnchorError
-from vehanchor.models.zoo import bundled_segmenter, resolve_model, resolve_segmenter
+from vehanchor.models.files import read_model
+from vehanchor.models.zoo import (
+    bundled_segmenter,
+    fleet_beside,
+    resolve_model,
+    resolve_segmenter,
+    second_look_beside,
+)
 from vehanchor_server.errors import CallError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from vehanchor.detection.detector import Detector
     from vehanchor.scale.calibration import Calibration
@@ -106,6 +114,20 @@ class Models:
     def failure(self) -> str | None:
         """The code of the error that loading ended with, None without one."""
         return next((model.failure for model in self._required if model.failure), None)
+
+    def files(self) -> tuple[Path, ...]:
+        """All files that loading reads, as far as they exist."""
+        settings = self._settings
+        found: list[Path] = []
+        for resolve in (lambda: (resolve_model(settings.detector),), lambda: resolve_segmenter(settings.segmenter)):
+            with contextlib.suppress(VehAnchorError):  # loading will say what is missing
+                found += resolve()
+        beside = [other for path in found[:1] for other in (fleet_beside(path), second_look_beside(path)) if other]
+        found += [*beside, *([settings.calibration] if settings.calibration is not None else [])]
+        for path in [path for path in found if path.suffix == ".onnx"]:
+            with contextlib.suppress(VehAnchorError):
+                found += read_model(path).weights
+        return tuple(found)
 
     def preload(self, delay_s: float = 0.0) -> None:
         """Load in the background after a while; a failure is logged, and met again by the first call."""

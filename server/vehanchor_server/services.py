@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 from vehanchor_server.calls.capacity import Capacity
 from vehanchor_server.calls.worker_process import WorkerLimits
@@ -35,6 +36,17 @@ class Services:
     sources: ImageSources
     capacity: Capacity
     workers: WorkerPool | None = None
+
+    @property
+    def readable(self) -> tuple[Path, ...] | None:
+        """Files and folders that work reads; None leaves it all that the server's user may read.
+
+        Drivers of accelerators need devices, sockets and caches of their own.
+        """
+        providers = {name.strip().lower().removesuffix("executionprovider") for name in self.settings.providers}
+        if self.settings.unconfined or providers - {"cpu"}:
+            return None
+        return (*self.settings.roots, *self.models.files())
 
     @property
     def ready(self) -> bool:

@@ -114,12 +114,24 @@ class Settings:
         default=ImageLimits.max_windowed_pixels / _MEGAPIXEL,
         metadata=_words("Largest TIFF read by windows, megapixels.", panel=_WORK),
     )
+    never_ask: bool = field(
+        default=False,
+        metadata=_words(
+            "Never ask the person at a client for a region, a height or a known length at low confidence.", panel=_WORK
+        ),
+    )
     max_concurrency: int | None = field(
         default=None, metadata=_words("Calls at once in a process.", panel=_WORK, if_unset="one a CPU, at least 2")
     )
     in_process: bool = field(  # for a host on one's own machine: see SECURITY.md
         default=False,
         metadata=_words("Decode and compute here, not in processes that can be killed at the deadline.", panel=_WORK),
+    )
+    unconfined: bool = field(  # for systems on which a worker needs more than Python, the models and the roots
+        default=False,
+        metadata=_words(
+            "Let worker processes read, write and start what this user may; on Linux they cannot.", panel=_WORK
+        ),
     )
     max_worker_mb: float = field(  # of one process, of which there are at most as many as calls at once
         default=2048.0,
@@ -226,6 +238,7 @@ class Settings:
             max_pixels=max_pixels,
             max_windowed_pixels=round(self.max_windowed_megapixels * _MEGAPIXEL),
             max_decoded_bytes=max_decoded_bytes,
+            max_unpacked_bytes=1,  # no caller fills the disk: a large JPEG is refused
         )
 
     @property

@@ -6,7 +6,7 @@ Raster + path -> pixels x GSD -> record. The scale comes from the vehicles of th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.detector import Detector
     from vehanchor.estimate import ScaleAnalysis
     from vehanchor.found_scale import FoundScale, ScaleInput
+    from vehanchor.imagery.georeference import Ground
     from vehanchor.imagery.raster import ImageSource, Raster
     from vehanchor.options import OptionKeywords
     from vehanchor.pointing import Place
@@ -50,10 +51,20 @@ class DistanceAnalysis:
     Attributes:
         measurement: the record.
         scale: the analysis of the scale; None for one that was given, or given back.
+        ground: where on the ground the image lies; None where nothing tells.
     """
 
     measurement: DistanceMeasurement
     scale: ScaleAnalysis | None
+    ground: Ground | None = None
+
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        """The line as a GeoJSON Feature with its length, which geopandas takes; pixels, y down."""
+        record = self.measurement
+        names = ("status", "distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "gsd_m_per_px", "confidence")
+        properties = {name: getattr(record, name) for name in names}
+        return {"type": "Feature", "geometry": record.__geo_interface__, "properties": properties}
 
 
 def measure_distance(
@@ -156,7 +167,7 @@ def analyse_distance(
             progress=progress,
             run_options=run_options,
         )
-    return analysis
+    return replace(analysis, ground=raster.ground)
 
 
 def read_path(path: Sequence[Place]) -> tuple[Place, ...]:

@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from vehanchor.anchors.agreement import disagreements
-from vehanchor.anchors.attitude import attitude, levelled, tilt_record
+from vehanchor.anchors.attitude import attitude, known_plane, levelled, tilt_record
 from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.leaning import leaning_notice
 from vehanchor.anchors.registry import OTHER_ANCHORS
 from vehanchor.anchors.scene_scale import SceneScale
+from vehanchor.anchors.tilt import joint_attitude, on_the_plane
 from vehanchor.anchors.vehicles import Vehicles
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene import load_scene_scale
@@ -165,7 +166,8 @@ def analyse_scale(
     model = open_detector(detector, chosen, threads=threads)
     with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits, bgr=chosen.reading.bgr) as raster:
         analysis = analyse_raster(raster, model, chosen, progress=progress, run_options=run_options)
-    return replace(analysis, image=image if can_be_read_again(image) else None, reading=chosen.reading)
+    seen = image if can_be_read_again(image) else None
+    return replace(analysis, image=seen, reading=chosen.reading, ground=raster.ground)
 
 
 def open_detector(
@@ -249,29 +251,43 @@ def analyse_sighting(view: View, others: Sequence[Evidence] | None = None, *, le
         CalibrationMismatchError: the calibration was made for another model.
         TooObliqueError: the horizon is in sight, or nearly so.
     """
-    looked = attitude(view.image, view.options) if level else None
-    seen = view
-    if looked is not None:  # the network of the ground was never shown such a view
+    rulers, said = view.options.rulers, attitude(view.image, view.options) if level else None
+    if said is not None:  # the network of the ground was never shown such a view
         view = replace(view, sighting=replace(view.sighting, scene=None))
-        seen = replace(view, sighting=levelled(view.sighting, looked, view.image))
-    rulers = view.options.rulers
     if others is None:
         others = tuple(ruler.look(view) for ruler in OTHER_ANCHORS if rulers.uses(ruler.kind))
+    looked, seen = joint_attitude(said, view, others) if level else None, view
+    if looked is not None:
+        others = on_the_plane(others, looked, view)
+        seen = replace(view, sighting=levelled(view.sighting, looked, view.image))
     used = rulers.uses(Vehicles.kind)
     vehicles = Vehicles().look(seen if used else replace(view, sighting=_NOT_SEARCHED))
-    estimate = conclude(vehicles, others, view, looked)
+    estimate = conclude(vehicles, others, view, looked, placed=level)
     in_image = view.sighting if looked is not None and used else None
     return ScaleAnalysis(estimate, vehicles, tuple(others), in_image)
 
 
 def conclude(
-    vehicles: VehicleEvidence, others: Sequence[Evidence], view: View, looked: Attitude | None = None
+    vehicles: VehicleEvidence,
+    others: Sequence[Evidence],
+    view: View,
+    looked: Attitude | None = None,
+    *,
+    placed: bool = True,
 ) -> GsdEstimate:
-    """Conclude from the evidence to the caller's record."""
+    """Conclude from the evidence to the caller's record.
+
+    Args:
+        vehicles: their evidence.
+        others: that of the other rulers.
+        view: of the image.
+        looked: where the camera looked aside; None where it looked down, or nobody knows.
+        placed: whether vehicles are where they were seen: those of many photographs put together are not.
+    """
     image, judgement = view.image, judge(vehicles, others)
     gsd, interval = judgement.gsd_m_per_px, judgement.interval
     warnings = [*image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
-    warnings += leaning_notice(view) if looked is None and vehicles.n else []
+    warnings += leaning_notice(view) if placed and looked is None and vehicles.n else []
     warnings += disagreements((vehicles, *others), [ruler.kind for ruler in judgement.rulers if not ruler.agrees])
     if gsd is not None:
         who_says = "the vehicles say" if gsd == vehicles.gsd_m_per_px else "the rulers say"
@@ -304,7 +320,7 @@ def conclude(
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
         tilt=None if looked is None else tilt_record(looked, image, gsd),
         frame=frame_scale(view.options.frame, image.width_px, gsd, interval),
-        scale=_known_scale(view, gsd, interval, judgement.confidence),
+        scale=_known_scale(view, gsd, interval, judgement.confidence, looked),
         model=view.card.name,
         model_sha256=view.card.sha256,
         warnings=tuple(warnings),
@@ -332,7 +348,7 @@ def model_id(card: DetectorCard) -> str:
 
 
 def _known_scale(
-    view: View, gsd: float | None, interval: tuple[float, float] | None, confidence: float
+    view: View, gsd: float | None, interval: tuple[float, float] | None, confidence: float, looked: Attitude | None
 ) -> KnownScale | None:
     """The scale as it can be given back; None where there is none, or where nobody looked at the image's pixels."""
     if gsd is None or interval is None or not view.image.image_id:
@@ -344,6 +360,7 @@ def _known_scale(
         confidence=confidence,
         image_id=view.image.image_id,
         model_id=model_id(view.card),
+        plane=looked and known_plane(looked.tilt_deg, looked.roll_deg, looked.focal_px),
     )
 
 

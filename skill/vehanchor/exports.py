@@ -6,7 +6,6 @@ Those of a georeferenced file are where they are on the ground; of any other ima
 from __future__ import annotations
 
 import json
-import os
 import sqlite3
 import struct
 from contextlib import closing
@@ -23,8 +22,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.exhibits import ScaleAnalysis
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement
+    from vehanchor.distance import DistanceAnalysis
+    from vehanchor.exhibits import AreaAnalysis, ScaleAnalysis
+    from vehanchor.imagery.georeference import Ground
 
 __all__ = ["BOX_SUFFIXES", "LINE_SUFFIXES", "check_boxes_path", "write_boxes", "write_measured"]
 
@@ -64,13 +64,6 @@ class _Layer(NamedTuple):
     category: str
 
 
-class _Ground(NamedTuple):
-    """Where a georeferenced file lies: its transform and its coordinate system, as rasterio has them."""
-
-    transform: Any
-    crs: Any
-
-
 def check_boxes_path(path: str | Path, suffixes: tuple[str, ...] = BOX_SUFFIXES) -> Path:
     """Make sure that boxes, or what else these suffixes are for, can be written there, before the work of finding them.
 
@@ -92,7 +85,7 @@ def write_boxes(path: str | Path, analysis: ScaleAnalysis) -> Path:
     Args:
         path: ``.geojson`` (degrees of WGS 84, as the format wants, for a georeferenced file), ``.gpkg`` (the file's own
             coordinate system), or ``.txt``, DOTA's lines of four corners, class and difficulty, always in pixels.
-        analysis: of an image; only of a path is it known where on the ground it lies.
+        analysis: of an image.
 
     Returns:
         The path.
@@ -100,41 +93,34 @@ def write_boxes(path: str | Path, analysis: ScaleAnalysis) -> Path:
     Raises:
         OutputError: see ``check_boxes_path``; or the file system refuses.
     """
-    georeferenced = analysis.estimate.georeference_gsd_m_per_px is not None
     columns = {"kept": bool, "score": float, "length_px": float}
     layer = _Layer("vehicles", analysis.__geo_interface__["features"], columns, "Polygon", "vehicle")
-    return _write(check_boxes_path(path), layer, _ground(analysis.image) if georeferenced else None)
+    return _write(check_boxes_path(path), layer, analysis.ground)
 
 
-def write_measured(path: str | Path, record: AreaMeasurement | DistanceMeasurement, image: object) -> Path:
+def write_measured(path: str | Path, analysis: AreaAnalysis | DistanceAnalysis) -> Path:
     """Write the outline, or the line, that was measured, with its metres, in the form that the suffix says.
 
     Args:
         path: as in ``write_boxes``; DOTA's text has the smallest turned rectangle around an outline, and no lines.
-        record: what was measured.
-        image: where; only of a path is it known where on the ground it lies.
+        analysis: what was measured.
 
     Returns:
         The path.
 
     Raises:
         OutputError: see ``check_boxes_path``; or the file system refuses.
-        ImageError: the image cannot be read any more.
     """
-    geometry = record.__geo_interface__
+    feature = analysis.__geo_interface__
+    geometry = feature["geometry"]
     is_line = geometry["type"] == "LineString"
-    names = ("distance_m", "distance_ci95_low_m", "distance_ci95_high_m")
-    if not is_line:
-        names = ("area_m2", "area_ci95_low_m2", "area_ci95_high_m2")
-    columns = {"status": str, **dict.fromkeys((*names, "gsd_m_per_px", "confidence"), float)}
-    properties = {name: getattr(record, name) for name in columns}
-    features = [{"type": "Feature", "geometry": geometry, "properties": properties}] if geometry["coordinates"] else []
+    columns = {name: str if name == "status" else float for name in feature["properties"]}
+    features = [feature] if geometry["coordinates"] else []
     layer = _Layer("lines" if is_line else "outlines", features, columns, geometry["type"], "object")
-    target = check_boxes_path(path, LINE_SUFFIXES if is_line else BOX_SUFFIXES)
-    return _write(target, layer, _ground(image) if _is_georeferenced(image) else None)
+    return _write(check_boxes_path(path, LINE_SUFFIXES if is_line else BOX_SUFFIXES), layer, analysis.ground)
 
 
-def _write(target: Path, layer: _Layer, ground: _Ground | None) -> Path:
+def _write(target: Path, layer: _Layer, ground: Ground | None) -> Path:
     suffix = target.suffix.lower()
     with whole_file(target) as partial:
         if suffix == ".txt":
@@ -159,7 +145,7 @@ def _dota(layer: _Layer) -> str:
     return "".join(lines)
 
 
-def _geojson(layer: _Layer, ground: _Ground | None) -> dict[str, Any]:
+def _geojson(layer: _Layer, ground: Ground | None) -> dict[str, Any]:
     features = layer.features
     if ground is not None:
         from rasterio.warp import transform
@@ -171,7 +157,7 @@ def _geojson(layer: _Layer, ground: _Ground | None) -> dict[str, Any]:
     return {"type": "FeatureCollection", "features": features}
 
 
-def _write_geopackage(path: Path, layer: _Layer, ground: _Ground | None) -> None:
+def _write_geopackage(path: Path, layer: _Layer, ground: Ground | None) -> None:
     systems: list[tuple[str, int, str, int, str]] = [
         ("Undefined Cartesian", _UNDEFINED_SRS, "NONE", _UNDEFINED_SRS, "undefined"),
         ("Undefined geographic", 0, "NONE", 0, "undefined"),
@@ -246,27 +232,8 @@ def _moved(geometry: dict[str, Any], move: Callable[[NDArray[np.float64]], NDArr
     return {**geometry, "coordinates": moved(geometry["coordinates"])}
 
 
-def _on_ground(points: NDArray[np.float64], ground: _Ground) -> NDArray[np.float64]:
+def _on_ground(points: NDArray[np.float64], ground: Ground) -> NDArray[np.float64]:
     """Places ``[n, 2]`` in pixels as coordinates of the file's system."""
     a, b, c, d, e, f = ground.transform[:6]
     x, y = points[:, 0], points[:, 1]
     return np.column_stack([a * x + b * y + c, d * x + e * y + f])
-
-
-def _is_georeferenced(image: object) -> bool:
-    if not isinstance(image, str | os.PathLike):
-        return False
-    from vehanchor.imagery.raster import open_raster
-
-    with open_raster(image) as raster:
-        return raster.georeference_gsd_m_per_px is not None
-
-
-def _ground(image: object) -> _Ground | None:
-    """Where a georeferenced image lies; None for one that is no file."""
-    if not isinstance(image, str | os.PathLike):
-        return None
-    import rasterio  # the file was read by it
-
-    with rasterio.open(image) as dataset:
-        return _Ground(dataset.transform, dataset.crs)

@@ -1,4 +1,4 @@
-"""An estimate together with what it was concluded from, as rulers, pictures and tables look at it."""
+"""Records together with what they were concluded from, as rulers, pictures and tables look at them."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ if TYPE_CHECKING:
     from vehanchor.anchors.evidence import Evidence, Mark
     from vehanchor.anchors.vehicles import VehicleEvidence
     from vehanchor.detection.sighting import Sighting
+    from vehanchor.imagery.georeference import Ground
     from vehanchor.imagery.raster import ImageSource
     from vehanchor.options import Reading
-    from vehanchor.records import GsdEstimate
+    from vehanchor.records import AreaMeasurement, GsdEstimate
+    from vehanchor.segmentation.prompt import Prompt
+    from vehanchor.segmentation.segmenter import Segmentation
 
-__all__ = ["ScaleFindings"]
+__all__ = ["AreaFindings", "ScaleFindings"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +34,7 @@ class ScaleFindings:
             levelled; None where it has them as they are.
         image: where the image can be read again, for pictures; None for a stream.
         reading: how it was read; None for the defaults.
+        ground: where on the ground the image lies; None where nothing tells.
     """
 
     estimate: GsdEstimate
@@ -39,6 +43,7 @@ class ScaleFindings:
     in_image: Sighting | None = None
     image: ImageSource | None = None
     reading: Reading | None = None
+    ground: Ground | None = None
 
     @property
     def detections(self) -> Sighting:
@@ -64,3 +69,26 @@ class ScaleFindings:
     def resolved(self) -> float:
         """Share of the pixels' resolution at which there is detail."""
         return self.vehicles.resolved
+
+
+@dataclass(frozen=True, eq=False)
+class AreaFindings:
+    """A measurement of an object together with what it came from.
+
+    Attributes:
+        measurement: the record.
+        segmentation: the mask, and the window of the image it lies in.
+        prompt: the box or points, in pixels of the full image.
+        scale: the analysis of the scale; None for one that was given, or given back.
+        image: where the image can be read again, for pictures; None for a stream.
+        reading: how it was read; None for the defaults.
+        ground: where on the ground the image lies; None where nothing tells.
+    """
+
+    measurement: AreaMeasurement
+    segmentation: Segmentation
+    prompt: Prompt
+    scale: ScaleFindings | None
+    image: ImageSource | None = None
+    reading: Reading | None = None
+    ground: Ground | None = None

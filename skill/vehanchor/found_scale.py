@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from pydantic import ValidationError
 
-from vehanchor.anchors.attitude import attitude, plane_with
+from vehanchor.anchors.attitude import attitude, plane_of_record, plane_with
 from vehanchor.anchors.camera import equivalent_lens, lens
 from vehanchor.anchors.evidence import ImageFacts
 from vehanchor.choices import number
@@ -19,6 +19,7 @@ from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliq
 from vehanchor.estimate import analyse_raster, georeference_notice, image_notices, open_detector
 from vehanchor.imagery.identity import image_id
 from vehanchor.records import GsdEstimate, KnownScale
+from vehanchor.scale.plane import GroundPlane
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 
 if TYPE_CHECKING:
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
     from vehanchor.records import Notice, ScaleSource, Status
-    from vehanchor.scale.plane import GroundPlane
 
 __all__ = ["FoundScale", "ScaleInput", "choose_scale", "find_scale", "interval_around"]
 
@@ -211,7 +211,7 @@ def _on_the_ground(
         analysis = analyse_raster(raster, scale, options, progress=progress, run_options=run_options)
         found = analysis.estimate
         log_sd = _log_sd(found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px)
-        plane = _plane(raster, options, found.gsd_m_per_px)
+        plane = plane_of_record(found)
         return FoundScale(found.gsd_m_per_px, log_sd, found.confidence, "estimated", analysis, found.warnings, plane)
     told = image_notices(raster)
     own = raster.georeference_gsd_m_per_px
@@ -224,7 +224,7 @@ def _on_the_ground(
             )
         log_sd = _log_sd(scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)
         notices = (*told, *georeference_notice(own, scale.gsd_m_per_px, "the one given back is"))
-        plane = _plane(raster, options, scale.gsd_m_per_px)
+        plane = _given_plane(raster, scale) or _plane(raster, options, scale.gsd_m_per_px)
         return FoundScale(scale.gsd_m_per_px, log_sd, scale.confidence, "reused", None, notices, plane)
     notices = (*told, *georeference_notice(own, scale, "the one given is"))
     return FoundScale(scale, 0.0, None, "given", None, notices, _plane(raster, options, scale))
@@ -235,6 +235,16 @@ def _plane(raster: Raster, options: ScaleOptions, gsd_m_per_px: float | None) ->
     image = ImageFacts(raster.width_px, raster.height_px, camera=raster.camera)
     looked = None if gsd_m_per_px is None else attitude(image, options)
     return None if looked is None or gsd_m_per_px is None else plane_with(looked, image, gsd_m_per_px)
+
+
+def _given_plane(raster: Raster, scale: KnownScale) -> GroundPlane | None:
+    """The ground as the estimate had it that is given back."""
+    if scale.plane is None:
+        return None
+    size, looked = (raster.width_px, raster.height_px), scale.plane
+    plane = GroundPlane(scale.gsd_m_per_px, looked.tilt_deg, looked.focal_length_px, *size, looked.roll_deg)
+    plane.check()
+    return plane
 
 
 def camera_above(raster: Raster, options: ScaleOptions, object_height_m: float) -> CameraAbove:

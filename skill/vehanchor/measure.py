@@ -7,13 +7,14 @@ caller. No language model is ever asked for an area.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import InvalidParameterError
+from vehanchor.exhibits import AreaAnalysis
 from vehanchor.found_scale import choose_scale, find_scale, interval_around
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.raster import can_be_read_again, open_raster
 from vehanchor.models.zoo import resolve_segmenter
 from vehanchor.options import ScaleOptions
 from vehanchor.records import (
@@ -46,7 +47,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.detector import Detector
-    from vehanchor.estimate import ScaleAnalysis
     from vehanchor.found_scale import FoundScale, ScaleInput
     from vehanchor.imagery.raster import ImageSource, Raster
     from vehanchor.options import Frame, OptionKeywords
@@ -57,23 +57,6 @@ if TYPE_CHECKING:
     SegmenterSource: TypeAlias = Segmenter | tuple[str | os.PathLike[str], str | os.PathLike[str]]
 
 __all__ = ["AreaAnalysis", "analyse_area", "analyse_objects", "measure_area"]
-
-
-@dataclass(frozen=True, eq=False)
-class AreaAnalysis:
-    """A measurement together with what it came from.
-
-    Attributes:
-        measurement: the record.
-        segmentation: the mask, and the window of the image it lies in.
-        prompt: the box or points, in pixels of the full image.
-        scale: the analysis of the scale; None for one that was given, or given back.
-    """
-
-    measurement: AreaMeasurement
-    segmentation: Segmentation
-    prompt: Prompt
-    scale: ScaleAnalysis | None
 
 
 def measure_area(
@@ -188,7 +171,8 @@ def analyse_area(
             progress=progress,
             run_options=run_options,
         )
-    return analysis
+    seen = image if can_be_read_again(image) else None
+    return replace(analysis, image=seen, reading=chosen.reading, ground=raster.ground)
 
 
 def analyse_objects(

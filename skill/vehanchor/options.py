@@ -55,10 +55,12 @@ class ImageLimits:
 
     Attributes:
         max_bytes: encoded size of what is read into memory whole.
-        max_pixels: declared width x height of what is decoded whole; larger TIFFs are read by windows.
+        max_pixels: declared width x height of what is decoded whole; larger TIFFs and sequential JPEGs are read by
+            windows, as JPEG 2000 always is.
         max_windowed_pixels: declared width x height of what is read by windows.
         max_decoded_bytes: memory that decoding may take: width x height x bands x depth of what is decoded whole, or of
             a strip or tile of what is read by windows, and what the decoder holds beside it.
+        max_unpacked_bytes: disk that a JPEG may take while it is read by windows, three bytes a pixel.
 
     Raises:
         InvalidParameterError: one of them is no whole number >= 1.
@@ -68,6 +70,7 @@ class ImageLimits:
     max_pixels: int = 100_000_000
     max_windowed_pixels: int = 10_000_000_000
     max_decoded_bytes: int = 1 << 30
+    max_unpacked_bytes: int = 8 << 30
 
     def __post_init__(self) -> None:
         for each in fields(self):

@@ -124,13 +124,23 @@ class TiltEstimate(_Record):
     tilt_ci95_high_deg: float = Field(ge=0, le=90, description="Upper end of its 95 % interval.")
     roll_deg: float = Field(description="Direction in which it looked aside, clockwise from the image's upper side.")
     focal_length_px: float = Field(gt=0, description="Focal length, pixels of the full image.")
-    source: str = Field(description="Where the tilt is from: metadata.")
+    source: str = Field(description="metadata, courts, vehicles, or several of them; focal length unknown, if it is.")
     gsd_least_m_per_px: float | None = Field(description="Least metres per pixel in the image; null without a scale.")
     gsd_largest_m_per_px: float | None = Field(description="Largest metres per pixel in the image.")
 
 
+class KnownPlane(_Record):
+    """Where the camera looked, for a scale that is given back: it is that of the image's centre then."""
+
+    tilt_deg: float = Field(gt=0, lt=90, description="Angle between the camera's axis and straight down.")
+    roll_deg: float = Field(ge=-360, le=360, description="Direction in which it looked, clockwise from the upper side.")
+    focal_length_px: float = Field(gt=0, description="Focal length, pixels of the full image.")
+
+
 class KnownScale(_Record):
     """A scale to be given back for the next measurement in the same image, which then needs no search."""
+
+    model_config = ConfigDict(strict=True)  # it comes back from callers: true is no metre
 
     gsd_m_per_px: float = Field(gt=0, description="Metres per pixel of the full image.")
     gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its 95 % interval.")
@@ -138,6 +148,11 @@ class KnownScale(_Record):
     confidence: float = Field(ge=0, le=1, description="Composite confidence C.")
     image_id: str = Field(max_length=64, description="Checksum of the image's pixels: it holds for no other image.")
     model_id: str = Field(max_length=64, description="First digits of the checksum of the detector.")
+    plane: KnownPlane | None = Field(
+        default=None,
+        exclude_if=lambda plane: plane is None,
+        description="Where the camera looked aside; absent where it did not.",
+    )
 
 
 class GsdEstimate(_Record):
@@ -206,8 +221,8 @@ class GsdEstimate(_Record):
         description="Scale that the file itself carries (geotransform), for comparison; never used for the estimate."
     )
     tilt: TiltEstimate | None = Field(
-        description="Where the camera looked more than 10 degrees aside, by its metadata: gsd_m_per_px is then that of "
-        "the image's centre. Null where it looked down, or nobody knows."
+        description="Where the camera looked more than 10 degrees aside, by its metadata, courts and vehicles: "
+        "gsd_m_per_px is then that of the image's centre. Null where it looked down, or nobody knows."
     )
     frame: FrameScale | None = Field(description="The scale in the caller's resized copy, where one was named.")
     scale: KnownScale | None = Field(

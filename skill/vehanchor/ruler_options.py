@@ -41,6 +41,18 @@ class KnownLength(NamedTuple):
     y2: float
     metres: float
 
+    @classmethod
+    def from_text(cls, text: str) -> KnownLength:
+        """Read a line as a person writes it: five numbers with spaces or commas between them.
+
+        Raises:
+            KnownLengthError: it is not that.
+        """
+        try:
+            return cls(*(float(part) for part in text.replace(",", " ").split()))
+        except (TypeError, ValueError):
+            raise KnownLengthError(f"the known length is {text!r}: use five numbers, X1 Y1 X2 Y2 METRES") from None
+
     @property
     def length_px(self) -> float:
         """Pixels between the ends."""

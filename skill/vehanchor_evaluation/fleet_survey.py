@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from vehanchor.detection.card import REFERENCE_LENGTH_SD_M
 from vehanchor.scale.calibration import SurveyedImage, calibrate
 from vehanchor_evaluation.dota import SMALL_VEHICLE, labelled_boxes
-from vehanchor_evaluation.known_scale import FileIssue
+from vehanchor_evaluation.known_scale import FileIssue, naming
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -71,7 +71,8 @@ def found_vehicles(
         if isinstance(found, FileIssue):
             survey.issues.append(found)
             continue
-        analysis = found.analysis(card, options)
+        with naming(image.path):
+            analysis = found.analysis(card, options)
         boxes, scores = analysis.detections.boxes[analysis.kept], analysis.detections.scores[analysis.kept]
         survey.images.append(SurveyedImage(boxes, image.gsd_m_per_px, scores if weighted else None, image.gsd_log_sd))
     return survey

@@ -17,7 +17,7 @@ from vehanchor.options import Reference, ScaleOptions
 from vehanchor.scale.lengths import kde_mode
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor_evaluation.dota import SMALL_VEHICLE, labelled_boxes
-from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet
+from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet, naming
 from vehanchor_evaluation.search import SearchedImage
 from vehanchor_evaluation.table import read_table
 
@@ -226,7 +226,8 @@ def benchmark_scale(
         if isinstance(found, FileIssue):
             issues.append(found)
             continue
-        trials.append(ScaleTrial(image, found.analysis(detector, options_of(image)), found))
+        with naming(image.path):
+            trials.append(ScaleTrial(image, found.analysis(detector, options_of(image)), found))
         if image.labels is None:
             continue
         try:
@@ -236,7 +237,8 @@ def benchmark_scale(
             continue
         facts = ImageFacts(found.image.width_px, found.image.height_px)
         labelled = SearchedImage(Sighting(boxes, np.ones(len(boxes))), facts)
-        baseline.append(ScaleTrial(image, labelled.analysis(detector, label_options_of(image)), labelled))
+        with naming(image.labels):
+            baseline.append(ScaleTrial(image, labelled.analysis(detector, label_options_of(image)), labelled))
     return ScaleBenchmark(data, detector, tuple(trials), tuple(baseline), tuple(issues), options_of, label_options_of)
 
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from vehanchor.errors import InvalidParameterError
+from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.options import ImageLimits
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
 __all__ = [
     "DATASET_LIMITS",
@@ -21,6 +22,7 @@ __all__ = [
     "files_of",
     "image_files",
     "labels_beside",
+    "naming",
 ]
 
 DATASET_LIMITS = ImageLimits(max_bytes=2 << 30, max_pixels=500_000_000)
@@ -130,3 +132,16 @@ def labels_beside(image: Path) -> Path | None:
         if (folder / name).is_file():
             return folder / name
     return None
+
+
+@contextmanager
+def naming(file: Path) -> Iterator[None]:
+    """Name the file in errors that end a run over many.
+
+    Raises:
+        VehAnchorError: of the kind that was raised.
+    """
+    try:
+        yield
+    except VehAnchorError as error:
+        raise type(error)(f"{file}: {error}") from error

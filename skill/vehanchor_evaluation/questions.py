@@ -1,15 +1,15 @@
 """Questions that a planner asks of an image (how far, how large, does it fit), answered with tools and without.
 
 The images are scenes of known scale, as ``vehanchor scene`` writes them; the planner is a script, so that what is
-counted is the tools' answers and their cost, not a model's luck. Without tools it takes every pixel for one of a
-usual size.
+counted is the tools' answers and their cost, not a model's luck. Where a scale is not to be used it may ask a person,
+who has measured one stretch of the ground. Without tools it takes every pixel for one of a usual size.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -37,6 +37,9 @@ _LEAST_OBJECT_PX = 900
 _CATEGORIES = ("swimming-pool", "building", "sports-court")  # things with an edge of their own
 _FALLBACK = 0.5
 
+STRETCH = ((0.4, 0.6), (0.6, 0.6))
+"""Ends of what a person has measured, as fractions of the sides."""
+
 
 @dataclass(frozen=True)
 class Question:
@@ -50,6 +53,7 @@ class Question:
         truth: metres, square metres, or whether it fits (1 or 0).
         needed_m: what is to fit.
         size_px: of the image.
+        stretch_m: of the ground, along ``STRETCH``, as a person has measured it with a tape, to a decimetre.
     """
 
     kind: Kind
@@ -59,6 +63,7 @@ class Question:
     truth: float
     size_px: tuple[int, int]
     needed_m: float = 0.0
+    stretch_m: float = 0.0
 
 
 @dataclass
@@ -112,7 +117,9 @@ def read_questions(folder: Path, limit: int) -> list[Question]:
             continue
         record = json.loads(record_path.read_text(encoding="utf-8"))
         if isinstance(record, dict) and "gsd_m_per_px" in record:
-            questions += [*_distances(image, record), *_areas(image, record)]
+            stretch_m = round((STRETCH[1][0] - STRETCH[0][0]) * record["width_px"] * record["gsd_m_per_px"], 1)
+            about = [*_distances(image, record), *_areas(image, record)]
+            questions += [replace(question, stretch_m=stretch_m) for question in about]
     if not questions:
         raise InvalidParameterError(f"{str(folder)!r} has no scene: write some by 'vehanchor scene {folder}/a.png ...'")
     return questions[:limit]
@@ -164,40 +171,75 @@ def _areas(image: Path, record: dict[str, Any]) -> list[Question]:
 
 @dataclass
 class _Talk:
-    """The planner's talk with the tools: what it costs, and the scale that it gives back."""
+    """The planner's talk with the tools: what it costs, and the scale that it gives back.
+
+    Attributes:
+        tools: that it calls.
+        with_person: it may ask a person where a scale is not to be used.
+        scales: by image.
+    """
 
     tools: ToolCaller
+    with_person: bool = False
     scales: dict[Path, Any] = field(default_factory=dict)
 
     def ask(self, question: Question) -> Outcome:
+        outcome, record = self._measure(question)
+        if not self.with_person or outcome.verdict != "no answer" or record.get("status") in (None, "ok"):
+            return outcome
+        asked = self._measure_stretch(question)
+        again, _ = self._measure(question)
+        calls, characters = outcome.calls + asked.calls + again.calls, outcome.characters + asked.characters
+        return replace(again, calls=calls, characters=characters + again.characters)
+
+    def _measure_stretch(self, question: Question) -> Outcome:
+        """Tell the tool what a person says; the scale with it takes the place of the one before."""
+        (x1, y1), (x2, y2) = STRETCH
+        line = {"x1": x1, "y1": y1, "x2": x2, "y2": y2, "metres": question.stretch_m}
+        arguments = {**_about(question), "known_lengths": [line]}
+        _, characters = self._call(question, "estimate_gsd", arguments)
+        return Outcome(question, "no answer", calls=1, characters=characters)
+
+    def _call(self, question: Question, tool: str, arguments: dict[str, Any]) -> tuple[dict[str, Any], int]:
+        """The record that a tool answers, empty for an error, and what was said and read."""
+        answer, is_error = self.tools.call(tool, arguments)
+        record: dict[str, Any] = {} if is_error else json.loads(answer.splitlines()[-1])
+        if record.get("scale") is not None:
+            self.scales[question.image] = record["scale"]
+        return record, len(json.dumps(arguments)) + len(answer)
+
+    def _measure(self, question: Question) -> tuple[Outcome, dict[str, Any]]:
         (x1, y1), (x2, y2) = question.places
-        arguments: dict[str, Any] = {
-            "image": {"kind": "path", "path": str(question.image.resolve())},
-            "coordinates": "fraction",
-        }
+        arguments = _about(question)
         if question.kind == "area":
             tool, arguments["targets"] = "measure_area", [{"box": {"x_min": x1, "y_min": y1, "x_max": x2, "y_max": y2}}]
         else:
             tool, arguments["lines"] = "measure_distance", [{"points": [{"x": x1, "y": y1}, {"x": x2, "y": y2}]}]
         if question.image in self.scales:
             arguments["scale"] = self.scales[question.image]
-        answer, is_error = self.tools.call(tool, arguments)
-        characters = len(json.dumps(arguments)) + len(answer)
-        record: dict[str, Any] = {} if is_error else json.loads(answer.splitlines()[-1])
-        if record.get("scale") is not None:
-            self.scales[question.image] = record["scale"]
+        record, characters = self._call(question, tool, arguments)
         verdict: Verdict = "no answer"
         if record.get("status") == "ok":
             unit = "area_ci95_{}_m2" if question.kind == "area" else "distance_ci95_{}_m"
             verdict = _judged(question, record[unit.format("low")], record[unit.format("high")])
         confidence = record.get("confidence")
         low = verdict != "no answer" and confidence is not None and confidence < _FALLBACK
-        return Outcome(question, verdict, low, 1, characters)
+        return Outcome(question, verdict, low, 1, characters), record
 
 
-def ask_with_tools(questions: Iterable[Question], tools: ToolCaller) -> list[Outcome]:
-    """Ask the tools, giving each image's scale back; a result that is not ok is no answer."""
-    talk = _Talk(tools)
+def _about(question: Question) -> dict[str, Any]:
+    return {"image": {"kind": "path", "path": str(question.image.resolve())}, "coordinates": "fraction"}
+
+
+def ask_with_tools(questions: Iterable[Question], tools: ToolCaller, *, with_person: bool = False) -> list[Outcome]:
+    """Ask the tools, giving each image's scale back; a result that is not ok is no answer.
+
+    Args:
+        questions: in the order in which they are asked.
+        tools: that answer.
+        with_person: where a result is not ok, a person is asked for the one length that they have measured.
+    """
+    talk = _Talk(tools, with_person)
     return [talk.ask(question) for question in questions]
 
 

@@ -186,6 +186,7 @@ def test_lines_of_known_length_are_heard_where_they_lie(tmp_path: Path, detector
     (tmp_path / "lines.csv").write_text("file,x1,y1,x2,y2,metres\na.png,20,220,420,2200,40\n")
     outside = _run(*arguments, "--known-lengths", tmp_path / "lines.csv")
     assert outside.exit_code == 2
+    assert "a.png" in outside.stderr
     assert "leaves the picture" in outside.stderr
 
 

@@ -81,6 +81,31 @@ def test_a_low_confidence_or_an_error_is_no_answer(folder: Path, tools: Tools) -
     assert (told.no_answer, told.acted_on_low, told.calls_per_right) == (len(questions), 0, None)
 
 
+class ToolsThatNeedHelp(Tools):
+    """Tools of a low confidence, until they are told a length; the scale that they were given back is the one used."""
+
+    def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
+        if name == "estimate_gsd":
+            self.asked.append((name, arguments))
+            (line,) = arguments["known_lengths"]
+            gsd = line["metres"] / (512 * (line["x2"] - line["x1"]))
+            return f"A sentence.\n{json.dumps({'status': 'ok', 'scale': {'gsd_m_per_px': gsd, 'told': True}})}", False
+        told = arguments.get("scale", {}).get("told", False)
+        self.gsd, self.status = (arguments["scale"]["gsd_m_per_px"], "ok") if told else (GSD / 2, "low_confidence")
+        answer, is_error = super().call(name, arguments)
+        return answer.replace('"scale"', '"by"') if told else answer, is_error  # one that was given back is not given
+
+
+def test_at_low_confidence_a_person_is_asked_once_an_image_and_what_they_measured_answers(folder: Path) -> None:
+    questions = [question for question in read_questions(folder, 40) if question.kind == "distance"]
+    tools = ToolsThatNeedHelp(GSD)
+    told = score("helped", ask_with_tools(questions, tools, with_person=True))
+    assert (told.right, told.wrong, told.acted_on_low) == (2, 0, 0)
+    assert [name for name, _ in tools.asked] == ["measure_distance", "estimate_gsd", *["measure_distance"] * 2]
+    alone = score("alone", ask_with_tools(questions, ToolsThatNeedHelp(GSD)))
+    assert (alone.no_answer, alone.acted_on_low) == (2, 0)
+
+
 def test_without_tools_the_scale_is_guessed(folder: Path) -> None:
     told = score("blind", ask_blindly(read_questions(folder, 40)))
     assert told.calls_per_right in (0, None)

@@ -162,6 +162,9 @@ def test_vehicles_of_which_none_is_clearly_a_car_are_never_sure(tmp_path: Path) 
     faint, clear = (_analysis(strict, [(30.0, 34, 0.7, 1.0), (30.0, 6, best, 1.0)]) for best in (0.7, 0.8))
     assert (faint.status, [w.code for w in faint.warnings]) == ("low_confidence", ["scores_unclear"])
     assert (clear.status, clear.warnings) == ("ok", ())
+    few, many = (_analysis(strict, [(30.0, n, 0.72, 1.0)]) for n in (8, 40))
+    assert few.warnings == ()  # of so few none need be a very clear one
+    assert [w.code for w in many.warnings] == ["scores_unclear"]
 
 
 def test_scores_and_not_numbers_alone_decide_which_level_dominates(searching: Detector) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -11,10 +12,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import vehanchor
 from tests.models import blank_image, paint_vehicles, write_detector
-from vehanchor import Detector, analyse_scale
+from vehanchor import AreaAnalysis, Detector, analyse_area, analyse_scale
+from vehanchor.cli.app import app
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, MissingExtraError
 
 
@@ -98,6 +101,62 @@ def test_vehicles_are_detections_of_supervision(
     boxes = analysis.to_supervision().xyxy
     centres = (boxes[:, :2] + boxes[:, 2:]) / 2
     assert centres == pytest.approx(analysis.detections.boxes[:, :2], abs=0.01)
+
+
+class _Masks:
+    """Supervision's, as far as an object uses it."""
+
+    def __init__(self, *, xyxy: Any, mask: Any, confidence: Any, class_id: Any, data: dict[str, Any]) -> None:
+        assert (xyxy.shape, mask.dtype, confidence.shape, class_id.shape) == ((1, 4), np.bool_, (1,), (1,))
+        self.xyxy, self.mask, self.data = xyxy, mask, data
+
+    @classmethod
+    def empty(cls) -> str:
+        return "empty"
+
+
+@pytest.fixture(scope="module")
+def roof(tmp_path_factory: pytest.TempPathFactory) -> AreaAnalysis:
+    image = np.full((200, 300, 3), 90, np.uint8)
+    cv2.rectangle(image, (80, 60), (219, 139), (230, 230, 230), -1)  # 140 x 80 px
+    path = tmp_path_factory.mktemp("roof") / "roof.png"
+    cv2.imwrite(str(path), image)
+    return analyse_area(path, box=(75, 55, 225, 145), gsd_m_per_px=0.1)
+
+
+def test_an_area_is_drawn_as_by_the_command_and_shown_in_notebooks(roof: AreaAnalysis, tmp_path: Path) -> None:
+    assert isinstance(roof.image, Path)
+    words = ["measure", roof.image, "--box", 75, 55, 225, 145, "--gsd", 0.1, "--overlay", tmp_path / "o.png"]
+    assert CliRunner().invoke(app, list(map(str, words))).exit_code == 0
+    written = cv2.imread(str(tmp_path / "o.png"))
+    assert written is not None
+    assert np.array_equal(written[:, :, ::-1], roof.overlay())
+    png = roof._repr_png_()
+    assert png is not None
+    shown = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert shown is not None
+    assert np.array_equal(shown, written)
+    assert replace(roof, image=None)._repr_png_() is None
+
+
+def test_an_area_is_a_feature_a_mask_and_an_object_of_supervision(
+    roof: AreaAnalysis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    feature, mask = roof.__geo_interface__, roof.full_mask()
+    assert feature["type"] == "Feature"
+    assert feature["properties"]["area_m2"] == roof.measurement.area_m2
+    assert mask.shape == (200, 300)
+    assert mask.sum() == roof.measurement.mask_area_px
+    assert mask[70:130, 90:210].all()
+    stand_in = ModuleType("supervision")
+    stand_in.Detections = _Masks  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "supervision", stand_in)
+    found = roof.to_supervision()
+    assert np.array_equal(found.mask[0], mask)
+    assert found.xyxy[0] == pytest.approx([80, 60, 220, 140], abs=3)
+    assert found.data["area_m2"][0] == roof.measurement.area_m2
+    nothing = replace(roof, measurement=roof.measurement.model_copy(update={"bounding_box": None}))
+    assert nothing.to_supervision() == "empty"
 
 
 def test_a_list_gives_a_list_and_a_folder_is_one(cars: np.ndarray, detector: Detector, tmp_path: Path) -> None:

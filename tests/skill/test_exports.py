@@ -16,11 +16,11 @@ from rasterio.warp import transform
 from typer.testing import CliRunner
 
 from tests.models import blank_image, paint_vehicles, write_detector
-from vehanchor import Detector, ScaleAnalysis, analyse_scale
+from vehanchor import Detector, ScaleAnalysis, analyse_area, analyse_scale
 from vehanchor.cli.app import app
 from vehanchor.detection.boxes import box_corners
 from vehanchor.errors import OutputError
-from vehanchor.exports import write_boxes
+from vehanchor.exports import write_boxes, write_measured
 
 AFFINE = Affine(0.15, 0, 500_000, 0, -0.15, 5_000_000)
 
@@ -166,3 +166,20 @@ def test_a_measured_outline_is_written_in_every_form(tmp_path: Path) -> None:
     assert (category, difficult) == ("object", "0")
     places = np.array(corners, float).reshape(4, 2)
     np.testing.assert_allclose([places.min(axis=0), places.max(axis=0)], [(80, 60), (220, 140)], atol=3)
+
+
+def test_an_outline_is_written_of_whatever_was_measured_without_reading_the_image_again(
+    tmp_path: Path,
+) -> None:
+    """It was read again, within the default limits, whatever the caller's were."""
+    image = np.full((200, 300, 3), 90, np.uint8)
+    cv2.rectangle(image, (80, 60), (219, 139), (230, 230, 230), -1)
+    cv2.imwrite(str(tmp_path / "roof.png"), image)
+    analysis = analyse_area(
+        tmp_path / "roof.png",
+        box=(75, 55, 225, 145),
+        gsd_m_per_px=0.1,
+    )
+    (tmp_path / "roof.png").unlink()
+    (feature,) = json.loads(write_measured(tmp_path / "roof.geojson", analysis).read_text())["features"]
+    assert feature == json.loads(json.dumps(analysis.__geo_interface__))

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import signal
 import subprocess
@@ -13,31 +14,15 @@ import matplotlib.figure
 import numpy as np
 import pytest
 
+from tests.skill.cut_off import CALIBRATION
 from vehanchor.errors import OutputError
 from vehanchor.output import whole_file
 from vehanchor.pictures.plot import write_plot
 from vehanchor.pictures.scale import write_picture
-from vehanchor.scale.calibration import Calibration, save_calibration
-
-
-def _calibration() -> Calibration:
-    return Calibration(
-        reference_length_m=4.6,
-        reference_length_ci95_low_m=4.5,
-        reference_length_ci95_high_m=4.7,
-        reference_length_sd_m=0.1,
-        source="labels",
-        n_vehicles=1000,
-        n_images=20,
-        mode_length_px=30.0,
-        median_gsd_m_per_px=0.15,
-        detector=None,
-        detector_sha256=None,
-    )
-
+from vehanchor.scale.calibration import save_calibration
 
 WRITERS: dict[str, Callable[[Path], Any]] = {
-    "c.json": lambda path: save_calibration(path, _calibration()),
+    "c.json": lambda path: save_calibration(path, CALIBRATION),
     "p.png": lambda path: write_picture(path, np.zeros((64, 64, 3), np.uint8)),
     "p.jpg": lambda path: write_picture(path, np.zeros((64, 64, 3), np.uint8)),
     "plot.png": lambda path: write_plot(path, matplotlib.figure.Figure(figsize=(1, 1))),
@@ -78,7 +63,7 @@ def test_a_refused_flush_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest
 
     monkeypatch.setattr(os, "fsync", refused)
     with pytest.raises(OutputError):
-        save_calibration(path, _calibration())
+        save_calibration(path, CALIBRATION)
     assert path.read_bytes() == b"old"
 
 
@@ -106,3 +91,14 @@ def test_a_killed_process_leaves_the_old_file(tmp_path: Path, n_bytes: int) -> N
     with whole_file(path) as partial:
         partial.write_bytes(b"new")
     assert path.read_bytes() == b"new"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(signal, "SIGXFSZ"), reason="Windows has no limit of a file's size")
+def test_no_file_is_half_written_wherever_the_disk_is_full_or_the_process_killed(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "tests.skill.cut_off", str(tmp_path)]
+    done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout)
+    assert found["wrong"] == []
+    assert found["ends"]["refused"] > 100
+    assert found["ends"]["killed"] > 40

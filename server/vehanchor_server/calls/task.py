@@ -9,6 +9,7 @@ from vehanchor_server.images.source import library_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from vehanchor_server.calls.job import Job
     from vehanchor_server.images.argument import AnyImage
@@ -30,6 +31,10 @@ class Parts(Protocol):
     @property
     def models(self) -> Models:
         """The operator's models."""
+
+    @property
+    def readable(self) -> tuple[Path, ...] | None:
+        """Files and folders that work reads; None leaves it all that the server's user may read."""
 
 
 @dataclass(frozen=True)

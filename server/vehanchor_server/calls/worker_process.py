@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vehanchor_server.calls.capacity import Stop
+from vehanchor_server.calls.confinement import Confinement, confine
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.task import perform
 from vehanchor_server.errors import CallError
@@ -45,17 +46,22 @@ class WorkerLimits:
 
 
 def serve_tasks(connection: Connection, make_services: Callable[[], Parts], limits: WorkerLimits) -> None:
-    """Load the models and do tasks until the server is gone; the main function of a worker."""
+    """Confine this process, load the models and do tasks until the server is gone; the main function of a worker."""
     from vehanchor_server.request_log import configure_logging
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # from the keyboard it comes to all, and the server ends its workers
     os.dup2(2, 1)  # stdout belongs to the server's protocol
     configure_logging()
-    threading.Thread(target=_end_with_server, name="vehanchor-server", daemon=True).start()
-    services = make_services()
-    services.models.load_all()
+    try:
+        services = make_services()
+        confinement = _confined(services.readable)
+        threading.Thread(target=_end_with_server, name="vehanchor-server", daemon=True).start()
+        services.models.load_all()
+    except Exception:
+        connection.send(("broken", traceback.format_exc()))
+        return
     _limit_memory(limits.memory_bytes)
-    connection.send(("loaded", services.models.failure))
+    connection.send(("loaded", services.models.failure, confinement))
     with contextlib.suppress(EOFError):
         while True:
             task = connection.recv()
@@ -63,6 +69,10 @@ def serve_tasks(connection: Connection, make_services: Callable[[], Parts], limi
             connection.send(_outcome(services, task, connection))
             del task
             _give_back_memory()
+
+
+def _confined(readable: tuple[Path, ...] | None) -> Confinement:
+    return Confinement(lacks="the operator's settings") if readable is None else confine(readable)
 
 
 def _outcome(services: Parts, task: Task[Any], connection: Connection) -> tuple[Any, ...]:

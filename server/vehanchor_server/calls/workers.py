@@ -2,12 +2,11 @@
 
 Each has its models loaded and waits for a call; a thread of the server sends it one and passes on what it reports. At
 the deadline, and when nobody waits any more, it is killed, and the next one is started at once. Its memory and
-processor time are limited by the system besides. One is started with the server, another whenever more calls than ever
-before run at once; after a call each gives the memory back that it no longer needs. The processes and their pipes are
-those of the standard library's
-``multiprocessing``. No pool was found that fits: ``anyio.to_process`` kills, but has no way for progress and swallows
-what a worker logs; ``concurrent.futures`` and ``loky`` break the whole pool with one killed worker; ``pebble`` is under
-the LGPL.
+processor time are limited by the system besides, and so is what it may read, write and ask for (``confinement``). One
+is started with the server, another whenever more calls than ever before run at once; after a call each gives the memory
+back that it no longer needs. The processes and their pipes are those of the standard library's ``multiprocessing``.
+No pool was found that fits: ``anyio.to_process`` kills, but has no way for progress and swallows what a worker logs;
+``concurrent.futures`` and ``loky`` break the whole pool with one killed worker; ``pebble`` is under the LGPL.
 """
 
 from __future__ import annotations
@@ -20,8 +19,10 @@ import shutil
 import sys
 import tempfile
 import threading
+from pickle import UnpicklingError
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from vehanchor_server.calls.reading import receive
 from vehanchor_server.calls.worker_process import serve_tasks
 from vehanchor_server.errors import CallError
 from vehanchor_server.models import SLOW_IMPORTS
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
 
     from vehanchor_server.calls.capacity import Stop
+    from vehanchor_server.calls.confinement import Confinement
     from vehanchor_server.calls.task import Parts, Task
     from vehanchor_server.calls.worker_process import WorkerLimits
 
@@ -57,6 +59,9 @@ class WorkerPool:
         make_services: makes a worker's parts; a function of a module, or a ``functools.partial`` of one.
         n_workers: how many at most.
         limits: what each may use.
+
+    Attributes:
+        closed: whether all workers were ended.
     """
 
     def __init__(self, make_services: Callable[[], Parts], n_workers: int, limits: WorkerLimits) -> None:
@@ -65,7 +70,8 @@ class WorkerPool:
         self._workers = [_Worker(self) for _ in range(n_workers)]
         self._lock = threading.Lock()
         self._idle = list(self._workers)
-        self._closed = False
+        self.closed = False
+        self._said: set[str] = set()
 
     @property
     def ready(self) -> bool:
@@ -84,11 +90,19 @@ class WorkerPool:
         """The processes' numbers."""
         return [worker.process.pid for worker in self._workers if worker.process and worker.process.pid]
 
+    def say_once(self, level: int, text: str) -> None:
+        """Log what every worker meets alike."""
+        with self._lock:
+            if text in self._said:
+                return
+            self._said.add(text)
+        _logger.log(level, text)
+
     def start(self, delay_s: float = 0.0) -> None:
         """Start the first, in the background, after a while."""
 
         def start_first() -> None:
-            if not self._closed:
+            if not self.closed:
                 self._workers[0].start()
 
         timer = threading.Timer(delay_s, start_first)
@@ -111,7 +125,7 @@ class WorkerPool:
             enter: gets the stages.
 
         Raises:
-            CallError: ``worker_killed``, or why the work failed.
+            CallError: ``worker_killed``, ``worker_unavailable``, or why the work failed.
             CallStoppedError: the stop was requested.
             WorkerFailedError: a bug.
         """
@@ -121,14 +135,14 @@ class WorkerPool:
         try:
             return worker.run(task, stop, report, enter)
         finally:
-            if not self._closed:
+            if not self.closed:
                 worker.renew()
             with self._lock:
                 self._idle.append(worker)
 
     def close(self) -> None:
         """End all workers."""
-        self._closed = True
+        self.closed = True
         for worker in self._workers:
             worker.kill()
 
@@ -152,10 +166,12 @@ class _Worker:
         self.failure: str | None = None
 
     def start(self) -> None:
-        """Start a process, if none runs."""
+        """Start a process, if none runs, or one whose models failed, and which cannot see what has come since."""
         with self._lock:
             if self.process is not None and self.process.is_alive():
-                return
+                if not self.failure:
+                    return
+                self.process.kill()
             self._reap()
             context = _start_context()
             ours, theirs = context.Pipe()
@@ -165,8 +181,14 @@ class _Worker:
                 name="vehanchor-worker",
             )
             process.daemon = True
-            process.start()
-            theirs.close()
+            try:
+                process.start()
+            except (OSError, EOFError) as error:  # no memory, no process left, or the one that it comes from is gone
+                ours.close()
+                self._fail(f"no process can be started: {error!r}")
+                return
+            finally:
+                theirs.close()
             self.process, self._connection = process, ours
 
     def kill(self) -> None:
@@ -210,15 +232,33 @@ class _Worker:
                 self._receive_loaded(_LOOKS_S)
 
     def _receive_loaded(self, wait_s: float) -> None:
-        if self.loaded or self._connection is None:
+        if self.loaded:
             return
         try:
+            if self._connection is None:  # it was not started, or could not be
+                if self.failure:
+                    raise EOFError
+                return
             if self._connection.poll(wait_s):
-                _, self.failure = self._connection.recv()
+                kind, *values = receive(self._connection)
+                if kind == "broken":
+                    self._fail(values[0])
+                    raise EOFError
+                self.failure, confinement = values
                 self.loaded = True
-        except (EOFError, OSError):
-            self.failure = "worker_killed"
+                self._pool.say_once(*_told(confinement))
+        except (EOFError, OSError, UnpicklingError):
+            self._fail("")
             raise EOFError from None
+
+    def _fail(self, reason: str) -> None:
+        """Remember that the process never got as far as to work, and log why."""
+        if self.failure is None:
+            self.failure = "worker_unavailable"
+            if not reason and self.process is not None:
+                self.process.join(_ENDS_WITHIN_S)
+                reason = f"it ended with exit code {self.process.exitcode} before it could work"
+            self._pool.say_once(logging.ERROR, f"a worker cannot start: {reason}")
 
     def run(
         self,
@@ -234,11 +274,7 @@ class _Worker:
             CallStoppedError: the stop was requested.
             WorkerFailedError: a bug.
         """
-        self.start()
-        try:
-            self.await_loaded(stop)
-        except EOFError:
-            raise self._ended() from None
+        self._start_and_wait(stop)
         assert self.process is not None
         assert self._connection is not None
         with _KilledOnRequest(self.process, stop) as turn:
@@ -246,11 +282,38 @@ class _Worker:
             try:
                 self._connection.send(task)
                 result: Result = self._listen(self._connection, turn, report, enter)
+            except UnpicklingError as error:
+                _logger.error("a worker sent what none sends: %s", error)
+                self.process.kill()
+                raise self._ended() from error
             except (EOFError, OSError) as error:  # the pipe broke: the process ended
                 self.process.join(_ENDS_WITHIN_S)
                 stop.check()
                 raise self._ended() from error
         return result
+
+    def _start_and_wait(self, stop: Stop) -> None:
+        """Have a process that works; one that is killed from outside before it does is started once more.
+
+        Raises:
+            CallError: there is none.
+            CallStoppedError: the stop was requested.
+        """
+        for last in (False, True):
+            stop.check()
+            self.start()
+            try:
+                self.await_loaded(stop)
+                return
+            except EOFError:
+                killed = self.process is not None and (self.process.exitcode or 0) < 0
+                if last or not killed or self._pool.closed:
+                    break
+        raise CallError(
+            "worker_unavailable",
+            "this server's process for work on images does not start; the image is not to blame. Try again in a while; "
+            "if that does not help, its operator must look at the server's log.",
+        )
 
     def _ended(self) -> CallError:
         if self.process is not None:
@@ -270,7 +333,7 @@ class _Worker:
         enter: Callable[[str], None],
     ) -> Any:
         while True:
-            kind, *values = connection.recv()
+            kind, *values = receive(connection)
             if kind == "report":
                 report(*values)
             elif kind == "enter":
@@ -288,8 +351,15 @@ class _Worker:
             self.process.close()
         if self._connection is not None:
             self._connection.close()
-        self.process = self._connection = None
+        self.process = self._connection = self.failure = None
         self.loaded = False
+
+
+def _told(confinement: Confinement) -> tuple[int, str]:
+    """How workers are confined, for the log."""
+    held = [f"Landlock {confinement.landlock}"] * bool(confinement.landlock) + ["seccomp"] * confinement.seccomp
+    told = f"workers are confined by {' and '.join(held)}" if held else "workers are not confined"
+    return (logging.WARNING, f"{told} ({confinement.lacks})") if confinement.lacks else (logging.INFO, told)
 
 
 def _start_context() -> ForkServerContext | SpawnContext:

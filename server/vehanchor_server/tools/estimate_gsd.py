@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from mcp.server.apps import client_supports_apps
 from mcp.server.mcpserver import Context
-from mcp.types import CallToolResult
+from mcp.types import CallToolResult, InputRequiredResult
 from pydantic import Field
 
 from vehanchor.records import GsdEstimate
@@ -18,9 +18,11 @@ from vehanchor_server.app_page import APP_META
 from vehanchor_server.calls.answer import Answer, Detail, WantedPictures
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
+from vehanchor_server.tools.asking import ask_for_help, with_the_persons_answer
 from vehanchor_server.tools.flight_question import (
     MoreImagesArgument,
     SameScaleArgument,
@@ -78,14 +80,14 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         height_m: HeightArgument = None,
         focal_35mm: FocalLengthArgument = None,
         coordinates: CoordinatesArgument = "pixels",
-        include_overlay: Annotated[bool, Field(description="Also return a picture of what was measured.")] = False,
+        include_overlay: Annotated[Flag, Field(description="Also return a picture of what was measured.")] = False,
         detail: DetailArgument = "short",
         more_images: MoreImagesArgument = None,
         same_scale: SameScaleArgument = False,
         effort: EffortArgument = None,
         max_tiles: MaxTilesArgument = None,
         max_seconds: MaxSecondsArgument = None,
-    ) -> Annotated[CallToolResult, GsdEstimate]:
+    ) -> Annotated[CallToolResult, GsdEstimate] | InputRequiredResult:
         question = ScaleQuestion(
             region,
             reference_length_m,
@@ -98,6 +100,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
             max_tiles,
             max_seconds,
         )
+        question = with_the_persons_answer(ctx, question)
         paged = client_supports_apps(ctx)
         wanted = WantedPictures(include_overlay, paged)
         work = partial(_estimate, question=question, wanted=wanted)
@@ -106,6 +109,10 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
             work = partial(estimate_among, question=question, wanted=wanted, same_scale=same_scale)
         answer = await run_call(services, ctx, image, work, more_images or ())
         words = describe_estimate(answer.record, detail)
+        if not (more_images or services.settings.never_ask):
+            asked = ask_for_help(ctx, question, answer.record, words)
+            if asked is not None:
+                return asked
         return answer.to_result(words, detail=detail, paged=paged)
 
     return StrictTool.read_only(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -10,6 +11,7 @@ from pydantic import Field
 
 from vehanchor.options import Frame
 from vehanchor_server.errors import CallError
+from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import AnyImage, ImageArgument
 from vehanchor_server.images.source import library_errors
 from vehanchor_server.tools.scale_answer import scale_answer
@@ -35,7 +37,7 @@ MoreImagesArgument: TypeAlias = Annotated[
     Field(max_length=MAX_MORE_IMAGES, description="Others of the same flight; the answer is for image."),
 ]
 SameScaleArgument: TypeAlias = Annotated[
-    bool, Field(description="With more_images: all are of one scale; else they are tied by what they overlap.")
+    Flag, Field(description="With more_images: all are of one scale; else they are tied by what they overlap.")
 ]
 
 
@@ -91,7 +93,7 @@ def estimate_among(
     _refuse_twice(members)
     flight = conclude(looks, detector.card, same_scale=same_scale)
     analysis = replace(members[0].analysis, estimate=_answered(flight, asked))
-    with open_raster(source, limits=asked.reading.limits) as raster:
+    with open_raster(source, limits=asked.reading.limits) if any(wanted) else nullcontext() as raster:
         return scale_answer(raster, analysis, wanted, job)
 
 

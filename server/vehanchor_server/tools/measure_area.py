@@ -19,6 +19,7 @@ from vehanchor_server.calls.answer import Answer, Detail, WantedPictures
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
 from vehanchor_server.errors import CallError
+from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
@@ -95,7 +96,7 @@ def measure_area_tool(services: Services) -> StrictTool:
         focal_35mm: FocalLengthArgument = None,
         object_height_m: ObjectHeightArgument = None,
         include_overlay: Annotated[
-            bool, Field(description="Also return a picture with the first object's outline.")
+            Flag, Field(description="Also return a picture with the first object's outline.")
         ] = False,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, AreaMeasurement]:

@@ -14,7 +14,7 @@ from vehanchor.records import DistanceMeasurement
 from vehanchor_server.calls.answer import Answer, Detail
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
-from vehanchor_server.frozen import FrozenModel
+from vehanchor_server.frozen import FrozenModel, Number
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
@@ -59,8 +59,8 @@ _DESCRIPTION = (
 class Place(FrozenModel):
     """A point of the line."""
 
-    x: float
-    y: float
+    x: Number
+    y: Number
 
 
 class Line(FrozenModel):

@@ -88,7 +88,10 @@ def _listed(node: dict[str, Any], *, said: bool = True) -> dict[str, Any]:
             continue
         if key == "properties":
             said_each = "required" not in node or len(value) <= _MANY or "description" not in node
-            result[key] = {name: _listed(property_, said=said_each) for name, property_ in value.items()}
+            needed = [
+                name for name in value if said_each or name in node["required"]
+            ]  # the rest is given back as it came
+            result[key] = {name: _listed(value[name], said=said_each) for name in needed}
         elif key == "anyOf":
             result[key] = [_listed(option, said=False) for option in value]
         elif key == "items":

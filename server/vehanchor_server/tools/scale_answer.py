@@ -16,16 +16,26 @@ if TYPE_CHECKING:
 __all__ = ["scale_answer"]
 
 
-def scale_answer(raster: Raster, analysis: ScaleAnalysis, wanted: WantedPictures, job: Job) -> Answer[GsdEstimate]:
+def scale_answer(
+    raster: Raster | None, analysis: ScaleAnalysis, wanted: WantedPictures, job: Job
+) -> Answer[GsdEstimate]:
     """Draw what was wanted, and put it beside the record.
+
+    Args:
+        raster: the open image; None where no picture is wanted.
+        analysis: of it.
+        wanted: which pictures.
+        job: is told of the drawing.
 
     Raises:
         CallStoppedError: the call was asked to end.
     """
     from vehanchor.pictures.scale import draw_overlay
     from vehanchor_server.app_page.panel import drawing_of, length_histogram
-    from vehanchor_server.calls.overlay import draw_pictures
+    from vehanchor_server.calls.overlay import Pictures, draw_pictures
 
-    pictures = draw_pictures(raster, job, wanted, lambda seen: draw_overlay(seen, analysis))
+    pictures = Pictures()
+    if raster is not None:
+        pictures = draw_pictures(raster, job, wanted, lambda seen: draw_overlay(seen, analysis))
     drawing = drawing_of(analysis) if wanted.page else None
     return Answer((analysis.estimate,), pictures.overlay, length_histogram(analysis), pictures.page, drawing)

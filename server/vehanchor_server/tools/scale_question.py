@@ -11,7 +11,7 @@ from vehanchor.defaults import REGIONS
 from vehanchor.options import Coordinates, Effort, Frame, KnownLength, Reading, Reference, Rulers, ScaleOptions, Search
 from vehanchor.records import KnownScale
 from vehanchor_server.calls.answer import Detail
-from vehanchor_server.frozen import FrozenModel
+from vehanchor_server.frozen import FrozenModel, Number, WholeNumber
 
 if TYPE_CHECKING:
     from vehanchor_server.models import Models
@@ -43,18 +43,18 @@ __all__ = [
 class FrameSize(FrozenModel):
     """Size of the resized copy of the image that the caller sees and works in."""
 
-    width_px: int = Field(gt=0, le=1_000_000)
-    height_px: int = Field(gt=0, le=1_000_000)
+    width_px: WholeNumber = Field(gt=0, le=1_000_000)
+    height_px: WholeNumber = Field(gt=0, le=1_000_000)
 
 
 class KnownLine(FrozenModel):
     """A straight line on the ground and its length."""
 
-    x1: float
-    y1: float
-    x2: float
-    y2: float
-    metres: float = Field(gt=0, le=100_000)
+    x1: Number
+    y1: Number
+    x2: Number
+    y2: Number
+    metres: Number = Field(gt=0, le=100_000)
 
 
 RegionArgument: TypeAlias = Annotated[
@@ -65,7 +65,7 @@ RegionArgument: TypeAlias = Annotated[
     ),
 ]
 ReferenceLengthArgument: TypeAlias = Annotated[
-    float | None,
+    Number | None,
     Field(
         gt=0,
         le=100,
@@ -83,8 +83,8 @@ KnownScaleArgument: TypeAlias = Annotated[
     Field(description="Of an earlier answer about this image."),
 ]
 GsdArgument: TypeAlias = Annotated[
-    float | None,
-    Field(gt=0, le=1000, allow_inf_nan=False, description="Metres per pixel of the full image, if known."),
+    Number | None,
+    Field(ge=0.0001, le=1000, allow_inf_nan=False, description="Metres per pixel of the full image, if known."),
 ]
 DetailArgument: TypeAlias = Annotated[Detail, Field(description="full: every field, for programs.")]
 KnownLengthsArgument: TypeAlias = Annotated[
@@ -95,13 +95,13 @@ KnownLengthsArgument: TypeAlias = Annotated[
     ),
 ]
 HeightArgument: TypeAlias = Annotated[
-    float | None,
+    Number | None,
     Field(
         gt=0, le=20_000, allow_inf_nan=False, description="Camera's height above the ground, metres, if it looked down."
     ),
 ]
 FocalLengthArgument: TypeAlias = Annotated[
-    float | None,
+    Number | None,
     Field(
         gt=0,
         le=10_000,
@@ -111,7 +111,7 @@ FocalLengthArgument: TypeAlias = Annotated[
 ]
 
 ObjectHeightArgument: TypeAlias = Annotated[
-    float | None,
+    Number | None,
     Field(
         ge=0,
         le=1000,
@@ -123,9 +123,11 @@ EffortArgument: TypeAlias = Annotated[
     Effort | None,
     Field(description="Of images of 16 megapixels and more: full, auto (ends when more would not help) or fast."),
 ]
-MaxTilesArgument: TypeAlias = Annotated[int | None, Field(ge=1, description="Tiles to search at most.")]
+MaxTilesArgument: TypeAlias = Annotated[
+    WholeNumber | None, Field(ge=1, le=1_000_000_000, description="Tiles to search at most.")
+]
 MaxSecondsArgument: TypeAlias = Annotated[
-    float | None, Field(gt=0, allow_inf_nan=False, description="Seconds to search at most.")
+    Number | None, Field(gt=0, le=86_400, allow_inf_nan=False, description="Seconds to search at most.")
 ]
 
 EFFORT_ARGUMENTS = ("effort", "max_tiles", "max_seconds")

@@ -10,7 +10,7 @@ from typing import Any
 from mcp.server.mcpserver import Context
 from mcp.server.mcpserver.exceptions import ToolError, UnexpectedToolError
 from mcp.server.mcpserver.tools import Tool
-from mcp.types import CallToolResult, ToolAnnotations
+from mcp.types import CallToolResult, InputRequiredResult, ToolAnnotations
 from pydantic import Field, ValidationError
 
 from vehanchor_server.errors import CallError, shortened
@@ -98,7 +98,7 @@ class StrictTool(Tool):
             if _more_values_than(arguments, MAX_VALUES):
                 raise ToolError("too many values") from _too_many()
             result = await super().run(arguments, context, convert_result)
-            status = "ok"
+            status = "input_required" if isinstance(result, InputRequiredResult) else "ok"
             return result
         except ToolError as error:
             cause = error.__cause__

@@ -7,7 +7,7 @@ from typing import Any, Literal
 from pydantic import ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from vehanchor_server.frozen import FrozenModel
+from vehanchor_server.frozen import FrozenModel, Number
 
 __all__ = ["MAX_POINTS", "MAX_TARGETS", "Box", "Point", "Target"]
 
@@ -23,17 +23,17 @@ _FORMS = (
 class Box(FrozenModel):
     """An upright box around the object."""
 
-    x_min: float
-    y_min: float
-    x_max: float
-    y_max: float
+    x_min: Number
+    y_min: Number
+    x_max: Number
+    y_max: Number
 
 
 class Point(FrozenModel):
     """A place on the object, or one beside it that must stay out."""
 
-    x: float
-    y: float
+    x: Number
+    y: Number
     label: Literal["include", "exclude"] = Field(default="include", description="exclude: beside the object.")
 
 

@@ -15,7 +15,7 @@ from vehanchor.errors import PromptError
 from vehanchor.options import Coordinates, Frame, Reading
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
-from vehanchor_server.frozen import FrozenModel
+from vehanchor_server.frozen import Flag, FrozenModel, WholeNumber
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
@@ -67,9 +67,9 @@ def view_image_tool(services: Services) -> StrictTool:
         image: ImageArgument | None = None,
         part: Annotated[Box | None, Field(description="What to show; the whole by default.")] = None,
         coordinates: CoordinatesArgument = "pixels",
-        long_side_px: Annotated[int, Field(ge=_LEAST_SIDE_PX, le=_LONGEST_SIDE_PX)] = _USUAL_SIDE_PX,
-        page: Annotated[int, Field(ge=1, le=_LAST_PAGE, description="Of the list of images.")] = 1,
-        grid: Annotated[bool, Field(description="Draw the grid; for people, who click, none is needed.")] = True,
+        long_side_px: Annotated[WholeNumber, Field(ge=_LEAST_SIDE_PX, le=_LONGEST_SIDE_PX)] = _USUAL_SIDE_PX,
+        page: Annotated[WholeNumber, Field(ge=1, le=_LAST_PAGE, description="Of the list of images.")] = 1,
+        grid: Annotated[Flag, Field(description="Draw the grid; for people, who click, none is needed.")] = True,
     ) -> Annotated[CallToolResult, ViewedImage]:
         if image is None:
             return await _list_images(services, page)

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, lens, taken_ratio
-from vehanchor.records import TiltEstimate
+from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, taken_ratio
+from vehanchor.anchors.leaning import focal_of
+from vehanchor.records import KnownPlane, TiltEstimate
 from vehanchor.scale.plane import GroundPlane
 
 if TYPE_CHECKING:
@@ -23,7 +24,17 @@ if TYPE_CHECKING:
     from vehanchor.options import ScaleOptions
     from vehanchor.records import GsdEstimate
 
-__all__ = ["Attitude", "attitude", "levelled", "plane_with", "tilt_record", "with_scale"]
+__all__ = [
+    "TILT_SD_DEG",
+    "Attitude",
+    "attitude",
+    "known_plane",
+    "levelled",
+    "plane_of_record",
+    "plane_with",
+    "tilt_record",
+    "with_scale",
+]
 
 TILT_SD_DEG = 1.5  # of a gimbal's own angle, and of ground that is not quite level
 _END_HEIGHT = 0.2  # of a car's length: how high its far end stands
@@ -38,23 +49,26 @@ class Attitude(NamedTuple):
         roll_deg: by which the direction in which it looks aside is turned clockwise from the image's upper side.
         focal_px: focal length, pixels of the image.
         source: where the tilt is from, as words.
+        interval_deg: 95 % interval of the tilt; None for that of a gimbal.
     """
 
     tilt_deg: float
     roll_deg: float
     focal_px: float
     source: str
+    interval_deg: tuple[float, float] | None = None
 
 
 def attitude(image: ImageFacts, options: ScaleOptions) -> Attitude | None:
-    """Read where the camera looked.
+    """Read from the metadata where the camera looked.
 
     Args:
         image: with its camera.
         options: whether metadata are to be read.
 
     Returns:
-        None where it looked down to ten degrees, or does not say, or is a crop, or has no lens.
+        None where it looked down to ten degrees, or does not say, or is a crop. Without a lens the focal length is that
+        of most drones, and the source says so.
 
     Raises:
         TooObliqueError: the horizon is in sight, or nearly so.
@@ -64,10 +78,8 @@ def attitude(image: ImageFacts, options: ScaleOptions) -> Attitude | None:
         return None
     if camera.off_nadir_deg <= MAX_OFF_NADIR_DEG or taken_ratio(image, camera) is None:
         return None
-    seen = lens(image, camera)
-    if seen is None:
-        return None
-    found = Attitude(camera.off_nadir_deg, camera.roll_deg or 0.0, seen.pixels, "metadata")
+    focal = focal_of(image, options)
+    found = Attitude(camera.off_nadir_deg, camera.roll_deg or 0.0, focal.pixels, f"metadata{focal.doubt}")
     plane_with(found, image, 1.0).check()
     return found
 
@@ -116,13 +128,29 @@ def _shown_end(
     return np.asarray(tangent * cosine)
 
 
+def known_plane(tilt_deg: float, roll_deg: float, focal_px: float) -> KnownPlane:
+    """Where a camera looked, as a scale that is given back has it."""
+    return KnownPlane(tilt_deg=tilt_deg, roll_deg=roll_deg, focal_length_px=focal_px)
+
+
+def plane_of_record(record: GsdEstimate) -> GroundPlane | None:
+    """The plane of an image whose scale was estimated; None where the camera looked down, or there is no scale."""
+    tilt, gsd = record.tilt, record.gsd_m_per_px
+    if tilt is None or gsd is None:
+        return None
+    size = record.image_width_px, record.image_height_px
+    return GroundPlane(gsd, tilt.tilt_deg, tilt.focal_length_px, *size, tilt.roll_deg)
+
+
 def tilt_record(looked: Attitude, image: ImageFacts, gsd_m_per_px: float | None) -> TiltEstimate:
     """The tilt as records tell it."""
     least, largest = (None, None) if gsd_m_per_px is None else plane_with(looked, image, gsd_m_per_px).gsd_range
+    reach = _Z95 * TILT_SD_DEG
+    low, high = looked.interval_deg or (looked.tilt_deg - reach, looked.tilt_deg + reach)
     return TiltEstimate(
         tilt_deg=looked.tilt_deg,
-        tilt_ci95_low_deg=max(0.0, looked.tilt_deg - _Z95 * TILT_SD_DEG),
-        tilt_ci95_high_deg=min(90.0, looked.tilt_deg + _Z95 * TILT_SD_DEG),
+        tilt_ci95_low_deg=max(0.0, low),
+        tilt_ci95_high_deg=min(90.0, high),
         roll_deg=looked.roll_deg,
         focal_length_px=looked.focal_px,
         source=looked.source,

@@ -3,27 +3,57 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.anchors.attitude import attitude, plane_with
 from vehanchor.anchors.evidence import Mark
-from vehanchor.anchors.stated import on_grid, says_nothing, stated
-from vehanchor.courts.find import find_courts
+from vehanchor.anchors.leaning import focal_of, may_look_aside
+from vehanchor.anchors.stated import StatedEvidence, on_grid, says_nothing, stated
+from vehanchor.courts.find import find_courts, propose_courts
+from vehanchor.courts.lean import court_witnesses
+from vehanchor.courts.level import find_courts_on, rough_courts_on
+from vehanchor.errors import TooObliqueError
+from vehanchor.scale.leans import find_lean
+from vehanchor.scale.plane import GroundPlane
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from vehanchor.anchors.evidence import View
-    from vehanchor.anchors.stated import StatedEvidence
     from vehanchor.courts.court import Court
+    from vehanchor.imagery.raster import Raster
 
-__all__ = ["Courts", "evidence_of"]
+__all__ = ["Courts", "CourtsEvidence", "evidence_of"]
 
 _RULES_LOG_SD = 0.006  # lines 2.5 to 10 cm wide, courts laid out to a tape: half a per cent on the tennis tiles
 _UNKNOWN_RULES_LOG_SD = 0.012  # of a basketball court: FIBA's 28 m and the NBA's 28.65 m are told apart by little
 _CHANCE_WRONG = 0.02
+_SURE_OF_A_COURT = 0.6  # share of a proposal from which views from aside are tried, too
+_TRIED_DEG = (12.0, 28.0, 42.0)  # a court's shape is found from ten degrees off
+_MOST_TRIED = 3  # proposals
 _APART = 0.06  # of the log of the scale: a court further than that from the median is something else
+
+
+@dataclass(frozen=True, eq=False)
+class CourtsEvidence(StatedEvidence):
+    """What courts say, with those that say it.
+
+    Attributes:
+        courts: as they are in the image.
+    """
+
+    courts: tuple[Court, ...] = ()
+
+    def on(self, plane: GroundPlane) -> CourtsEvidence:
+        """The scale of the image's centre, where the camera looked aside.
+
+        Args:
+            plane: the ground; its scale does not matter.
+        """
+        return evidence_of([_levelled(court, plane) for court in self.courts], seen=self.courts)
 
 
 class Courts:
@@ -33,21 +63,51 @@ class Courts:
 
     def look(self, view: View) -> StatedEvidence:
         """Find courts by their lines; nothing where nobody kept the image."""
-        return evidence_of(() if view.raster is None else find_courts(view.raster, view.sighting, view.card))
+        if view.raster is None:
+            return evidence_of(())
+        raster, looked = view.raster, attitude(view.image, view.options)
+        if looked is not None:
+            plane = plane_with(looked, view.image, 1.0)
+            return evidence_of(find_courts_on(raster, plane, view.sighting, view.card))
+        proposed = propose_courts(raster, view.sighting, view.card)
+        found = find_courts(raster, view.sighting, view.card, proposed=proposed)
+        sure = any(each.share >= _SURE_OF_A_COURT for each in proposed.proposals)
+        if not found and sure and may_look_aside(view):
+            found = self._aside(view, raster)
+        return evidence_of(found)
+
+    def _aside(self, view: View, raster: Raster) -> tuple[Court, ...]:
+        """Courts that are some only as a camera sees them that looked aside, nobody knows how far."""
+        focal, size = focal_of(view.image, view.options), (view.image.width_px, view.image.height_px)
+        for tilt_deg in _TRIED_DEG:
+            try:
+                tried = GroundPlane(1.0, tilt_deg, focal.pixels, *size)
+                rough = rough_courts_on(raster, tried, view.sighting, view.card, most=_MOST_TRIED)
+                leans = [find_lean([witness], focal) for witness in court_witnesses(rough, *size)]
+                for leaned in (each for each in leans if each is not None):  # from there it has to be borne out
+                    plane = GroundPlane(1.0, leaned.tilt_deg, leaned.focal_px, *size, leaned.roll_deg)
+                    found = find_courts_on(raster, plane, view.sighting, view.card)
+                    if found:
+                        return found
+            except TooObliqueError:
+                continue
+        return ()
 
 
-def evidence_of(courts: Sequence[Court]) -> StatedEvidence:
+def evidence_of(courts: Sequence[Court], *, seen: Sequence[Court] | None = None) -> CourtsEvidence:
     """Weigh courts by how well each was fitted.
 
     Args:
         courts: of one image. Those that say something else than most are left out.
+        seen: the same as they are in the image, where these were levelled.
 
     Returns:
         The evidence, with the outlines and what their sides measure as marks; of none, that nothing was found.
     """
+    as_seen = tuple(courts if seen is None else seen)
     courts = [court for court in courts if on_grid(court.gsd_m_per_px)]
     if not courts:
-        return says_nothing(Courts.kind)
+        return _with(says_nothing(Courts.kind), as_seen)
     middle = float(np.median([math.log(court.gsd_m_per_px) for court in courts]))
     nearest = min(courts, key=lambda court: abs(math.log(court.gsd_m_per_px) - middle))
     kept = [court for court in courts if abs(math.log(court.gsd_m_per_px / nearest.gsd_m_per_px)) <= _APART]
@@ -56,7 +116,7 @@ def evidence_of(courts: Sequence[Court]) -> StatedEvidence:
     mean = float(weights @ logs / weights.sum())
     spread = float(np.sqrt(weights @ (logs - mean) ** 2 / weights.sum()))
     log_sd = max(min(_rules_log_sd(court) for court in kept), spread, float(weights.sum() ** -0.5))
-    return stated(
+    said = stated(
         Courts.kind,
         math.exp(mean),
         log_sd,
@@ -65,6 +125,18 @@ def evidence_of(courts: Sequence[Court]) -> StatedEvidence:
         n=len(kept),
         marks=[mark for court in kept for mark in _marks(court)],
     )
+    return _with(said, as_seen)
+
+
+def _with(said: StatedEvidence, courts: tuple[Court, ...]) -> CourtsEvidence:
+    return CourtsEvidence(**{each.name: getattr(said, each.name) for each in fields(said)}, courts=courts)
+
+
+def _levelled(court: Court, plane: GroundPlane) -> Court:
+    """The court with the scale that the image's centre has, if the court is as large as its rules say."""
+    x, y = plane.from_above(court.corners if court.shape is None else court.shape).T
+    area_px = abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
+    return replace(court, gsd_m_per_px=math.sqrt(court.length_m * court.width_m / area_px))
 
 
 def _marks(court: Court) -> list[Mark]:

@@ -8,63 +8,76 @@ evidence: a car that points away shows its end, too, which makes up for most of 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, equivalent_lens, lens
 from vehanchor.notices import NoticeCode
 from vehanchor.records import Notice
+from vehanchor.scale.leans import Focal, find_lean
 from vehanchor.scale.plane import LEAST_DESCENT
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.anchors.evidence import View
+    from vehanchor.anchors.evidence import ImageFacts, View
     from vehanchor.detection.sighting import Sighting
+    from vehanchor.options import ScaleOptions
+    from vehanchor.scale.leans import Lean
 
-__all__ = ["LEAST_CARS", "SURE", "Leaning", "lean", "leaning_notice"]
+__all__ = ["LEAST_CARS", "SURE", "CarsWitness", "cars_witness", "focal_of", "lean", "leaning_notice", "may_look_aside"]
 
 LEAST_CARS = 25
+_MOST_CARS = 250  # the surest: more do not make it surer
 _LEAST_SCORE = 0.5
 _LOG_SD = 0.11  # of the root of a box's area among cars of one fleet: length and width together
 _FREEDOM = 3.0  # of Student's distribution: a lorry among them must not lean the ground
-_TRUST = 0.5  # on the cars together: those that stand side by side are alike
-_USUAL_FOCAL_35MM = (20.0, 26.0, 35.0)  # of drones' cameras, where nothing tells it
-_TILTS_DEG = np.arange(0.0, 60.1, 1.5)
-_ROLLS_DEG = np.arange(0.0, 360.0, 15.0)
+_TRUST, _MOST_COUNTED = 0.5, 80  # those that stand side by side are alike, and a part of town has cars of its own
+_USUAL_FOCAL_35MM = 26.0  # of drones' cameras, where nothing tells it
+_USUAL_LOG_SD = 0.2  # 20 to 35 mm
+_DOUBT = 0.3  # chance of more than ten degrees from which it is looked for elsewhere, too
 SURE = 0.99  # chance of more than ten degrees from which it is told
 _FACTOR = 4.0  # cars are at most so much larger or smaller than their median
 
 
-class Leaning(NamedTuple):
-    """Where cars say that the camera looked.
+@dataclass(frozen=True, eq=False)
+class CarsWitness:
+    """Cars that are larger on the nearer side (a ``vehanchor.scale.leans.LeanWitness``).
 
     Attributes:
-        tilt_deg: angle between its axis and straight down, the median.
-        low_deg: lower end of its 95 % interval.
-        high_deg: upper end.
-        roll_deg: direction in which it looked aside, clockwise from the image's upper side, the likeliest.
-        chance_tilted: 0..1, that it looked more than ten degrees aside.
-        n: cars that say so.
+        places: ``[n, 2]`` pixels from the image's centre.
+        sizes: ``[n]`` natural logs of the root of each one's area in the image.
     """
 
-    tilt_deg: float
-    low_deg: float
-    high_deg: float
-    roll_deg: float
-    chance_tilted: float
-    n: int
+    places: NDArray[np.float64]
+    sizes: NDArray[np.float64]
+    kind: str = "vehicles"
+
+    @property
+    def trust(self) -> float:
+        """What each counts of a car that nothing binds to the others."""
+        return _TRUST * min(1.0, _MOST_COUNTED / len(self.sizes))
+
+    def log_likelihoods(self, downs: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
+        """``[k]``; minus infinity where one of them would lie above the horizon."""
+        rays = np.column_stack([self.places / focal_px, np.ones(len(self.places))])
+        descents = downs @ rays.T  # [k, n]
+        seen = (descents / np.linalg.norm(rays, axis=1) >= LEAST_DESCENT).all(axis=1)
+        flat = self.sizes - 1.5 * np.log(np.maximum(descents, 1e-6))
+        off = (flat - np.median(flat, axis=1, keepdims=True)) / _LOG_SD
+        logs = -(_FREEDOM + 1) / 2 * np.log1p(off**2 / _FREEDOM).sum(axis=1)
+        return np.asarray(np.where(seen, self.trust * logs, -math.inf))
 
 
-def lean(sighting: Sighting, width_px: int, height_px: int, focal_px: float | None = None) -> Leaning | None:
-    """Estimate from cars where the camera looked.
+def cars_witness(sighting: Sighting, width_px: int, height_px: int) -> CarsWitness | None:
+    """Make a witness of the cars of an image.
 
     Args:
         sighting: vehicles in pixels of the image.
         width_px: of the image.
         height_px: of the image.
-        focal_px: focal length, pixels; None where nothing tells it: then the usual ones are tried.
 
     Returns:
         None for fewer than 25 cars that are surely some and lie whole in the image.
@@ -72,19 +85,55 @@ def lean(sighting: Sighting, width_px: int, height_px: int, focal_px: float | No
     boxes = _whole_cars(sighting, width_px, height_px)
     if len(boxes) < LEAST_CARS:
         return None
-    focals = (
-        [focal_px] if focal_px else [equivalent_lens(width_px, height_px, each).pixels for each in _USUAL_FOCAL_35MM]
-    )
-    sizes = np.log(boxes[:, 2] * boxes[:, 3]) / 2
-    logs = np.stack([_log_likelihoods(boxes[:, :2], sizes, width_px, height_px, focal) for focal in focals])
-    posterior = np.exp(_TRUST * (logs - logs.max()))
-    posterior /= posterior.sum()
-    by_tilt = posterior.sum(axis=(0, 2))
-    below = np.cumsum(by_tilt)
-    low, median, high = np.interp([0.025, 0.5, 0.975], below, _TILTS_DEG)
-    roll = _ROLLS_DEG[int(posterior.sum(axis=(0, 1)).argmax())]
-    chance = float(by_tilt[_TILTS_DEG > MAX_OFF_NADIR_DEG].sum())
-    return Leaning(float(median), float(low), float(high), float(roll), chance, len(boxes))
+    return CarsWitness(boxes[:, :2] - [width_px / 2, height_px / 2], np.log(boxes[:, 2] * boxes[:, 3]) / 2)
+
+
+def focal_of(image: ImageFacts, options: ScaleOptions) -> Focal:
+    """The focal length as far as the caller or the metadata tell it; else that of most drones, with a wide spread.
+
+    Args:
+        image: its size and camera.
+        options: what the caller says, and whether metadata are to be read.
+    """
+    said, camera = options.rulers.focal_35mm, image.camera if options.rulers.metadata else None
+    seen = None if camera is None else lens(image, camera)
+    if said is not None:
+        seen = equivalent_lens(image.width_px, image.height_px, said)
+    if seen is not None:
+        return Focal(seen.pixels, seen.log_sd)
+    return usual_focal(image.width_px, image.height_px)
+
+
+def usual_focal(width_px: int, height_px: int) -> Focal:
+    """The focal length of most drones' cameras, and how far it may be off."""
+    return Focal(equivalent_lens(width_px, height_px, _USUAL_FOCAL_35MM).pixels, _USUAL_LOG_SD, known=False)
+
+
+def may_look_aside(view: View) -> bool:
+    """Whether nothing tells where the camera looked: no metadata, no georeference, no cars that see it look down."""
+    image, camera = view.image, view.image.camera if view.options.rulers.metadata else None
+    if image.georeference_gsd_m_per_px is not None or (camera is not None and camera.off_nadir_deg is not None):
+        return False
+    cars = cars_witness(view.sighting, image.width_px, image.height_px)
+    found = None if cars is None else find_lean([cars], focal_of(image, view.options))
+    return found is None or found.chance_above(MAX_OFF_NADIR_DEG) >= _DOUBT
+
+
+def lean(sighting: Sighting, width_px: int, height_px: int, focal_px: float | None = None) -> Lean | None:
+    """Estimate from cars alone where the camera looked.
+
+    Args:
+        sighting: vehicles in pixels of the image.
+        width_px: of the image.
+        height_px: of the image.
+        focal_px: focal length, pixels; None where nothing tells it.
+
+    Returns:
+        None for fewer than 25 cars that are surely some and lie whole in the image.
+    """
+    cars = cars_witness(sighting, width_px, height_px)
+    focal = Focal(focal_px, 0.0) if focal_px else usual_focal(width_px, height_px)
+    return None if cars is None else find_lean([cars], focal)
 
 
 def leaning_notice(view: View) -> list[Notice]:
@@ -99,41 +148,29 @@ def leaning_notice(view: View) -> list[Notice]:
     image, camera = view.image, view.image.camera if view.options.rulers.metadata else None
     if image.georeference_gsd_m_per_px is not None or (camera is not None and camera.off_nadir_deg is not None):
         return []
-    seen = None if camera is None else lens(image, camera)
-    found = lean(view.sighting, image.width_px, image.height_px, None if seen is None else seen.pixels)
-    if found is None or found.chance_tilted < SURE:
+    cars = cars_witness(view.sighting, image.width_px, image.height_px)
+    found = None if cars is None else find_lean([cars], focal_of(image, view.options))
+    if cars is None or found is None or found.chance_above(MAX_OFF_NADIR_DEG) < SURE:
         return []
     message = (
         f"The camera seems to have looked about {found.tilt_deg:.0f} degrees ({found.low_deg:.0f} to "
-        f"{found.high_deg:.0f}) away from straight down: {found.n} cars are larger on one side of the picture. Scales "
-        "differ over it, and areas and lengths far from its middle are off: give the original file, whose metadata say "
-        "where the camera looked, or a crop around the object."
+        f"{found.high_deg:.0f}) away from straight down: {len(cars.sizes)} cars are larger on one side of the picture. "
+        "Scales differ over it, and areas and lengths far from its middle are off: give the original file, whose "
+        "metadata say where the camera looked, or a crop around the object."
     )
     return [Notice(code=NoticeCode.TILT_SUSPECTED, message=message)]
 
 
 def _whole_cars(sighting: Sighting, width_px: int, height_px: int) -> NDArray[np.float64]:
-    """``[n, 5]`` boxes that are cars rather than not, and not cut by the image's edge."""
-    boxes = sighting.boxes[sighting.scores >= _LEAST_SCORE]
+    """``[n, 5]`` boxes that are cars rather than not, and not cut by the image's edge; the surest."""
+    sure = sighting.scores >= _LEAST_SCORE
+    boxes, scores = sighting.boxes[sure], sighting.scores[sure]
     if not len(boxes):
         return boxes
     reach = boxes[:, 2] / 2
     inside = (boxes[:, 0] > reach) & (boxes[:, 0] < width_px - reach)
     inside &= (boxes[:, 1] > reach) & (boxes[:, 1] < height_px - reach)
     ratio = boxes[:, 2] / np.median(boxes[:, 2])
-    return np.asarray(boxes[inside & (ratio < _FACTOR) & (ratio > 1 / _FACTOR)])
-
-
-def _log_likelihoods(
-    places: NDArray[np.float64], sizes: NDArray[np.float64], width_px: int, height_px: int, focal_px: float
-) -> NDArray[np.float64]:
-    """``[tilts, rolls]`` of cars at places with logs of sizes; minus infinity where one lies above the horizon."""
-    tilts, rolls = np.radians(_TILTS_DEG)[:, None], np.radians(_ROLLS_DEG)[None, :]
-    downs = np.stack([-np.sin(tilts) * np.sin(rolls), np.sin(tilts) * np.cos(rolls), np.cos(tilts) + 0 * rolls], axis=2)
-    rays = np.column_stack([(places - [width_px / 2, height_px / 2]) / focal_px, np.ones(len(places))])
-    descents = downs @ rays.T  # [tilts, rolls, cars]
-    seen = (descents / np.linalg.norm(rays, axis=1) >= LEAST_DESCENT).all(axis=2)
-    flat = sizes - 1.5 * np.log(np.maximum(descents, 1e-6))
-    off = (flat - np.median(flat, axis=2, keepdims=True)) / _LOG_SD
-    logs = -(_FREEDOM + 1) / 2 * np.log1p(off**2 / _FREEDOM).sum(axis=2)
-    return np.asarray(np.where(seen, logs, -math.inf))
+    inside &= (ratio < _FACTOR) & (ratio > 1 / _FACTOR)
+    kept = np.argsort(-scores[inside], kind="stable")[:_MOST_CARS]
+    return np.asarray(boxes[inside][kept])

@@ -8,15 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import ImageNotFoundError
+from vehanchor.imagery.addresses import is_address
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-__all__ = ["SUFFIXES", "find_images"]
+__all__ = ["SUFFIXES", "find_images", "where_it_is"]
 
 _SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
 SUFFIXES = frozenset(
-    {".jpg", ".jpeg", ".png", ".webp", ".avif", ".bmp", ".tif", ".tiff"}
+    {".jpg", ".jpeg", ".png", ".webp", ".avif", ".bmp", ".tif", ".tiff", ".jp2", ".heic"}
 )  # what a directory is searched for
 
 
@@ -27,7 +28,7 @@ def find_images(
 
     Args:
         inputs: one or several: directories (searched with all below them, by suffix), patterns (``photos/*.jpg``,
-            ``**`` too), files.
+            ``**`` too), files, http(s) addresses, which nobody asks before they are read.
             One file of several that does not exist stays in the list, if its name is that of an image: it becomes a
             row with its error.
         leave_out: files that are no images although a pattern finds them, such as the table to be written.
@@ -39,22 +40,29 @@ def find_images(
         ImageNotFoundError: a directory or pattern holds no image, a directory does not exist, none of the images
             does, or no input at all.
     """
-    excluded = {path.resolve() for path in leave_out}
+    excluded = {str(path.resolve()) for path in leave_out}
     found: dict[str, None] = {}
     named = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
     for name in [os.fspath(each) for each in named]:
-        images = [path for path in _images(name) if Path(path).resolve() not in excluded]
+        images = [path for path in _images(name) if where_it_is(path) not in excluded]
         if not images:
             raise ImageNotFoundError(f"no image in {name!r}; a directory is searched for {', '.join(sorted(SUFFIXES))}")
         found.update(dict.fromkeys(images))
     if not found:
         raise ImageNotFoundError("no image given: name files, directories or patterns")
-    if not any(Path(image).exists() for image in found):
+    if not any(is_address(image) or Path(image).exists() for image in found):
         raise ImageNotFoundError(f"there is no file {next(iter(found))!r}, nor any other of the {len(found)} named")
     return list(found)
 
 
+def where_it_is(image: str | os.PathLike[str]) -> str:
+    """The one name of an image: its absolute path without links, or its address."""
+    return str(image) if is_address(str(image)) else str(Path(image).resolve())
+
+
 def _images(name: str) -> list[str]:
+    if is_address(name):
+        return [name]
     path = Path(name)
     if path.is_dir():
         return sorted(str(file) for file in path.rglob("*") if file.suffix.lower() in SUFFIXES and file.is_file())

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeAlias, TypeVar
 from pydantic import BaseModel
 
 from vehanchor.errors import InvalidParameterError, OutputError
+from vehanchor.imagery.addresses import is_address
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -37,7 +38,7 @@ class Source(NamedTuple):
     """A file as it is now.
 
     Attributes:
-        path: absolute, links followed.
+        path: absolute, links followed; or an address, of which nothing else is known.
         size: bytes; -1 where there is no such file.
         mtime_ns: time of its last change.
     """
@@ -49,6 +50,8 @@ class Source(NamedTuple):
     @classmethod
     def of(cls, file: str | os.PathLike[str]) -> Source:
         """The file of that name."""
+        if is_address(os.fspath(file)):
+            return cls(os.fspath(file), -1, 0)
         path = Path(file).resolve()
         try:
             facts = path.stat()

@@ -7,7 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+from vehanchor.batch.files import where_it_is
 from vehanchor.errors import KnownLengthError
+from vehanchor.imagery.addresses import is_address
 from vehanchor.ruler_options import KnownLength, Rulers
 
 if TYPE_CHECKING:
@@ -16,20 +18,20 @@ if TYPE_CHECKING:
 
     from vehanchor.options import ScaleOptions
 
-__all__ = ["KnownLengthTable", "check_all_named", "read_known_lengths", "with_lines_of"]
+__all__ = ["KnownLengthTable", "lines_in", "read_known_lengths", "with_lines_of"]
 
 KnownLengthTable: TypeAlias = "Mapping[str, tuple[KnownLength, ...]]"
-"""Lines by the absolute path of the image that they lie in."""
+"""Lines by the absolute path, or the address, of the image that they lie in."""
 
 _COLUMNS = ("file", "x1", "y1", "x2", "y2", "metres")
 _MOST_BYTES = 64 << 20
 
 
 def read_known_lengths(path: str | os.PathLike[str]) -> dict[str, tuple[KnownLength, ...]]:
-    """Read a CSV with the columns ``file`` (relative to the table), ``x1``, ``y1``, ``x2``, ``y2`` and ``metres``.
+    """Read a CSV with the columns ``file``, ``x1``, ``y1``, ``x2``, ``y2`` and ``metres``.
 
     Args:
-        path: of the table; an image may have several lines.
+        path: of the table; an image may have several lines. Files are named relative to it, or by their addresses.
 
     Returns:
         The lines of each image, in pixels of the image.
@@ -51,7 +53,8 @@ def read_known_lengths(path: str | os.PathLike[str]) -> dict[str, tuple[KnownLen
                     f"{','.join(_COLUMNS)}"
                 )
             for row in reader:
-                image = _resolved(table.parent / (row["file"] or ""))
+                named = row["file"] or ""
+                image = where_it_is(named if is_address(named) else table.parent / named)
                 found[image] = (*found.get(image, ()), _line(table, reader.line_num, row))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise KnownLengthError(f"cannot read the known lengths in {str(table)!r}: {error}") from None
@@ -60,33 +63,33 @@ def read_known_lengths(path: str | os.PathLike[str]) -> dict[str, tuple[KnownLen
     return found
 
 
-def check_all_named(lines: KnownLengthTable, images: Iterable[str | os.PathLike[str]]) -> None:
-    """Refuse lines of images that are not looked at: a misspelt name would leave a line out in silence.
+def lines_in(path: str | os.PathLike[str] | None, images: Iterable[str | os.PathLike[str]]) -> KnownLengthTable:
+    """Read a table as ``read_known_lengths`` does; nothing without one.
 
     Args:
-        lines: by image.
-        images: the files that are looked at.
+        path: of the table.
+        images: those that are looked at. Lines of others are refused: a misspelt name would leave one out in silence.
 
     Raises:
-        KnownLengthError: there is one.
+        KnownLengthError: the table cannot be read, or a line lies in another image.
     """
-    strangers = sorted(set(lines) - {_resolved(Path(image)) for image in images})
+    if path is None:
+        return {}
+    lines = read_known_lengths(path)
+    strangers = sorted(set(lines) - {where_it_is(image) for image in images})
     if strangers:
         raise KnownLengthError(
             f"a line of known length lies in {strangers[0]!r}, which is none of the images"
             + (f", and so are {len(strangers) - 1} more" if len(strangers) > 1 else "")
             + ": files are named relative to the table"
         )
+    return lines
 
 
 def with_lines_of(options: ScaleOptions, lines: KnownLengthTable, image: str | os.PathLike[str]) -> ScaleOptions:
     """The options with the lines of one image; themselves where it has none."""
-    own = lines.get(_resolved(Path(image))) if lines else None
+    own = lines.get(where_it_is(image)) if lines else None
     return options if own is None else replace(options, rulers=replace(options.rulers, known_lengths=own))
-
-
-def _resolved(path: Path) -> str:
-    return str(path.resolve())
 
 
 def _line(table: Path, number: int, row: Mapping[str, str | None]) -> KnownLength:

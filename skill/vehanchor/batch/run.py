@@ -14,7 +14,7 @@ from vehanchor.batch.engines.local import local_rows, local_workers
 from vehanchor.batch.engines.ray import ray_rows, require_ray
 from vehanchor.batch.files import find_images
 from vehanchor.batch.journal import Journal
-from vehanchor.batch.known_lengths import check_all_named, read_known_lengths
+from vehanchor.batch.known_lengths import lines_in
 from vehanchor.batch.row import BatchRow
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, Task
@@ -28,8 +28,6 @@ from vehanchor.options import ScaleOptions
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-
-    from vehanchor.batch.known_lengths import KnownLengthTable
 
 __all__ = ["BatchSummary", "Engine", "run_batch"]
 
@@ -101,10 +99,9 @@ def run_batch(
     _check(engine, address, workers, chosen)
     _check_unfinished(table, overwrite)
     tasks = list(map(Task.of, find_images(inputs, leave_out=(table, journal_path(table)))))
-    job = replace(_job(detector, classes, chosen, tuple(providers)), known_lengths=_lines(known_lengths, tasks))
-    if overwrite:  # only now that the run can begin; the table itself stays until the new one is whole
-        journal_path(table).unlink(missing_ok=True)
-    journal = open_journal(table, job)
+    lines = lines_in(known_lengths, [task.path for task in tasks])
+    job = replace(_job(detector, classes, chosen, tuple(providers)), known_lengths=lines)
+    journal = open_journal(table, job, anew=overwrite)  # the table itself stays until the new one is whole
     keys = {task.file: task.key() for task in tasks}  # of the images as they are now
     missing = [task for task in tasks if keys[task.file] not in journal]
     with closing(_rows(engine, job, missing, workers, address)) as rows:
@@ -120,13 +117,15 @@ def journal_path(table: Path) -> Path:
     return table.with_name(table.name + ".journal")
 
 
-def open_journal(table: Path, job: BatchJob) -> Journal[BatchRow]:
-    """Open the rows so far of a table.
+def open_journal(table: Path, job: BatchJob, *, anew: bool = False) -> Journal[BatchRow]:
+    """Open the rows so far of a table; with ``anew``, none.
 
     Raises:
         InvalidParameterError: they are those of another job, or the file is no journal.
         OutputError: it cannot be written.
     """
+    if anew:
+        journal_path(table).unlink(missing_ok=True)
     return Journal(
         journal_path(table),
         _settings(job),
@@ -164,15 +163,6 @@ def _job(
     bundled = model.path in bundled_models().values()  # elsewhere in the cluster it may lie elsewhere
     name = model.path.stem if bundled else str(model.path.resolve())
     return BatchJob(name, model.card.sha256, named, options, providers)
-
-
-def _lines(known_lengths: str | os.PathLike[str] | None, tasks: Sequence[Task]) -> KnownLengthTable:
-    """The lines of known length, all of them in these images."""
-    if known_lengths is None:
-        return {}
-    lines = read_known_lengths(known_lengths)
-    check_all_named(lines, (task.path for task in tasks))
-    return lines
 
 
 def _check(engine: str, address: str | None, workers: int | None, options: ScaleOptions) -> None:

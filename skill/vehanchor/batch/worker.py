@@ -12,6 +12,7 @@ from vehanchor.batch.row import BatchRow
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
 from vehanchor.estimate import analyse_scale, open_detector
+from vehanchor.imagery.addresses import is_address
 from vehanchor.models.session import DEFAULT_PROVIDERS
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
@@ -53,7 +54,7 @@ class Task:
 
     Attributes:
         file: its name in the table.
-        path: where it is, absolute.
+        path: where it is, absolute, or its address.
     """
 
     file: str
@@ -62,7 +63,8 @@ class Task:
     @classmethod
     def of(cls, path: str) -> Task:
         """The task of an image named by a caller of this process; a name may hold bytes that are no text."""
-        return cls(file=path.encode("utf-8", "backslashreplace").decode(), path=str(Path(path).absolute()))
+        name = path.encode("utf-8", "backslashreplace").decode()
+        return cls(file=name, path=path if is_address(path) else str(Path(path).absolute()))
 
     def key(self) -> Key:
         """The row's key in the journal: the image under its name as it is now; it may be replaced meanwhile."""

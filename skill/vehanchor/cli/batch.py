@@ -37,7 +37,7 @@ def batch(
         list[str],
         typer.Argument(
             metavar="INPUTS",
-            help="Images, directories of images (with all below them), patterns such as 'flight/**/*.jpg'.",
+            help="Images, directories of images (with all below them), patterns such as 'flight/**/*.jpg', addresses.",
             show_default=False,
         ),
     ],
@@ -96,9 +96,7 @@ def _run(
     same_scale: bool,
 ) -> BatchSummary:
     if same_scale:
-        if known_lengths is not None:
-            raise InvalidParameterError("--same-scale takes no --known-lengths: leave one of them out")
-        return _of_one_scale(inputs, output, engine, workers, chosen, progress, overwrite=overwrite)
+        return _of_one_scale(inputs, output, engine, workers, chosen, progress, known_lengths, overwrite=overwrite)
     from vehanchor.batch import run_batch
     from vehanchor.models.session import DEFAULT_PROVIDERS
 
@@ -126,6 +124,7 @@ def _of_one_scale(
     workers: int | None,
     chosen: Chosen,
     progress: Callable[[int, int], None],
+    known_lengths: Path | None,
     *,
     overwrite: bool,
 ) -> BatchSummary:
@@ -138,6 +137,7 @@ def _of_one_scale(
         output,
         detector=chosen.open_detector(),
         options=chosen.options(),
+        known_lengths=known_lengths,
         overwrite=overwrite,
         progress=progress,
     )

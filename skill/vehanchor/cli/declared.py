@@ -16,12 +16,12 @@ import inspect
 import typing
 from dataclasses import MISSING, dataclass, field, fields
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 
 from vehanchor.choices import Choice, choice
-from vehanchor.errors import InvalidParameterError, KnownLengthError
+from vehanchor.errors import InvalidParameterError
 from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
 
 if TYPE_CHECKING:
@@ -29,7 +29,16 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detector import Detector
 
-__all__ = ["Chosen", "DetectorChoice", "option_parameters", "scale_command"]
+__all__ = ["Chosen", "DetectorChoice", "Photograph", "option_parameters", "scale_command"]
+
+Photograph: TypeAlias = Annotated[
+    str,
+    typer.Argument(
+        metavar="IMAGE",
+        help="Photograph: JPEG, PNG, WebP, AVIF, BMP, TIFF, JP2, HEIC; or its address.",
+        show_default=False,
+    ),
+]
 
 _UNITS = ("_px", "_m")
 
@@ -143,7 +152,7 @@ class Chosen:
         if keywords.get("rulers") is not None:
             keywords["rulers"] = tuple(name.strip() for name in keywords["rulers"].split(","))
         if "known_lengths" in keywords:
-            keywords["known_lengths"] = [_known_length(text) for text in keywords["known_lengths"] or ()]
+            keywords["known_lengths"] = [KnownLength.from_text(text) for text in keywords["known_lengths"] or ()]
         return ScaleOptions.of({**keywords, "frame_width_px": width, "frame_height_px": height})
 
     @property
@@ -234,13 +243,6 @@ def _without_unit(name: str) -> str:
         if name.endswith(unit):
             return name.removesuffix(unit)
     return name
-
-
-def _known_length(text: str) -> tuple[float, ...]:
-    try:
-        return KnownLength(*(float(part) for part in text.split()))
-    except (TypeError, ValueError):
-        raise KnownLengthError(f"--known-length is {text!r}: use five numbers, X1 Y1 X2 Y2 METRES") from None
 
 
 def _alpha(text: Any) -> float | None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.declared import Chosen, scale_command
+from vehanchor.cli.declared import Chosen, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
 from vehanchor.cli.spaced import SpacedCommand
 from vehanchor.cli.terminal import (
@@ -34,10 +34,7 @@ __all__ = ["distance"]
 
 @scale_command()
 def _distance(
-    image: Annotated[
-        str,
-        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, GeoTIFF.", show_default=False),
-    ],
+    image: Photograph,
     point: Annotated[
         list[str] | None,
         typer.Option(metavar="X Y", help="A point of the line, pixels; two of them, or more in order."),
@@ -67,7 +64,7 @@ def _distance(
                 check_boxes_path(line, LINE_SUFFIXES)
 
             with tile_progress(1, lines_on_terminal=as_json) as step:
-                record = analyse_distance(
+                analysis = analyse_distance(
                     image,
                     path,
                     options,
@@ -76,7 +73,8 @@ def _distance(
                     object_height_m=object_height,
                     detector=chosen.detector.open() if gsd is None and known is None else None,
                     progress=step(0, image),
-                ).measurement
+                )
+            record = analysis.measurement
         except VehAnchorError as error:
             if as_json:
                 print_json(failure(image, error))
@@ -87,7 +85,7 @@ def _distance(
             print_table(facts_table(image, _facts(record)))
             print_warnings(record, "")
         if line is not None:
-            write_measured(line, record, image)
+            write_measured(line, analysis)
         exit_strictly(strict, [record.status])
 
 

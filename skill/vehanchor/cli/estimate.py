@@ -48,7 +48,9 @@ _SHORT_SHA = 12
 def estimate(
     images: Annotated[
         list[str],
-        typer.Argument(metavar="IMAGE", help="Photographs: JPEG, PNG, WebP, AVIF, BMP, GeoTIFF.", show_default=False),
+        typer.Argument(
+            metavar="IMAGE", help="Photographs: JPEG, PNG, WebP, AVIF, BMP, TIFF, JP2, HEIC.", show_default=False
+        ),
     ],
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON object per image and line on stdout, and nothing else.")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
-from vehanchor.cli.declared import Chosen, DetectorChoice, scale_command
+from vehanchor.cli.declared import Chosen, DetectorChoice, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
 from vehanchor.cli.spaced import SpacedCommand
 from vehanchor.cli.terminal import (
@@ -59,10 +59,7 @@ OutlineFile: TypeAlias = Annotated[
 
 @scale_command()
 def _measure(
-    image: Annotated[
-        str,
-        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, GeoTIFF.", show_default=False),
-    ],
+    image: Photograph,
     box: Annotated[
         tuple[float, float, float, float] | None,
         typer.Option(metavar="X1 Y1 X2 Y2", help="A box around the object, pixels. Either this or points."),
@@ -115,7 +112,7 @@ def _measure(
         else:
             print_table(facts_table(image, _facts(analysis.measurement)))
             print_warnings(analysis.measurement, "")
-        _write_files(image, analysis, options, *outputs, outline)
+        _write_files(analysis, options, *outputs, outline)
         exit_strictly(strict, [analysis.measurement.status])
 
 
@@ -202,7 +199,6 @@ def _open_segmenter(files: Any, detector: DetectorChoice) -> Any:
 
 
 def _write_files(
-    image: str,
     analysis: AreaAnalysis,
     options: ScaleOptions,
     overlay: Path | None,
@@ -212,17 +208,14 @@ def _write_files(
     if outline is not None:
         from vehanchor.exports import write_measured
 
-        write_measured(outline, analysis.measurement, image)
+        write_measured(outline, analysis)
     if overlay is None and mask is None:
         return
-    from vehanchor.imagery.raster import open_raster
-    from vehanchor.pictures.area import draw_area, full_mask
-    from vehanchor.pictures.scale import read_reduced, write_picture
+    from vehanchor.pictures.area import full_mask
+    from vehanchor.pictures.scale import write_picture
 
     if overlay is not None:
-        with open_raster(image, bands=options.reading.bands, limits=options.reading.limits) as raster:
-            seen = read_reduced(raster)
-        write_picture(overlay, draw_area(seen, analysis))
+        write_picture(overlay, analysis.overlay())
     if mask is not None:
         write_picture(mask, full_mask(analysis, options.reading.limits))
 

@@ -1,4 +1,4 @@
-"""``vehanchor scalebar``: the photograph with a bar of round length, and a world file for programs of maps."""
+"""``vehanchor scalebar``: the photograph with a bar of round length; world file and GeoTIFF for programs of maps."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.declared import Chosen, scale_command
+from vehanchor.cli.declared import Chosen, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ScaleFile, read_scale
 from vehanchor.cli.terminal import NOT_OK, exit_on_error, tile_progress
 from vehanchor.errors import InvalidParameterError
@@ -22,10 +22,7 @@ _WORLD_SUFFIXES = {".png": ".pgw", ".jpg": ".jgw", ".jpeg": ".jgw"}
 
 @scale_command()
 def scalebar(
-    image: Annotated[
-        str,
-        typer.Argument(metavar="IMAGE", help="Photograph: JPEG, PNG, WebP, AVIF, BMP, GeoTIFF.", show_default=False),
-    ],
+    image: Photograph,
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="OUT.png", help="The picture with its bar, .png or .jpg.")
     ],
@@ -35,6 +32,12 @@ def scalebar(
             "--world-file", help="Write a world file beside it: local metres, the upper left corner at 0, 0, y upwards."
         ),
     ] = False,
+    geotiff: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OUT.tif", help="Write the photograph in full size, without the bar, as a GeoTIFF in local metres."
+        ),
+    ] = None,
     gsd: GivenGsd = None,
     scale: ScaleFile = None,
     *,
@@ -44,7 +47,7 @@ def scalebar(
     with exit_on_error():
         from vehanchor.found_scale import choose_scale, find_scale
         from vehanchor.imagery.raster import open_raster
-        from vehanchor.output import whole_file
+        from vehanchor.metric_copy import check_copy_path, write_metric_copy
         from vehanchor.pictures.scale import (
             check_picture_path,
             draw_scale_bar,
@@ -53,33 +56,38 @@ def scalebar(
             write_picture,
         )
 
-        if check_picture_path(output).resolve() == Path(image).resolve():
-            raise InvalidParameterError(f"{str(output)!r} is the image itself: choose another name")
+        for path in (check_picture_path(output), None if geotiff is None else check_copy_path(geotiff)):
+            if path is not None and path.resolve() == Path(image).resolve():
+                raise InvalidParameterError(f"{str(path)!r} is the image itself: choose another name")
         options, known = chosen.options(), read_scale(scale, image)
         source = choose_scale(gsd, known, chosen.detector.open() if gsd is None and known is None else None, options)
-        reading = options.reading
         with (
-            open_raster(image, bands=reading.bands, limits=reading.limits) as raster,
+            open_raster(image, bands=options.reading.bands, limits=options.reading.limits) as raster,
             tile_progress(1, lines_on_terminal=False) as step,
         ):
             found = find_scale(raster, source, options, progress=step(0, image))
+            if found.gsd_m_per_px is None or found.status != "ok":
+                typer.echo(f"no bar: {_refusal(found.status)}; nothing was written", err=True)
+                raise typer.Exit(NOT_OK)
             picture = fit_for_eyes(read_reduced(raster))
             width_px = raster.width_px
-        if found.gsd_m_per_px is None or found.status != "ok":
-            typer.echo(f"no bar: {_refusal(found.status)}; nothing was written", err=True)
-            raise typer.Exit(NOT_OK)
+            if geotiff is not None:
+                write_metric_copy(geotiff, raster, found.gsd_m_per_px)
         drawn_gsd = found.gsd_m_per_px * width_px / picture.shape[1]
         draw_scale_bar(picture, drawn_gsd)
         write_picture(output, picture)
         if world_file:
-            with whole_file(output.with_suffix(_WORLD_SUFFIXES[output.suffix.lower()])) as partial:
-                partial.write_text(_world(drawn_gsd), encoding="ascii")
+            _write_world(output, drawn_gsd)
 
 
 def _refusal(status: Status) -> str:
     return "there is no scale" if status == "no_anchor" else "the scale's confidence is below 0.5"
 
 
-def _world(gsd_m: float) -> str:
+def _write_world(picture: Path, gsd_m: float) -> None:
     """The six lines of a world file: the middle of the first pixel lies half a pixel off the corner."""
-    return "".join(f"{value:.10g}\n" for value in (gsd_m, 0, 0, -gsd_m, gsd_m / 2, -gsd_m / 2))
+    from vehanchor.output import whole_file
+
+    lines = "".join(f"{value:.10g}\n" for value in (gsd_m, 0, 0, -gsd_m, gsd_m / 2, -gsd_m / 2))
+    with whole_file(picture.with_suffix(_WORLD_SUFFIXES[picture.suffix.lower()])) as partial:
+        partial.write_text(lines, encoding="ascii")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,9 @@ class Court:
         score: of the template on the lines, 1 at most.
         coverage: 0..1, share of its lines that is seen where it should be.
         distortion: how far it is from the rules' shape.
+        shape: ``[4, 2]`` the corners as they are seen in perspective, in the order of ``corners``; None for one of too
+            few pixels for that.
+        shape_sd_px: standard deviation of each of these along either axis.
     """
 
     kind: str
@@ -38,3 +42,5 @@ class Court:
     score: float
     coverage: float
     distortion: float
+    shape: NDArray[np.float64] | None = None
+    shape_sd_px: float = math.inf

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
@@ -18,6 +19,8 @@ from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     import onnxruntime
     from numpy.typing import NDArray
 
@@ -28,7 +31,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.sighting import Sighting
     from vehanchor.imagery.raster import Raster
 
-__all__ = ["find_courts", "measure_court"]
+__all__ = ["Proposed", "find_courts", "measure_court", "propose_courts", "rough_court"]
 
 _FAR = Reach(math.radians(3), math.radians(3), 0.32, 0.04, 15, 3)
 _NEAR = Reach(math.radians(4), math.radians(2), 0.045, 0.015, 3, 1)
@@ -42,6 +45,7 @@ _MARGIN = 1.35  # of the patch that is read, over the court's half diagonal
 
 _WORTH_A_FIT = 0.3
 _LEAST_SCORE = 0.55  # 0.50 is the most that came of 232 training images without a court (RESULTS.md)
+_ROUGH_COVERAGE = 0.5
 _LEAST_COVERAGE = 0.6
 _LEAST_COVERAGE_WITH_ARCS, _SEEN_ARCS = 0.68, 0.5  # straight lines alone make grids on yards and car parks, too
 _SEEN_LINE = 0.4
@@ -62,10 +66,39 @@ class _Patch(NamedTuple):
         x, y = ((value + 0.5) / self.factor - 0.5 for value in (pose.x, pose.y))
         return Pose(x - self.left, y - self.top, pose.angle, pose.px_per_m / self.factor)
 
+    def in_image(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points of the patch, counted from its first pixel's centre, in the image, counted from that one's corner."""
+        return np.asarray((points + (self.left, self.top) + 0.5) * self.factor)
+
     def outside(self, pose: Pose) -> Pose:
         """A pose of the patch in the image's pixels."""
         x, y = ((value + 0.5) * self.factor - 0.5 for value in (pose.x + self.left, pose.y + self.top))
         return Pose(x, y, pose.angle, pose.px_per_m * self.factor)
+
+
+class Proposed(NamedTuple):
+    """Where courts may be.
+
+    Attributes:
+        proposals: in no order.
+        n_sizes: at how many reductions of the image they were looked for.
+    """
+
+    proposals: Sequence[Proposal]
+    n_sizes: int
+
+
+def propose_courts(
+    raster: Raster, sighting: Sighting, card: DetectorCard, *, run_options: onnxruntime.RunOptions | None = None
+) -> Proposed:
+    """Say where courts may be, by the network and by a detector that knows courts; as ``find_courts``."""
+    proposals = boxes_of_courts(sighting, card)
+    network = load_court_network()
+    factors = [] if network is None else coarse_factors(raster, sighting)
+    if network is not None:
+        for factor in factors:
+            proposals += network.propose(raster, factor, run_options=run_options)
+    return Proposed(proposals, len(factors))
 
 
 def find_courts(
@@ -73,6 +106,7 @@ def find_courts(
     sighting: Sighting,
     card: DetectorCard,
     *,
+    proposed: Proposed | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> tuple[Court, ...]:
     """Find and measure the courts that lie whole in an image.
@@ -81,21 +115,17 @@ def find_courts(
         raster: the image.
         sighting: what the search has seen, and how large the ground says a pixel is.
         card: of the detector.
+        proposed: where they may be; None has them looked for (``propose_courts``).
         run_options: ONNX Runtime's, for a caller that may have to end a run.
 
     Returns:
         At most four, the surest first. A court half hidden, or cut by the image's edge, is none.
     """
-    proposals = boxes_of_courts(sighting, card)
-    network = load_court_network()
-    factors = [] if network is None else coarse_factors(raster, sighting)
-    if network is not None:
-        for factor in factors:
-            proposals += network.propose(raster, factor, run_options=run_options)
+    proposals, n_sizes = proposed or propose_courts(raster, sighting, card, run_options=run_options)
     found: list[Court] = []
     in_vain = 0
     for proposal in _apart(proposals):
-        if in_vain == _MOST_IN_VAIN + len(factors) or len(found) == _MOST_COURTS:
+        if in_vain == _MOST_IN_VAIN + n_sizes or len(found) == _MOST_COURTS:
             break
         if any(_lies_in(proposal.pose, court) for court in found):
             continue
@@ -106,7 +136,7 @@ def find_courts(
     return tuple(sorted(found, key=lambda court: -court.score))
 
 
-def _apart(proposals: list[Proposal]) -> list[Proposal]:
+def _apart(proposals: Sequence[Proposal]) -> list[Proposal]:
     """The surest first, without what lies within a quarter of a court's length of a surer one of like size."""
     kept: list[Proposal] = []
     for one in sorted(proposals, key=lambda each: -each.share):
@@ -126,6 +156,34 @@ def measure_court(raster: Raster, proposal: Proposal) -> Court | None:
         raster: the image.
         proposal: where it may be. That it names the wrong game does no harm.
     """
+    for patch, pose, game in _matched(raster, proposal):
+        court = _measured(raster, patch, pose, game)
+        if court is not None:
+            return court
+    return None
+
+
+def rough_court(raster: Raster, proposal: Proposal) -> Court | None:
+    """Lay a template in perspective over what may be a court, seen from aside; None where too few lines bear it out.
+
+    What comes is a guess at its shape, not a court: judge it where it is seen from straight above.
+    """
+    for patch, start, game in _matched(raster, proposal):
+        ((score, pose),) = match(patch.grey, game[:1], start, _NEAR)
+        seen = fit(patch.grey, game[0], pose_matrix(pose), HOMOGRAPHY)
+        if seen.coverage < _ROUGH_COVERAGE or not math.isfinite(seen.corner_sd_px):
+            continue
+        corners = patch.in_image(project(seen.matrix, game[0].outline))
+        gsd = float(1.0 / (seen.px_per_m * patch.factor))
+        size = game[0].length_m, game[0].width_m
+        spread = seen.corner_sd_px * patch.factor
+        rough = Court(game[0].kind, corners, *size, gsd, seen.log_sd, score, seen.coverage, seen.distortion)
+        return replace(rough, shape=corners, shape_sd_px=spread)
+    return None
+
+
+def _matched(raster: Raster, proposal: Proposal) -> Iterator[tuple[_Patch, Pose, tuple[Template, ...]]]:
+    """Where templates lie best near a proposal, the game that fits best first."""
     games = ((TENNIS,), BASKETBALL)[:: -1 if proposal.which else 1]
     firsts = [game[0] for game in games]  # each stands for its game while it is searched for
     patch = _read(raster, proposal.pose, firsts[0], max(1, proposal.factor // 2))
@@ -134,10 +192,8 @@ def measure_court(raster: Raster, proposal: Proposal) -> Court | None:
     angles = [axis + quarter for axis in turned for quarter in (0.0, math.pi / 2)]
     matched = match(patch.grey, firsts, start, _FAR, angles)
     for (score, pose), game in sorted(zip(matched, games, strict=True), key=lambda each: -each[0][0]):
-        court = _measured(raster, patch, pose, game) if score >= _WORTH_A_FIT else None
-        if court is not None:
-            return court
-    return None
+        if score >= _WORTH_A_FIT:
+            yield patch, pose, game
 
 
 def _measured(raster: Raster, patch: _Patch, pose: Pose, templates: tuple[Template, ...]) -> Court | None:
@@ -148,29 +204,31 @@ def _measured(raster: Raster, patch: _Patch, pose: Pose, templates: tuple[Templa
     if score < _LEAST_SCORE:
         return None
     fits = [(kind, *_fitted(raster, kind, patch, pose)) for kind in templates]
-    template, seen, patch = max(fits, key=lambda each: each[1].coverage)
+    template, seen, sheared, patch = max(fits, key=lambda each: each[1].coverage)
     if not _borne_out(template, seen):
         return None
-    half = np.array([template.length_m, template.width_m]) / 2
-    outline = project(seen.matrix, np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half)
-    corners = (outline + (patch.left, patch.top) + 0.5) * patch.factor
+    corners = patch.in_image(project(seen.matrix, template.outline))
     if (corners < 0).any() or (corners > (raster.width_px, raster.height_px)).any():
         return None
     gsd = float(1.0 / (seen.px_per_m * patch.factor))
     size = template.length_m, template.width_m
-    return Court(template.kind, corners, *size, gsd, seen.log_sd, score, seen.coverage, seen.distortion)
+    found = Court(template.kind, corners, *size, gsd, seen.log_sd, score, seen.coverage, seen.distortion)
+    if sheared is None:
+        return found
+    shape = patch.in_image(project(sheared.matrix, template.outline))
+    return replace(found, shape=shape, shape_sd_px=sheared.corner_sd_px * patch.factor)
 
 
-def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tuple[Fit, _Patch]:
-    """Fit at the resolution of the match and, where there are more pixels, at finer ones."""
+def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tuple[Fit, Fit | None, _Patch]:
+    """Fit at the resolution of the match and, where there are more pixels, at finer ones; in perspective, too."""
     seen = fit(patch.grey, template, pose_matrix(pose), SIMILARITY)
     while patch.factor > 1 and template.length_m * seen.px_per_m < _FITTED_PX:
         finer = _read(raster, patch.outside(_pose(seen.matrix)), template, patch.factor // 2)
         seen = fit(finer.grey, template, pose_matrix(finer.inside(patch.outside(_pose(seen.matrix)))), SIMILARITY)
         patch = finer
-    freedom = HOMOGRAPHY if template.length_m * seen.px_per_m >= _PERSPECTIVE_PX else AFFINE
-    sheared = fit(patch.grey, template, seen.matrix, freedom)
-    return seen._replace(distortion=sheared.distortion), patch
+    enough = template.length_m * seen.px_per_m >= _PERSPECTIVE_PX
+    sheared = fit(patch.grey, template, seen.matrix, HOMOGRAPHY if enough else AFFINE)
+    return seen._replace(distortion=sheared.distortion), sheared if enough else None, patch
 
 
 def _borne_out(template: Template, seen: Fit) -> bool:

@@ -49,6 +49,7 @@ class Fit(NamedTuple):
         residual_px: root mean square of how far the seen pieces are from where they should be.
         log_sd: standard deviation of the log of the size, from the residuals.
         distortion: how far the court is from its rules' shape: log of the stretch, and the shear.
+        corner_sd_px: standard deviation of its corners along either axis, from the residuals.
     """
 
     matrix: NDArray[np.float64]
@@ -57,6 +58,7 @@ class Fit(NamedTuple):
     residual_px: float
     log_sd: float
     distortion: float
+    corner_sd_px: float
 
     @property
     def px_per_m(self) -> float:
@@ -141,12 +143,24 @@ def _judged(
     total = np.bincount(pieces.line, pieces.lengths, n_lines)
     covered = np.bincount(pieces.line, pieces.lengths * near, n_lines)
     residual = float(np.sqrt(np.mean(offsets[near] ** 2))) if near.any() else math.inf
-    log_sd = math.inf
+    log_sd = corner_sd = math.inf
     if near.sum() > jacobian.shape[1]:
         normal = jacobian[near].T @ jacobian[near]
         if np.linalg.cond(normal) < 1e12:
-            log_sd = max(residual, 0.1) * math.sqrt(np.linalg.inv(normal)[2, 2])
-    return Fit(matrix, float(covered.sum() / total.sum()), covered / total, residual, log_sd, _distortion(matrix))
+            covariance = max(residual, 0.1) ** 2 * np.linalg.inv(normal)
+            log_sd = math.sqrt(covariance[2, 2])
+            moved = _corner_motions(template, matrix, jacobian.shape[1])
+            corner_sd = math.sqrt(float(np.einsum("ki,ij,kj->", moved, covariance, moved)) / len(moved))
+    coverage = float(covered.sum() / total.sum())
+    return Fit(matrix, coverage, covered / total, residual, log_sd, _distortion(matrix), corner_sd)
+
+
+def _corner_motions(template: Template, matrix: NDArray[np.float64], freedom: int) -> NDArray[np.float64]:
+    """``[8, freedom]``: by how many pixels the corners' coordinates move for a unit of each motion."""
+    corners = template.outline
+    base = project(matrix, corners)
+    moved = [project(matrix @ (np.eye(3) + _EPSILON * motion), corners) for motion in _MOTIONS[:freedom]]
+    return np.stack([(each - base).ravel() / _EPSILON for each in moved], axis=1)
 
 
 def _distortion(matrix: NDArray[np.float64]) -> float:

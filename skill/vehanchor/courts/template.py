@@ -63,6 +63,11 @@ class Template:
     blank: tuple[Line, ...]
     arcs: tuple[Line, ...] = ()
 
+    @property
+    def outline(self) -> NDArray[np.float64]:
+        """``[4, 2]`` its corners, metres; the first two bound a long side."""
+        return np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * [self.length_m / 2, self.width_m / 2]
+
 
 def _tennis() -> Template:
     x, y = 23.77 / 2 - _HALF_LINE_M, 10.97 / 2 - _HALF_LINE_M

@@ -160,13 +160,14 @@ class SecondLookCard(CompanionCard):
     """What the file of a network that judges a detector's candidates once more says of itself.
 
     Attributes:
-        weights: of the detector's logit, of its own, and what is added: the logit of the combined score.
+        weights: of the detector's logit, of its own, what is added, and that of how well a candidate's size fits the
+            ground (0 where it is not stated): together the logit of the combined score.
         least_score: candidates are what the detector gives at least this score.
         min_score: combined scores below it are dropped.
         clear_score: combined score that the best tenth of the cars of any place reaches; 0 where it is not known.
     """
 
-    weights: tuple[_Weight, _Weight, float]
+    weights: tuple[_Weight, _Weight, float] | tuple[_Weight, _Weight, float, _Weight]
     least_score: _Share
     min_score: _Share
     clear_score: _Share = 0.0
@@ -242,7 +243,7 @@ _DETECTOR_ENTRIES: dict[str, _Entry] = {
 _FOR_DETECTOR: dict[str, _Entry] = {"detector": ("vehanchor.detector", str, "a detector's name")}
 _SECOND_LOOK_ENTRIES: dict[str, _Entry] = {
     **_FOR_DETECTOR,
-    "weights": ("vehanchor.weights", _range, "three numbers, 'detector,look,bias'"),
+    "weights": ("vehanchor.weights", _range, "three or four numbers, 'detector,look,bias,size'"),
     "least_score": ("vehanchor.least_score", float, "a number from 0 to 1"),
     "min_score": ("vehanchor.min_score", float, "a number from 0 to 1"),
     "clear_score": ("vehanchor.clear_score", float, "a number from 0 to 1"),

@@ -15,19 +15,20 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from vehanchor.defaults import CAR_LENGTH_M
 from vehanchor.errors import ModelContractError
 from vehanchor.imagery.tiles import read_reduced_window
 from vehanchor.imagery.windows import Window
 from vehanchor.models.cache import file_cached
 from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
 from vehanchor.models.zoo import bundled_scene_scale
-from vehanchor.scale.fusion import GRID, floored
+from vehanchor.scale.fusion import GRID, blurred, floored
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     import onnxruntime
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.imagery.windows import Raster
 
@@ -46,6 +47,9 @@ TILE_PX = 160
 FACTORS = (1, 2, 4, 8)  # by which an image is reduced
 MOST_TILES = 24  # of a level
 _LEAST_PROBABILITY = 1e-12
+_SIZES_LOG_SD = 0.1  # of cars, and of the measurement of one
+_OPEN_LOG_WIDTH = 2.0  # ground that leaves the scale open so far neither raises nor lowers a score
+_MOST_SIZE_ODDS = 2.0  # for or against: the ground may be wrong
 _BATCH = 8  # tiles at once: 24 would take three times the memory and no less time
 
 
@@ -101,6 +105,24 @@ class SceneSighting:
     def density(self) -> NDArray[np.float64]:
         """Probabilities on ``vehanchor.scale.fusion.GRID``."""
         return scene_density(self.levels, self.calibration)
+
+    @cached_property
+    def _size_odds(self) -> NDArray[np.float64]:
+        per_log = blurred(self.density, _SIZES_LOG_SD) / (GRID[1] - GRID[0])
+        odds = np.log(np.maximum(per_log * _OPEN_LOG_WIDTH, _LEAST_PROBABILITY))
+        return np.asarray(np.clip(odds, -_MOST_SIZE_ODDS, _MOST_SIZE_ODDS))
+
+    def size_odds(self, lengths_px: ArrayLike) -> NDArray[np.float64]:
+        """Say how well lengths fit a car's, by the scale that the ground tells.
+
+        Args:
+            lengths_px: ``[n]`` pixels of the image.
+
+        Returns:
+            ``[n]`` log odds from -2 to 2, over a scale that is open within a factor of 7.4; -1.2 where the ground is
+            quite lost.
+        """
+        return np.asarray(np.interp(np.log(CAR_LENGTH_M / np.asarray(lengths_px, np.float64)), GRID, self._size_odds))
 
 
 def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]]:

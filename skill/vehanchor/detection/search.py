@@ -58,7 +58,8 @@ def search(
         raster: the image; only two tiles of it are held at a time.
         detector: the model.
         options: how to search; None for the defaults.
-        scene: what the ground tells of the scale: at which resolutions to look first. None where nobody looked.
+        scene: what the ground tells of the scale: at which resolutions to look first, and how long a car would be.
+            None where nobody looked.
         standing: says of what was found so far whether it would do; None searches on to the options' other limits.
         progress: called with (tiles done, tiles in all), at the end with all of them; an exception it raises ends the
             search.
@@ -175,7 +176,7 @@ class _Work:
     def visit(self, k: int, pixels: NDArray[np.uint8]) -> int:
         """Look at a tile; how many vehicles it shows."""
         level, tile = self.visits[k]
-        seen = _seen(self._detector, pixels, level, self._min_score, self._run_options)
+        seen = _seen(self._detector, pixels, level, self._min_score, self._scene, self._run_options)
         vehicles, others = (_in_image(found, tile, level, self._overlap_px) for found in (seen.vehicles, seen.others))
         self._found[k] = seen._replace(vehicles=vehicles, others=others)
         return len(vehicles)
@@ -208,6 +209,7 @@ def _seen(
     pixels: NDArray[np.uint8],
     level: SearchLevel,
     min_score: float,
+    scene: SceneSighting | None,
     run_options: onnxruntime.RunOptions | None,
 ) -> TileSighting:
     """One tile's objects that count: vehicles of the level's lengths, after the second look where there is one."""
@@ -216,7 +218,8 @@ def _seen(
     seen = detector.detect_tile(pixels, min(min_score, look.card.least_score) if look else min_score, run_options)
     vehicles = seen.vehicles.take(level.counts(seen.vehicles.boxes[:, 2]))
     if look:
-        vehicles = look.judged(pixels, vehicles, run_options)
+        size_odds = 0.0 if scene is None else scene.size_odds(vehicles.boxes[:, 2] * level.factor)
+        vehicles = look.judged(pixels, vehicles, run_options, size_odds=size_odds)
         vehicles = vehicles.take(vehicles.scores >= min_score)
     # The range of lengths is that of vehicles: it says nothing of other objects.
     return seen._replace(vehicles=vehicles, others=seen.others.take(seen.others.scores >= min_score))

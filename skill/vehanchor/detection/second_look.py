@@ -1,7 +1,8 @@
 """The network beside a detector that takes a second look at each candidate, with its surroundings.
 
 The detector sees a whole tile at once. A candidate's *chip* here is what stands around it, turned along its axis and
-brought to one length; a small network reads from it the logit that it is a car, and both opinions become one score.
+brought to one length; a small network reads from it the logit that it is a car. Both opinions become one score, in
+which the ground has a say, too, where it was looked at: a car-shaped thing is a car only at a car's size.
 """
 
 from __future__ import annotations
@@ -70,16 +71,18 @@ def surroundings(
 
 
 class Weights(NamedTuple):
-    """How the two opinions become one: weights of the detector's logit and of the second look's, and what is added."""
+    """How the opinions become one: weights of the detector's logit, the second look's, and the ground's of the size."""
 
     detector: float
     look: float
-    bias: float
+    bias: float  # what is added
+    size: float = 0.0
 
-    def score(self, scores: ArrayLike, logits: ArrayLike) -> NDArray[np.float64]:
-        """Combined scores ``[n]`` in [0, 1] of the detector's scores and the second look's logits."""
+    def score(self, scores: ArrayLike, logits: ArrayLike, size_odds: ArrayLike = 0.0) -> NDArray[np.float64]:
+        """Combined scores ``[n]`` in [0, 1] of the detector's scores, the second look's logits, and the sizes' odds."""
         first = np.clip(np.asarray(scores, np.float64), _MARGIN, 1 - _MARGIN)
         total = self.detector * np.log(first / (1 - first)) + self.look * np.asarray(logits, np.float64) + self.bias
+        total = total + self.size * np.asarray(size_odds, np.float64)
         return np.asarray(1 / (1 + np.exp(-np.clip(total, -50, 50))))
 
 
@@ -93,19 +96,25 @@ class SecondLook(Companion[SecondLookCard]):
     card_type = SecondLookCard
 
     def judged(
-        self, pixels: NDArray[np.uint8], found: Objects, run_options: onnxruntime.RunOptions | None = None
+        self,
+        pixels: NDArray[np.uint8],
+        found: Objects,
+        run_options: onnxruntime.RunOptions | None = None,
+        *,
+        size_odds: ArrayLike = 0.0,
     ) -> Objects:
-        """The same objects with the scores that both opinions make together.
+        """The same objects with the scores that all opinions make together.
 
         Args:
             pixels: ``[h, w, 3]`` uint8 RGB, the tile in which they were found.
             found: candidates, in its pixels.
             run_options: see ``Detector.detect_tile``.
+            size_odds: ``[n]`` how well their sizes fit (see ``SceneSighting.size_odds``); 0 where nobody knows.
         """
         logits = [np.zeros(0)]
         for start in range(0, len(found), _BATCH):
             chips = np.stack([surroundings(pixels, box) for box in found.boxes[start : start + _BATCH]])
             batch = np.ascontiguousarray(chips.transpose(0, 3, 1, 2), dtype=np.float32) / np.float32(255)
             logits.extend(self.answers(batch, run_options))
-        scores = Weights(*self.card.weights).score(found.scores, np.concatenate(logits))
+        scores = Weights(*self.card.weights).score(found.scores, np.concatenate(logits), size_odds)
         return Objects(found.boxes, scores, found.classes)

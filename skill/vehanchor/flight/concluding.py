@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from vehanchor.anchors.attitude import known_plane
 from vehanchor.estimate import model_id
 from vehanchor.flight.pooling import pool
 from vehanchor.flight.positions import POSITIONS, places_of
@@ -211,7 +212,7 @@ def _photograph(
 def _given_back(
     photograph: Photograph, gsd: float | None, low: float | None, high: float | None, confidence: float
 ) -> KnownScale | None:
-    image_id = photograph.view.image.image_id
+    image_id, tilt = photograph.view.image.image_id, photograph.analysis.estimate.tilt
     if gsd is None or low is None or high is None or not image_id:
         return None
     return KnownScale(
@@ -221,6 +222,7 @@ def _given_back(
         confidence=confidence,
         image_id=image_id,
         model_id=model_id(photograph.view.card),
+        plane=tilt and known_plane(tilt.tilt_deg, tilt.roll_deg, tilt.focal_length_px),
     )
 
 

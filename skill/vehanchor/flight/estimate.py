@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehanchor.batch.journal import Journal, Key, Source
+from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.batch.stored import from_json, to_json
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
 from vehanchor.estimate import analyse_raster, image_facts, open_detector
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
     import onnxruntime
 
+    from vehanchor.batch.known_lengths import KnownLengthTable
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
     from vehanchor.flight.features import Features
@@ -96,14 +98,28 @@ def analyse_flight(
     threads: int | None = None,
     journal: str | os.PathLike[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
+    lines: KnownLengthTable | None = None,
 ) -> FlightEstimate:
-    """As ``estimate_flight``, with its options in groups; None for the defaults."""
+    """As ``estimate_flight``, with its options in groups; None for the defaults.
+
+    Args:
+        images: as in ``estimate_flight``, as all that follow.
+        options: every choice of the method.
+        same_scale: of all.
+        detector: of vehicles.
+        threads: for the models.
+        journal: of what was found.
+        progress: of the photographs.
+        lines: of known length in single photographs, which are paths or addresses; see ``read_known_lengths``.
+    """
     chosen = options or ScaleOptions()
     _check(chosen)
     model = open_detector(detector, chosen, threads=threads)
     taken = list(named(images)) if isinstance(images, Sequence) else named(images)
-    kept = _open_journal(None if journal is None else Path(journal), model, chosen)
-    looks = look_at_flight(taken, model, chosen, featured=not same_scale, journal=kept, progress=progress)
+    kept = _open_journal(None if journal is None else Path(journal), model, chosen, lines or {})
+    looks = look_at_flight(
+        taken, model, chosen, featured=not same_scale, journal=kept, progress=progress, lines=lines or {}
+    )
     record = conclude(looks, model.card, same_scale=same_scale)
     if kept is not None:
         kept.remove()
@@ -130,6 +146,7 @@ def look_at_flight(
     journal: Journal[Look] | None = None,
     progress: Callable[[int, int], None] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
+    lines: KnownLengthTable | None = None,
 ) -> list[Photograph | Failure]:
     """Look at every photograph, one after the other.
 
@@ -142,6 +159,7 @@ def look_at_flight(
         progress: called with (photographs looked at, photographs in all); of a video nobody knows how many there are,
             and both are the same.
         run_options: ONNX Runtime's, for a caller that may have to end a running model.
+        lines: of known length in single photographs.
 
     Returns:
         Each photograph with what it says by itself, or why it cannot be used.
@@ -157,13 +175,14 @@ def look_at_flight(
         key = _key(name, image)
         known = journal.get(key) if journal is not None and key is not None else None
         try:
-            look, features = _look(image, detector, options, known, run_options, featured=featured)
+            own = with_lines_of(options, lines, image) if lines and isinstance(image, str | os.PathLike) else options
+            look, features = _look(image, detector, own, known, run_options, featured=featured)
         except VehAnchorError as error:
             found.append(Failure(name, error))
             continue
         if known is None and journal is not None and key is not None and key == _key(name, image):
             journal.add(key, look)
-        found.append(Photograph.of(name, look, detector.card, options, features))
+        found.append(Photograph.of(name, look, detector.card, own, features))
     tell(len(found), len(found))
     if not found:
         raise ImageError("no photograph given: name at least one")
@@ -204,11 +223,15 @@ def _key(name: str, image: Any) -> Key | None:
     return (name, *Source.of(image)) if isinstance(image, str | os.PathLike) else None
 
 
-def _open_journal(path: Path | None, detector: Detector, options: ScaleOptions) -> Journal[Look] | None:
+def _open_journal(
+    path: Path | None, detector: Detector, options: ScaleOptions, lines: KnownLengthTable
+) -> Journal[Look] | None:
     if path is None:
         return None
     choices = asdict(options)
     del choices["frame"]
+    if lines:
+        choices["lines_of"] = lines
     settings = {"vehanchor": version("vehanchor"), "model_sha256": detector.card.sha256, "flight": 1, **choices}
     remedy = "move the file away, or name another"
     return Journal(path, settings, dump=to_json, load=from_json, sole=True, remedy=remedy)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vehanchor.batch.files import find_images
+from vehanchor.batch.known_lengths import lines_in
 from vehanchor.batch.row import BatchRow
 from vehanchor.batch.run import BatchSummary, journal_path
 from vehanchor.batch.table import check_table_path, write_table
@@ -31,6 +32,7 @@ def run_same_scale(
     *,
     detector: Detector,
     options: ScaleOptions,
+    known_lengths: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> BatchSummary:
@@ -43,6 +45,7 @@ def run_same_scale(
         output: ``.parquet``, ``.csv`` or ``.jsonl``.
         detector: finds the vehicles.
         options: every choice of the method, without a frame.
+        known_lengths: a CSV of lines of known length in single images; see ``read_known_lengths``.
         overwrite: start anew; a complete table there is replaced once the new one is complete.
         progress: called with (images done, images in all).
 
@@ -54,9 +57,12 @@ def run_same_scale(
     if table.exists() and not journal.exists() and not overwrite:
         raise OutputError(f"{str(table)!r} is there already and complete: name another file, or pass --overwrite")
     images = find_images(inputs, leave_out=(table, journal))
+    lines = lines_in(known_lengths, images)
     if overwrite:
         journal.unlink(missing_ok=True)
-    record = analyse_flight(images, options, same_scale=True, detector=detector, journal=journal, progress=progress)
+    record = analyse_flight(
+        images, options, same_scale=True, detector=detector, journal=journal, progress=progress, lines=lines
+    )
     write_table(table, (_row(record, each) for each in record.photographs))
     return BatchSummary(table, len(images), 0, Counter(each.status for each in record.photographs))
 

@@ -1,4 +1,4 @@
-"""Images that are read by windows through rasterio: GeoTIFF and COG, and datasets that the caller has opened."""
+"""Images read by windows through rasterio: GeoTIFF, COG, JPEG 2000, and datasets that the caller has opened."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from vehanchor.errors import (
     VehAnchorError,
 )
 from vehanchor.imagery.bands import check_dtype, choose_bands, merge_bands
-from vehanchor.imagery.georeference import dataset_gsd_m_per_px
+from vehanchor.imagery.georeference import Ground, dataset_gsd_m_per_px
 from vehanchor.imagery.limits import check_block, check_windowed_size
 from vehanchor.imagery.stretch import SAMPLE_PX
 from vehanchor.imagery.windows import Raster, StoredPixels, Window, stored_window
@@ -33,11 +33,13 @@ if TYPE_CHECKING:
     from vehanchor.imagery.header import ImageHeader
     from vehanchor.options import ImageLimits
 
-__all__ = ["Dataset", "DatasetRaster", "is_dataset", "open_dataset", "open_tiff"]
+__all__ = ["Dataset", "DatasetRaster", "dataset_of", "gdal", "is_dataset", "open_dataset", "open_file"]
 
 _CACHE_BYTES = 192 << 20  # of decoded blocks, of all files together: what two rows of tiles share of a wide image
 _SAMPLE_GRID = 8  # windows a side: 64 spots of 128 px make SAMPLE_PX
 _SHOWN_PHOTOMETRIC = (1, 2, 3, 6)  # grey from black, RGB, palette, YCbCr
+_DRIVERS = {"TIFF": "GTiff", "JPEG 2000": "JP2OpenJPEG", "JPEG": "JPEG"}
+_OPENJPEG_SAMPLE_BYTES = 4
 _INKS = frozenset({"cyan", "magenta", "yellow", "black"})
 
 
@@ -87,10 +89,10 @@ def open_dataset(dataset: Any, bands: BandChoice, limits: ImageLimits) -> Datase
     return DatasetRaster(dataset, "dataset", bands)
 
 
-def open_tiff(
+def open_file(
     file: str | bytes, source: str, header: ImageHeader, bands: BandChoice, limits: ImageLimits
 ) -> DatasetRaster:
-    """Open a TIFF, by absolute path or in memory; nothing beside it is looked at.
+    """Open a TIFF or JPEG 2000, by absolute path or in memory; nothing beside it is looked at.
 
     Args:
         file: its path or its bytes.
@@ -106,49 +108,78 @@ def open_tiff(
         ImageTooLargeError: it is stored in blocks of too many pixels.
         ImageFormatError: it cannot be measured.
     """
-    rasterio = _import_rasterio(source)
     layout = header.tiff
-    if layout is None or layout.photometric not in _SHOWN_PHOTOMETRIC:
+    if layout is not None and layout.photometric not in _SHOWN_PHOTOMETRIC:
         raise ImageFormatError(
-            f"the TIFF ({source}) has photometric interpretation {layout and layout.photometric}, which is neither"
+            f"the TIFF ({source}) has photometric interpretation {layout.photometric}, which is neither"
             " grey (black is zero), RGB, palette nor YCbCr; convert it to RGB"
         )
+    check_block("JPEG 2000", header.tile_px, header.bands, _OPENJPEG_SAMPLE_BYTES, limits)
     with ExitStack() as stack:
-        # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could change what the file says, a VRT could name any other file.
-        with (
-            _gdal(source, GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR", GDAL_PAM_ENABLED="NO"),
-            warnings.catch_warnings(),
-        ):
-            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-            if isinstance(file, bytes):
-                file = stack.enter_context(rasterio.MemoryFile(file)).name
-            dataset = stack.enter_context(rasterio.open(file, driver="GTiff", sharing=False, GEOREF_SOURCES="INTERNAL"))
-            if (dataset.width, dataset.height) != (header.width_px, header.height_px):
-                raise ImageDecodeError(f"the TIFF ({source}) declares two different sizes: damaged")
-            _check_block(dataset, "TIFF", limits)
-            check_block("TIFF's mask", layout.mask_block_px, 1, 1, limits)
+        dataset = dataset_of(file, source, header, limits, stack)
+        with gdal(source):
+            if layout is not None:
+                check_block("TIFF's mask", layout.mask_block_px, 1, 1, limits)
             # A geotransform speaks of the stored frame: such files are shown as stored.
-            orientation = 1 if layout.georeferenced else header.orientation
+            orientation = 1 if layout is not None and layout.georeferenced else header.orientation
             raster = DatasetRaster(dataset, source, bands, orientation=orientation)
         raster.closes(stack.pop_all())
     return raster
 
 
-def _import_rasterio(source: str) -> Any:
+def dataset_of(file: str | bytes, source: str, header: ImageHeader, limits: ImageLimits, stack: ExitStack) -> Any:
+    """Open a file by the one driver of its format, without a look at what lies beside it.
+
+    Args:
+        file: its path or its bytes.
+        source: what to call it.
+        header: what it says of itself.
+        limits: of its blocks.
+        stack: closes it.
+
+    Returns:
+        The dataset of rasterio.
+
+    Raises:
+        MissingExtraError: rasterio is not installed.
+        ImageDecodeError: it is damaged.
+        ImageTooLargeError: it is stored in blocks of too many pixels.
+    """
+    rasterio = _import_rasterio(source, header)
+    # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could change what the file says, a VRT could name any other file.
+    with (
+        gdal(source, GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR", GDAL_PAM_ENABLED="NO"),
+        warnings.catch_warnings(),
+    ):
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        if isinstance(file, bytes):
+            file = stack.enter_context(rasterio.MemoryFile(file)).name
+        driver = _DRIVERS[header.format]
+        where = {} if driver == "JPEG" else {"GEOREF_SOURCES": "INTERNAL"}
+        dataset = stack.enter_context(rasterio.open(file, driver=driver, sharing=False, **where))
+        if (dataset.width, dataset.height) != (header.width_px, header.height_px):
+            raise ImageDecodeError(f"the {header.format} ({source}) declares two different sizes: damaged")
+        _check_block(dataset, header.format, limits)
+    return dataset
+
+
+def _import_rasterio(source: str, header: ImageHeader) -> Any:
     try:
         import rasterio
         import rasterio.enums
         import rasterio.errors
     except ImportError as error:
+        why = "georeferenced, too large or of too many bands for OpenCV" if header.tiff else "too large to decode whole"
+        if header.format == "JPEG 2000":
+            why = "of a format that OpenCV does not decode safely"
         raise MissingExtraError(
-            f"the TIFF ({source}) is georeferenced, too large or of too many bands for OpenCV; reading it needs"
-            " rasterio: pip install 'vehanchor[geo]'"
+            f"the {header.format} ({source}) is {why}; reading it needs rasterio: pip install 'vehanchor[geo]'"
         ) from error
     return rasterio
 
 
 @contextmanager
-def _gdal(source: str, **options: str) -> Iterator[None]:
+def gdal(source: str, **options: str) -> Iterator[None]:
     """Run GDAL with these options, silent on stderr, its errors as ours."""
     from rasterio import Env
     from rasterio._err import CPLE_BaseError, CPLE_OutOfMemoryError
@@ -214,6 +245,8 @@ class DatasetRaster(Raster):
             georeference_gsd_m_per_px=dataset_gsd_m_per_px(dataset),
             notes=notes,
         )
+        if self.georeference_gsd_m_per_px is not None:
+            self.ground = Ground(dataset.transform, dataset.crs)
         dtype = _dtype(dataset.dtypes[self._indexes[0] - 1])
         check_dtype(dtype)
         self._dataset = dataset
@@ -247,7 +280,7 @@ class DatasetRaster(Raster):
 
     def _reduced_at_least(self, least: int, most: int) -> bool:
         """Whether every band has an overview between two factors."""
-        with _gdal(self.source):
+        with gdal(self.source):
             return all(any(least <= each <= most for each in self._dataset.overviews(k)) for k in self._unique)
 
     def _read_stored(self, window: Window, shape: tuple[int, int] | None = None) -> StoredPixels:
@@ -256,7 +289,7 @@ class DatasetRaster(Raster):
             (window.x_px, window.x_px + window.width_px),
         )
         more: dict[str, Any] = {} if shape is None else {"out_shape": (len(self._unique), *shape)}
-        with _gdal(self.source):
+        with gdal(self.source):
             planes = dict(zip(self._unique, self._dataset.read(self._unique, window=bounds, **more), strict=True))
             masks = self._dataset.read_masks(self._unique, window=bounds, **more) if self._masked else None
         # With "nodata = 0" a band is without data wherever it is dark: only where all are is there no picture.

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 __all__ = [
     "AffineCoefficients",
+    "Ground",
     "dataset_gsd_m_per_px",
     "geographic_gsd_m_per_px",
     "gsd_units_per_px",
@@ -19,6 +20,19 @@ __all__ = [
 
 AffineCoefficients = tuple[float, float, float, float, float, float]
 """(a, b, c, d, e, f): x = a*column + b*row + c and y = d*column + e*row + f, as in ``affine.Affine``."""
+
+
+class Ground(NamedTuple):
+    """Where a georeferenced image lies, as rasterio has it.
+
+    Attributes:
+        transform: from its pixels to the coordinates of its system.
+        crs: the system.
+    """
+
+    transform: Any
+    crs: Any
+
 
 WGS84_SEMI_MAJOR_AXIS_M = 6_378_137.0  # EPSG:7030
 WGS84_FLATTENING = 1 / 298.257223563  # EPSG:7030

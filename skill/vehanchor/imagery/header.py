@@ -22,6 +22,7 @@ from vehanchor.imagery.ifd import (
     read_ifd,
 )
 from vehanchor.imagery.jpeg import EXIF_PREFIX, MAX_SEGMENTS, Reader, read_jpeg_markers
+from vehanchor.imagery.jpeg2000 import is_jpeg2000, read_jpeg2000_size
 
 __all__ = ["ImageHeader", "ReadAt", "TiffLayout", "is_tiff", "picture_chunks", "read_header"]
 
@@ -90,7 +91,7 @@ class ImageHeader:
     """The declared form of an encoded image.
 
     Attributes:
-        format: JPEG, PNG, TIFF, WebP, AVIF or BMP.
+        format: JPEG, PNG, TIFF, WebP, AVIF, JPEG 2000, HEIC or BMP.
         width_px: declared width as stored, before the orientation is applied.
         height_px: declared height as stored.
         orientation: EXIF orientation, 1 to 8; 1 where none or a meaningless one is given.
@@ -98,6 +99,9 @@ class ImageHeader:
         tiff: the layout of a TIFF, None for other formats.
         decoding_bytes: memory that decoding it whole takes: its pixels, and what the decoder holds beside them.
         n_scans: how often the decoder goes over the whole image; more than 1 for some JPEGs.
+        windowed: it can be read without decoding it whole: a TIFF, JPEG 2000 or sequential JPEG.
+        tile_px: pixels of a JPEG 2000's tile, which is decoded as a whole; 0 for other formats.
+        bands: samples a pixel of a JPEG 2000; 0 for other formats.
     """
 
     format: str
@@ -108,6 +112,9 @@ class ImageHeader:
     tiff: TiffLayout | None = None
     decoding_bytes: int = 0
     n_scans: int = 1
+    windowed: bool = False
+    tile_px: int = 0
+    bands: int = 0
 
 
 def is_tiff(start: bytes) -> bool:
@@ -119,7 +126,7 @@ def read_header(read_at: ReadAt) -> ImageHeader:
     """Read format, declared size, orientation and completeness.
 
     Raises:
-        ImageDecodeError: not one of the six formats, or the header itself is broken.
+        ImageDecodeError: none of these formats, or the header itself is broken.
     """
     start = read_at(0, 32)
     if start.startswith(b"\xff\xd8\xff"):
@@ -134,8 +141,10 @@ def read_header(read_at: ReadAt) -> ImageHeader:
         name, parse = "BMP", _read_bmp
     elif is_avif(start):
         name, parse = "AVIF", _read_avif
+    elif is_jpeg2000(start):
+        name, parse = "JPEG 2000", _read_jpeg2000
     else:
-        raise ImageDecodeError(f"not a JPEG, PNG, TIFF, WebP, AVIF or BMP image: {_instead(start)}")
+        raise ImageDecodeError(f"not a JPEG, PNG, TIFF, WebP, AVIF, JPEG 2000, HEIC or BMP image: {_instead(start)}")
     try:
         return parse(read_at)
     except struct.error:
@@ -145,10 +154,9 @@ def read_header(read_at: ReadAt) -> ImageHeader:
 _INSTEAD = (  # what is often handed over, by its first bytes, and what to do with it
     (0, b"GIF8", "a GIF has 256 colours at most; send the photograph that it was made of"),
     (0, b"%PDF", "it is a PDF; save its picture by 'pdfimages -all FILE OUT' and send that"),
-    (4, b"ftypheic", _HEIC := "it is HEIC; convert it to JPEG, or open it by pillow-heif and pass the array"),
-    (4, b"ftypmif1", _HEIC),
+    (4, b"ftypmif1", "its pictures are neither AVIF nor HEIC; convert it to JPEG"),
+    (4, b"ftyphe", "it is a sequence of HEIC; save one picture of it as JPEG and send that"),
     (4, b"ftypavis", "it is an animation; save one picture of it as PNG and send that"),
-    (4, b"jP  ", "it is JPEG 2000; open it by rasterio and pass the dataset, or convert it to a tiled TIFF"),
     (4, b"ftyp", _VIDEO := "it is a video; save a frame of it by 'ffmpeg -i FILE -frames:v 1 OUT.png' and send that"),
     (8, b"AVI ", _VIDEO),
     (0, b"\x1a\x45\xdf\xa3", _VIDEO),
@@ -172,6 +180,7 @@ def _read_jpeg(read_at: ReadAt) -> ImageHeader:
         complete=markers.complete,
         decoding_bytes=markers.width_px * markers.height_px * max(_COPIES * shown, shown + held),
         n_scans=markers.n_scans,
+        windowed=not markers.held,
     )
 
 
@@ -285,6 +294,13 @@ def _read_avif(read_at: ReadAt) -> ImageHeader:
     )
 
 
+def _read_jpeg2000(read_at: ReadAt) -> ImageHeader:
+    size = read_jpeg2000_size(read_at)
+    return ImageHeader(
+        "JPEG 2000", size.width_px, size.height_px, windowed=True, tile_px=size.tile_px, bands=size.bands
+    )
+
+
 def _read_tiff(read_at: ReadAt) -> ImageHeader:
     tags = read_ifd(read_at, _TAGS_OF_ONE | _TAGS_OF_BANDS, _GEO_TAGS)
     if _TAG_WIDTH not in tags or _TAG_HEIGHT not in tags:
@@ -313,6 +329,7 @@ def _read_tiff(read_at: ReadAt) -> ImageHeader:
         height,
         orientation=orientation_of(tags),
         tiff=layout,
+        windowed=True,
         decoding_bytes=(width * height + max(width * height, layout.block_px)) * pixel_bytes,
     )
 

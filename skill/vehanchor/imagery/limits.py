@@ -10,10 +10,22 @@ from vehanchor.imagery.header import ImageHeader, ReadAt, read_header
 if TYPE_CHECKING:
     from vehanchor.options import ImageLimits
 
-__all__ = ["MIN_SIDE_PX", "check_block", "check_bytes", "check_side", "check_windowed_size", "read_checked_header"]
+__all__ = [
+    "MIN_SIDE_PX",
+    "UNPACKED_BYTES",
+    "check_block",
+    "check_bytes",
+    "check_header",
+    "check_side",
+    "check_windowed_size",
+    "read_checked_header",
+]
 
 MIN_SIDE_PX = 16
 """Smallest side of an image that can be measured: a car of 5 m is 17 px long at 0.3 m/px, the coarsest scale of use."""
+
+UNPACKED_BYTES = 3
+"""Of a pixel of a JPEG that is read by windows, on the disk."""
 
 _SCANS_OF_LARGEST = 25  # an image of the largest size may be stored in so many scans, a smaller one in more
 _BLOCK_COPIES = 2  # a strip or tile is decoded into one buffer, and from there into one for each band
@@ -88,22 +100,38 @@ def read_checked_header(read_at: ReadAt, limits: ImageLimits) -> ImageHeader:
         ImageFormatError: too few to be measured.
     """
     header = read_header(read_at)
-    if header.tiff is None and header.width_px * header.height_px > limits.max_pixels:
+    check_header(header, limits)
+    return header
+
+
+def check_header(header: ImageHeader, limits: ImageLimits) -> None:
+    """Hold what an image declares against the limits; one that can be read by windows may be larger than others.
+
+    Raises:
+        ImageTooLargeError: see ``read_checked_header``.
+        ImageFormatError: too few pixels to be measured.
+    """
+    windowed = header.windowed and (
+        header.format != "JPEG" or UNPACKED_BYTES * header.width_px * header.height_px <= limits.max_unpacked_bytes
+    )
+    if not windowed and header.width_px * header.height_px > limits.max_pixels:
         raise ImageTooLargeError(
             f"the {header.format} declares {header.width_px} x {header.height_px} px, the limit is "
             f"{limits.max_pixels} pixels (--max-megapixels, ImageLimits.max_pixels); convert it to a tiled TIFF, "
             "which is read by windows, or raise the limit"
         )
-    if header.tiff is None and header.decoding_bytes > limits.max_decoded_bytes:
+    if not windowed and header.decoding_bytes > limits.max_decoded_bytes:
         raise ImageTooLargeError(
             f"decoding the {header.format} of {header.width_px} x {header.height_px} px takes {header.decoding_bytes} "
             f"bytes, the limit is {limits.max_decoded_bytes}; convert it to 8-bit RGB, or to a tiled TIFF, which is "
             "read by windows"
         )
-    if header.n_scans * header.width_px * header.height_px > _SCANS_OF_LARGEST * limits.max_pixels:
+    if (
+        header.n_scans > 1
+        and header.n_scans * header.width_px * header.height_px > _SCANS_OF_LARGEST * limits.max_pixels
+    ):
         raise ImageTooLargeError(
             f"the {header.format} of {header.width_px} x {header.height_px} px has {header.n_scans} scans, each "
             "decoded over the whole image; save it again"
         )
     check_windowed_size(header.format, header.width_px, header.height_px, limits)
-    return header

@@ -1,8 +1,9 @@
 """Any aerial image as a raster of 8-bit RGB that is read by windows.
 
 JPEG, PNG, WebP, AVIF, BMP and plain TIFF are decoded whole by OpenCV. GeoTIFF and COG, TIFF that OpenCV cannot decode
-(more than four bands, say) and TIFF too large to decode whole are read by windows through rasterio (extra ``geo``).
-Which of the two reads a file depends on the file alone, never on whether rasterio is installed (docs/decisions.md).
+(more than four bands, say), TIFF and JPEG too large to decode whole and JPEG 2000 are read by windows through rasterio
+(extra ``geo``), HEIC through libheif (extra ``heic``). Which of them reads a file depends on the file alone, never on
+what is installed (docs/decisions.md).
 """
 
 from __future__ import annotations
@@ -20,17 +21,20 @@ from vehanchor.imagery.addresses import gdal_name, is_address, ranges_of, whole_
 from vehanchor.imagery.arrays import ArrayRaster
 from vehanchor.imagery.camera_metadata import read_camera
 from vehanchor.imagery.data_arrays import DataArray, data_array_gsd_m_per_px, data_array_pixels, is_data_array
-from vehanchor.imagery.datasets import Dataset, is_dataset, open_dataset, open_tiff
+from vehanchor.imagery.datasets import Dataset, is_dataset, open_dataset, open_file
 from vehanchor.imagery.decoding import decode, decodes_tiff
 from vehanchor.imagery.header import is_tiff
+from vehanchor.imagery.heic import is_heic, open_heic
+from vehanchor.imagery.jpeg2000 import is_jpeg2000
 from vehanchor.imagery.limits import MIN_SIDE_PX, check_bytes, read_checked_header
 from vehanchor.imagery.pillow import PillowImage, is_pillow, pillow_pixels
+from vehanchor.imagery.unpacked import open_large_jpeg
 from vehanchor.imagery.windows import Raster, RasterNote, Window
 from vehanchor.options import ImageLimits
 
 if TYPE_CHECKING:
     from vehanchor.imagery.bands import BandChoice
-    from vehanchor.imagery.header import ImageHeader
+    from vehanchor.imagery.header import ImageHeader, ReadAt
 
 __all__ = ["MIN_SIDE_PX", "ImageSource", "Raster", "RasterNote", "Window", "can_be_read_again", "open_raster"]
 
@@ -50,6 +54,7 @@ ImageSource: TypeAlias = (
 RGB order, an open rasterio dataset, a Pillow image, or a DataArray of xarray."""
 
 _MIB = 1 << 20
+_JPEG = b"\xff\xd8\xff"
 
 
 def open_raster(
@@ -69,7 +74,8 @@ def open_raster(
         image: a path to a local file, an encoded image (bytes or a binary file object, read from where it stands), an
             array [h, w] or [h, w, bands], RGB, of uint8, uint16 or floats, or an open rasterio dataset; arrays are
             neither copied nor changed, datasets are left open. Or a Pillow image, which is turned as its EXIF says; a
-            ``DataArray`` of xarray; an http(s) address, of which a TIFF is read by windows, anything else whole.
+            ``DataArray`` of xarray; an http(s) address, of which TIFF and JPEG 2000 are read by windows, all
+            else whole.
         bands: which bands are red, green and blue; they count from 1.
         limits: what to refuse; None stands for the defaults.
         bgr: an array's first three bands are blue, green and red, as OpenCV reads them; files say it themselves.
@@ -115,12 +121,11 @@ def can_be_read_again(image: ImageSource) -> bool:
 
 def _open_address(address: str, bands: BandChoice, limits: ImageLimits) -> Raster:
     read_at = ranges_of(address)
-    if not is_tiff(read_at(0, 4)):
+    start = read_at(0, 32)
+    if not (is_tiff(start) or is_jpeg2000(start)):
         return _open_bytes(whole_of(address, limits), address, bands, limits)
     header = read_checked_header(read_at, limits)
-    raster = open_tiff(gdal_name(address), address, header, bands, limits)
-    raster.camera = read_camera(read_at)
-    return raster
+    return _open_by_windows(gdal_name(address), address, header, bands, limits, read_at)
 
 
 def _open_path(path: str, bands: BandChoice, limits: ImageLimits) -> Raster:
@@ -133,43 +138,56 @@ def _open_path(path: str, bands: BandChoice, limits: ImageLimits) -> Raster:
             file.seek(offset)
             return file.read(count)
 
-        if is_tiff(read_at(0, 4)):
+        header, start = None, read_at(0, 32)
+        if start.startswith(_JPEG) or is_tiff(start) or is_jpeg2000(start):
             header = read_checked_header(read_at, limits)
-            if n_bytes > limits.max_bytes or _needs_windows(header, limits):
-                raster = open_tiff(str(Path(path).absolute()), path, header, bands, limits)
-                raster.camera = read_camera(read_at)
-                return raster
+            if (n_bytes > limits.max_bytes and header.windowed) or _needs_windows(header, limits):
+                return _open_by_windows(str(Path(path).absolute()), path, header, bands, limits, read_at)
         check_bytes(n_bytes, limits)
         data = read_at(0, n_bytes)
-    return _open_bytes(data, path, bands, limits)
+    return _open_bytes(data, path, bands, limits, header)
 
 
-def _open_bytes(data: bytes, source: str, bands: BandChoice, limits: ImageLimits) -> Raster:
+def _open_bytes(
+    data: bytes, source: str, bands: BandChoice, limits: ImageLimits, header: ImageHeader | None = None
+) -> Raster:
     check_bytes(len(data), limits)
     if not data:
         raise ImageDecodeError(f"the image ({source}) is empty: 0 bytes")
+    if is_heic(data[:32]):
+        return open_heic(data, source, bands, limits)
 
     def read_at(offset: int, count: int) -> bytes:
         return data[offset : offset + count]
 
-    raster: Raster
-    header = read_checked_header(read_at, limits)
+    header = header or read_checked_header(read_at, limits)
     if _needs_windows(header, limits):
-        raster = open_tiff(data, source, header, bands, limits)
-    else:
-        pixels = decode(data, source, header)
-        orientation = 1 if header.tiff else header.orientation  # OpenCV has turned a TIFF already
-        raster = ArrayRaster(pixels, source, bands, bgr=True, orientation=orientation)
+        return _open_by_windows(data, source, header, bands, limits, read_at)
+    pixels = decode(data, source, header)
+    orientation = 1 if header.tiff else header.orientation  # OpenCV has turned a TIFF already
+    raster = ArrayRaster(pixels, source, bands, bgr=True, orientation=orientation)
+    raster.camera = read_camera(read_at)
+    return raster
+
+
+def _open_by_windows(
+    file: str | bytes, source: str, header: ImageHeader, bands: BandChoice, limits: ImageLimits, read_at: ReadAt
+) -> Raster:
+    """Open what is too large to decode whole, or what OpenCV does not decode."""
+    opened = open_large_jpeg if header.format == "JPEG" else open_file
+    raster = opened(file, source, header, bands, limits)
     raster.camera = read_camera(read_at)
     return raster
 
 
 def _needs_windows(header: ImageHeader, limits: ImageLimits) -> bool:
-    if header.tiff is None:
-        return False
+    if header.format == "JPEG 2000":
+        return True
     too_large = (
         header.width_px * header.height_px > limits.max_pixels or header.decoding_bytes > limits.max_decoded_bytes
     )
+    if header.tiff is None:
+        return header.windowed and too_large
     return too_large or header.tiff.georeferenced or not decodes_tiff(header.tiff)
 
 

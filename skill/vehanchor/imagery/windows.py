@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.camera_metadata import CameraMetadata
+    from vehanchor.imagery.georeference import Ground
 
 __all__ = ["Raster", "RasterNote", "StoredPixels", "Window", "oriented", "outer_sides", "stored_window"]
 
@@ -67,9 +68,11 @@ class Raster(ABC):
         georeference_gsd_m_per_px: the scale that the file itself carries, None without one.
         warnings: what its user should know.
         camera: what the file says of its camera; None where it says nothing, and for what is no file.
+        ground: where on the ground the image lies; None where nothing tells.
     """
 
     camera: CameraMetadata | None = None
+    ground: Ground | None = None
 
     def __init__(
         self,

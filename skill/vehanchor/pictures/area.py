@@ -14,7 +14,7 @@ from vehanchor.pictures.scale import caption_panel, draw_scale_bar, draw_vehicle
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.measure import AreaAnalysis
+    from vehanchor.findings import AreaFindings
     from vehanchor.options import ImageLimits
     from vehanchor.pictures.scale import CaptionLine
     from vehanchor.records import AreaMeasurement
@@ -28,7 +28,7 @@ _TINT = 0.35
 _SUBPIXEL_BITS = 4
 
 
-def draw_area(image: NDArray[np.uint8], analysis: AreaAnalysis) -> NDArray[np.uint8]:
+def draw_area(image: NDArray[np.uint8], analysis: AreaFindings) -> NDArray[np.uint8]:
     """Draw what a measurement rests on, under a caption with area, scale and confidence.
 
     Args:
@@ -53,7 +53,7 @@ def draw_area(image: NDArray[np.uint8], analysis: AreaAnalysis) -> NDArray[np.ui
     return np.concatenate([picture, caption_panel(picture.shape[1], _caption_lines(record))])
 
 
-def full_mask(analysis: AreaAnalysis, limits: ImageLimits) -> NDArray[np.uint8]:
+def full_mask(analysis: AreaFindings, limits: ImageLimits) -> NDArray[np.uint8]:
     """The mask as large as the image: ``[h, w, 3]``, 255 on the object and 0 elsewhere.
 
     Raises:
@@ -76,7 +76,7 @@ def _line_px(picture: NDArray[np.uint8]) -> int:
     return int(np.clip(round(max(picture.shape[:2]) / 500), 1, 3))
 
 
-def _draw_mask(picture: NDArray[np.uint8], analysis: AreaAnalysis, scale: NDArray[np.float64]) -> None:
+def _draw_mask(picture: NDArray[np.uint8], analysis: AreaFindings, scale: NDArray[np.float64]) -> None:
     """Tint the object and draw the line around it, from the mask itself: the record's outline is simplified."""
     mask, window = analysis.segmentation.mask, analysis.segmentation.window
     left, top = (round(at * factor) for at, factor in zip((window.x_px, window.y_px), scale, strict=True))
@@ -99,7 +99,7 @@ def _draw_mask(picture: NDArray[np.uint8], analysis: AreaAnalysis, scale: NDArra
     )
 
 
-def _draw_prompt(picture: NDArray[np.uint8], analysis: AreaAnalysis, scale: NDArray[np.float64]) -> None:
+def _draw_prompt(picture: NDArray[np.uint8], analysis: AreaFindings, scale: NDArray[np.float64]) -> None:
     prompt, line = analysis.prompt, _line_px(picture)
     fine = 1 << _SUBPIXEL_BITS
     if prompt.box is not None:

@@ -84,6 +84,25 @@ class GroundPlane:
         rays = self._rays(points)
         return np.asarray(self.height_m * rays / self._checked(rays @ self.down)[:, None])
 
+    def from_above(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Where pixels would lie in a view from straight above, of the scale of the image's centre.
+
+        Args:
+            points: ``[n, 2]`` x, y in pixels of the image.
+
+        Returns:
+            ``[n, 2]`` pixels from the image's centre; what lies to the right of it there stays to its right.
+
+        Raises:
+            TooObliqueError: as ``ground``.
+        """
+        centre = [[self.width_px / 2, self.height_px / 2]]
+        from_centre = (self.ground(points) - self.ground(centre)) / self.gsd_m_per_px
+        down = self.down
+        right = np.array([1.0, 0.0, 0.0]) - down[0] * down
+        right /= np.linalg.norm(right)
+        return np.asarray(from_centre @ np.column_stack([right, np.cross(down, right)]))
+
     def gsd_at(self, points: ArrayLike) -> NDArray[np.float64]:
         """Metres per pixel at places of the image.
 

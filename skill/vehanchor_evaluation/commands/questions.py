@@ -41,13 +41,19 @@ def questions(request: QuestionsRequest) -> None:
     asked = read_questions(request.folder, request.limit)
     with open_agent_tools([request.folder.resolve()]) as tools:
         by_tools = ask_with_tools(asked, tools)
-    rows = [score("with the tools", by_tools), score("a usual pixel size", ask_blindly(asked))]
+        helped = ask_with_tools(asked, tools, with_person=True)
+    rows = [
+        score("with the tools", by_tools),
+        score("and a person's one length", helped),
+        score("a usual pixel size", ask_blindly(asked)),
+    ]
     if request.as_json:
         for row in rows:
             print_json(row.model_dump(mode="json"))
         return
     print_table(_table(rows))
     _tell_wrong(by_tools)
+    _tell_wrong(helped)
 
 
 def _table(rows: Sequence[PlannerScore]) -> Table:

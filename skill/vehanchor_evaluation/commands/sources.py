@@ -122,13 +122,9 @@ class KnownScaleRequest:
         Raises:
             KnownLengthError: they cannot be read, or lie in none of these images.
         """
-        from vehanchor.batch.known_lengths import check_all_named, read_known_lengths
+        from vehanchor.batch.known_lengths import lines_in
 
-        if self.known_lengths is None:
-            return {}
-        found = read_known_lengths(self.known_lengths)
-        check_all_named(found, images)
-        return found
+        return lines_in(self.known_lengths, images)
 
     def search(
         self, data: KnownScaleSet, detector: Detector, options: ScaleOptions, chosen: Chosen, cache: Path | None

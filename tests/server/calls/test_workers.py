@@ -2,55 +2,49 @@
 
 from __future__ import annotations
 
+import base64
+import errno
 import os
 import signal
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
 import anyio
 import numpy as np
 import pytest
+import rasterio.transform
 from mcp import Client
 from mcp.server import MCPServer
 
 from tests.sam_models import SamFiles
 from tests.server.calls.slow_models import weighed_down
-from tests.server.conftest import POOL_BOX
+from tests.server.calls.working import IMAGE, TESTS, done, number, ready
+from tests.server.conftest import POOL_BOX, paint_scene
 from tests.server.conversation import by_path, error_of, text_of
 from vehanchor_server.app import create_server
 from vehanchor_server.calls.capacity import CallStoppedError, Stop
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.task import Task
-from vehanchor_server.calls.workers import WorkerFailedError
+from vehanchor_server.calls.worker_process import WorkerLimits
+from vehanchor_server.calls.workers import WorkerFailedError, WorkerPool
 from vehanchor_server.errors import CallError
-from vehanchor_server.images.argument import Base64Image
 from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings
 
 pytestmark = [pytest.mark.anyio, pytest.mark.slow]
 
-READY_S = 60
-IMAGE = Base64Image(kind="base64", data="AAAA")
-
-
-def ready(services: Services) -> Services:
-    services.preload()
-    deadline = time.monotonic() + READY_S
-    while not services.ready and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert services.ready
-    return services
-
 
 @pytest.fixture(scope="module")
 def isolated(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Iterator[Services]:
     settings = Settings(
-        roots=(images,),
+        roots=(images, TESTS),
         detector=str(detector_path),
         segmenter=segmenter_paths,
         threads=1,
@@ -67,15 +61,16 @@ def isolated_server(isolated: Services) -> MCPServer[object]:
     return create_server(isolated)
 
 
-def done(services: Services, work: Any, stop: Stop | None = None) -> Any:
-    """The work's value, from a worker."""
-    assert services.workers is not None
-    task: Task[Any] = Task(work, IMAGE, None)
-    return services.workers.run(task, stop or Stop(), lambda *_: None, lambda *_: None)
-
-
-def number(services: Services, job: Job, source: Any) -> int:
-    return os.getpid()
+@pytest.fixture
+def georeferenced(images: Path) -> Iterator[Path]:
+    """An image that GDAL and PROJ read, with files of their own."""
+    path = images / "cars.tif"
+    place = rasterio.transform.Affine(0.15, 0, 500_000, 0, -0.15, 5_000_000)
+    shape = {"width": 640, "height": 512, "count": 3, "dtype": "uint8", "compress": "deflate"}
+    with rasterio.open(path, "w", "GTiff", crs="EPSG:32633", transform=place, **shape) as file:
+        file.write(paint_scene(640, 512).transpose(2, 0, 1))
+    yield path
+    path.unlink()
 
 
 def a_while(services: Services, job: Job, source: Any) -> int:
@@ -101,7 +96,7 @@ def bug(services: Services, job: Job, source: Any) -> None:
 
 
 async def test_answers_are_those_of_one_process(
-    isolated_server: MCPServer[object], server: MCPServer[object], images: Path
+    isolated_server: MCPServer[object], server: MCPServer[object], images: Path, georeferenced: Path
 ) -> None:
     reports: list[Any] = []
 
@@ -111,6 +106,8 @@ async def test_answers_are_those_of_one_process(
     for tool, arguments in (
         ("estimate_gsd", {**by_path(images / "cars.png"), "include_overlay": True}),
         ("measure_area", {**by_path(images / "pool.png"), "target": {"box": POOL_BOX}}),
+        ("estimate_gsd", by_path(georeferenced)),
+        ("estimate_gsd", {"image": {"kind": "base64", "data": base64.b64encode(georeferenced.read_bytes()).decode()}}),
         ("estimate_gsd", by_path(images / "notes.txt")),
         ("estimate_gsd", by_path("/etc/passwd")),
         ("estimate_gsd", {**by_path(images / "cars.png"), "region": "atlantis"}),
@@ -224,7 +221,9 @@ async def test_a_model_that_cannot_be_loaded_is_the_operators_business(images: P
 
 
 def test_a_second_process_runs_once_two_calls_do_and_closing_leaves_none(settings: Settings) -> None:
-    services = ready(create_services(replace(settings, in_process=False, max_concurrency=3)))
+    services = ready(
+        create_services(replace(settings, roots=(*settings.roots, TESTS), in_process=False, max_concurrency=3))
+    )
     assert services.workers is not None
     assert len(services.workers.processes) == 1
     assert done(services, number) == done(services, number)
@@ -240,3 +239,88 @@ def test_a_second_process_runs_once_two_calls_do_and_closing_leaves_none(setting
     while any(Path(f"/proc/{pid}/maps").read_bytes() for pid in processes if Path(f"/proc/{pid}").exists()):
         assert time.monotonic() < deadline
         time.sleep(0.02)
+
+
+def not_there() -> Services:
+    raise ModuleNotFoundError("No module named 'cv2'")
+
+
+def crashes() -> Services:
+    os._exit(3)
+
+
+def killed() -> Services:  # as a system does that has no memory left
+    os.kill(os.getpid(), signal.SIGKILL)
+    raise AssertionError
+
+
+@pytest.mark.parametrize(
+    ("make_services", "words"),
+    [(not_there, "No module named 'cv2'"), (crashes, "exit code 3"), (killed, "exit code -9")],
+)
+def test_a_worker_that_never_starts_is_not_the_images_fault_and_is_logged_once(
+    make_services: Any, words: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    workers = WorkerPool(make_services, 1, WorkerLimits(1 << 30, 10))
+    workers.start()
+    for _ in range(2):
+        with pytest.raises(CallError, match=r"worker_unavailable: .* the image is not to blame"):
+            workers.run(Task(number, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
+    assert workers.failure == "worker_unavailable"
+    assert not workers.ready
+    (line,) = caplog.records
+    assert words in line.getMessage()
+
+
+def test_a_worker_for_which_there_is_no_process_is_not_the_images_fault(
+    monkeypatch: pytest.MonkeyPatch, isolated: Services
+) -> None:
+    def refused(self: Any) -> None:
+        raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    assert isolated.workers is not None
+    (process,) = isolated.workers.processes
+    with monkeypatch.context() as patches:
+        patches.setattr(BaseProcess, "start", refused)
+        with pytest.raises(CallError, match="worker_killed"):
+            done(isolated, crash)
+        with pytest.raises(CallError, match="worker_unavailable"):
+            done(isolated, number)
+    assert done(isolated, number) != process
+
+
+def endless() -> Services:  # as a model that computes for ever while it is loaded
+    while True:
+        time.sleep(1)
+
+
+def test_a_call_to_a_worker_that_loads_for_ever_ends_at_its_deadline() -> None:
+    workers = WorkerPool(endless, 1, WorkerLimits(1 << 30, 10))
+    stop = Stop()
+    timer = threading.Timer(0.5, stop.request)
+    timer.start()
+    try:
+        with pytest.raises(CallStoppedError):
+            workers.run(Task(number, IMAGE, None), stop, lambda *_: None, lambda *_: None)
+        assert not workers.ready
+    finally:
+        timer.join()
+        workers.close()
+
+
+def lost_once(mark: Path, settings: Settings) -> Services:
+    if not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return create_services(settings)
+
+
+def test_a_worker_that_is_killed_while_it_starts_is_started_again_for_the_same_call(
+    tmp_path: Path, detector_path: Path
+) -> None:
+    settings = Settings(roots=(tmp_path, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
+    workers = WorkerPool(partial(lost_once, tmp_path / "mark", settings), 1, WorkerLimits(1 << 30, 10))
+    try:
+        assert workers.run(Task(number, IMAGE, None), Stop(), lambda *_: None, lambda *_: None) > 0
+    finally:
+        workers.close()

@@ -13,6 +13,7 @@ from tests.models import paint_vehicles
 from tests.server.conftest import LENGTH_PX, paint_scene, write_image
 from tests.server.conversation import by_path, error_of, picture_of, text_of
 from tests.skill.flight.ground import ground, photograph_of
+from vehanchor.imagery.raster import open_raster
 from vehanchor_server.app import create_server
 from vehanchor_server.images.fetch import Fetcher
 from vehanchor_server.services import create_services
@@ -101,6 +102,26 @@ async def test_images_of_one_scale_put_their_vehicles_together(server: MCPServer
     assert among.structured_content["status"] == "ok"
     assert among.structured_content["rulers"][0]["n"] == 11
     assert among.structured_content["confidence"] > alone.structured_content["confidence"]
+
+
+async def test_no_image_is_opened_again_where_no_picture_is_wanted(
+    server: MCPServer[object], images: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = []
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        opened.append(arguments)
+        return open_raster(*arguments, **options)
+
+    monkeypatch.setattr("vehanchor.imagery.raster.open_raster", counted)
+    monkeypatch.setattr("vehanchor.flight.estimate.open_raster", counted)
+    arguments = _among(images / "two.png", images / "more.png", same_scale=True)
+    async with Client(server) as client:
+        plain = await client.call_tool("estimate_gsd", arguments)
+        assert len(opened) == 2
+        drawn = await client.call_tool("estimate_gsd", {**arguments, "include_overlay": True})
+    assert len(opened) == 2 + 3
+    assert plain.structured_content == drawn.structured_content
 
 
 async def test_what_cannot_be_used_is_named_by_its_place(server: MCPServer[object], flight: Path, images: Path) -> None:

@@ -40,6 +40,69 @@ async def test_wrong_arguments_are_told_in_one_line(
     assert "\n" not in text_of(result)
 
 
+_BOX = {"x_min": 1, "y_min": 1, "x_max": 90, "y_max": 90}
+_LINE = {"x1": 1, "y1": 1, "x2": 90, "y2": 90, "metres": 5}
+_KNOWN = {
+    **dict.fromkeys(("gsd_m_per_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px", "confidence"), 0.5),
+    "image_id": "x",
+    "model_id": "x",
+}
+
+
+@pytest.mark.parametrize("value", [True, "4.5", "1"])
+@pytest.mark.parametrize(
+    ("tool", "name", "inner"),
+    [
+        *[("estimate_gsd", name, None) for name in ("reference_length_m", "height_m", "focal_35mm", "max_seconds")],
+        ("estimate_gsd", "max_tiles", None),
+        *[("measure_area", name, None) for name in ("gsd_m_per_px", "object_height_m")],
+        *[("view_image", name, None) for name in ("page", "long_side_px")],
+        *[("view_image", "part", {**_BOX, "x_min": ...})],
+        *[("estimate_gsd", "frame", {"width_px": ..., "height_px": 3})],
+        *[("estimate_gsd", "known_lengths", [{**_LINE, name: ...}]) for name in ("x1", "metres")],
+        *[("measure_area", "target", {"box": {**_BOX, "x_min": ...}})],
+        *[("measure_area", "target", {"points": [{"x": ..., "y": 3}]})],
+        *[("measure_distance", "lines", [{"points": [{"x": ..., "y": 1}, {"x": 9, "y": 9}]}])],
+        *[("measure_area", "scale", {**_KNOWN, name: ...}) for name in ("gsd_m_per_px", "confidence")],
+    ],
+)
+async def test_what_is_no_number_is_not_taken_for_one(
+    server: MCPServer[object], tool: str, name: str, inner: Any, value: Any
+) -> None:
+    def filled(part: Any) -> Any:
+        if isinstance(part, dict):
+            return {key: filled(each) for key, each in part.items()}
+        return [filled(each) for each in part] if isinstance(part, list) else value if part is ... else part
+
+    others = {"target": {"box": _BOX}} if tool == "measure_area" else {}
+    arguments = {"image": {"kind": "path", "path": "/a"}, **others, name: filled(... if inner is None else inner)}
+    async with Client(server) as client:
+        result = await client.call_tool(tool, arguments)
+    assert error_of(result) == "invalid_arguments"
+    assert f"{name}" in text_of(result)
+
+
+@pytest.mark.parametrize(
+    ("tool", "name", "value"),
+    [
+        ("estimate_gsd", "max_tiles", 10**400),
+        ("estimate_gsd", "max_seconds", 1e308),
+        ("estimate_gsd", "include_overlay", 1),
+        ("estimate_gsd", "same_scale", "yes"),
+        ("measure_distance", "gsd_m_per_px", 1e-300),
+        ("measure_distance", "gsd_m_per_px", 1e9),
+    ],
+)
+async def test_what_no_call_means_is_refused_at_the_door(
+    server: MCPServer[object], tool: str, name: str, value: Any
+) -> None:
+    lines = {"lines": [{"points": [{"x": 1, "y": 1}, {"x": 9, "y": 9}]}]} if tool == "measure_distance" else {}
+    async with Client(server) as client:
+        result = await client.call_tool(tool, {"image": {"kind": "path", "path": "/a"}, **lines, name: value})
+    assert error_of(result) == "invalid_arguments"
+    assert name in text_of(result)
+
+
 async def test_a_wrong_argument_is_not_repeated_to_the_caller(server: MCPServer[object]) -> None:
     async with Client(server) as client:
         result = await client.call_tool("estimate_gsd", {"image": {"kind": "base64", "data": 7, "secret": "hunter2"}})

@@ -57,7 +57,8 @@ def test_the_record_is_that_of_the_centre_and_tells_the_tilt() -> None:
     assert estimate.gsd_m_per_px == pytest.approx(GSD, rel=0.12)  # they are flat, and taken for cars with an end
     assert estimate.tilt is not None
     assert estimate.gsd_m_per_px is not None
-    assert (estimate.tilt.tilt_deg, estimate.tilt.source) == (35.0, "metadata")
+    assert estimate.tilt.source == "metadata, vehicles"
+    assert estimate.tilt.tilt_deg == pytest.approx(35, abs=2)
     assert estimate.tilt.tilt_ci95_low_deg < 35 < estimate.tilt.tilt_ci95_high_deg
     assert estimate.tilt.gsd_least_m_per_px is not None
     assert estimate.tilt.gsd_largest_m_per_px is not None
@@ -73,12 +74,23 @@ def test_the_record_is_that_of_the_centre_and_tells_the_tilt() -> None:
         None,
         replace(CAMERA, off_nadir_deg=None),
         replace(CAMERA, off_nadir_deg=9.9),
-        replace(CAMERA, focal_px=None),
         replace(CAMERA, taken_width_px=4000),
     ],
 )
-def test_without_tilt_or_lens_or_of_a_crop_there_is_no_plane(camera: CameraMetadata | None) -> None:
+def test_without_tilt_or_of_a_crop_there_is_no_plane(camera: CameraMetadata | None) -> None:
     assert attitude(FACTS._replace(camera=camera), ScaleOptions()) is None
+
+
+def test_a_focal_length_that_nobody_tells_is_that_of_most_drones_and_the_source_says_so() -> None:
+    looked = attitude(FACTS._replace(camera=replace(CAMERA, focal_px=None)), ScaleOptions())
+    assert looked is not None
+    assert looked.source == "metadata; focal length unknown"
+    told = attitude(
+        FACTS._replace(camera=replace(CAMERA, focal_px=None)), ScaleOptions.of({"focal_35mm": 26, "height_m": 90})
+    )
+    assert told is not None
+    assert told.source == "metadata"
+    assert told.focal_px == pytest.approx(looked.focal_px)
 
 
 def test_a_horizon_in_sight_is_refused() -> None:

@@ -8,11 +8,12 @@ import pytest
 from tests.analyses import made_card
 from vehanchor.anchors.camera import equivalent_lens
 from vehanchor.anchors.evidence import ImageFacts, View
-from vehanchor.anchors.leaning import LEAST_CARS, Leaning, lean
+from vehanchor.anchors.leaning import LEAST_CARS, lean
 from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import analyse_sighting
 from vehanchor.imagery.camera_metadata import CameraMetadata
 from vehanchor.options import ScaleOptions
+from vehanchor.scale.leans import Lean
 from vehanchor.scale.plane import GroundPlane
 
 WIDTH, HEIGHT = 1000, 750
@@ -30,7 +31,7 @@ def _cars(tilt_deg: float, *, n: int = 60, roll_deg: float = 0.0, seed: int = 0,
     return Sighting(boxes, np.full(n, 0.9))
 
 
-def _lean(*arguments: Any, **options: Any) -> Leaning:
+def _lean(*arguments: Any, **options: Any) -> Lean:
     found = lean(_cars(*arguments, **options), WIDTH, HEIGHT, FOCAL_PX)
     assert found is not None
     return found
@@ -47,7 +48,7 @@ def test_cars_tell_how_far_aside_and_in_which_direction_the_camera_looked(tilt_d
 
 def test_seen_from_straight_above_few_fleets_lean() -> None:
     found = [_lean(0.0, n=30, seed=seed) for seed in range(60)]
-    assert sum(each.chance_tilted >= 0.99 for each in found) == 0
+    assert sum(each.chance_above(10) >= 0.99 for each in found) == 0
     assert np.median([each.tilt_deg for each in found]) < 4
 
 
@@ -58,7 +59,7 @@ def test_a_lorry_park_on_one_side_does_not_lean_the_ground() -> None:
     boxes[:9, :2], boxes[order[:9], :2] = sighting.boxes[order[:9], :2], sighting.boxes[:9, :2]
     found = lean(Sighting(boxes, sighting.scores), WIDTH, HEIGHT, FOCAL_PX)
     assert found is not None
-    assert found.chance_tilted < 0.99
+    assert found.chance_above(10) < 0.99
 
 
 def test_few_cars_tell_nothing() -> None:

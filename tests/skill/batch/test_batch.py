@@ -6,7 +6,10 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -532,6 +535,40 @@ def test_lines_of_known_length_of_single_images_come_from_a_table(folder: Path, 
     assert cars["ruler_known_length_gsd_m_per_px"] is None
     assert _batch(*common, "-o", table.with_name("without.jsonl")).exit_code == 0
     assert cars == _rows(table.with_name("without.jsonl"))[0]
+
+
+def test_lines_of_one_image_scale_all_where_all_are_of_one_scale(folder: Path, detector: Path, table: Path) -> None:
+    images, lines = [table.with_name("a.png"), table.with_name("b.png")], table.with_name("lines.csv")
+    for image in images:
+        image.write_bytes((folder / "empty.png").read_bytes())
+    lines.write_text("file,x1,y1,x2,y2,metres\na.png,100,50,500,50,48\n")
+    common = (*images, "--detector", detector, "--same-scale", "--known-lengths")
+    result = _batch(*common, lines, "-o", table)
+    assert result.exit_code == 0, result.output
+    rows = _rows(table)
+    assert [row["gsd_m_per_px"] for row in rows] == [pytest.approx(0.12, rel=1e-3)] * 2
+    assert [row["status"] for row in rows] == ["ok", "ok"]
+    lines.write_text("file,x1,y1,x2,y2,metres\nfull.png,100,50,500,50,48\n")
+    refused = _batch(*common, lines, "-o", table, "--overwrite")
+    assert (refused.exit_code, "none of the images" in refused.stderr) == (2, True)
+
+
+def test_images_may_be_addresses(folder: Path, detector: Path, table: Path) -> None:
+    handler = partial(SimpleHTTPRequestHandler, directory=str(folder))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        base = f"http://127.0.0.1:{server.server_port}"
+        lines = table.with_name("lines.csv")
+        lines.write_text(f"file,x1,y1,x2,y2,metres\n{base}/empty.png,100,50,500,50,48\n")
+        inputs = (f"{base}/cars.png", f"{base}/empty.png", f"{base}/none.png?size=1")
+        result = _batch(*inputs, "cars.png", "-o", table, "--detector", detector, "--known-lengths", lines)
+        server.shutdown()
+    assert result.exit_code == 0, result.output
+    there, empty, none, here = _rows(table)
+    assert there["file"] == f"{base}/cars.png"
+    assert {**there, "file": "cars.png"} == here
+    assert empty["scale_source"] == "known_length"
+    assert (none["error_code"], "404" in none["error"]) == ("image_not_found", True)
 
 
 @pytest.mark.parametrize(

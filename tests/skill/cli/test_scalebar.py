@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import vehanchor
 from tests.models import blank_image, write_detector
 from vehanchor.cli.app import app
 
@@ -54,3 +55,25 @@ def test_the_image_itself_is_never_overwritten(image: Path) -> None:
     code, told = run(image, "-o", image, "--gsd", "0.1")
     assert code == 2
     assert "is the image itself" in told
+
+
+def test_a_copy_in_local_metres_is_the_whole_picture_with_the_size_of_its_pixels(tmp_path: Path) -> None:
+    import rasterio
+
+    photo = np.random.default_rng(3).integers(0, 255, (700, 1100, 3), np.uint8)
+    assert cv2.imwrite(str(tmp_path / "photo.png"), photo)
+    copy = tmp_path / "copy.tif"
+    assert run(tmp_path / "photo.png", "-o", tmp_path / "bar.png", "--gsd", "0.125", "--geotiff", copy) == (0, "")
+    with rasterio.open(copy) as written:
+        assert np.array_equal(written.read().transpose(1, 2, 0), photo[:, :, ::-1])
+        assert 'UNIT["metre",1' in written.crs.to_wkt()
+        assert written.crs.to_epsg() is None  # nobody knows where on Earth
+        assert tuple(written.bounds) == pytest.approx((0, -87.5, 137.5, 0))
+    assert vehanchor.measure_distance(copy, [(0, 0), (80, 0)], gsd_m_per_px=0.125).distance_m == pytest.approx(10)
+
+
+def test_a_copy_that_cannot_be_is_refused_before_the_work(image: Path) -> None:
+    out = image.with_name("out.png")
+    code, told = run(image, "-o", out, "--gsd", "0.1", "--geotiff", image.with_name("copy.png"))
+    assert (code, "use .tif or .tiff" in told) == (2, True)
+    assert not out.exists()

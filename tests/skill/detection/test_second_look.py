@@ -48,6 +48,13 @@ def test_weights_make_one_score_of_two_opinions() -> None:
     assert ((rising > 0) & (rising < 1)).all()
 
 
+def test_a_size_that_fits_the_ground_raises_a_score_and_one_that_does_not_lowers_it() -> None:
+    low, same, high = Weights(1.0, 0.0, 0.0, 0.3).score([0.6] * 3, [0.0] * 3, [-2.0, 0.0, 2.0])
+    assert low < same < high
+    assert same == pytest.approx(0.6)
+    assert Weights(1.0, 0.0, 0.0).score([0.6], [0.0], [2.0]) == pytest.approx([0.6])  # not stated: it has no say
+
+
 def test_the_card_takes_the_scores_of_the_second_look() -> None:
     look = read_companion_card(SecondLookCard, Path("look.onnx"), "b" * 64, _METADATA)
     own = {"vehanchor.name": "vehicles", "vehanchor.min_score": "0.4"}
@@ -58,8 +65,14 @@ def test_the_card_takes_the_scores_of_the_second_look() -> None:
         read_detector_card(Path("mine.onnx"), "a" * 64, {"vehanchor.name": "mine"}, second_look=look)
 
 
+def test_the_weight_of_the_size_may_be_stated() -> None:
+    stated = read_companion_card(SecondLookCard, Path("l.onnx"), "b" * 64, _METADATA | {"vehanchor.weights": "1,2,3,4"})
+    assert stated.weights == (1, 2, 3, 4)
+
+
 @pytest.mark.parametrize(
-    ("key", "text"), [("weights", "1,2"), ("weights", "-1,1,0"), ("min_score", "2"), ("detector", None)]
+    ("key", "text"),
+    [("weights", "1,2"), ("weights", "-1,1,0"), ("weights", "1,1,0,-1"), ("min_score", "2"), ("detector", None)],
 )
 def test_a_card_without_meaning_is_refused(key: str, text: str | None) -> None:
     metadata = {name: value for name, value in _METADATA.items() if name != f"vehanchor.{key}"}

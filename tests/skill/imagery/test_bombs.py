@@ -147,9 +147,9 @@ def test_the_limit_is_what_decoding_takes_not_what_the_file_weighs(
     make: Callable[[], bytes], decoded_bytes: int
 ) -> None:
     data = make()
-    open_raster(data, limits=ImageLimits(max_decoded_bytes=decoded_bytes)).close()
+    open_raster(data, limits=ImageLimits(max_decoded_bytes=decoded_bytes, max_unpacked_bytes=1)).close()
     with pytest.raises(ImageTooLargeError, match=f"takes {decoded_bytes} bytes"):
-        open_raster(data, limits=ImageLimits(max_decoded_bytes=decoded_bytes - 1))
+        open_raster(data, limits=ImageLimits(max_decoded_bytes=decoded_bytes - 1, max_unpacked_bytes=1))
 
 
 @pytest.mark.parametrize(("dtype", "bands"), [("float64", 4), ("uint16", 4), ("float64", 1), ("uint8", 3)])

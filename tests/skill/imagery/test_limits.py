@@ -36,7 +36,8 @@ from vehanchor.errors import (
     InvalidParameterError,
     MissingExtraError,
 )
-from vehanchor.imagery.header import read_header
+from vehanchor.imagery.header import ImageHeader, read_header
+from vehanchor.imagery.limits import check_header
 from vehanchor.imagery.raster import MIN_SIDE_PX, open_raster
 from vehanchor.options import ImageLimits
 
@@ -169,3 +170,10 @@ def test_a_tiff_of_more_directories_than_a_thousand_is_refused_and_a_circle_of_t
 def test_limits_are_positive(name: str) -> None:
     with pytest.raises(InvalidParameterError, match=name):
         ImageLimits(**{name: 0})
+
+
+def test_what_is_read_by_windows_may_have_as_many_pixels_as_its_own_limit_says() -> None:
+    """Above 2.5 gigapixels a TIFF was said to have too many scans: one."""
+    check_header(ImageHeader("TIFF", 90_000, 90_000, windowed=True), ImageLimits())
+    with pytest.raises(ImageTooLargeError, match="the limit is 10000000000 pixels"):
+        check_header(ImageHeader("TIFF", 110_000, 110_000, windowed=True), ImageLimits())

@@ -1,0 +1,86 @@
+"""Where the camera looked, by all that tells it together: metadata, courts in perspective, vehicles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from vehanchor.anchors.attitude import TILT_SD_DEG, Attitude, plane_with
+from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, Camera
+from vehanchor.anchors.courts import CourtsEvidence
+from vehanchor.anchors.leaning import SURE, cars_witness, focal_of
+from vehanchor.anchors.scene_scale import SceneScale
+from vehanchor.anchors.stated import says_nothing
+from vehanchor.courts.lean import court_witnesses
+from vehanchor.scale.leans import GimbalWitness, find_lean
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from vehanchor.anchors.evidence import Evidence, View
+    from vehanchor.scale.leans import LeanWitness
+
+__all__ = ["joint_attitude", "on_the_plane"]
+
+
+def joint_attitude(said: Attitude | None, view: View, others: Sequence[Evidence]) -> Attitude | None:
+    """Where the camera looked by all that tells it: metadata, courts in perspective, vehicles.
+
+    Args:
+        said: what the metadata say; None where they say nothing of a tilt.
+        view: of the image, with its vehicles as they are in it.
+        others: evidence of the rulers beside vehicles, those of courts with the courts.
+
+    Returns:
+        None where it looked down, or where only vehicles say otherwise: they warn (``leaning_notice``).
+
+    Raises:
+        TooObliqueError: the horizon is in sight, or the tilt is too uncertain to say that it is not.
+    """
+    image, camera = view.image, view.image.camera if view.options.rulers.metadata else None
+    level = image.georeference_gsd_m_per_px is not None or (camera is not None and camera.off_nadir_deg is not None)
+    if said is None and level:
+        return None
+    found = [court for other in others if isinstance(other, CourtsEvidence) for court in other.courts]
+    witnesses: list[LeanWitness] = [*court_witnesses(found, image.width_px, image.height_px)]
+    if said is None and not witnesses:
+        return None
+    if said is not None:
+        witnesses.insert(0, GimbalWitness(said.tilt_deg, said.roll_deg, TILT_SD_DEG))
+    cars = cars_witness(view.sighting, image.width_px, image.height_px)
+    if cars is not None:
+        witnesses.append(cars)
+    if said is not None and len(witnesses) == 1:
+        return said
+    focal = focal_of(image, view.options)
+    leaned = find_lean(witnesses, focal)
+    if leaned is None or (said is None and leaned.chance_above(MAX_OFF_NADIR_DEG) < SURE):
+        return said
+    source = ", ".join(dict.fromkeys(each.kind for each in witnesses)) + focal.doubt
+    interval = leaned.low_deg, leaned.high_deg
+    looked = Attitude(leaned.tilt_deg, leaned.roll_deg, leaned.focal_px, source, interval)
+    plane_with(looked if said else looked._replace(tilt_deg=leaned.high_deg), image, 1.0).check()
+    return looked
+
+
+def on_the_plane(others: Sequence[Evidence], looked: Attitude, view: View) -> tuple[Evidence, ...]:
+    """What rulers say of the scale at the image's centre, where the camera looked aside.
+
+    Args:
+        others: evidence of the rulers beside vehicles: courts and the camera's height are measured again, and the
+            ground's own look is left out, whose network was never shown such a view.
+        looked: where the camera looked.
+        view: of the image.
+    """
+    image, camera = view.image, view.image.camera
+    plane = plane_with(looked, image, 1.0)
+    found: list[Evidence] = []
+    for each in others:
+        if isinstance(each, CourtsEvidence):
+            found.append(each.on(plane))
+        elif each.kind == Camera.kind and camera is not None and camera.off_nadir_deg is not None:
+            aimed = image._replace(camera=replace(camera, off_nadir_deg=looked.tilt_deg))
+            found.append(Camera().look(replace(view, image=aimed)))
+        else:
+            found.append(says_nothing(each.kind) if each.kind == SceneScale.kind else each)
+    return tuple(found)

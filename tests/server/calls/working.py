@@ -1,0 +1,45 @@
+"""Worker processes that do what a test gives them."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+from vehanchor_server.calls.capacity import Stop
+from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.task import Task
+from vehanchor_server.images.argument import Base64Image
+from vehanchor_server.services import Services
+
+__all__ = ["IMAGE", "TESTS", "done", "number", "ready"]
+
+TESTS = Path(__file__).parents[2]
+"""A root of the servers here: a worker may read what it is to do."""
+
+_READY_S = 60
+IMAGE = Base64Image(kind="base64", data="AAAA")
+"""What a task names; the works here do not look at it."""
+
+
+def ready(services: Services) -> Services:
+    """Wait until a call can start at once."""
+    services.preload()
+    deadline = time.monotonic() + _READY_S
+    while not services.ready and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert services.ready
+    return services
+
+
+def done(services: Services, work: Any, stop: Stop | None = None) -> Any:
+    """The work's value, from a worker."""
+    assert services.workers is not None
+    task: Task[Any] = Task(work, IMAGE, None)
+    return services.workers.run(task, stop or Stop(), lambda *_: None, lambda *_: None)
+
+
+def number(services: Services, job: Job, source: Any) -> int:
+    """The process's; a work."""
+    return os.getpid()

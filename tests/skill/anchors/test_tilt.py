@@ -1,0 +1,168 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+import vehanchor
+from tests.analyses import made_card
+from tests.skill.anchors.test_leaning import FOCAL_PX, HEIGHT, WIDTH, _cars
+from vehanchor.anchors.attitude import Attitude, attitude
+from vehanchor.anchors.camera import Camera
+from vehanchor.anchors.courts import CourtsEvidence, evidence_of
+from vehanchor.anchors.evidence import ImageFacts, View
+from vehanchor.anchors.tilt import joint_attitude, on_the_plane
+from vehanchor.batch.stored import from_json, to_json
+from vehanchor.courts.court import Court
+from vehanchor.courts.template import TENNIS
+from vehanchor.detection.sighting import Sighting
+from vehanchor.errors import TooObliqueError
+from vehanchor.estimate import analyse_sighting
+from vehanchor.imagery.camera_metadata import CameraMetadata
+from vehanchor.options import ScaleOptions
+from vehanchor.scale.plane import GroundPlane
+from vehanchor_scenes import render_scene
+
+CAMERA = CameraMetadata(focal_px=FOCAL_PX, taken_width_px=WIDTH, taken_height_px=HEIGHT, off_nadir_deg=30.0)
+NOTHING = Sighting(np.zeros((0, 5)), np.zeros(0))
+GSD = 0.08
+
+
+def _view(sighting: Sighting, camera: CameraMetadata | None = None, **image: float) -> View:
+    facts = ImageFacts(WIDTH, HEIGHT, camera=camera, **image)  # type: ignore[arg-type] - a scale of the file
+    return View(facts, sighting, made_card(4.5), ScaleOptions(), lambda *_: 1.0)
+
+
+def _court(tilt_deg: float, roll_deg: float = 0.0, sd_px: float = 0.2) -> tuple[CourtsEvidence, GroundPlane]:
+    """A court anywhere on the plane, with corners where the camera sees them."""
+    plane = GroundPlane(GSD, tilt_deg, FOCAL_PX, WIDTH, HEIGHT, roll_deg)
+    frame = np.array([(0, 0), (WIDTH, 0), (WIDTH, HEIGHT), (0, HEIGHT)], np.float32)
+    move = cv2.getPerspectiveTransform(plane.from_above(frame).astype(np.float32), frame)
+    angle = np.radians(35)
+    turn = np.array([(np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle))])
+    above = TENNIS.outline @ turn / GSD + (60, -90)
+    corners = cv2.perspectiveTransform(above[None], move.astype(np.float64))[0]
+    size = TENNIS.length_m, TENNIS.width_m
+    return evidence_of([Court("tennis", corners, *size, GSD, 0.002, 0.9, 0.9, 0.01, corners, sd_px)]), plane
+
+
+def test_metadata_alone_are_taken_as_they_are() -> None:
+    view = _view(NOTHING, CAMERA)
+    said = attitude(view.image, view.options)
+    assert joint_attitude(said, view, ()) == said
+
+
+def test_cars_mend_a_gimbal_that_is_a_little_off() -> None:
+    off = []
+    for seed in range(4):
+        view = _view(_cars(33.0, n=150, seed=seed), CAMERA)
+        looked = joint_attitude(attitude(view.image, view.options), view, ())
+        assert looked is not None
+        assert looked.source == "metadata, vehicles"
+        assert looked.interval_deg is not None
+        assert looked.interval_deg[0] < looked.tilt_deg < looked.interval_deg[1]
+        off.append(abs(looked.tilt_deg - 33))
+    assert np.median(off) < 2.5
+
+
+def test_a_gimbal_is_not_pulled_far_by_cars_of_two_sizes() -> None:
+    cars = _cars(30.0, n=80, lorries=0)
+    boxes = cars.boxes.copy()
+    boxes[boxes[:, 1] < HEIGHT / 2, 2:4] *= 1.3
+    view = _view(Sighting(boxes, cars.scores), CAMERA)
+    looked = joint_attitude(attitude(view.image, view.options), view, ())
+    assert looked is not None
+    assert looked.tilt_deg == pytest.approx(30, abs=5)
+
+
+@pytest.mark.parametrize("tilt_deg", [20.0, 30.0, 45.0])
+def test_a_court_alone_tells_where_the_camera_looked(tilt_deg: float) -> None:
+    courts, _ = _court(tilt_deg, roll_deg=6.0)
+    lens = replace(CAMERA, off_nadir_deg=None)
+    looked = joint_attitude(None, _view(NOTHING, lens), [courts])
+    assert looked is not None
+    assert looked.source == "courts"
+    assert looked.tilt_deg == pytest.approx(tilt_deg, abs=1)
+    assert looked.roll_deg == pytest.approx(6, abs=2)
+    unknown = joint_attitude(None, _view(NOTHING), [courts])
+    assert unknown is not None
+    assert unknown.source == "courts; focal length unknown"
+    assert unknown.tilt_deg == pytest.approx(tilt_deg, abs=4)
+
+
+def test_a_court_seen_from_above_leaves_the_ground_level() -> None:
+    courts, _ = _court(0.0)
+    assert joint_attitude(None, _view(NOTHING), [courts]) is None
+    aside, _ = _court(30.0)
+    assert joint_attitude(None, _view(NOTHING, replace(CAMERA, off_nadir_deg=0.0)), [aside]) is None
+    assert joint_attitude(None, _view(NOTHING, georeference_gsd_m_per_px=GSD), [aside]) is None
+
+
+def test_the_height_of_the_camera_is_measured_along_the_joint_tilt() -> None:
+    view = _view(NOTHING, replace(CAMERA, height_m=60.0))
+    said = Camera().look(view)
+    (moved,) = on_the_plane([said], Attitude(33.0, 0.0, FOCAL_PX, "metadata, vehicles"), view)
+    assert moved.gsd_m_per_px == pytest.approx(60 / GroundPlane(1.0, 33.0, FOCAL_PX, WIDTH, HEIGHT).height_m)
+    assert said.gsd_m_per_px is not None
+    assert moved.gsd_m_per_px > said.gsd_m_per_px
+
+
+def test_a_tilt_that_a_court_cannot_tell_from_a_horizon_is_refused() -> None:
+    courts, _ = _court(52.0)
+    with pytest.raises(TooObliqueError, match="horizon"):
+        joint_attitude(None, _view(NOTHING), [courts])
+
+
+def test_a_court_beside_the_centre_says_the_scale_of_the_centre() -> None:
+    courts, plane = _court(35.0)
+    looked = Attitude(plane.tilt_deg, plane.roll_deg, plane.focal_px, "courts")
+    (moved,) = on_the_plane([courts], looked, _view(NOTHING))
+    assert moved.gsd_m_per_px == pytest.approx(GSD, rel=1e-3)
+    assert isinstance(moved, CourtsEvidence)
+    assert moved.courts == courts.courts
+    (again,) = on_the_plane([moved], looked, _view(NOTHING))
+    assert again.gsd_m_per_px == moved.gsd_m_per_px
+    assert from_json(to_json(courts)).courts[0].gsd_m_per_px == GSD  # a flight's journal keeps them
+
+
+def test_the_record_has_the_plane_and_gives_it_back_with_the_scale() -> None:
+    courts, plane = _court(35.0)
+    record = analyse_sighting(_view(NOTHING, replace(CAMERA, off_nadir_deg=None)), [courts]).estimate
+    assert record.tilt is not None
+    assert record.tilt.source == "courts"
+    assert record.gsd_m_per_px == pytest.approx(GSD, rel=0.01)
+    known = record.model_copy(update={"scale": None}).scale
+    assert known is None
+    level = analyse_sighting(_view(NOTHING), [_court(0.0)[0]]).estimate
+    assert level.tilt is None
+    assert plane.tilt_deg == pytest.approx(record.tilt.tilt_deg, abs=1)
+
+
+def test_cars_of_many_photographs_put_together_say_nothing_of_a_tilt() -> None:
+    told = analyse_sighting(_view(_cars(35.0)), [], level=False).estimate.warnings
+    assert not any(notice.code == "tilt_suspected" for notice in told)
+
+
+@pytest.mark.slow
+def test_a_scale_that_is_given_back_measures_on_the_same_plane() -> None:
+    ground = render_scene(0.1, width_px=1000, height_px=1000, seed=5009, layout="sports").image
+    plane = GroundPlane(0.1, 30.0, 600.0, 800, 600)
+    frame = np.array([(0, 0), (800, 0), (800, 600), (0, 600)], np.float32)
+    above = plane.from_above(frame)
+    there = above - (above.min(axis=0) + above.max(axis=0)) / 2 + 500
+    move = cv2.getPerspectiveTransform(there.astype(np.float32), frame)
+    image = cv2.warpPerspective(ground, move, (800, 600), borderMode=cv2.BORDER_REFLECT_101)
+    record = vehanchor.estimate_gsd(image, rulers=("courts",))
+    assert record.tilt is not None
+    assert record.tilt.source == "courts; focal length unknown"
+    assert record.tilt.tilt_deg == pytest.approx(30, abs=4)
+    assert record.scale is not None
+    assert record.scale.plane is not None
+    ends = [(100.0, 100.0), (500.0, 120.0)]
+    first = vehanchor.measure_distance(image, ends, rulers=("courts",))
+    again = vehanchor.measure_distance(image, ends, scale=record.scale.model_dump())
+    true = float(plane.length([ends[0]], [ends[1]])[0])
+    assert first.distance_m == pytest.approx(true, rel=0.04)
+    assert again.distance_m == pytest.approx(first.distance_m)

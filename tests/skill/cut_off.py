@@ -1,0 +1,112 @@
+"""Every kind of file cut off at many bytes, in a process of its own: ``python -m tests.skill.cut_off FOLDER``.
+
+Prints a line of JSON: how many ends there were of each sort, and what was found wrong.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pyarrow.parquet
+
+from tests.faults import REFUSED, WRITTEN, limited
+from vehanchor.batch.journal import Journal
+from vehanchor.batch.row import BatchRow
+from vehanchor.batch.table import write_table
+from vehanchor.pictures.scale import write_picture
+from vehanchor.scale.calibration import Calibration, save_calibration
+from vehanchor_evaluation.report import write_results
+
+__all__ = ["CALIBRATION"]
+
+_LATE_IMPORTS = (cv2, pyarrow.parquet)  # here, not in each of hundreds of children
+
+CALIBRATION = Calibration(
+    reference_length_m=4.6,
+    reference_length_ci95_low_m=4.5,
+    reference_length_ci95_high_m=4.7,
+    reference_length_sd_m=0.1,
+    source="labels",
+    n_vehicles=1000,
+    n_images=20,
+    mode_length_px=30.0,
+    median_gsd_m_per_px=0.15,
+    detector=None,
+    detector_sha256=None,
+)
+"""Any."""
+
+_ROWS = [BatchRow(file=f"{n}.png", error_code="image_not_found", error="there is no such file") for n in range(8)]
+_FACTS = [{"file": row.file, "error": row.error} for row in _ROWS]
+_PICTURE = np.random.default_rng(1).integers(0, 255, (48, 48, 3), np.uint8)
+_WRITERS: dict[str, Callable[[Path], object]] = {
+    "calibration.json": lambda path: save_calibration(path, CALIBRATION),
+    "picture.png": lambda path: write_picture(path, _PICTURE),
+    "picture.jpg": lambda path: write_picture(path, _PICTURE),
+    "table.csv": lambda path: write_table(path, _ROWS),
+    "table.jsonl": lambda path: write_table(path, _ROWS),
+    "table.parquet": lambda path: write_table(path, _ROWS),
+    "report.json": lambda path: write_results(path.parent, "report", CALIBRATION, _FACTS, "# Words\n"),
+}
+_RESULTS = 3
+
+
+def _whole_or_old(name: str, folder: Path, ends: Counter[str]) -> Iterable[str]:
+    """Cut a file off that replaces another."""
+    write, path = _WRITERS[name], folder / name
+    assert limited(lambda: write(path), None, killed=False) == WRITTEN
+    new = path.read_bytes()
+    for killed in (False, True):
+        for n_bytes in sorted({0, 1, 2, *np.linspace(0, len(new) - 1, 5, dtype=int).tolist()}):
+            path.write_bytes(b"old")
+            end = limited(lambda: write(path), n_bytes, killed=killed)
+            ends[_named(end)] += 1
+            if end != (-signal.SIGXFSZ if killed else REFUSED) or path.read_bytes() != b"old":
+                yield f"{name} at byte {n_bytes}, killed {killed}: {_named(end)}, {path.read_bytes()[:20]!r}"
+    if limited(lambda: write(path), len(new), killed=True) != WRITTEN or path.read_bytes() != new:
+        yield f"{name} is not written again afterwards"
+
+
+def _journal(path: Path) -> Journal[Any]:
+    return Journal(path, {"model": "m"}, dump=lambda value: value, load=lambda value: value)
+
+
+def _kept(folder: Path, ends: Counter[str]) -> Iterable[str]:
+    """Cut a journal's next line off at each of its bytes."""
+    path = folder / "run.journal"
+    for number in range(_RESULTS):
+        _journal(path).add(("f", number), "x")
+    before = path.read_bytes()
+    _journal(path).add(("new",), "y")
+    after = path.read_bytes()
+    for n_bytes in range(len(before), len(after)):
+        path.write_bytes(before)
+        end = limited(lambda: _journal(path).add(("new",), "y"), n_bytes, killed=False)
+        ends[_named(end)] += 1
+        if end != REFUSED or path.read_bytes() != before:
+            yield f"journal, disk full at byte {n_bytes}: {_named(end)}"
+        path.write_bytes(after[:n_bytes])  # as a process leaves it that is killed while it writes
+        found = len(_journal(path))
+        _journal(path).add(("next",), "z")
+        if found != _RESULTS or len(_journal(path)) != _RESULTS + 1:
+            yield f"journal, killed at byte {n_bytes}: {found} results"
+
+
+def _named(end: int) -> str:
+    return {WRITTEN: "written", REFUSED: "refused", -signal.SIGXFSZ: "killed"}.get(end, str(end))
+
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1])
+    ends: Counter[str] = Counter()
+    wrong = [words for name in _WRITERS for words in _whole_or_old(name, folder, ends)]
+    wrong += _kept(folder, ends)
+    print(json.dumps({"ends": ends, "wrong": wrong}))
