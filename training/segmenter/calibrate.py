@@ -91,7 +91,7 @@ def finished(view: View, smoothing: float, offset: float) -> Callable[[Target], 
     """The mask of the whole image that smoothed and raised logits give, and its score."""
 
     def method(target: Target) -> tuple[NDArray[np.bool_], float]:
-        logits = smoothed(torch.from_numpy(view.found.logits)[None, None], smoothing)[0, 0].numpy() + offset
+        logits = smoothed(torch.from_numpy(view.found.logits)[None, None], smoothing)[0, 0].numpy() + np.float32(offset)
         window, whole = view.window, np.zeros(target.mask.shape, bool)
         placed = place_mask(replace(view.found, logits=logits), window.width_px, window.height_px)
         whole[window.y_px : window.y_px + window.height_px, window.x_px : window.x_px + window.width_px] = placed
