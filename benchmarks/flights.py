@@ -18,7 +18,7 @@ import resource
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -29,11 +29,11 @@ from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import open_detector
 from vehanchor.flight.concluding import Failure, chief_member, conclude_flight
 from vehanchor.flight.estimate import conclude, look_at_flight
-from vehanchor.flight.features import find_features
+from vehanchor.flight.features import Features, find_features
 from vehanchor.flight.islands import single_island
+from vehanchor.flight.pairs import candidate_pairs
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.taken import Taken
-from vehanchor.flight.tying import tie
 from vehanchor.imagery.raster import open_raster
 from vehanchor.options import ScaleOptions
 
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 _REGIONS = {"cannes": "europe", "estonia": "europe", "ucm": "north_america", "saopaulo": "south_america"}
 _FLIGHTS, _PHOTOGRAPHS = 4, 24
-_CELL_PX = 20  # of the made-up ground: side of a patch of one colour
+_LOOKED_AT = 8  # photographs whose features are timed
 
 
 def tiles(data: Path, name: str, split: str) -> list[tuple[Path, float]]:
@@ -243,65 +243,53 @@ def matched(data: Path, cache: Path | None) -> None:
 def cost(number: int) -> None:
     """Print what a flight costs beyond the detection: nothing is searched, every third photograph has ten cars.
 
-    The photographs are cut, one after the other as along a track of strips, from a ground of noise and shapes that is
-    made anew for each.
+    Features are found in eight photographs of 12 Mpx; those of the flights are made up, as many as a photograph has at
+    most, along the strips of a survey, so that pairs, matches and the graph are those of a real one.
     """
     detector = open_detector(None, ScaleOptions(), threads=1)
-    print("| photographs | pairs | overlaps | islands | features, s each | pairs, graph | CPU s | peak MiB |")
-    print("|---|---|---|---|---|---|---|---|")
-    for n in sorted({number // 4, number // 2, number}):
-        spent = time.process_time()
-        looks = [_stubbed(place, n, detector) for place in range(n)]
-        made = sum(each.seconds for each in looks)
-        begun = time.perf_counter()
-        photographs = [each.photograph for each in looks]
-        tied = tie(photographs, [each.features for each in photographs if each.features is not None])
-        matching = time.perf_counter() - begun
-        cpu = time.process_time() - spent - sum(each.drawing for each in looks)
+    ground = cv2.resize(np.random.default_rng(18).integers(0, 256, (150, 200, 3), np.uint8), (4000, 3000))
+    looking = []
+    for _ in range(_LOOKED_AT):
+        begun = time.process_time()
+        with open_raster(np.ascontiguousarray(ground)) as raster:
+            n_features = len(find_features(raster))
+        looking.append(time.process_time() - begun)
+    print(f"features of 12 Mpx: {np.median(looking):.2f} CPU s a photograph ({n_features})")
+    print("| photographs | pairs | overlaps | islands | pairs, matches, graph, record: CPU s each | peak MiB |")
+    print("|---|---|---|---|---|---|")
+    for n in (number // 4, number // 2, number):
+        photographs = _made_up(n, detector)
+        begun = time.process_time()
+        record = conclude(photographs, detector.card, same_scale=False)
+        spent = (time.process_time() - begun) / n
+        pairs = len(candidate_pairs([each.features for each in photographs if each.features is not None]))
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        print(
-            f"| {n} | {tied.n_pairs} | {len(tied.links)} | {len(tied.islands)} | {made / n:.2f} | {matching / n:.2f} | "
-            f"{cpu / n:.2f} | {peak:.0f} |",
-            flush=True,
-        )
+        islands = ", ".join(str(island.n_photographs) for island in record.islands)
+        print(f"| {n} | {pairs} | {len(record.links)} | {islands} | {spent:.3f} | {peak:.0f} |", flush=True)
 
 
-class _Stubbed(NamedTuple):
-    """A photograph without a search, the seconds that its features took, and the CPU seconds of drawing it."""
-
-    photograph: Photograph
-    seconds: float
-    drawing: float
-
-
-def _stubbed(place: int, n: int, detector: Detector) -> _Stubbed:
-    drawn = time.process_time()
-    image = _patch_of_ground(place, n)
-    drawn = time.process_time() - drawn
-    begun = time.perf_counter()
-    with open_raster(image) as raster:
-        features = find_features(raster)
-        facts = ImageFacts(raster.width_px, raster.height_px)
-    seconds = time.perf_counter() - begun
-    rng = np.random.default_rng(place)
-    boxes = np.column_stack([rng.uniform(200, 2800, (10, 2)), rng.normal(90, 8, 10), np.full(10, 36.0), np.zeros(10)])
-    found = Sighting(boxes, np.full(10, 0.9)) if place % 3 == 0 else Sighting(np.zeros((0, 5)), np.zeros(0))
-    look = Look(facts, found, 1.0, ())
-    return _Stubbed(Photograph.of(str(place), look, detector.card, ScaleOptions(), features), seconds, drawn)
-
-
-def _patch_of_ground(place: int, n: int) -> NDArray[np.uint8]:
-    """A photograph of 4000 x 3000 px over an endless ground, the strips of a survey with 70 % and 50 % overlap."""
+def _made_up(n: int, detector: Detector) -> list[Photograph]:
+    """Photographs of 4000 x 3000 px along strips, 70 % and 50 % of each seen in the next."""
+    rng = np.random.default_rng(18)
     strip = max(1, round(math.sqrt(n)))
-    column, row = place % strip, place // strip
-    left, top = column * 1200 // _CELL_PX, row * 1500 // _CELL_PX
-    wide, high = 4000 // _CELL_PX + 1, 3000 // _CELL_PX + 1
-    cells = np.empty((high, wide, 3), np.uint8)
-    for y in range(high):
-        noise = np.random.default_rng([top + y, 18]).integers(0, 256, (left + wide, 3), dtype=np.uint8)
-        cells[y] = noise[left:]
-    ground = cv2.resize(cells, (wide * _CELL_PX, high * _CELL_PX), interpolation=cv2.INTER_CUBIC)
-    return np.ascontiguousarray(ground[:3000, :4000])
+    extent = np.array([4000 + 1200 * strip, 3000 + 1500 * math.ceil(n / strip)])
+    per_photograph = 12_000_000 / 1200
+    world = rng.uniform(0, extent, (int(extent.prod() / per_photograph), 2))
+    described = rng.gamma(0.4, 1.0, (len(world), 128))
+    described = 255 * np.sqrt(described / described.sum(axis=1, keepdims=True))
+    photographs = []
+    for place in range(n):
+        corner = np.array([place % strip * 1200, place // strip * 1500])
+        inside = np.flatnonzero(((world >= corner) & (world < corner + np.array([4000, 3000]))).all(axis=1))[:1200]
+        points = world[inside] - corner + rng.normal(0, 1.0, (len(inside), 2))
+        descriptors = np.clip(np.rint(described[inside] + rng.normal(0, 3, (len(inside), 128))), 0, 255)
+        features = Features(points, descriptors.astype(np.uint8), 4.0)
+        boxes = rng.uniform((200, 200), (3800, 2800), (10 if place % 3 == 0 else 0, 2))
+        sizes = np.column_stack([rng.normal(90, 8, len(boxes)), np.full(len(boxes), 36.0), np.zeros(len(boxes))])
+        found = Sighting(np.column_stack([boxes, sizes]), np.full(len(boxes), 0.9))
+        look = Look(ImageFacts(4000, 3000), found, 1.0, ())
+        photographs.append(Photograph.of(str(place), look, detector.card, ScaleOptions(), features))
+    return photographs
 
 
 def without_vehicles(look: Photograph) -> Photograph:

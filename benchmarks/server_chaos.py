@@ -1,14 +1,16 @@
-"""Calls from many clients while workers are killed: ``python -m benchmarks.server_chaos --calls 1000``.
+"""Calls from many clients while workers are killed: ``python -m benchmarks.server_chaos --calls 10000``.
 
 Four cheap scenes and seven bombs. Aim: every call is answered, right or with a code that says to try again; none later
 than half a second after the deadline; ``/healthz`` below 200 ms at the 99th percentile; the whole server below
-2 GiB.
+2 GiB. Ends after that many answers, some seven minutes on two quiet cores, or after ``--minutes``; where that comes
+first, ``--state FILE`` keeps what was seen, and the same command goes on from there. Prints a row for RESULTS.md.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import os
 import random
 import signal
@@ -28,6 +30,7 @@ from mcp import Client
 
 from benchmarks.server_process import HttpServer, child_processes, http_server, memory_mib, middle_box, target
 from tests import bombs
+from vehanchor.output import whole_file
 from vehanchor_scenes import render_scene
 
 Question: TypeAlias = tuple[str, dict[str, Any]]
@@ -35,6 +38,7 @@ Reply: TypeAlias = tuple[Any, str | None]
 
 RETRYABLE = ("busy", "worker_killed", "worker_unavailable", "deadline_exceeded")
 DEADLINE_S = 20.0
+BACK_OFF_S = 1.5, 5.0  # before a client that was told to try again does
 N_PLACES = 4
 _SIDE_PX = 320
 _PROBE = """
@@ -56,11 +60,38 @@ class Tally:
     healthy_ms: list[float] = field(default_factory=list)
     peak_mib: float = 0.0
     slowest_s: float = 0.0
+    seconds: float = 0.0
+
+    @property
+    def n_answered(self) -> int:
+        """Calls that got an answer: right, wrong, or told to try again."""
+        return self.ends["right"] + self.ends["wrong"] + sum(self.codes.values())
+
+    @classmethod
+    def read(cls, path: Path | None) -> Tally:
+        """What an earlier run saw; nothing without one."""
+        if path is None or not path.exists():
+            return cls()
+        kept = json.loads(path.read_text())
+        return cls(**{**kept, "ends": Counter(kept["ends"]), "codes": Counter(kept["codes"])})
+
+    def row(self, n_clients: int) -> str:
+        """The row of RESULTS.md."""
+        times = sorted(self.healthy_ms) or [float("nan")]
+        median, p99 = times[len(times) // 2], times[-1 - len(times) // 100]
+        ends, load = self.ends, os.getloadavg()[1]
+        told = ", ".join(f"{n} {code}" for code, n in self.codes.most_common())
+        return (
+            f"| {self.seconds / 60:.1f} | {self.n_answered}, of them {ends['right']} right, {ends['wrong']} wrong, "
+            f"{ends['lost']} lost | {sum(self.codes.values())} ({told}) | {median:.0f}, {p99:.0f} ms | "
+            f"{self.slowest_s:.1f} s | {self.peak_mib:.0f} MiB | {n_clients} clients, {ends['kills']} kills, "
+            f"load {load:.0f} |"
+        )
 
 
-async def chaos(n_calls: int, n_clients: int, period_s: float, minutes: float) -> None:
-    """Print how the calls ended, how long the server was silent, and how much memory it took."""
-    tally = Tally()
+async def chaos(n_calls: int, n_clients: int, period_s: float, minutes: float, state: Path | None) -> Tally:
+    """Ask until so many calls are answered, or the time is up."""
+    tally = Tally.read(state)
     with tempfile.TemporaryDirectory() as directory:
         asked = questions(Path(directory).resolve())
         flags = ("--root", directory, "--threads", "1", "--max-concurrency", str(N_PLACES))
@@ -68,23 +99,22 @@ async def chaos(n_calls: int, n_clients: int, period_s: float, minutes: float) -
         with http_server(*flags, *limits) as server:
             async with Client(server.url, read_timeout_seconds=120) as client:
                 expected = [await _settled(client, question) for question in asked]
-            ends = time.monotonic() + 60 * minutes
+            began = time.monotonic()
+            ends = began + 60 * minutes
             with _probed(server, tally):
                 async with anyio.create_task_group() as group:
                     group.start_soon(_kill, server, period_s, tally)
                     group.start_soon(_weigh, server, tally)
-                    numbers = iter(range(n_calls))
+                    numbers = iter(range(tally.n_answered, n_calls))
                     async with anyio.create_task_group() as clients:
                         for _ in range(n_clients):
                             clients.start_soon(_ask, server, asked, expected, numbers, ends, tally)
                     group.cancel_scope.cancel()
-    print(f"{n_clients} clients, a worker killed every {period_s:g} s, {N_PLACES} places: {dict(tally.ends)}")
-    print(f"told to try again: {dict(tally.codes)}; slowest reply {tally.slowest_s:.1f} s, deadline {DEADLINE_S:g} s")
-    print(
-        f"/healthz, {len(tally.healthy_ms)} times: median {tally.healthy_ms[len(tally.healthy_ms) // 2]:.0f} ms, "
-        f"p99 {tally.healthy_ms[-1 - len(tally.healthy_ms) // 100]:.0f} ms"
-    )
-    print(f"memory of all processes: {tally.peak_mib:.0f} MiB at most")
+            tally.seconds += time.monotonic() - began
+    if state is not None:
+        with whole_file(state) as partial:
+            partial.write_text(json.dumps(vars(tally)))
+    return tally
 
 
 def questions(directory: Path) -> list[Question]:
@@ -113,18 +143,22 @@ async def _ask(
 ) -> None:
     async with Client(server.url, read_timeout_seconds=120) as client:
         for i in numbers:
-            k = i % len(asked)
-            while time.monotonic() < ends:
-                started = time.monotonic()
-                reply = await _reply(client, asked[k])
-                tally.slowest_s = max(tally.slowest_s, time.monotonic() - started)
-                if reply[1] not in RETRYABLE:
-                    tally.ends["right" if reply == expected[k] else "wrong"] += 1
-                    break
-                tally.codes[str(reply[1])] += 1
-                await anyio.sleep(random.uniform(2.0, 6.0))
             if time.monotonic() >= ends:
                 return
+            k = i % len(asked)
+            started = time.monotonic()
+            try:
+                reply = await _reply(client, asked[k])
+            except Exception as error:  # no answer at all, whatever the reason
+                print(f"lost: {error!r}", file=sys.stderr, flush=True)
+                tally.ends["lost"] += 1
+                continue
+            tally.slowest_s = max(tally.slowest_s, time.monotonic() - started)
+            if reply[1] in RETRYABLE:
+                tally.codes[str(reply[1])] += 1
+                await anyio.sleep(random.uniform(*BACK_OFF_S))
+            else:
+                tally.ends["right" if reply == expected[k] else "wrong"] += 1
 
 
 async def _kill(server: HttpServer, period_s: float, tally: Tally) -> None:
@@ -154,7 +188,7 @@ def _probed(server: HttpServer, tally: Tally) -> Iterator[None]:
             process.kill()
             process.wait()
             times.seek(0)
-            tally.healthy_ms = sorted(map(float, times.read().split()))
+            tally.healthy_ms += map(float, times.read().split())
 
 
 async def _settled(client: Client, question: Question) -> Reply:
@@ -182,6 +216,9 @@ if __name__ == "__main__":
     parser.add_argument("--calls", type=int, default=10_000)
     parser.add_argument("--clients", type=int, default=64)
     parser.add_argument("--period", type=float, default=5.0, help="seconds between kills")
-    parser.add_argument("--minutes", type=float, default=60.0, help="no call is begun after")
+    parser.add_argument("--minutes", type=float, default=7.5, help="no call is begun after")
+    parser.add_argument("--state", type=Path, help="file that keeps what was seen, to go on from")
     given = parser.parse_args()
-    anyio.run(chaos, given.calls, given.clients, given.period, given.minutes)
+    seen = anyio.run(chaos, given.calls, given.clients, given.period, given.minutes, given.state)
+    print(seen.row(given.clients))
+    sys.exit(1 if seen.ends["wrong"] or seen.ends["lost"] else 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 import subprocess
 import sys
@@ -24,6 +25,7 @@ __all__ = [
     "http_server",
     "memory_mib",
     "middle_box",
+    "processor_s",
     "resident_mib",
     "target",
     "write_images",
@@ -136,6 +138,15 @@ def _children(pid: int) -> list[int]:
 def memory_mib(pid: int) -> list[float]:
     """Memory of a process and of all below it, MiB (Linux); what they share is counted once (PSS)."""
     return [_pss_mib(pid), *(each for child in _children(pid) for each in memory_mib(child))]
+
+
+def processor_s(pid: int) -> float:
+    """Processor time of a process and of all below it that live, seconds (Linux)."""
+    used = 0.0
+    with contextlib.suppress(OSError):  # it has just ended
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        used = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return used + sum(map(processor_s, _children(pid)))
 
 
 def _pss_mib(pid: int) -> float:

@@ -3,7 +3,8 @@
 ``warped`` sees orthophotos of known scale by known homographies (pitch -90 to -45, roll within 10 degrees, three focal
 lengths): the tilt by cars, by metadata (angles off by a degree or so, the height by 5 %) and by both; areas of
 rectangles anywhere in the frame, treated and not. ``courts`` does so with rendered sports grounds and no metadata.
-``real`` reads the eight pitches of DATA/tilt. ``nadir`` counts images from straight above that are taken for tilted.
+``real`` reads the eight pitches of DATA/tilt. ``nadir`` counts images from
+straight above that are taken for tilted, among those that ``benchmarks/flights.py --cache FOLDER`` has kept.
 """
 
 from __future__ import annotations
@@ -127,13 +128,16 @@ def _in_image(plane: GroundPlane, above: NDArray[np.float64]) -> NDArray[np.floa
     return np.asarray(cv2.perspectiveTransform(above[None], move)[0], dtype=np.float64)
 
 
-def estimated(aside: Aside, camera: CameraMetadata | None, detector: Detector) -> GsdEstimate | None:
+def estimated(
+    aside: Aside, camera: CameraMetadata | None, detector: Detector, options: ScaleOptions | None = None
+) -> GsdEstimate | None:
     """The record of an image; None where it is refused."""
     with open_raster(aside.image) as raster:
         facts = ImageFacts(raster.width_px, raster.height_px, camera=camera)
         share = partial(resolved_share, raster)
+        view = View(facts, aside.sighting, detector.card, options or ScaleOptions(), share, raster)
         try:
-            return analyse_sighting(View(facts, aside.sighting, detector.card, ScaleOptions(), share, raster)).estimate
+            return analyse_sighting(view).estimate
         except TooObliqueError:
             return None
 
@@ -160,12 +164,10 @@ def orthophotos(data: Path, split: str, number: int) -> list[Path]:
     return [(data / "gsd" / row["file"]).resolve() for row in order][:number]
 
 
-def warped(data: Path, split: str, number: int, detector: Detector, cache: Path | None) -> None:
+def warped(data: Path, split: str, number: int, tilts: Sequence[float], detector: Detector, cache: Path | None) -> None:
     """Print the tables of orthophotos seen from aside."""
     grounds = [(read(path), 0.2) for path in orthophotos(data, split, number)]
-    rows = {
-        tilt: [_row(*ground, tilt, seed, detector, cache) for seed, ground in enumerate(grounds)] for tilt in _TILTS_DEG
-    }
+    rows = {tilt: [_row(*ground, tilt, seed, detector, cache) for seed, ground in enumerate(grounds)] for tilt in tilts}
     print("| pitch | images | 25 cars | cars alone, focal length known | unknown | warned of | metadata | with cars |")
     print("|---|---|---|---|---|---|---|---|")
     for tilt, found in rows.items():
@@ -207,10 +209,11 @@ def _row(
         found |= {"known": abs(known.tilt_deg - tilt), "unknown": abs(unknown.tilt_deg - tilt)}
         found["warned"] = float(unknown.chance_above(MAX_OFF_NADIR_DEG) >= SURE)
     camera = told(plane, rng)
-    plain = estimated(aside, None, detector)
+    bare = ScaleOptions.of({"rulers": ("vehicles", "scene_scale", "camera")})  # no court is in these tiles
+    plain = estimated(aside, None, detector, bare)
     with patch("vehanchor.anchors.attitude._END_HEIGHT", 0.0):  # in an orthophoto no car stands up
-        record = estimated(aside, camera, detector)
-    standing = estimated(aside, camera, detector)
+        record = estimated(aside, camera, detector, bare)
+    standing = estimated(aside, camera, detector, bare)
     if standing is not None and standing.gsd_m_per_px:
         found["standing"] = abs(standing.gsd_m_per_px / gsd - 1)
     if record is not None and record.tilt is not None and camera.off_nadir_deg is not None:
@@ -242,13 +245,13 @@ def _off_areas(
 def courts(number: int, detector: Detector) -> None:
     """Print the table of rendered sports grounds seen from aside, without metadata or vehicles."""
     rows: dict[float, list[dict[str, float]]] = {}
-    for tilt in _COURT_TILTS_DEG:
-        seed = 5000
-        while len(rows.get(tilt, [])) < number:
-            scene = render_scene(0.1, width_px=1000, height_px=1000, seed=seed, layout="sports")
-            seed += 1
-            if not any(not court.cut and court.hidden_share <= 0.05 for court in scene.courts):
-                continue
+    seed = 5000
+    while len(rows.get(0.0, [])) < number:
+        scene = render_scene(0.1, width_px=1000, height_px=1000, seed=seed, layout="sports")
+        seed += 1
+        if not any(not court.cut and court.hidden_share <= 0.05 for court in scene.courts):
+            continue
+        for tilt in _COURT_TILTS_DEG:
             rows.setdefault(tilt, []).append(
                 _court_row(np.ascontiguousarray(scene.image[:, :, ::-1]), tilt, seed, detector)
             )
@@ -309,25 +312,16 @@ def real(data: Path, detector: Detector, cache: Path | None) -> None:
         print(f"| {pitch} | {used} | {source} | {said} | {camera:.4f} | {length} | {record.status} |", flush=True)
 
 
-def nadir(data: Path, split: str, detector: Detector, cache: Path | None) -> None:
-    """Count images from straight above that are taken for tilted."""
-    n = warned = planes = few = 0
-    for table in ("table.csv", "upright.csv"):
-        with (data / "gsd" / table).open() as file:
-            rows = [row for row in csv.DictReader(file) if row["split"] == split]
-        for row in rows:
-            if int(row["labelled_small_vehicles"] or 0) < 15:
-                continue
-            path = (data / "gsd" / row["file"]).resolve()
-            _, sighting = looked_at(path, detector, cache)
-            image = np.ascontiguousarray(read(path)[:, :, ::-1])
-            size = image.shape[1], image.shape[0]
-            record = estimated(Aside(image, GroundPlane(1.0, 0.0, 1.0, *size), sighting), None, detector)
-            n += 1
-            few += lean(sighting, *size) is None
-            warned += record is not None and any(each.code == "tilt_suspected" for each in record.warnings)
-            planes += record is None or (record.tilt is not None and record.tilt.tilt_deg > 8)
-    print(f"{n} images from straight above, {n - few} with 25 cars: {warned} warned of, {planes} with a plane")
+def nadir(cache: Path) -> None:
+    """Count images from straight above that cars take for tilted, in what ``benchmarks/flights.py`` has kept."""
+    asked = [from_json(json.loads(path.read_text())) for path in sorted(cache.glob("[0-9a-f]*.json"))]
+    found = [lean(each.sighting, each.image.width_px, each.image.height_px) for each in asked]
+    enough = [each for each in found if each is not None]
+    warned = sum(each.chance_above(MAX_OFF_NADIR_DEG) >= SURE for each in enough)
+    tilts = [each.tilt_deg for each in enough]
+    middle, far = np.percentile(tilts, [50, 95])
+    print(f"{len(asked)} images from straight above, {len(enough)} with 25 cars, {warned} warned of;", end=" ")
+    print(f"by cars alone the median one leans {middle:.1f} degrees, the 95th percentile {far:.1f}")
 
 
 def main() -> None:
@@ -337,17 +331,18 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("--split", default="val", help="of it first; the other one where there are too few")
     parser.add_argument("--cache", type=Path, help="folder that keeps what was found in each image")
+    parser.add_argument("--tilts", type=float, nargs="+", default=_TILTS_DEG, help="degrees from straight down")
     parser.add_argument("--images", type=int, default=12, help="grounds that are seen from aside")
     chosen = parser.parse_args()
     detector = open_detector(None, ScaleOptions(), threads=1)
     if chosen.what == "warped":
-        warped(chosen.data, chosen.split, chosen.images, detector, chosen.cache)
+        warped(chosen.data, chosen.split, chosen.images, chosen.tilts, detector, chosen.cache)
     elif chosen.what == "courts":
         courts(chosen.images, detector)
     elif chosen.what == "real":
         real(chosen.data, detector, chosen.cache)
     else:
-        nadir(chosen.data, chosen.split, detector, chosen.cache)
+        nadir(chosen.cache or Path())
 
 
 if __name__ == "__main__":

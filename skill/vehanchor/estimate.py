@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from vehanchor.anchors.agreement import disagreements
-from vehanchor.anchors.attitude import attitude, known_plane, levelled, plane_with, tilt_record
+from vehanchor.anchors.attitude import attitude, known_plane, levelled, tilt_record
 from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.leaning import leaning_notice
 from vehanchor.anchors.registry import OTHER_ANCHORS
@@ -258,7 +258,7 @@ def analyse_sighting(view: View, others: Sequence[Evidence] | None = None, *, le
         others = tuple(ruler.look(view) for ruler in OTHER_ANCHORS if rulers.uses(ruler.kind))
     looked, seen = joint_attitude(said, view, others) if level else None, view
     if looked is not None:
-        others = on_the_plane(others, plane_with(looked, view.image, 1.0))
+        others = on_the_plane(others, looked, view)
         seen = replace(view, sighting=levelled(view.sighting, looked, view.image))
     used = rulers.uses(Vehicles.kind)
     vehicles = Vehicles().look(seen if used else replace(view, sighting=_NOT_SEARCHED))
@@ -360,7 +360,7 @@ def _known_scale(
         confidence=confidence,
         image_id=view.image.image_id,
         model_id=model_id(view.card),
-        plane=looked and known_plane(looked.tilt_deg, looked.roll_deg, looked.focal_px),
+        plane=None if looked is None else known_plane(looked.tilt_deg, looked.roll_deg, looked.focal_px),
     )
 
 

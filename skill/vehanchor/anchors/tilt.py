@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from vehanchor.anchors.attitude import TILT_SD_DEG, Attitude, plane_with
-from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG
+from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, Camera
 from vehanchor.anchors.courts import CourtsEvidence
 from vehanchor.anchors.leaning import SURE, cars_witness, focal_of
 from vehanchor.anchors.scene_scale import SceneScale
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
     from vehanchor.anchors.evidence import Evidence, View
     from vehanchor.scale.leans import LeanWitness
-    from vehanchor.scale.plane import GroundPlane
 
 __all__ = ["joint_attitude", "on_the_plane"]
 
@@ -63,18 +63,24 @@ def joint_attitude(said: Attitude | None, view: View, others: Sequence[Evidence]
     return looked
 
 
-def on_the_plane(others: Sequence[Evidence], plane: GroundPlane) -> tuple[Evidence, ...]:
+def on_the_plane(others: Sequence[Evidence], looked: Attitude, view: View) -> tuple[Evidence, ...]:
     """What rulers say of the scale at the image's centre, where the camera looked aside.
 
     Args:
-        others: evidence of the rulers beside vehicles: courts are measured again, and the ground's own look is left
-            out, whose network was never shown such a view.
-        plane: the ground; its scale does not matter.
+        others: evidence of the rulers beside vehicles: courts and the camera's height are measured again, and the
+            ground's own look is left out, whose network was never shown such a view.
+        looked: where the camera looked.
+        view: of the image.
     """
+    image, camera = view.image, view.image.camera
+    plane = plane_with(looked, image, 1.0)
     found: list[Evidence] = []
     for each in others:
         if isinstance(each, CourtsEvidence):
             found.append(each.on(plane))
+        elif each.kind == Camera.kind and camera is not None and camera.off_nadir_deg is not None:
+            aimed = image._replace(camera=replace(camera, off_nadir_deg=looked.tilt_deg))
+            found.append(Camera().look(replace(view, image=aimed)))
         else:
             found.append(says_nothing(each.kind) if each.kind == SceneScale.kind else each)
     return tuple(found)

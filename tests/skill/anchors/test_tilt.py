@@ -9,7 +9,8 @@ import pytest
 import vehanchor
 from tests.analyses import made_card
 from tests.skill.anchors.test_leaning import FOCAL_PX, HEIGHT, WIDTH, _cars
-from vehanchor.anchors.attitude import attitude
+from vehanchor.anchors.attitude import Attitude, attitude
+from vehanchor.anchors.camera import Camera
 from vehanchor.anchors.courts import CourtsEvidence, evidence_of
 from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.tilt import joint_attitude, on_the_plane
@@ -99,6 +100,15 @@ def test_a_court_seen_from_above_leaves_the_ground_level() -> None:
     assert joint_attitude(None, _view(NOTHING, georeference_gsd_m_per_px=GSD), [aside]) is None
 
 
+def test_the_height_of_the_camera_is_measured_along_the_joint_tilt() -> None:
+    view = _view(NOTHING, replace(CAMERA, height_m=60.0))
+    said = Camera().look(view)
+    (moved,) = on_the_plane([said], Attitude(33.0, 0.0, FOCAL_PX, "metadata, vehicles"), view)
+    assert moved.gsd_m_per_px == pytest.approx(60 / GroundPlane(1.0, 33.0, FOCAL_PX, WIDTH, HEIGHT).height_m)
+    assert said.gsd_m_per_px is not None
+    assert moved.gsd_m_per_px > said.gsd_m_per_px
+
+
 def test_a_tilt_that_a_court_cannot_tell_from_a_horizon_is_refused() -> None:
     courts, _ = _court(52.0)
     with pytest.raises(TooObliqueError, match="horizon"):
@@ -107,11 +117,12 @@ def test_a_tilt_that_a_court_cannot_tell_from_a_horizon_is_refused() -> None:
 
 def test_a_court_beside_the_centre_says_the_scale_of_the_centre() -> None:
     courts, plane = _court(35.0)
-    (moved,) = on_the_plane([courts], plane)
+    looked = Attitude(plane.tilt_deg, plane.roll_deg, plane.focal_px, "courts")
+    (moved,) = on_the_plane([courts], looked, _view(NOTHING))
     assert moved.gsd_m_per_px == pytest.approx(GSD, rel=1e-3)
     assert isinstance(moved, CourtsEvidence)
     assert moved.courts == courts.courts
-    (again,) = on_the_plane([moved], plane)
+    (again,) = on_the_plane([moved], looked, _view(NOTHING))
     assert again.gsd_m_per_px == moved.gsd_m_per_px
     assert from_json(to_json(courts)).courts[0].gsd_m_per_px == GSD  # a flight's journal keeps them
 
