@@ -11,6 +11,7 @@ import json
 import shutil
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -137,7 +138,7 @@ def main() -> None:
         "ONNX Runtime alone": _bare,
         "ultralytics, tile by tile, no merge": _ultralytics,
         "SAHI": _sahi,
-        "SAHI, default": lambda *given: _sahi(*given, whole_image_too=True),
+        "SAHI, default": partial(_sahi, whole_image_too=True),
         "supervision": _supervision,
     }
     run = makers[tool](model, cv2.imread(image), json.loads(Path(tiles).read_text()))

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from typing import Any
 
 from qgis.core import QgsApplication, QgsProcessingException, QgsVectorLayer
 
@@ -17,7 +18,7 @@ from vehanchor_provider import classFactory  # noqa: E402
 Processing.initialize()
 plugin = classFactory(None)
 plugin.initProcessing()
-seen = {"algorithms": sorted(each.id() for each in plugin.provider.algorithms())}
+seen: dict[str, Any] = {"algorithms": sorted(each.id() for each in plugin.provider.algorithms())}
 seen["scale"] = processing.run("vehanchor:scale", {"IMAGE": photograph, "BOXES": out + "/boxes.gpkg"})
 layer = QgsVectorLayer(seen["scale"]["BOXES"], "boxes", "ogr")
 seen["boxes"] = [layer.isValid(), layer.featureCount()]

@@ -10,8 +10,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from benchmarks.segmenter import Trial  # noqa: E402 - PyTorch may be missing
-from training.segmenter.calibrate import area_bias, least_trusted_score, mask_area_log_sd  # noqa: E402
+from benchmarks.segmenter import Target, Trial  # noqa: E402 - PyTorch may be missing
+from training.segmenter.calibrate import area_bias, best_choice, finished, least_trusted_score, mask_area_log_sd, see  # noqa: E402
 from training.segmenter.data import (  # noqa: E402
     BatchStream,
     CropSize,
@@ -36,7 +36,7 @@ from training.segmenter.distil import (  # noqa: E402
     load_files,
     mirrored_mean,
 )
-from training.segmenter.export import export  # noqa: E402
+from training.segmenter.export import INPUT_PX, export, smoothed  # noqa: E402
 from training.segmenter.loss import overlap_of, segmentation_loss  # noqa: E402
 from training.segmenter.network import (  # noqa: E402
     BOTTOM_RIGHT,
@@ -51,6 +51,8 @@ from training.segmenter.network import (  # noqa: E402
 )
 from training.segmenter.shapes import composite  # noqa: E402
 from vehanchor.imagery.raster import open_raster  # noqa: E402
+from vehanchor.models.session import open_session  # noqa: E402
+from vehanchor.segmentation.contracts import recognise_contract  # noqa: E402
 from vehanchor.segmentation.segmenter import Prompt as UserPrompt  # noqa: E402
 from vehanchor.segmentation.segmenter import Segmenter as OnnxSegmenter  # noqa: E402
 from vehanchor_scenes import render_scene  # noqa: E402
@@ -187,13 +189,25 @@ def test_the_calibration_reads_spread_and_limit_off_the_trials() -> None:
     assert area_bias(good + roofs) == pytest.approx({"pool": 0.0, "roof": -0.2})
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::torch.jit.TracerWarning")
+def test_the_calibration_takes_the_best_masks_that_are_not_too_large() -> None:
+    def trials(iou: float, ratio: float) -> list[Trial]:
+        return [Trial("pool", iou, ratio, 0.9, 0.1)]
+
+    by_choice = {(0.0, 0.0): trials(0.80, 0.95), (0.7, 0.25): trials(0.84, 1.009), (0.7, 0.5): trials(0.85, 1.02)}
+    assert best_choice(by_choice) == (0.7, 0.25)
+    assert best_choice({(0.7, 0.5): trials(0.85, 1.02)}) == (0.0, 0.0)
+
+
+@pytest.mark.filterwarnings(
+    "ignore::DeprecationWarning", "ignore::torch.jit.TracerWarning", "ignore:Constant folding:UserWarning"
+)
 def test_an_exported_segmenter_gives_the_library_what_the_network_saw(tmp_path: Path) -> None:
     torch.manual_seed(0)
     network = Segmenter().eval()
     torch.save({"averaged": network.state_dict()}, tmp_path / "checkpoint.pt")
-    offset = 0.25
-    encoder, decoder = export(tmp_path, tmp_path, {"min_score": 0.6, "mask_area_log_sd": 0.08, "mask_offset": offset})
+    offset, smoothing = 0.25, 0.7
+    said = {"min_score": 0.6, "mask_area_log_sd": 0.08, "mask_offset": offset, "mask_smoothing": smoothing}
+    encoder, decoder = export(tmp_path, tmp_path, said)
     assert encoder.stat().st_size + decoder.stat().st_size < 12e6
     segmenter = OnnxSegmenter(encoder, decoder)
     assert segmenter.card.name == "vehanchor-segmenter"
@@ -203,9 +217,16 @@ def test_an_exported_segmenter_gives_the_library_what_the_network_saw(tmp_path: 
     pixels = torch.from_numpy(image.transpose(2, 0, 1).copy())[None].float() / 255
     with torch.no_grad():
         seen = network(pixels, _prompt([(60, 70), (180, 190)], [TOP_LEFT, BOTTOM_RIGHT], 256))
-        large = torch.nn.functional.interpolate(seen.mask, (256, 256), mode="bilinear", align_corners=False)
+        blurred = cv2.GaussianBlur(seen.mask[0, 0].numpy(), (5, 5), smoothing, borderType=cv2.BORDER_REPLICATE)
+        assert np.abs(smoothed(seen.mask, smoothing)[0, 0].numpy() - blurred).max() < 1e-3
+    large = cv2.resize(blurred, (256, 256), interpolation=cv2.INTER_LINEAR)
     assert found.score == pytest.approx(float(seen.iou), abs=1e-4)
-    assert ((large[0, 0].numpy() + offset > 0) == found.mask).mean() > 0.999
+    assert ((large + offset > 0) == found.mask).mean() > 0.999
+    (tmp_path / "bare").mkdir()
+    bare = [open_session(path) for path in export(tmp_path, tmp_path / "bare", {})]
+    target = Target("roof", "a", image, np.ones((256, 256), bool), (60.0, 70.0, 180.0, 190.0))
+    view = see(recognise_contract(bare[0], bare[1], INPUT_PX), target)
+    assert (finished(view, smoothing, offset)(target)[0] == found.mask).mean() > 0.999  # what the calibration judges
     again = Segmenter()
     load_files(again, encoder, decoder, [BatchStream([_sample()], seed=1)[0]])
     with torch.no_grad():

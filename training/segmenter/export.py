@@ -20,6 +20,7 @@ from training.segmenter.network import EMBEDDING_CHANNELS, STRIDE_PX, Prompt, Se
 
 INPUT_PX = 256
 NAME = "vehanchor-segmenter"
+_REACH_CELLS = 2  # of the smoothing: almost three standard deviations
 
 
 class EncoderGraph(nn.Module):
@@ -35,14 +36,25 @@ class EncoderGraph(nn.Module):
         return embedding
 
 
-class DecoderGraph(nn.Module):
-    """SAM's decoder signature; one mask a prompt, its logits raised by ``mask_offset`` (see ``calibrate.py``)."""
+def smoothed(logits: Tensor, sigma: float) -> Tensor:
+    """``[b, 1, h, w]`` blurred by a Gaussian of ``sigma`` cells, the border repeated; 0 leaves them as they are."""
+    if sigma == 0:
+        return logits
+    steps = torch.arange(-_REACH_CELLS, _REACH_CELLS + 1, dtype=logits.dtype, device=logits.device)
+    line = torch.exp(-0.5 * (steps / sigma) ** 2)
+    line = line / line.sum()
+    padded = functional.pad(logits, (_REACH_CELLS,) * 4, mode="replicate")
+    return functional.conv2d(padded, (line[:, None] * line[None, :])[None, None])
 
-    def __init__(self, network: Segmenter, side_px: int, mask_offset: float) -> None:
+
+class DecoderGraph(nn.Module):
+    """SAM's decoder signature; one mask a prompt, its logits smoothed and raised (see ``calibrate.py``)."""
+
+    def __init__(self, network: Segmenter, side_px: int, mask_offset: float, mask_smoothing: float) -> None:
         super().__init__()
         self.decoder = network.decoder
         self.side_px = side_px
-        self.mask_offset = mask_offset
+        self.mask_offset, self.mask_smoothing = mask_offset, mask_smoothing
 
     def forward(
         self,
@@ -56,7 +68,7 @@ class DecoderGraph(nn.Module):
         """Masks are logits at the original size."""
         points = point_coords + 0.5  # SAM's coordinates are pixel indices
         found = self.decoder(image_embeddings, Prompt(points, point_labels, mask_input, has_mask_input))
-        logits = found.mask + self.mask_offset
+        logits = smoothed(found.mask, self.mask_smoothing) + self.mask_offset
         large = functional.interpolate(logits, (self.side_px, self.side_px), mode="bilinear", align_corners=False)
         size = orig_im_size.to(torch.float32)
         used = torch.floor(size * (self.side_px / torch.max(size)) + 0.5).to(torch.int64)
@@ -77,7 +89,7 @@ def load_network(run: Path) -> Segmenter:
 def export(run: Path, folder: Path, calibration: dict[str, object]) -> tuple[Path, Path]:
     """Export a run; ``calibration`` (see ``calibrate.py``) becomes ``vehanchor.*`` metadata of both files.
 
-    Its ``mask_offset`` enters the graph as well.
+    Its ``mask_offset`` and ``mask_smoothing`` enter the graph as well.
     """
     network = load_network(run)
     encoder, decoder = folder / "segmenter-encoder.onnx", folder / "segmenter-decoder.onnx"
@@ -90,7 +102,12 @@ def export(run: Path, folder: Path, calibration: dict[str, object]) -> tuple[Pat
         ["image_embeddings"],
     )
     write_onnx(
-        DecoderGraph(network, INPUT_PX, float(str(calibration.get("mask_offset", 0.0)))),
+        DecoderGraph(
+            network,
+            INPUT_PX,
+            float(str(calibration.get("mask_offset", 0.0))),
+            float(str(calibration.get("mask_smoothing", 0.0))),
+        ),
         (
             torch.zeros(1, EMBEDDING_CHANNELS, cells, cells),
             torch.tensor([[[40.0, 50.0], [200.0, 180.0], [120.0, 100.0]]]),
