@@ -58,7 +58,7 @@ def test_a_flight_that_looked_aside_tells_its_tilt_at_its_own_scale() -> None:
     pooled, bare = flight.islands[0].pooled, estimate_in_flight(flight, flight.photographs[1])
     for record in (pooled, bare):
         assert record.tilt is not None
-        assert record.tilt.tilt_deg == 35.0
+        assert record.tilt.tilt_deg == pytest.approx(35.0, abs=2)  # the cars are heard, too
         assert record.gsd_m_per_px is not None
         assert record.gsd_m_per_px == pytest.approx(GSD, rel=0.12)
         assert record.tilt.gsd_least_m_per_px is not None
