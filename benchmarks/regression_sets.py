@@ -32,6 +32,7 @@ from vehanchor.anchors.camera import equivalent_lens
 from vehanchor.defaults import CAR_LENGTH_M
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector
+from vehanchor.detection.scene import load_scene_scale
 from vehanchor.detection.search import search
 from vehanchor.estimate import analyse_scale
 from vehanchor.imagery.raster import open_raster
@@ -130,8 +131,10 @@ def false_boxes(image: Sighted) -> int:
 
 def sighted(image: Path | NDArray[np.uint8], detector: Detector) -> Sighted:
     """Search an image as a user's is searched, at a low threshold."""
+    ground = load_scene_scale()
     with open_raster(image) as raster:
-        found = search(raster, detector, Search(min_score=_LEAST_SCORE))
+        scene = None if ground is None else ground.look(raster)
+        found = search(raster, detector, Search(min_score=_LEAST_SCORE), scene=scene)
         return Sighted(found.boxes, found.scores, raster.width_px * raster.height_px / 1e6)
 
 

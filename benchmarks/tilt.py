@@ -3,7 +3,8 @@
 ``warped`` sees orthophotos of known scale by known homographies (pitch -90 to -45, roll within 10 degrees, three focal
 lengths): the tilt by cars, by metadata (angles off by a degree or so, the height by 5 %) and by both; areas of
 rectangles anywhere in the frame, treated and not. ``courts`` does so with rendered sports grounds and no metadata.
-``real`` reads the eight pitches of DATA/tilt. ``nadir`` counts images from straight above that are taken for tilted.
+``real`` reads the eight pitches of DATA/tilt. ``nadir`` counts images from
+straight above that are taken for tilted, among those that ``benchmarks/flights.py --cache FOLDER`` has kept.
 """
 
 from __future__ import annotations
@@ -311,25 +312,16 @@ def real(data: Path, detector: Detector, cache: Path | None) -> None:
         print(f"| {pitch} | {used} | {source} | {said} | {camera:.4f} | {length} | {record.status} |", flush=True)
 
 
-def nadir(data: Path, split: str, detector: Detector, cache: Path | None) -> None:
-    """Count images from straight above that are taken for tilted."""
-    n = warned = planes = few = 0
-    for table in ("table.csv", "upright.csv"):
-        with (data / "gsd" / table).open() as file:
-            rows = [row for row in csv.DictReader(file) if row["split"] == split]
-        for row in rows:
-            if int(row["labelled_small_vehicles"] or 0) < 15:
-                continue
-            path = (data / "gsd" / row["file"]).resolve()
-            _, sighting = looked_at(path, detector, cache)
-            image = np.ascontiguousarray(read(path)[:, :, ::-1])
-            size = image.shape[1], image.shape[0]
-            record = estimated(Aside(image, GroundPlane(1.0, 0.0, 1.0, *size), sighting), None, detector)
-            n += 1
-            few += lean(sighting, *size) is None
-            warned += record is not None and any(each.code == "tilt_suspected" for each in record.warnings)
-            planes += record is None or (record.tilt is not None and record.tilt.tilt_deg > 8)
-    print(f"{n} images from straight above, {n - few} with 25 cars: {warned} warned of, {planes} with a plane")
+def nadir(cache: Path) -> None:
+    """Count images from straight above that cars take for tilted, in what ``benchmarks/flights.py`` has kept."""
+    asked = [from_json(json.loads(path.read_text())) for path in sorted(cache.glob("[0-9a-f]*.json"))]
+    found = [lean(each.sighting, each.image.width_px, each.image.height_px) for each in asked]
+    enough = [each for each in found if each is not None]
+    warned = sum(each.chance_above(MAX_OFF_NADIR_DEG) >= SURE for each in enough)
+    tilts = [each.tilt_deg for each in enough]
+    middle, far = np.percentile(tilts, [50, 95])
+    print(f"{len(asked)} images from straight above, {len(enough)} with 25 cars, {warned} warned of;", end=" ")
+    print(f"by cars alone the median one leans {middle:.1f} degrees, the 95th percentile {far:.1f}")
 
 
 def main() -> None:
@@ -350,7 +342,7 @@ def main() -> None:
     elif chosen.what == "real":
         real(chosen.data, detector, chosen.cache)
     else:
-        nadir(chosen.data, chosen.split, detector, chosen.cache)
+        nadir(chosen.cache or Path())
 
 
 if __name__ == "__main__":

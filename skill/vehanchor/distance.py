@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.errors import PromptError
+from vehanchor.exchange import places_of
 from vehanchor.found_scale import choose_scale, find_scale, interval_around
 from vehanchor.imagery.raster import open_raster
 from vehanchor.options import ScaleOptions
@@ -86,7 +87,7 @@ def measure_distance(
 
     Args:
         image: as in ``estimate_gsd``.
-        path: x, y of two points or more, in order; the line is straight between them.
+        path: x, y of two points or more, in order; the line is straight between them. Or a line of shapely.
         gsd_m_per_px: the scale, metres per pixel of the full image, where it is known: then no detector runs.
         scale: an earlier estimate of this image, or its ``scale``: then no detector runs, either, and its interval and
             confidence hold.
@@ -177,7 +178,7 @@ def read_path(path: Sequence[Place]) -> tuple[Place, ...]:
         PromptError: fewer than two points, or one that is no two finite numbers.
     """
     places = []
-    for each in path:
+    for each in places_of(path):
         try:
             x, y = (float(value) for value in each)
         except (TypeError, ValueError):

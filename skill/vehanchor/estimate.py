@@ -360,7 +360,7 @@ def _known_scale(
         confidence=confidence,
         image_id=view.image.image_id,
         model_id=model_id(view.card),
-        plane=looked and known_plane(looked.tilt_deg, looked.roll_deg, looked.focal_px),
+        plane=None if looked is None else known_plane(looked.tilt_deg, looked.roll_deg, looked.focal_px),
     )
 
 

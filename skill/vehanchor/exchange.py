@@ -5,14 +5,43 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from vehanchor.errors import MissingExtraError
+from vehanchor.errors import MissingExtraError, PromptError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = ["as_frame", "as_html", "flat", "line_geometry", "outline_geometry"]
+__all__ = ["as_box", "as_frame", "as_html", "flat", "line_geometry", "outline_geometry", "places_of"]
 
 _SHOWN_FLOAT_DIGITS = 4
+
+
+def as_box(box: Any) -> Any:
+    """Take a box from objects that have one, without importing what they are of; anything else is left as it is.
+
+    Args:
+        box: a geometry of shapely, whose ``bounds`` are taken, or supervision's ``Detections`` of one object.
+
+    Raises:
+        PromptError: detections of none or of several objects.
+    """
+    found = getattr(box, "xyxy", None)
+    if found is not None:
+        if len(found) != 1:
+            raise PromptError(f"the detections are of {len(found)} objects: give one, as detections[i : i + 1]")
+        return tuple(float(value) for value in found[0])
+    return getattr(box, "bounds", box)
+
+
+def places_of(path: Any) -> Any:
+    """Take the points of a line of shapely; anything else is left as it is.
+
+    Raises:
+        PromptError: a geometry that is no line.
+    """
+    try:
+        return getattr(path, "coords", path)
+    except NotImplementedError:  # of shapely's polygons and collections
+        raise PromptError(f"the path is a {type(path).__name__}: give a line, or points") from None
 
 
 def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

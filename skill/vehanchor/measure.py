@@ -80,7 +80,8 @@ def measure_area(
 
     Args:
         image: as in ``estimate_gsd``.
-        box: x1, y1, x2, y2 around the object. Either a box or points.
+        box: x1, y1, x2, y2 around the object, a geometry of shapely, or supervision's ``Detections`` of one object.
+            Either a box or points.
         points: x, y and, optionally, whether the point is on the object (the default) or beside it.
         gsd_m_per_px: the scale, metres per pixel of the full image, where it is known: then no detector runs.
         scale: an earlier estimate of this image, or its ``scale``: then no detector runs, either, and its interval and

@@ -129,7 +129,7 @@ class TiltEstimate(_Record):
     gsd_largest_m_per_px: float | None = Field(description="Largest metres per pixel in the image.")
 
 
-class KnownPlane(_Record):
+class KnownPlane(_Record, strict=True):
     """Where the camera looked, for a scale that is given back: it is that of the image's centre then."""
 
     tilt_deg: float = Field(gt=0, lt=90, description="Angle between the camera's axis and straight down.")
@@ -137,10 +137,8 @@ class KnownPlane(_Record):
     focal_length_px: float = Field(gt=0, description="Focal length, pixels of the full image.")
 
 
-class KnownScale(_Record):
+class KnownScale(_Record, strict=True):  # it comes back from callers: true is no metre
     """A scale to be given back for the next measurement in the same image, which then needs no search."""
-
-    model_config = ConfigDict(strict=True)  # it comes back from callers: true is no metre
 
     gsd_m_per_px: float = Field(gt=0, description="Metres per pixel of the full image.")
     gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its 95 % interval.")

@@ -7,9 +7,11 @@ import pytest
 
 import vehanchor
 from tests.analyses import make_analysis
-from vehanchor.errors import MissingExtraError
+from vehanchor.distance import read_path
+from vehanchor.errors import MissingExtraError, PromptError
 from vehanchor.exchange import as_frame, flat, outline_geometry
 from vehanchor.records import Notice
+from vehanchor.segmentation.prompt import read_prompt
 
 
 def _estimate() -> vehanchor.GsdEstimate:
@@ -68,3 +70,31 @@ def test_a_distance_is_a_line_that_shapely_takes() -> None:
     assert record.__geo_interface__ == {"type": "LineString", "coordinates": [[10, 20], [40, 60]]}
     shapely = pytest.importorskip("shapely.geometry")
     assert shapely.shape(record).length == pytest.approx(50)
+
+
+class _Geometry:
+    """Shapely's, as far as it is used."""
+
+    bounds = (75.0, 55.0, 225.0, 145.0)
+    coords = ((10.0, 20.0), (40.0, 60.0))
+
+
+class _Detections:
+    """Supervision's, as far as they are used."""
+
+    def __init__(self, n: int) -> None:
+        self.xyxy = np.repeat([[75, 55, 225, 145]], n, axis=0).astype(np.float32)
+
+
+def test_places_come_from_objects_that_people_have() -> None:
+    corners = read_prompt((75, 55, 225, 145), None)
+    assert read_prompt(_Geometry(), None) == corners  # type: ignore[arg-type]
+    assert read_prompt(_Detections(1), None) == corners  # type: ignore[arg-type]
+    assert read_path(_Geometry()) == read_path([(10, 20), (40, 60)])  # type: ignore[arg-type]
+    with pytest.raises(PromptError, match=r"of 2 objects: give one"):
+        read_prompt(_Detections(2), None)  # type: ignore[arg-type]
+    shapely = pytest.importorskip("shapely.geometry")
+    with pytest.raises(PromptError, match="give a line"):
+        read_path(shapely.box(0, 0, 1, 1))
+    assert read_prompt(shapely.box(75, 55, 225, 145), None) == corners
+    assert read_path(shapely.LineString([(10, 20), (40, 60)])) == read_path([(10, 20), (40, 60)])

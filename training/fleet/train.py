@@ -40,72 +40,53 @@ from vehanchor.detection.look import CHIP_SHAPE
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-_BATCH = 10  # images
-_TOGETHER = 8  # vehicles of an image, whose mean is to be its fleet's
+_BATCH = 64
 _STEPS = 4000
 _RATE = 2e-3
 _WARM_UP_STEPS = 400
 _BETA = 0.05  # of a log length: beyond it an error counts linearly, for some labels are wrong
-_LENGTH_WEIGHT = 2.0  # of one vehicle's length
-_FLEET_WEIGHT = 16.0  # of the mean length of an image's: what the tool asks for; both bring the losses to like sizes
+_LENGTH_WEIGHT = 8.0  # brings both losses to the same size
 _REPORT_LENGTHS_PX = (12.0, 16.0, 24.0, 40.0)
 _LEAST_VEHICLES = 3  # of an image in the report
 
 
 class ChipStream:
-    """Images without end, some chips of each: half of North America, half of the other sets, each of these alike.
+    """Chips without end: half of North America, half of the other sets, each of these counting alike.
 
-    The k-th is the same whenever it is asked for.
+    The k-th chip is the same whenever it is asked for.
     """
 
     def __init__(self, vehicles: list[Vehicle], seed: int) -> None:
-        by_set: dict[str, dict[str, list[Vehicle]]] = {}
+        self.by_set: dict[str, list[Vehicle]] = {}
         for vehicle in vehicles:
-            by_set.setdefault(vehicle.set, {}).setdefault(vehicle.file, []).append(vehicle)
-        self.images = {name: list(files.values()) for name, files in by_set.items()}
-        # An image counts by its vehicles, as it did when vehicles were drawn and not images.
-        sizes = {name: np.array([len(each) for each in images]) for name, images in self.images.items()}
-        self.share = {name: size / size.sum() for name, size in sizes.items()}
+            self.by_set.setdefault(vehicle.set, []).append(vehicle)
         self.seed = seed
 
-    def __getitem__(self, index: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Chips ``[n, 1, 16, 24]``, whether they are of North America, the logs of their lengths, and the image's mean.
+    def __getitem__(self, index: int) -> tuple[Tensor, Tensor, Tensor]:
+        """A chip ``[1, 16, 24]``, whether it is North American, and the log of its length in metres.
 
         NaN where nobody knows: a rendered car is of no region, and not all scales are known.
         """
         rng = np.random.default_rng((self.seed, index))
-        others = [name for name in self.images if name != NORTH_AMERICA]
-        american = rng.random() < 0.5 and NORTH_AMERICA in self.images
-        name = NORTH_AMERICA if american else others[rng.integers(len(others))]
-        image = self.images[name][rng.choice(len(self.images[name]), p=self.share[name])]
-        chosen = [image[k] for k in rng.integers(len(image), size=_TOGETHER)]
-        chips = torch.from_numpy(np.stack([random_chip(vehicle, rng) for vehicle in chosen]))[:, None]
-        of_america = math.nan if name == SCENES else float(american)
-        fleet = np.mean([_log_length(vehicle) for vehicle in image])
-        lengths = torch.tensor([_log_length(vehicle) for vehicle in chosen])
-        return chips, torch.full((_TOGETHER,), of_america), lengths, torch.tensor(fleet, dtype=torch.float32)
+        others = [name for name in self.by_set if name != NORTH_AMERICA]
+        american = rng.random() < 0.5 and NORTH_AMERICA in self.by_set
+        among = self.by_set[NORTH_AMERICA if american else others[rng.integers(len(others))]]
+        vehicle = among[rng.integers(len(among))]
+        length = math.nan if vehicle.length_m is None else math.log(vehicle.length_m)
+        cut = random_chip(vehicle, rng)
+        of_america = math.nan if vehicle.set == SCENES else float(american)
+        return torch.from_numpy(cut)[None], torch.tensor(of_america), torch.tensor(length)
 
 
-def _log_length(vehicle: Vehicle) -> float:
-    return math.nan if vehicle.length_m is None else math.log(vehicle.length_m)
-
-
-def losses(network: nn.Module, batch: tuple[Tensor, ...], device: torch.device) -> Mapping[str, Tensor]:
-    """Cross-entropy of the log odds, smooth L1 of the log lengths and of their means, all where they are known.
-
-    The mean is what the tool asks for. Each vehicle's own length alone draws every fleet to the middle of all: a single
-    car hardly tells whose it is, and a mean of answers that hedge is a hedge.
-    """
-    chips, american, lengths, fleets = (part.to(device) for part in batch)
-    odds, seen = (each.reshape(american.shape) for each in network(chips.flatten(0, 1)))
+def losses(network: nn.Module, batch: tuple[Tensor, Tensor, Tensor], device: torch.device) -> Mapping[str, Tensor]:
+    """Cross-entropy of the log odds and smooth L1 of the log lengths, both where they are known."""
+    chips, american, lengths = (part.to(device) for part in batch)
+    odds, seen = network(chips)
     known = lengths.isfinite()
-    measured = fleets.isfinite()
     wrong = smooth_l1_loss(seen[known], lengths[known], beta=_BETA) if known.any() else seen.sum() * 0
-    apart = seen[measured].mean(dim=1)
-    fleet = smooth_l1_loss(apart, fleets[measured], beta=_BETA) if measured.any() else seen.sum() * 0
     placed = american.isfinite()
     entropy = binary_cross_entropy_with_logits(odds[placed], american[placed]) if placed.any() else odds.sum() * 0
-    return {"entropy": entropy, "length": _LENGTH_WEIGHT * wrong, "fleet": _FLEET_WEIGHT * fleet}
+    return {"entropy": entropy, "length": _LENGTH_WEIGHT * wrong}
 
 
 def trained(vehicles: list[Vehicle], steps: int, seed: int, run: Path | None = None) -> FleetNet:

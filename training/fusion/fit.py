@@ -12,7 +12,6 @@ import argparse
 import csv
 import itertools
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -78,7 +77,7 @@ def look(path: Path, set_name: str, gsd: float, detector: Detector, ground: Scen
     """Lead an image through the skill; None where nothing is found."""
     options = ScaleOptions()
     with open_raster(path) as raster:
-        sighting = replace(search(raster, detector, Search()), scene=ground.look(raster))
+        sighting = search(raster, detector, Search(), scene=ground.look(raster))
         evidence = Vehicles().look(View(image_facts(raster), sighting, detector.card, options, lambda *_: 1.0))
     if evidence.gsd_m_per_px is None or sighting.scene is None:
         return None

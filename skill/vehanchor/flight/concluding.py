@@ -222,7 +222,7 @@ def _given_back(
         confidence=confidence,
         image_id=image_id,
         model_id=model_id(photograph.view.card),
-        plane=tilt and known_plane(tilt.tilt_deg, tilt.roll_deg, tilt.focal_length_px),
+        plane=None if tilt is None else known_plane(tilt.tilt_deg, tilt.roll_deg, tilt.focal_length_px),
     )
 
 

@@ -34,7 +34,9 @@ _GROUND_SD_DEG = 0.7  # no ground is quite level: what a court says of itself ne
 class LeanWitness(Protocol):
     """Something that tells where a camera looked."""
 
-    kind: str
+    @property
+    def kind(self) -> str:
+        """Name in records."""
 
     def log_likelihoods(self, downs: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
         """``[k]`` for unit vectors straight down ``[k, 3]`` in the camera's frame, under a focal length."""

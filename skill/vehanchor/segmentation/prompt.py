@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from vehanchor.errors import PromptError
+from vehanchor.exchange import as_box
 from vehanchor.pointing import Pointing
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
     """One prompt as the caller gave it, checked for itself.
 
     Args:
-        box: around the object; either this or points.
+        box: around the object; either this or points. Also a geometry of shapely, or supervision's detection.
         points: one on the object at least.
 
     Raises:
@@ -71,7 +72,7 @@ def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
         found = "neither is given" if box is None else "both are given"
         raise PromptError(f"give a box or points, one of the two: {found}")
     if box is not None:
-        corners = tuple(_coordinate(value, "box") for value in box)
+        corners = tuple(_coordinate(value, "box") for value in as_box(box))
         if len(corners) != 4:
             raise PromptError(f"box has {len(corners)} numbers: use x1, y1, x2, y2")
         x1, y1, x2, y2 = corners

@@ -49,58 +49,48 @@ _KNOWN = {
 }
 
 
-@pytest.mark.parametrize("value", [True, "4.5", "1"])
-@pytest.mark.parametrize(
-    ("tool", "name", "inner"),
-    [
-        *[("estimate_gsd", name, None) for name in ("reference_length_m", "height_m", "focal_35mm", "max_seconds")],
-        ("estimate_gsd", "max_tiles", None),
-        *[("measure_area", name, None) for name in ("gsd_m_per_px", "object_height_m")],
-        *[("view_image", name, None) for name in ("page", "long_side_px")],
-        *[("view_image", "part", {**_BOX, "x_min": ...})],
-        *[("estimate_gsd", "frame", {"width_px": ..., "height_px": 3})],
-        *[("estimate_gsd", "known_lengths", [{**_LINE, name: ...}]) for name in ("x1", "metres")],
-        *[("measure_area", "target", {"box": {**_BOX, "x_min": ...}})],
-        *[("measure_area", "target", {"points": [{"x": ..., "y": 3}]})],
-        *[("measure_distance", "lines", [{"points": [{"x": ..., "y": 1}, {"x": 9, "y": 9}]}])],
-        *[("measure_area", "scale", {**_KNOWN, name: ...}) for name in ("gsd_m_per_px", "confidence")],
-    ],
-)
-async def test_what_is_no_number_is_not_taken_for_one(
-    server: MCPServer[object], tool: str, name: str, inner: Any, value: Any
-) -> None:
-    def filled(part: Any) -> Any:
-        if isinstance(part, dict):
-            return {key: filled(each) for key, each in part.items()}
-        return [filled(each) for each in part] if isinstance(part, list) else value if part is ... else part
-
-    others = {"target": {"box": _BOX}} if tool == "measure_area" else {}
-    arguments = {"image": {"kind": "path", "path": "/a"}, **others, name: filled(... if inner is None else inner)}
-    async with Client(server) as client:
-        result = await client.call_tool(tool, arguments)
-    assert error_of(result) == "invalid_arguments"
-    assert f"{name}" in text_of(result)
+_NUMBERS: list[tuple[str, str, Any]] = [  # tool, argument, and where in it a number stands
+    *[("estimate_gsd", name, ...) for name in ("reference_length_m", "height_m", "focal_35mm", "max_seconds")],
+    ("estimate_gsd", "max_tiles", ...),
+    *[("measure_area", name, ...) for name in ("gsd_m_per_px", "object_height_m")],
+    *[("view_image", name, ...) for name in ("page", "long_side_px")],
+    ("view_image", "part", {**_BOX, "x_min": ...}),
+    ("estimate_gsd", "frame", {"width_px": ..., "height_px": 3}),
+    *[("estimate_gsd", "known_lengths", [{**_LINE, name: ...}]) for name in ("x1", "metres")],
+    ("measure_area", "target", {"box": {**_BOX, "x_min": ...}}),
+    ("measure_area", "target", {"points": [{"x": ..., "y": 3}]}),
+    ("measure_distance", "lines", [{"points": [{"x": ..., "y": 1}, {"x": 9, "y": 9}]}]),
+    *[("measure_area", "scale", {**_KNOWN, name: ...}) for name in ("gsd_m_per_px", "confidence")],
+    ("measure_area", "scale", {**_KNOWN, "plane": {"tilt_deg": ..., "roll_deg": 1, "focal_length_px": 900}}),
+]
 
 
-@pytest.mark.parametrize(
-    ("tool", "name", "value"),
-    [
+def _filled(part: Any, value: Any) -> Any:
+    """The same with a value where ``...`` is."""
+    if isinstance(part, dict):
+        return {key: _filled(each, value) for key, each in part.items()}
+    return [_filled(each, value) for each in part] if isinstance(part, list) else value if part is ... else part
+
+
+async def test_what_is_no_number_is_not_taken_for_one_nor_what_no_call_means(server: MCPServer[object]) -> None:
+    absurd: list[tuple[str, str, Any]] = [
         ("estimate_gsd", "max_tiles", 10**400),
         ("estimate_gsd", "max_seconds", 1e308),
         ("estimate_gsd", "include_overlay", 1),
         ("estimate_gsd", "same_scale", "yes"),
-        ("measure_distance", "gsd_m_per_px", 1e-300),
-        ("measure_distance", "gsd_m_per_px", 1e9),
-    ],
-)
-async def test_what_no_call_means_is_refused_at_the_door(
-    server: MCPServer[object], tool: str, name: str, value: Any
-) -> None:
-    lines = {"lines": [{"points": [{"x": 1, "y": 1}, {"x": 9, "y": 9}]}]} if tool == "measure_distance" else {}
+        ("measure_area", "gsd_m_per_px", 1e-300),
+        ("measure_area", "gsd_m_per_px", 1e9),
+        *[(tool, name, _filled(place, value)) for tool, name, place in _NUMBERS for value in (True, "4.5", "1")],
+    ]
+    required = {"measure_area": {"target": {"box": _BOX}}}
+    taken = []
     async with Client(server) as client:
-        result = await client.call_tool(tool, {"image": {"kind": "path", "path": "/a"}, **lines, name: value})
-    assert error_of(result) == "invalid_arguments"
-    assert name in text_of(result)
+        for tool, name, value in absurd:
+            arguments = {"image": {"kind": "path", "path": "/a"}, **required.get(tool, {}), name: value}
+            result = await client.call_tool(tool, arguments)
+            if error_of(result) != "invalid_arguments" or name not in text_of(result):
+                taken.append((tool, name, str(value)[:40], text_of(result)))
+    assert taken == []
 
 
 async def test_a_wrong_argument_is_not_repeated_to_the_caller(server: MCPServer[object]) -> None:
@@ -128,11 +118,11 @@ async def test_more_values_than_any_call_has_are_told_without_looking_at_each(
     server: MCPServer[object], deep: bool
 ) -> None:
     many = {f"a{i}": 0 for i in range(100_000)}
-    started = time.monotonic()
+    started = time.process_time()
     async with Client(server) as client:
         result = await client.call_tool("estimate_gsd", {"image": many} if deep else many)
     assert text_of(result).startswith("invalid_arguments: more than 1000 values.")
-    assert time.monotonic() - started < 2
+    assert time.process_time() - started < 2
 
 
 async def test_long_names_are_shortened_before_they_are_told(server: MCPServer[object]) -> None:
