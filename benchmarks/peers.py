@@ -2,7 +2,7 @@
 
 Bare ONNX Runtime, ultralytics, SAHI, supervision and this library search the same 4096 x 4096 px image with the same
 oriented-box file, tile by tile. The others run in an environment of their own, which the first call makes
-(``--environment``, about 1 GB): ultralytics is under the AGPL and no part of this project; what runs there is
+(``--environment``, 6 GB): ultralytics is under the AGPL and no part of this project; what runs there is
 ``peers_inside.py``. Every pass is a fresh process, the tools in turns, each divided by the bare pass of its round.
 """
 
