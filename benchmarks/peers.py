@@ -76,7 +76,10 @@ def make_environment(folder: Path) -> Path:
 
 def search_here(model: Path, image: Path) -> Pass:
     """This library's search: every tile at full resolution, merged exactly. Run in a fresh process."""
-    pixels = np.ascontiguousarray(cv2.imread(str(image))[:, :, ::-1])
+    read = cv2.imread(str(image))
+    if read is None:
+        raise FileNotFoundError(image)
+    pixels = np.ascontiguousarray(read[:, :, ::-1]).astype(np.uint8, copy=False)
     detector = Detector(model)
     detector.detect_tile(pixels[:_TILE_PX, :_TILE_PX], 0.5)
     wall, cpu = time.perf_counter(), time.process_time()

@@ -206,7 +206,12 @@ def test_an_exported_segmenter_gives_the_library_what_the_network_saw(tmp_path: 
     network = Segmenter().eval()
     torch.save({"averaged": network.state_dict()}, tmp_path / "checkpoint.pt")
     offset, smoothing = 0.25, 0.7
-    said = {"min_score": 0.6, "mask_area_log_sd": 0.08, "mask_offset": offset, "mask_smoothing": smoothing}
+    said: dict[str, object] = {
+        "min_score": 0.6,
+        "mask_area_log_sd": 0.08,
+        "mask_offset": offset,
+        "mask_smoothing": smoothing,
+    }
     encoder, decoder = export(tmp_path, tmp_path, said)
     assert encoder.stat().st_size + decoder.stat().st_size < 12e6
     segmenter = OnnxSegmenter(encoder, decoder)

@@ -30,8 +30,8 @@ NOTHING = Sighting(np.zeros((0, 5)), np.zeros(0))
 GSD = 0.08
 
 
-def _view(sighting: Sighting, camera: CameraMetadata | None = None, **image: float) -> View:
-    facts = ImageFacts(WIDTH, HEIGHT, camera=camera, **image)  # type: ignore[arg-type] - a scale of the file
+def _view(sighting: Sighting, camera: CameraMetadata | None = None, written: float | None = None) -> View:
+    facts = ImageFacts(WIDTH, HEIGHT, camera=camera, georeference_gsd_m_per_px=written)
     return View(facts, sighting, made_card(4.5), ScaleOptions(), lambda *_: 1.0)
 
 
@@ -97,7 +97,7 @@ def test_a_court_seen_from_above_leaves_the_ground_level() -> None:
     assert joint_attitude(None, _view(NOTHING), [courts]) is None
     aside, _ = _court(30.0)
     assert joint_attitude(None, _view(NOTHING, replace(CAMERA, off_nadir_deg=0.0)), [aside]) is None
-    assert joint_attitude(None, _view(NOTHING, georeference_gsd_m_per_px=GSD), [aside]) is None
+    assert joint_attitude(None, _view(NOTHING, written=GSD), [aside]) is None
 
 
 def test_the_height_of_the_camera_is_measured_along_the_joint_tilt() -> None:
@@ -106,6 +106,7 @@ def test_the_height_of_the_camera_is_measured_along_the_joint_tilt() -> None:
     (moved,) = on_the_plane([said], Attitude(33.0, 0.0, FOCAL_PX, "metadata, vehicles"), view)
     assert moved.gsd_m_per_px == pytest.approx(60 / GroundPlane(1.0, 33.0, FOCAL_PX, WIDTH, HEIGHT).height_m)
     assert said.gsd_m_per_px is not None
+    assert moved.gsd_m_per_px is not None
     assert moved.gsd_m_per_px > said.gsd_m_per_px
 
 
