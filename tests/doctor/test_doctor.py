@@ -4,6 +4,8 @@ import importlib.metadata
 import re
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -60,6 +62,7 @@ def test_it_says_of_a_folder_how_many_will_do_and_what_helps_the_others(tmp_path
         if found is not None:
             (tmp_path / name).write_bytes(found.read_bytes())
     (tmp_path / "broken.jpg").write_bytes(b"no image")
+    cv2.imwrite(str(tmp_path / "large.png"), np.full((400, 400, 3), 90, np.uint8))  # a large JPEG is read by windows
     n = len(list(tmp_path.iterdir()))
     code, out, _ = run("doctor", "--no-test", tmp_path)
     assert code == 0
@@ -67,7 +70,7 @@ def test_it_says_of_a_folder_how_many_will_do_and_what_helps_the_others(tmp_path
     assert re.search(rf"usable\s+1 of {n} ", out)
     assert re.search(r"1 x image_undecodable\s+an error", out)
     code, out, _ = run("doctor", "--no-test", "--max-megapixels", "0.1", tmp_path)
-    assert re.search(rf"{n - 1} x image_too_large", out)
+    assert re.search("1 x image_too_large", out)
     code, out, _ = run("doctor", "--no-test", "--sample", "1", tmp_path)
     assert f"1 of {n} images" in out
 
