@@ -72,6 +72,7 @@ class WorkerPool:
         self._idle = list(self._workers)
         self.closed = False
         self._said: set[str] = set()
+        self._saying = threading.Lock()  # not the other: who chooses a worker holds that, and may be told of its start
 
     @property
     def ready(self) -> bool:
@@ -92,7 +93,7 @@ class WorkerPool:
 
     def say_once(self, level: int, text: str) -> None:
         """Log what every worker meets alike."""
-        with self._lock:
+        with self._saying:
             if text in self._said:
                 return
             self._said.add(text)

@@ -324,3 +324,29 @@ def test_a_worker_that_is_killed_while_it_starts_is_started_again_for_the_same_c
         assert workers.run(Task(number, IMAGE, None), Stop(), lambda *_: None, lambda *_: None) > 0
     finally:
         workers.close()
+
+
+def test_the_first_call_is_answered_where_nobody_has_looked_yet_whether_its_worker_is_ready(
+    tmp_path: Path, detector_path: Path
+) -> None:
+    settings = Settings(roots=(tmp_path, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
+    workers = WorkerPool(partial(create_services, settings), 1, WorkerLimits(1 << 30, 10))
+    workers.start()
+    try:
+        while not workers.processes:
+            time.sleep(0.01)
+        connection = workers._workers[0]._connection
+        assert connection is not None
+        assert connection.poll(60)  # its models are loaded, and that is the first that the call hears of it
+        answers: list[int] = []
+        call = threading.Thread(
+            target=lambda: answers.append(
+                workers.run(Task(number, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
+            ),
+            daemon=True,
+        )
+        call.start()
+        call.join(20)
+        assert len(answers) == 1
+    finally:
+        workers.close()
