@@ -28,8 +28,8 @@ def _import_supervision() -> Any:
     """
     try:
         import supervision
-    except ImportError:
-        raise MissingExtraError("to_supervision needs supervision: pip install supervision") from None
+    except ImportError as error:  # it, or something that it needs
+        raise MissingExtraError(f"to_supervision needs supervision ({error}): pip install supervision") from None
     return supervision
 
 

@@ -51,7 +51,7 @@ def test_a_provider_that_is_missing_is_named_by_every_verb(tmp_path: Path) -> No
     image = np.zeros((64, 64, 3), np.uint8)
     for verb in (
         lambda: vehanchor.estimate_gsd(image, providers=["abacus"]),
-        lambda: vehanchor.estimate_gsd([image], providers=["abacus"]),
+        lambda: vehanchor.estimate_gsd((image,), providers=["abacus"]),
         lambda: vehanchor.measure_distance(image, [(1, 1), (9, 9)], providers=["abacus"]),
         lambda: vehanchor.measure_area(image, box=(1, 1, 9, 9), providers=["abacus"]),
         lambda: vehanchor.estimate_flight([tmp_path / "a.png"], providers=["abacus"]),
