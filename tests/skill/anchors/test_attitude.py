@@ -68,6 +68,22 @@ def test_the_record_is_that_of_the_centre_and_tells_the_tilt() -> None:
     assert ignored.tilt is None
 
 
+def test_the_height_of_the_camera_tells_cars_from_their_parts() -> None:
+    looked = Attitude(35.0, 0.0, FOCAL, "metadata")
+    plane = plane_with(looked, FACTS, GSD)
+    cars, parts = _cars(looked, n=20).boxes, _cars(looked, n=40).boxes * [1, 1, 0.5, 0.5, 1]
+    boxes = np.concatenate([cars, parts])
+    seen = Sighting(boxes, np.full(len(boxes), 0.8), scales=np.ones(len(boxes)))
+    of_parts = View(FACTS, seen, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0)
+    alone = analyse_sighting(of_parts, [])
+    assert alone.estimate.gsd_m_per_px == pytest.approx(2 * GSD, rel=0.15)
+    said = replace(of_parts, image=FACTS._replace(camera=replace(CAMERA, height_m=plane.height_m)))
+    with_height = analyse_sighting(said)
+    assert with_height.vehicles.n == pytest.approx(20, abs=4)
+    assert with_height.estimate.gsd_m_per_px == pytest.approx(GSD, rel=0.12)
+    assert {each.kind for each in with_height.estimate.rulers if each.agrees} == {"vehicles", "camera"}
+
+
 @pytest.mark.parametrize(
     "camera",
     [
