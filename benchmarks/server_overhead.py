@@ -41,7 +41,7 @@ async def overhead(n_calls: int, threads: int) -> None:
     segmenter = load_segmenter(*resolve_segmenter(), threads=threads)
     with tempfile.TemporaryDirectory() as directory:
         image = write_images(Path(directory).resolve())[0]
-        by_path, box = {"image": {"kind": "path", "path": str(image)}}, middle_box(image)
+        by_path, box = {"image": {"kind": "path", "path": str(image)}, "detail": "full"}, middle_box(image)
         questions: dict[str, tuple[Callable[[], BaseModel], dict[str, Any]]] = {
             "estimate_gsd": (lambda: estimate_gsd(image, detector=detector), by_path),
             "measure_area": (
