@@ -48,7 +48,8 @@ def draw_area(image: NDArray[np.uint8], analysis: AreaFindings) -> NDArray[np.ui
     _draw_mask(picture, analysis, scale)
     _draw_prompt(picture, analysis, scale)
     picture = with_margins(picture)
-    if record.gsd_m_per_px is not None and (record.scale is None or record.scale.status == "ok"):
+    level = record.scale is None or (record.scale.status == "ok" and record.scale.tilt is None)
+    if record.gsd_m_per_px is not None and level:
         draw_scale_bar(picture, record.gsd_m_per_px / float(scale[0]))
     return np.concatenate([picture, caption_panel(picture.shape[1], _caption_lines(record))])
 

@@ -117,6 +117,18 @@ def test_without_tilt_or_of_a_crop_there_is_no_plane(camera: CameraMetadata | No
     assert attitude(FACTS._replace(camera=camera), ScaleOptions()) is None
 
 
+def test_of_a_crop_of_such_a_picture_a_warning_says_so() -> None:
+    cars = _cars(Attitude(35.0, 0.0, FOCAL, "metadata"))
+
+    def codes(camera: CameraMetadata) -> list[str]:
+        view = View(FACTS._replace(camera=camera), cars, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0)
+        return [each.code for each in analyse_sighting(view).estimate.warnings]
+
+    crop = replace(CAMERA, taken_width_px=4000)
+    assert "tilt_suspected" in codes(crop)
+    assert "tilt_suspected" not in codes(replace(crop, off_nadir_deg=5.0))
+
+
 def test_a_focal_length_that_nobody_tells_is_that_of_most_drones_and_the_source_says_so() -> None:
     looked = attitude(FACTS._replace(camera=replace(CAMERA, focal_px=None)), ScaleOptions())
     assert looked is not None
