@@ -15,7 +15,7 @@ import numpy as np
 from vehanchor.courts.match import Pose
 from vehanchor.courts.template import BASKETBALL, TENNIS
 from vehanchor.errors import ModelContractError
-from vehanchor.imagery.tiles import read_reduced_window, tile_grid
+from vehanchor.imagery.tiles import read_glance, tile_grid
 from vehanchor.models.cache import file_cached
 from vehanchor.models.session import open_session, run_session
 from vehanchor.models.zoo import bundled_courts
@@ -102,7 +102,7 @@ class CourtNetwork:
     def propose(
         self, raster: Raster, factor: int, *, run_options: onnxruntime.RunOptions | None = None
     ) -> list[Proposal]:
-        """Look for courts in an image reduced by a factor.
+        """Look for courts in an image reduced by a factor, by the file's overviews where it has any.
 
         Args:
             raster: the image.
@@ -115,7 +115,7 @@ class CourtNetwork:
         width, height = raster.width_px // factor, raster.height_px // factor
         found = []
         for window in tile_grid(width, height, tile_px=_TILE_PX, stride_px=_STRIDE_PX):
-            pixels = read_reduced_window(raster, window, factor)
+            pixels = read_glance(raster, window, factor)
             down, right = -pixels.shape[0] % _CELL_PX, -pixels.shape[1] % _CELL_PX
             pixels = np.pad(pixels, ((0, down), (0, right), (0, 0)))
             tile = np.ascontiguousarray(pixels.transpose(2, 0, 1))[None]
