@@ -20,7 +20,7 @@ from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.leaning import leaning_notice
 from vehanchor.anchors.registry import OTHER_ANCHORS
 from vehanchor.anchors.scene_scale import SceneScale
-from vehanchor.anchors.tilt import joint_attitude, on_the_plane
+from vehanchor.anchors.tilt import expected_scale, joint_attitude, on_the_plane
 from vehanchor.anchors.vehicles import Vehicles
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene import load_scene_scale
@@ -256,12 +256,12 @@ def analyse_sighting(view: View, others: Sequence[Evidence] | None = None, *, le
         view = replace(view, sighting=replace(view.sighting, scene=None))
     if others is None:
         others = tuple(ruler.look(view) for ruler in OTHER_ANCHORS if rulers.uses(ruler.kind))
-    looked, seen = joint_attitude(said, view, others) if level else None, view
+    looked, seen, expected = joint_attitude(said, view, others) if level else None, view, None
     if looked is not None:
         others = on_the_plane(others, looked, view)
-        seen = replace(view, sighting=levelled(view.sighting, looked, view.image))
+        seen, expected = replace(view, sighting=levelled(view.sighting, looked, view.image)), expected_scale(others)
     used = rulers.uses(Vehicles.kind)
-    vehicles = Vehicles().look(seen if used else replace(view, sighting=_NOT_SEARCHED))
+    vehicles = Vehicles(expected).look(seen if used else replace(view, sighting=_NOT_SEARCHED))
     estimate = conclude(vehicles, others, view, looked, placed=level)
     in_image = view.sighting if looked is not None and used else None
     return ScaleAnalysis(estimate, vehicles, tuple(others), in_image)

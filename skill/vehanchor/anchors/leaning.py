@@ -62,12 +62,17 @@ class CarsWitness:
 
     def log_likelihoods(self, downs: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
         """``[k]``; minus infinity where one of them would lie above the horizon."""
-        rays = np.column_stack([self.places / focal_px, np.ones(len(self.places))])
-        descents = downs @ rays.T  # [k, n]
-        seen = (descents / np.linalg.norm(rays, axis=1) >= LEAST_DESCENT).all(axis=1)
-        flat = self.sizes - 1.5 * np.log(np.maximum(descents, 1e-6))
-        off = (flat - np.median(flat, axis=1, keepdims=True)) / _LOG_SD
-        logs = -(_FREEDOM + 1) / 2 * np.log1p(off**2 / _FREEDOM).sum(axis=1)
+        rays = np.column_stack([self.places / focal_px, np.ones(len(self.places))]).astype(np.float32)
+        sizes = rays @ downs.T.astype(np.float32)  # [n, k], single: a thousandth of a nat, in half the time
+        seen = (sizes >= LEAST_DESCENT * np.linalg.norm(rays, axis=1)[:, None]).all(axis=0)
+        np.log(np.maximum(sizes, 1e-6, out=sizes), out=sizes)
+        sizes *= -1.5
+        sizes += self.sizes.astype(np.float32)[:, None]  # as they would be from straight above
+        ranked = np.sort(sizes, axis=0)
+        sizes -= (ranked[(len(sizes) - 1) // 2] + ranked[len(sizes) // 2]) / 2
+        sizes *= 1 / _LOG_SD
+        np.log1p(sizes * sizes / _FREEDOM, out=sizes)
+        logs = -(_FREEDOM + 1) / 2 * sizes.sum(axis=0, dtype=np.float64)
         return np.asarray(np.where(seen, self.trust * logs, -math.inf))
 
 
@@ -115,7 +120,7 @@ def may_look_aside(view: View) -> bool:
     if image.georeference_gsd_m_per_px is not None or (camera is not None and camera.off_nadir_deg is not None):
         return False
     cars = cars_witness(view.sighting, image.width_px, image.height_px)
-    found = None if cars is None else find_lean([cars], focal_of(image, view.options))
+    found = None if cars is None else find_lean([cars], focal_of(image, view.options), n_looks=2)
     return found is None or found.chance_above(MAX_OFF_NADIR_DEG) >= _DOUBT
 
 
@@ -149,7 +154,7 @@ def leaning_notice(view: View) -> list[Notice]:
     if image.georeference_gsd_m_per_px is not None or (camera is not None and camera.off_nadir_deg is not None):
         return []
     cars = cars_witness(view.sighting, image.width_px, image.height_px)
-    found = None if cars is None else find_lean([cars], focal_of(image, view.options))
+    found = None if cars is None else find_lean([cars], focal_of(image, view.options), n_looks=2)
     if cars is None or found is None or found.chance_above(MAX_OFF_NADIR_DEG) < SURE:
         return []
     message = (

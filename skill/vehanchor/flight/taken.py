@@ -21,10 +21,12 @@ class Taken(NamedTuple):
     Attributes:
         name: in the record.
         image: as in ``estimate_gsd``.
+        film: path of the video that it is a frame of, by which a journal knows it again; None for none.
     """
 
     name: str
     image: ImageSource
+    film: str | None = None
 
 
 def named(images: Iterable[ImageSource | Taken]) -> Iterator[Taken]:
