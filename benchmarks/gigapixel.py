@@ -103,8 +103,8 @@ def search(image: Path, effort: str, threads: int | None, model: str | None) -> 
         f"{found.gsd_ci95_high_m_per_px or 0:.4f} | {found.status} | {found.n_vehicles} | {peak:.0f} |"
     )
     if threads == 1:
-        parts = ", ".join(f"{name} {spent:.1f}" for name, spent in networks.most_common())
-        line += f"\n\nCPU time over the networks': {cpu / networks.total():.3f} ({parts})\n"
+        parts = ", ".join(f"{name} {spent:.1f}" for name, spent in networks.items())
+        line += f"\n\nCPU time over the networks': {cpu / sum(networks.values()):.3f} ({parts})\n"
     return line
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def networks_seconds(clock: Callable[[], float]) -> Iterator[Counter[str]]:
+def networks_seconds(clock: Callable[[], float]) -> Iterator[dict[str, float]]:
     """Count the seconds in ONNX Runtime, by the names of the networks' inputs and outputs.
 
     Args:
@@ -23,7 +23,7 @@ def networks_seconds(clock: Callable[[], float]) -> Iterator[Counter[str]]:
     Yields:
         Seconds, growing.
     """
-    spent: Counter[str] = Counter()
+    spent: dict[str, float] = defaultdict(float)
     run = onnxruntime.InferenceSession.run
 
     def timed(session: Any, outputs: Any, feeds: Any, run_options: Any = None) -> Any:

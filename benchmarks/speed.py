@@ -76,7 +76,7 @@ def pipeline(rounds: int, others: list[str]) -> list[str]:
             if number:  # the first round warms up
                 bare[k].append(alone)
                 whole[k].append(seconds)
-                added[k].append(seconds / networks.total())
+                added[k].append(seconds / sum(networks.values()))
     lines = []
     for k, detector in enumerate(detectors):
         name = detector.path.stem
