@@ -196,7 +196,7 @@ def analyse_raster(
     aside = attitude(facts, options)  # a horizon in sight is refused before the work
     weighed = detector.card.votes or not options.rulers.uses(Vehicles.kind)  # else there is nothing to weigh it against
     looks = weighed and options.rulers.uses(SceneScale.kind)
-    network = load_scene_scale(providers=detector.providers) if looks else None
+    network = load_scene_scale(threads=detector.threads, providers=detector.providers) if looks else None
     scene = None if network is None else network.look(raster, run_options=run_options)
     view = View(
         facts, replace(_NOT_SEARCHED, scene=scene), detector.card, options, partial(resolved_share, raster), raster

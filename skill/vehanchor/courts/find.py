@@ -93,7 +93,7 @@ def propose_courts(
 ) -> Proposed:
     """Say where courts may be, by the network and by a detector that knows courts; as ``find_courts``."""
     proposals = boxes_of_courts(sighting, card)
-    network = load_court_network()
+    network = load_court_network(threads=1)  # it is small: a worker of one thread shall not wake all cores for it
     factors = [] if network is None else coarse_factors(raster, sighting)
     if network is not None:
         for factor in factors:
