@@ -61,7 +61,7 @@ def open_canvas(image: NDArray[np.uint8], record: Measured, scale: ScaleFindings
 
 
 def finish(canvas: Canvas, record: Measured, size: str, doubt: str = "") -> NDArray[np.uint8]:
-    """Add the bar, where the scale is one to use all over, and the caption: size, scale, and first what speaks against them.
+    """Add the bar, where the scale holds all over, and the caption: size, scale, and first what speaks against them.
 
     Args:
         canvas: with what was measured drawn into it.
