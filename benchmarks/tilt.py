@@ -47,7 +47,7 @@ from vehanchor_scenes import render_scene
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.detection.detector import Detector
     from vehanchor.imagery.raster import ImageSource
@@ -94,7 +94,7 @@ def looked_at(image: ImageSource, detector: Detector, cache: Path | None) -> tup
     return facts, sighting
 
 
-def seen_aside(ground: NDArray[np.uint8], plane: GroundPlane, aim: Sequence[float] | None = None) -> NDArray[np.uint8]:
+def seen_aside(ground: NDArray[np.uint8], plane: GroundPlane, aim: ArrayLike | None = None) -> NDArray[np.uint8]:
     """The ground as a camera sees it; its scale at the centre is the ground's. Beyond its edges it is mirrored.
 
     Args:

@@ -180,7 +180,8 @@ class Chosen:
     @property
     def detector(self) -> DetectorChoice:
         """Which model, and how it runs."""
-        return DetectorChoice(**{name: self.typed.get(name) for name in DetectorChoice.__dataclass_fields__})
+        typed: dict[str, Any] = {name: self.typed.get(name) for name in DetectorChoice.__dataclass_fields__}
+        return DetectorChoice(**typed)
 
     def open_detector(self) -> Detector:
         """Load the model; see ``DetectorChoice.open``."""
