@@ -208,7 +208,7 @@ def analyse_raster(
     aside = attitude(facts, options)  # a horizon in sight is refused before the work
     weighed = detector.card.votes or not options.rulers.uses(Vehicles.kind)  # else there is nothing to weigh it against
     looks = weighed and options.rulers.uses(SceneScale.kind)
-    network = load_scene_scale(providers=detector.providers) if looks else None
+    network = load_scene_scale(threads=detector.threads, providers=detector.providers) if looks else None
     scene = None if network is None else network.look(raster, run_options=run_options)
     nothing_yet, resolved = replace(_NOT_SEARCHED, scene=scene), partial(resolved_share, raster)
     view = View(facts, nothing_yet, detector.card, options, resolved, raster, detector.providers)
@@ -262,15 +262,17 @@ def analyse_sighting(view: View, others: Sequence[Evidence] | None = None, *, le
         CalibrationMismatchError: the calibration was made for another model.
         TooObliqueError: the horizon is in sight, or nearly so.
     """
-    rulers, said = view.options.rulers, attitude(view.image, view.options) if level else None
+    rulers, aside = view.options.rulers, attitude(view.image, view.options)
+    said = aside if level else None
     if said is not None:  # the network of the ground was never shown such a view
         view = replace(view, sighting=replace(view.sighting, scene=None))
     if others is None:
         others = tuple(ruler.look(view) for ruler in OTHER_ANCHORS if rulers.uses(ruler.kind))
-    looked, seen, expected = joint_attitude(said, view, others) if level else None, view, None
+    looked, seen = joint_attitude(said, view, others) if level else None, view
     if looked is not None:
         others = on_the_plane(others, looked, view)
-        seen, expected = replace(view, sighting=levelled(view.sighting, looked, view.image)), expected_scale(others)
+        seen = replace(view, sighting=levelled(view.sighting, looked, view.image))
+    expected = None if looked is None and aside is None else expected_scale(others)
     used = rulers.uses(Vehicles.kind)
     vehicles = Vehicles(expected).look(seen if used else replace(view, sighting=_NOT_SEARCHED))
     estimate = conclude(vehicles, others, view, looked, placed=level)

@@ -99,7 +99,8 @@ def propose_courts(
 ) -> Proposed:
     """Say where courts may be, by the network and by a detector that knows courts; as ``find_courts``."""
     proposals = boxes_of_courts(sighting, card)
-    network = load_court_network(providers=providers or DEFAULT_PROVIDERS)
+    # one thread: it is small, and a worker of one thread shall not wake all cores for it
+    network = load_court_network(threads=1, providers=providers or DEFAULT_PROVIDERS)
     factors = [] if network is None else coarse_factors(raster, sighting)
     if network is not None:
         for factor in factors:

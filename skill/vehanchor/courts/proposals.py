@@ -14,8 +14,9 @@ import numpy as np
 
 from vehanchor.courts.match import Pose
 from vehanchor.courts.template import BASKETBALL, TENNIS
+from vehanchor.detection.stopping import ANYTIME_PIXELS
 from vehanchor.errors import ModelContractError
-from vehanchor.imagery.tiles import read_glance, tile_grid
+from vehanchor.imagery.tiles import read_glance, read_reduced_window, tile_grid
 from vehanchor.models.cache import file_cached
 from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
 from vehanchor.models.zoo import bundled_courts
@@ -104,7 +105,7 @@ class CourtNetwork:
     def propose(
         self, raster: Raster, factor: int, *, run_options: onnxruntime.RunOptions | None = None
     ) -> list[Proposal]:
-        """Look for courts in an image reduced by a factor, by the file's overviews where it has any.
+        """Look for courts in an image reduced by a factor; in a large one by the file's overviews where it has any.
 
         Args:
             raster: the image.
@@ -115,9 +116,10 @@ class CourtNetwork:
             What may be courts, in no order; one in the overlap of two tiles may come twice.
         """
         width, height = raster.width_px // factor, raster.height_px // factor
+        read = read_reduced_window if raster.width_px * raster.height_px < ANYTIME_PIXELS else read_glance
         found = []
         for window in tile_grid(width, height, tile_px=_TILE_PX, stride_px=_STRIDE_PX):
-            pixels = read_glance(raster, window, factor)
+            pixels = read(raster, window, factor)
             down, right = -pixels.shape[0] % _CELL_PX, -pixels.shape[1] % _CELL_PX
             pixels = np.pad(pixels, ((0, down), (0, right), (0, 0)))
             tile = np.ascontiguousarray(pixels.transpose(2, 0, 1))[None]

@@ -61,7 +61,7 @@ def open_canvas(image: NDArray[np.uint8], record: Measured, scale: ScaleFindings
 
 
 def finish(canvas: Canvas, record: Measured, size: str, doubt: str = "") -> NDArray[np.uint8]:
-    """Add the bar, where the scale is one to use, and the caption: size, scale, and first what speaks against them.
+    """Add the bar, where the scale holds all over, and the caption: size, scale, and first what speaks against them.
 
     Args:
         canvas: with what was measured drawn into it.
@@ -73,7 +73,8 @@ def finish(canvas: Canvas, record: Measured, size: str, doubt: str = "") -> NDAr
         ``[h', w', 3]`` RGB.
     """
     picture, against = with_margins(canvas.picture), _against(record)
-    if record.gsd_m_per_px is not None and not against:
+    level = record.scale is None or record.scale.tilt is None
+    if record.gsd_m_per_px is not None and level and not against:
         draw_scale_bar(picture, record.gsd_m_per_px / float(canvas.scale[0]))
     lines: list[CaptionLine] = [[(None, f"not to be used: {against}")]] if against else []
     lines.append([(MEASURED_RGB, size)])
