@@ -47,7 +47,7 @@ from vehanchor_scenes import render_scene
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.detection.detector import Detector
     from vehanchor.imagery.raster import ImageSource
@@ -94,9 +94,7 @@ def looked_at(image: ImageSource, detector: Detector, cache: Path | None) -> tup
     return facts, sighting
 
 
-def seen_aside(
-    ground: NDArray[np.uint8], plane: GroundPlane, aim: NDArray[np.float64] | None = None
-) -> NDArray[np.uint8]:
+def seen_aside(ground: NDArray[np.uint8], plane: GroundPlane, aim: ArrayLike | None = None) -> NDArray[np.uint8]:
     """The ground as a camera sees it; its scale at the centre is the ground's. Beyond its edges it is mirrored.
 
     Args:
@@ -108,7 +106,7 @@ def seen_aside(
     corners = np.array([(0.0, 0.0), (plane.width_px, 0.0), (plane.width_px, plane.height_px), (0.0, plane.height_px)])
     seen = plane.from_above(corners)
     middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
-    there = seen + aim if aim is not None else seen - middle + np.array(ground.shape[1::-1]) / 2
+    there = seen + np.asarray(aim) if aim is not None else seen - middle + np.array(ground.shape[1::-1]) / 2
     move = cv2.getPerspectiveTransform(there.astype(np.float32), corners.astype(np.float32))
     size = plane.width_px, plane.height_px
     smooth = cv2.GaussianBlur(ground, (0, 0), 0.5) if plane.tilt_deg > 0 else ground

@@ -10,7 +10,7 @@ import typer
 from vehanchor.cli.declared import Chosen, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ScaleFile, read_scale
 from vehanchor.cli.terminal import NOT_OK, exit_on_error, tile_progress
-from vehanchor.errors import InvalidParameterError
+from vehanchor.output import check_apart
 
 if TYPE_CHECKING:
     from vehanchor.found_scale import FoundScale
@@ -57,8 +57,8 @@ def scalebar(
         )
 
         for path in (check_picture_path(output), None if geotiff is None else check_copy_path(geotiff)):
-            if path is not None and path.resolve() == Path(image).resolve():
-                raise InvalidParameterError(f"{str(path)!r} is the image itself: choose another name")
+            if path is not None:
+                check_apart(path, image)
         options, known = chosen.options(), read_scale(scale, image)
         source = choose_scale(gsd, known, chosen.detector.open() if gsd is None and known is None else None, options)
         with (

@@ -142,7 +142,8 @@ class SecondLook(Companion[SecondLookCard]):
         logits = [np.zeros(0)]
         for start in range(0, len(found), _BATCH):
             chips = surroundings(pixels, found.boxes[start : start + _BATCH])
-            batch = np.ascontiguousarray(chips.transpose(0, 3, 1, 2)) / np.float32(255)
+            planes = np.ascontiguousarray(chips.transpose(0, 3, 1, 2))
+            batch: NDArray[np.float32] = np.divide(planes, np.float32(255), dtype=np.float32)
             logits.extend(self.answers(batch, run_options))
         scores = Weights(*self.card.weights).score(found.scores, np.concatenate(logits), size_odds)
         return Objects(found.boxes, scores, found.classes)

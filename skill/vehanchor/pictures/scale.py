@@ -215,10 +215,14 @@ def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
 def _headline(estimate: GsdEstimate) -> str:
     if estimate.gsd_m_per_px is None:
         return "no scale: no vehicle found"
-    text = f"{estimate.gsd_m_per_px:.4g} m/px"
-    if estimate.gsd_ci95_low_m_per_px is not None and estimate.gsd_ci95_high_m_per_px is not None:
-        text += f"  (95 %: {estimate.gsd_ci95_low_m_per_px:.4g} to {estimate.gsd_ci95_high_m_per_px:.4g})"
-    return text
+    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
+    return with_interval(estimate.gsd_m_per_px, low, high, "m/px")
+
+
+def with_interval(value: float, low: float | None, high: float | None, unit: str) -> str:
+    """A quantity in words, with its interval where it has one."""
+    interval = "" if low is None or high is None else f"  (95 %: {low:.4g} to {high:.4g})"
+    return f"{value:.4g} {unit}{interval}"
 
 
 def _caption_lines(analysis: ScaleFindings) -> list[CaptionLine]:
