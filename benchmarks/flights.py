@@ -94,7 +94,7 @@ def looked_at(
 ) -> list[Photograph]:
     """Photographs that were looked at, each only once: what was found is kept in a folder, by model and pixels."""
     members = []
-    for name, image in taken:
+    for name, image, _ in taken:
         pixels = np.ascontiguousarray(image)
         known = None
         if cache is not None:

@@ -47,7 +47,7 @@ from vehanchor_scenes import render_scene
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.detection.detector import Detector
     from vehanchor.imagery.raster import ImageSource
@@ -94,7 +94,7 @@ def looked_at(image: ImageSource, detector: Detector, cache: Path | None) -> tup
     return facts, sighting
 
 
-def seen_aside(ground: NDArray[np.uint8], plane: GroundPlane, aim: Sequence[float] | None = None) -> NDArray[np.uint8]:
+def seen_aside(ground: NDArray[np.uint8], plane: GroundPlane, aim: ArrayLike | None = None) -> NDArray[np.uint8]:
     """The ground as a camera sees it; its scale at the centre is the ground's. Beyond its edges it is mirrored.
 
     Args:
@@ -346,13 +346,13 @@ def real(data: Path, detector: Detector, cache: Path | None) -> None:
         print("| " + " | ".join(map(str, cells)) + " |", flush=True)
 
 
-def nadir(data: Path, split: str, detector: Detector, cache: Path | None) -> None:
+def nadir(data: Path, split: str, least: int, detector: Detector, cache: Path | None) -> None:
     """Count images from straight above that are taken for tilted: those with labelled cars, and rows of neighbours."""
     print("| set | images | 25 cars | a tilt in the record | a warning | the same, focal length known | ", end="")
     print("by cars alone, median | 95th percentile |")
     print("|---|---|---|---|---|---|---|---|")
     rows: dict[str, list[dict[str, float]]] = {}
-    for name, image in from_above(data, split):
+    for name, image in from_above(data, split, least):
         facts, sighting = looked_at(image, detector, cache)
         seen = Aside(image, GroundPlane(1.0, 0.0, 1.0, facts.width_px, facts.height_px), sighting)
         lens = equivalent_lens(facts.width_px, facts.height_px, _FOCALS_35MM[1]).pixels
@@ -376,15 +376,15 @@ def nadir(data: Path, split: str, detector: Detector, cache: Path | None) -> Non
         print("| " + " | ".join(map(str, cells)) + " |")
 
 
-def from_above(data: Path, split: str) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    """Images with labelled cars, RGB, and the names of their sets; neighbours of cannes with 25 cars joined, too."""
+def from_above(data: Path, split: str, least: int) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+    """Images with so many labelled cars, RGB, and their sets; neighbours of cannes with 25 cars joined, too."""
     rows = []
     for table in ("table.csv", "upright.csv"):
         with (data / "gsd" / table).open() as file:
             rows += [row for row in csv.DictReader(file) if row["split"] == split]
     cars = {(data / "gsd" / row["file"]).resolve(): int(row["labelled_small_vehicles"] or 0) for row in rows}
     for (path, n), row in zip(cars.items(), rows, strict=True):
-        if n:
+        if n >= least:
             yield row["set"], np.ascontiguousarray(read(path)[:, :, ::-1])
     for path in cars:
         if not path.name.startswith("cannes"):
@@ -406,6 +406,7 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, help="folder that keeps what was found in each image")
     parser.add_argument("--tilts", type=float, nargs="+", help="degrees from straight down")
     parser.add_argument("--images", type=int, default=12, help="grounds that are seen from aside")
+    parser.add_argument("--labelled", type=int, default=1, help="nadir: least labelled cars of an image")
     parser.add_argument("--cpu-seconds", type=float, default=900.0, help="courts: then no other ground is begun")
     chosen = parser.parse_args()
     detector = open_detector(None, ScaleOptions(), threads=1)
@@ -417,7 +418,7 @@ def main() -> None:
     elif chosen.what == "real":
         real(chosen.data, detector, chosen.cache)
     else:
-        nadir(chosen.data, chosen.split, detector, chosen.cache)
+        nadir(chosen.data, chosen.split, chosen.labelled, detector, chosen.cache)
 
 
 if __name__ == "__main__":

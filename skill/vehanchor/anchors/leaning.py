@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, equivalent_lens, lens
+from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, equivalent_lens, lens, taken_ratio
 from vehanchor.notices import NoticeCode
 from vehanchor.records import Notice
 from vehanchor.scale.leans import Focal, find_lean
@@ -142,7 +142,7 @@ def lean(sighting: Sighting, width_px: int, height_px: int, focal_px: float | No
 
 
 def leaning_notice(view: View) -> list[Notice]:
-    """Warn where the cars say that the camera looked aside, and nothing else tells where it looked.
+    """Warn where the cars say that the camera looked aside, and nothing else tells where; or metadata, of a crop.
 
     Args:
         view: of the image, with its vehicles as they are in it.
@@ -151,8 +151,10 @@ def leaning_notice(view: View) -> list[Notice]:
         One notice, or none.
     """
     image, camera = view.image, view.image.camera if view.options.rulers.metadata else None
-    if image.georeference_gsd_m_per_px is not None or (camera is not None and camera.off_nadir_deg is not None):
+    if image.georeference_gsd_m_per_px is not None:
         return []
+    if camera is not None and camera.off_nadir_deg is not None:
+        return _part_of_tilted(camera.off_nadir_deg) if taken_ratio(image, camera) is None else []
     cars = cars_witness(view.sighting, image.width_px, image.height_px)
     found = None if cars is None else find_lean([cars], focal_of(image, view.options), n_looks=2)
     if cars is None or found is None or found.chance_above(MAX_OFF_NADIR_DEG) < SURE:
@@ -162,6 +164,18 @@ def leaning_notice(view: View) -> list[Notice]:
         f"{found.high_deg:.0f}) away from straight down: {len(cars.sizes)} cars are larger on one side of the picture. "
         "Scales differ over it, and areas and lengths far from its middle are off: give the original file, whose "
         "metadata say where the camera looked, or a crop around the object."
+    )
+    return [Notice(code=NoticeCode.TILT_SUSPECTED, message=message)]
+
+
+def _part_of_tilted(off_nadir_deg: float) -> list[Notice]:
+    """A warning that the picture was taken aside of which the image is a crop, whose place in it nobody knows."""
+    if off_nadir_deg <= MAX_OFF_NADIR_DEG:
+        return []
+    message = (
+        f"By its metadata the camera looked {off_nadir_deg:.0f} degrees away from straight down, and the image is a "
+        "crop of that picture, nobody knows which: it is measured as if from straight above. Scales differ over it, "
+        "and areas and lengths may be off: give the original file."
     )
     return [Notice(code=NoticeCode.TILT_SUSPECTED, message=message)]
 

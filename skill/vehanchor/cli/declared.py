@@ -131,6 +131,8 @@ _GROUPS: tuple[tuple[type[Any], str], ...] = (
     (Reading, "Reading the image"),
     (Rulers, "Other rulers"),
 )
+_NEEDED_FIRST = ("region", "known_lengths", "height_m", "frame")  # what helps without knowing the method
+_FIRST_PANEL = "What helps most"
 _FRAME = inspect.Parameter(
     "frame",
     inspect.Parameter.KEYWORD_ONLY,
@@ -142,7 +144,7 @@ _FRAME = inspect.Parameter(
             metavar="W H",
             help="Size, pixels, of a resized copy that you work in: its scale is given, too, and boxes and points are "
             "read in its pixels.",
-            rich_help_panel="Reading the image",
+            rich_help_panel=_FIRST_PANEL,
         ),
     ],
 )
@@ -178,7 +180,8 @@ class Chosen:
     @property
     def detector(self) -> DetectorChoice:
         """Which model, and how it runs."""
-        return DetectorChoice(**{name: self.typed.get(name) for name in DetectorChoice.__dataclass_fields__})
+        typed: dict[str, Any] = {name: self.typed.get(name) for name in DetectorChoice.__dataclass_fields__}
+        return DetectorChoice(**typed)
 
     def open_detector(self) -> Detector:
         """Load the model; see ``DetectorChoice.open``."""
@@ -200,6 +203,7 @@ def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., N
         del own["chosen"]
         added = [each for group, panel in _GROUPS for each in option_parameters(group, panel)]
         added = [each for each in (*added, _FRAME) if each.name not in without and each.name not in own]
+        added.sort(key=lambda each: each.name not in _NEEDED_FIRST)  # panels are shown as they come
 
         @functools.wraps(command)
         def with_choices(**arguments: Any) -> None:
@@ -220,7 +224,7 @@ def option_parameters(group: type[Any], panel: str) -> list[inspect.Parameter]:
 
     Args:
         group: a dataclass.
-        panel: heading in ``--help``.
+        panel: heading in ``--help``, but for those that people need first.
 
     Returns:
         Keyword-only parameters named as the fields, annotated for Typer.
@@ -245,7 +249,8 @@ def _parameter(name: str, kind: Any, declared: Any, panel: str) -> inspect.Param
     elif name == "known_lengths":  # each of them joined to one text (see ``vehanchor.cli.spaced``)
         kind, default = list[str] | None, None
     flags = f"--{flag}/--no-{flag}" if bare is bool else f"--{flag}"
-    option = typer.Option(flags, help=stated.help, rich_help_panel=panel, **more)
+    heading = _FIRST_PANEL if name in _NEEDED_FIRST else panel
+    option = typer.Option(flags, help=stated.help, rich_help_panel=heading, **more)
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option])
 
 

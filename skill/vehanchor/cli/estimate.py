@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.detector import Detector
     from vehanchor.estimate import ScaleAnalysis
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import GsdEstimate
+    from vehanchor.records import GsdEstimate, TiltEstimate
 
 __all__ = ["estimate"]
 
@@ -221,7 +221,9 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
         found = f"{record.mode_length_px:.1f} px ({record.aggregation})"
         facts.append(("modal length", f"{found} = {record.reference_length_m:.4g} m{told}{found_at}"))
         width_m, height_m = (side * record.gsd_m_per_px for side in (record.image_width_px, record.image_height_px))
-        size += f" = {width_m:.4g} x {height_m:.4g} m"
+        size += "" if record.tilt else f" = {width_m:.4g} x {height_m:.4g} m"
+    if record.tilt is not None:
+        facts.append(("looked aside", _tilt_text(record.tilt)))
     facts.append(("image", size))
     if record.frame is not None:
         seen = record.frame
@@ -231,6 +233,15 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
         facts.append(("file's own scale", f"{record.georeference_gsd_m_per_px:.4g} m/px"))
     facts.append(("model", f"{record.model} ({record.model_sha256[:_SHORT_SHA]})"))
     return facts_table(source, facts)
+
+
+def _tilt_text(tilt: TiltEstimate) -> str:
+    text = f"{tilt.tilt_deg:.0f} degrees (95 %: {tilt.tilt_ci95_low_deg:.0f} to {tilt.tilt_ci95_high_deg:.0f}), "
+    text += f"by {tilt.source}"
+    if tilt.gsd_least_m_per_px is None or tilt.gsd_largest_m_per_px is None:
+        return text
+    least, largest = tilt.gsd_least_m_per_px, tilt.gsd_largest_m_per_px
+    return f"{text}; the scale is that of the centre, {least:.4g} to {largest:.4g} m/px over the picture"
 
 
 def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:

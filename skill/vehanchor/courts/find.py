@@ -17,6 +17,7 @@ from vehanchor.courts.proposals import boxes_of_courts, coarse_factors, load_cou
 from vehanchor.courts.template import BASKETBALL, TENNIS
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
+from vehanchor.models.session import DEFAULT_PROVIDERS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -89,11 +90,17 @@ class Proposed(NamedTuple):
 
 
 def propose_courts(
-    raster: Raster, sighting: Sighting, card: DetectorCard, *, run_options: onnxruntime.RunOptions | None = None
+    raster: Raster,
+    sighting: Sighting,
+    card: DetectorCard,
+    *,
+    providers: tuple[str, ...] | None = None,
+    run_options: onnxruntime.RunOptions | None = None,
 ) -> Proposed:
     """Say where courts may be, by the network and by a detector that knows courts; as ``find_courts``."""
     proposals = boxes_of_courts(sighting, card)
-    network = load_court_network(threads=1)  # it is small: a worker of one thread shall not wake all cores for it
+    # one thread: it is small, and a worker of one thread shall not wake all cores for it
+    network = load_court_network(threads=1, providers=providers or DEFAULT_PROVIDERS)
     factors = [] if network is None else coarse_factors(raster, sighting)
     if network is not None:
         for factor in factors:
@@ -107,6 +114,7 @@ def find_courts(
     card: DetectorCard,
     *,
     proposed: Proposed | None = None,
+    providers: tuple[str, ...] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> tuple[Court, ...]:
     """Find and measure the courts that lie whole in an image.
@@ -116,12 +124,15 @@ def find_courts(
         sighting: what the search has seen, and how large the ground says a pixel is.
         card: of the detector.
         proposed: where they may be; None has them looked for (``propose_courts``).
+        providers: where the network runs that looks for them; None for the CPU.
         run_options: ONNX Runtime's, for a caller that may have to end a run.
 
     Returns:
         At most four, the surest first. A court half hidden, or cut by the image's edge, is none.
     """
-    proposals, n_sizes = proposed or propose_courts(raster, sighting, card, run_options=run_options)
+    proposals, n_sizes = proposed or propose_courts(
+        raster, sighting, card, providers=providers, run_options=run_options
+    )
     found: list[Court] = []
     in_vain = 0
     for proposal in _apart(proposals):

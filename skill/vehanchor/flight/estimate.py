@@ -48,6 +48,7 @@ def estimate_flight(
     same_scale: bool = False,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
+    providers: Sequence[str] | None = None,
     journal: str | os.PathLike[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Unpack[OptionKeywords],
@@ -62,6 +63,7 @@ def estimate_flight(
         same_scale: they are all of one scale, as those of a survey at one height: their evidence is one.
         detector: as in ``estimate_gsd``.
         threads: CPU threads for the models.
+        providers: where they run, as in ``estimate_gsd``.
         journal: file that keeps what was found in each photograph, so that the same call after an interruption goes on
             where it stopped; removed at the end. Only photographs given as paths, and frames of ``sample_video``, are
             kept.
@@ -85,6 +87,7 @@ def estimate_flight(
         same_scale=same_scale,
         detector=detector,
         threads=threads,
+        providers=providers,
         journal=journal,
         progress=progress,
     )
@@ -97,6 +100,7 @@ def analyse_flight(
     same_scale: bool = False,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
+    providers: Sequence[str] | None = None,
     journal: str | os.PathLike[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
     lines: KnownLengthTable | None = None,
@@ -109,13 +113,14 @@ def analyse_flight(
         same_scale: of all.
         detector: of vehicles.
         threads: for the models.
+        providers: for the models.
         journal: of what was found.
         progress: of the photographs.
         lines: of known length in single photographs, which are paths or addresses; see ``read_known_lengths``.
     """
     chosen = options or ScaleOptions()
     _check(chosen)
-    model = open_detector(detector, chosen, threads=threads)
+    model = open_detector(detector, chosen, threads=threads, providers=providers)
     taken = list(named(images)) if isinstance(images, Sequence) else named(images)
     kept = _open_journal(None if journal is None else Path(journal), model, chosen, lines or {})
     looks = look_at_flight(

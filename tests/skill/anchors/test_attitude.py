@@ -11,8 +11,11 @@ from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.detection.sighting import Sighting
 from vehanchor.errors import TooObliqueError
 from vehanchor.estimate import analyse_sighting
+from vehanchor.flight.photograph import Look, Photograph
+from vehanchor.flight.pooling import pool
 from vehanchor.imagery.camera_metadata import CameraMetadata
 from vehanchor.options import ScaleOptions
+from vehanchor.scale.plane import GroundPlane
 
 WIDTH, HEIGHT, FOCAL, CAR_M, GSD = 3000, 2000, 2400.0, 5.0, 0.05
 CAR_WIDTH_M = CAR_M / 2.21  # as detectors draw it
@@ -72,20 +75,33 @@ def test_the_record_is_that_of_the_centre_and_tells_the_tilt() -> None:
     assert ignored.tilt is None
 
 
-def test_the_height_of_the_camera_tells_cars_from_their_parts() -> None:
+def _cars_and_parts() -> tuple[View, GroundPlane]:
+    """A view of cars and of twice as many halves of them, without the camera's height, and its plane."""
     looked = Attitude(35.0, 0.0, FOCAL, "metadata")
-    plane = plane_with(looked, FACTS, GSD)
     cars, parts = _cars(looked, n=20).boxes, _cars(looked, n=40).boxes * [1, 1, 0.5, 0.5, 1]
     boxes = np.concatenate([cars, parts])
     seen = Sighting(boxes, np.full(len(boxes), 0.8), scales=np.ones(len(boxes)))
-    of_parts = View(FACTS, seen, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0)
-    alone = analyse_sighting(of_parts, [])
-    assert alone.estimate.gsd_m_per_px == pytest.approx(2 * GSD, rel=0.15)
-    said = replace(of_parts, image=FACTS._replace(camera=replace(CAMERA, height_m=plane.height_m)))
+    return View(FACTS, seen, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0), plane_with(looked, FACTS, GSD)
+
+
+def test_the_height_of_the_camera_tells_cars_from_their_parts() -> None:
+    view, plane = _cars_and_parts()
+    alone = analyse_sighting(view, [])
+    assert alone.estimate.gsd_m_per_px == pytest.approx(2 * GSD, rel=0.05)
+    said = replace(view, image=FACTS._replace(camera=replace(CAMERA, height_m=plane.height_m)))
     with_height = analyse_sighting(said)
     assert with_height.vehicles.n == pytest.approx(20, abs=4)
     assert with_height.estimate.gsd_m_per_px == pytest.approx(GSD, rel=0.05)
     assert {each.kind for each in with_height.estimate.rulers if each.agrees} == {"vehicles", "camera"}
+
+
+def test_so_it_does_in_photographs_of_one_scale_put_together() -> None:
+    view, plane = _cars_and_parts()
+    image = FACTS._replace(camera=replace(CAMERA, height_m=plane.height_m))
+    seen = [Photograph.of(name, Look(image, view.sighting, 1.0), view.card, view.options) for name in ("a", "b")]
+    together = pool(seen, np.zeros(2), 0).estimate
+    assert together.n_vehicles == pytest.approx(40, abs=8)
+    assert together.gsd_m_per_px == pytest.approx(GSD, rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -99,6 +115,18 @@ def test_the_height_of_the_camera_tells_cars_from_their_parts() -> None:
 )
 def test_without_tilt_or_of_a_crop_there_is_no_plane(camera: CameraMetadata | None) -> None:
     assert attitude(FACTS._replace(camera=camera), ScaleOptions()) is None
+
+
+def test_of_a_crop_of_such_a_picture_a_warning_says_so() -> None:
+    cars = _cars(Attitude(35.0, 0.0, FOCAL, "metadata"))
+
+    def codes(camera: CameraMetadata) -> list[str]:
+        view = View(FACTS._replace(camera=camera), cars, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0)
+        return [each.code for each in analyse_sighting(view).estimate.warnings]
+
+    crop = replace(CAMERA, taken_width_px=4000)
+    assert "tilt_suspected" in codes(crop)
+    assert "tilt_suspected" not in codes(replace(crop, off_nadir_deg=5.0))
 
 
 def test_a_focal_length_that_nobody_tells_is_that_of_most_drones_and_the_source_says_so() -> None:
