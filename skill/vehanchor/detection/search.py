@@ -80,7 +80,7 @@ def search(
     if rule.anytime:
         because = _search_in_order(work, rule, standing, tell)
     else:
-        for done, (k, pixels) in enumerate(work.read(range(total))):
+        for done, (k, pixels) in enumerate(work.read(work.reading_order())):
             tell(done, total)
             work.visit(k, pixels)
     tell(total, total)
@@ -153,6 +153,13 @@ class _Work:
         shortest = self._length_range_px[0]
         ranges = {level.factor: (max(shortest, level.shortest_px), level.longest_px) for level in self.levels}
         return TileOrder(places, promises, level_shares(ranges, None if self._scene is None else self._scene.density))
+
+    def reading_order(self) -> list[int]:
+        """All tiles; of a large image the coarse ones right after the fine ones below them, while these are decoded."""
+        if self._raster.width_px * self._raster.height_px < ANYTIME_PIXELS:
+            return list(range(len(self.visits)))
+        ends = [(level.factor * (tile.y_px + tile.height_px), k) for k, (level, tile) in enumerate(self.visits)]
+        return [k for _, k in sorted(ends)]
 
     def read(self, tiles: Sequence[int]) -> Iterator[tuple[int, NDArray[np.uint8]]]:
         """Tiles with their pixels; of a large image each is read while the caller works on the one before."""

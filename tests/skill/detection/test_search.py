@@ -171,6 +171,30 @@ def test_the_order_of_the_visits_does_not_show_in_what_was_found(searching: Dete
     assert (ordered.n_tiles, ordered.stopped_because) == (full.n_tiles, "all_searched")
 
 
+def test_a_full_search_of_a_large_file_reads_coarse_tiles_while_the_fine_ones_are_decoded(
+    searching: Detector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image, options = blank_image(700, 900), Search(tile_px=128, stride_px=96, effort="full")
+    paint_vehicles(image, np.array([[300.0, 200, 30, 12, 0.4], [400, 700, 30, 12, 1.0]]))
+    lowest: dict[str, list[int]] = {"small": [], "large": []}
+    found = {}
+    for name in lowest:
+        with open_raster(image) as raster:
+            read = raster.read
+
+            def followed(window: Any, read: Any = read, ends: list[int] = lowest[name]) -> Any:
+                ends.append(window.y_px + window.height_px)
+                return read(window)
+
+            monkeypatch.setattr(raster, "read", followed)
+            found[name] = search(raster, searching, options)
+        monkeypatch.setattr("vehanchor.detection.search.ANYTIME_PIXELS", 100_000)
+    assert np.array_equal(found["small"].boxes, found["large"].boxes)
+    assert len(found["large"].boxes) == 2
+    assert lowest["large"] == sorted(lowest["large"])
+    assert lowest["small"] != sorted(lowest["small"])
+
+
 def test_a_search_ends_at_the_limit_of_tiles_or_seconds_and_says_so(searching: Detector) -> None:
     image, _ = _painted(2, _fleet(45.0, 42), columns=7)
     small: dict[str, Any] = {"tile_px": 160, "stride_px": 96}
