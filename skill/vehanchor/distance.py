@@ -203,7 +203,8 @@ def analyse_paths(
     found = find_scale(
         raster, scale, options, object_height_m=object_height_m, progress=progress, run_options=run_options
     )
-    return tuple(DistanceAnalysis(_conclude(path, pointing, found), found.analysis) for path in in_image)
+    level = found.plane is None
+    return tuple(DistanceAnalysis(_conclude(path, pointing, found), found.analysis, level=level) for path in in_image)
 
 
 def _in_image(path: Sequence[Place], pointing: Pointing) -> list[Place]:

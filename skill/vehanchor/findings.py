@@ -83,6 +83,7 @@ class AreaFindings:
         image: where the image can be read again, for pictures; None for a stream.
         reading: how it was read; None for the defaults.
         ground: where on the ground the image lies; None where nothing tells.
+        level: whether one scale holds all over: the camera looked straight down.
     """
 
     measurement: AreaMeasurement
@@ -92,6 +93,7 @@ class AreaFindings:
     image: ImageSource | None = None
     reading: Reading | None = None
     ground: Ground | None = None
+    level: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +106,7 @@ class DistanceFindings:
         image: where the image can be read again, for pictures; None for a stream.
         reading: how it was read; None for the defaults.
         ground: where on the ground the image lies; None where nothing tells.
+        level: whether one scale holds all over: the camera looked straight down.
     """
 
     measurement: DistanceMeasurement
@@ -111,3 +114,4 @@ class DistanceFindings:
     image: ImageSource | None = None
     reading: Reading | None = None
     ground: Ground | None = None
+    level: bool = True

@@ -217,9 +217,13 @@ def analyse_objects(
     found = find_scale(
         raster, scale, options, object_height_m=object_height_m, progress=progress, run_options=run_options
     )
-    return tuple(
-        AreaAnalysis(_conclude(raster, mask, prompt, segmenter.card, options, found), mask, prompt, found.analysis)
+    records = [
+        _conclude(raster, mask, prompt, segmenter.card, options, found)
         for prompt, mask in zip(prompts, masks, strict=True)
+    ]
+    return tuple(
+        AreaAnalysis(record, mask, prompt, found.analysis, level=found.plane is None)
+        for record, prompt, mask in zip(records, prompts, masks, strict=True)
     )
 
 

@@ -48,7 +48,7 @@ USUAL_GSD_M = 0.15  # what a planner without tools takes a pixel for
 USUAL_ERROR = 0.3  # and how far it trusts that
 _FIT_SHARES = (0.6, 1.6)  # what is to fit, of the room that there is: one that does and one that does not
 _LEAST_OBJECT_PX = 900
-_LEAST_ABOUT_ONE = 3  # questions about one photograph: two distances and a fit
+_ABOUT_TWO = 7  # questions about two photographs: four distances, and three fits
 _CATEGORIES = ("swimming-pool", "building", "sports-court")  # things with an edge of their own
 _FALLBACK = 0.5
 
@@ -152,7 +152,7 @@ def questions_of_photographs(images: Sequence[KnownScaleImage], limit: int) -> l
     Raises:
         ImageError: an image cannot be read.
     """
-    n_needed = min(len(images), -(-limit // _LEAST_ABOUT_ONE))
+    n_needed = min(len(images), -(-2 * limit // _ABOUT_TWO))
     questions: list[Question] = []
     for number in range(n_needed):
         image = images[number * len(images) // n_needed]

@@ -20,7 +20,7 @@ from tests.conftest import ROOT
 from tests.environments import environment
 from tests.examples.stand_in import GIVEN_BACK, KEY, StandIn, ToolCall
 
-pytestmark = pytest.mark.frameworks
+pytestmark = [pytest.mark.frameworks, pytest.mark.timeout(600)]
 
 EXAMPLES = ROOT / "examples"
 IMAGE = EXAMPLES / "scenes" / "safe.jpg"
@@ -81,7 +81,7 @@ def run_example(python: Path, script: str, *options: str, **settings: str) -> su
         env={**inherited, "PATH": f"{command}:{os.environ['PATH']}", **settings},
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=500,
         check=False,
     )
 

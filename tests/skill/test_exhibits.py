@@ -20,6 +20,7 @@ from vehanchor import AreaAnalysis, Detector, analyse_area, analyse_distance, an
 from vehanchor.cli.app import app
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, MissingExtraError
 from vehanchor.pictures.measured import MEASURED_RGB
+from vehanchor.records import KnownPlane
 
 
 @pytest.fixture(scope="module")
@@ -184,20 +185,22 @@ def test_a_distance_is_drawn_where_it_lies_as_by_the_command(
     assert "is the image itself" in refused.stderr
 
 
-def test_a_size_whose_scale_is_not_to_be_used_has_no_bar_and_no_metres_beside_it(
+def test_a_size_whose_scale_is_not_to_be_used_or_holds_in_one_place_has_no_bar(
     cars: np.ndarray, detector: Detector
 ) -> None:
     scale = analyse_scale(cars, detector=detector).estimate.scale
     assert scale is not None
-    known = [scale.model_copy(update={"confidence": confidence}) for confidence in (0.9, 0.2)]
+    aside = KnownPlane(tilt_deg=30.0, roll_deg=0.0, focal_length_px=400.0)
+    known = [scale.model_copy(update=each) for each in ({}, {"confidence": 0.2}, {"plane": aside})]
     for analyse in (
         lambda given: analyse_distance(cars, [(40, 300), (440, 300)], scale=given),
         lambda given: analyse_area(cars, box=(35, 50, 70, 75), scale=given),
     ):
-        good, bad = (analyse(given).overlay() for given in known)
-        height = round(360 * good.shape[1] / 480)
-        white = [int((picture[:height] == 255).all(axis=2).sum()) for picture in (good, bad)]
+        pictures = [analyse(given).overlay() for given in known]
+        height = round(360 * pictures[0].shape[1] / 480)
+        white = [int((picture[:height] == 255).all(axis=2).sum()) for picture in pictures]
         assert white[0] > white[1] + 400  # the bar and its letters
+        assert white[0] > white[2] + 400  # nor has a view from aside a bar: it would hold nowhere else
 
 
 def test_a_list_gives_a_list_and_a_folder_is_one(cars: np.ndarray, detector: Detector, tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def draw_area(image: NDArray[np.uint8], analysis: AreaFindings) -> NDArray[np.ui
     canvas = open_canvas(image, record, analysis.scale)
     _draw_mask(canvas.picture, analysis, canvas.scale)
     _draw_prompt(canvas.picture, analysis, canvas.scale)
-    return finish(canvas, record, _size(record), f"; mask score {record.mask_score:.2f}{_low_mask(record)}")
+    return finish(canvas, analysis, _size(record), f"; mask score {record.mask_score:.2f}{_low_mask(record)}")
 
 
 def full_mask(analysis: AreaFindings, limits: ImageLimits) -> NDArray[np.uint8]:

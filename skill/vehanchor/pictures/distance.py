@@ -40,4 +40,4 @@ def draw_distance(image: NDArray[np.uint8], analysis: DistanceFindings) -> NDArr
     length = size_in_words(
         record.distance_m, record.distance_ci95_low_m, record.distance_ci95_high_m, "m", f"{record.length_px:.0f} px"
     )
-    return finish(canvas, record, length)
+    return finish(canvas, analysis, length)

@@ -21,7 +21,7 @@ from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.findings import ScaleFindings
+    from vehanchor.findings import AreaFindings, DistanceFindings, ScaleFindings
     from vehanchor.pictures.scale import CaptionLine
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
 
@@ -60,21 +60,21 @@ def open_canvas(image: NDArray[np.uint8], record: Measured, scale: ScaleFindings
     return Canvas(picture, factors)
 
 
-def finish(canvas: Canvas, record: Measured, size: str, doubt: str = "") -> NDArray[np.uint8]:
+def finish(canvas: Canvas, analysis: AreaFindings | DistanceFindings, size: str, doubt: str = "") -> NDArray[np.uint8]:
     """Add the bar, where the scale holds all over, and the caption: size, scale, and first what speaks against them.
 
     Args:
         canvas: with what was measured drawn into it.
-        record: of that.
+        analysis: of that.
         size: what was measured, in words.
         doubt: what else to know about it, behind the scale.
 
     Returns:
         ``[h', w', 3]`` RGB.
     """
-    picture, against = with_margins(canvas.picture), _against(record)
-    level = record.scale is None or record.scale.tilt is None
-    if record.gsd_m_per_px is not None and level and not against:
+    record, picture = analysis.measurement, with_margins(canvas.picture)
+    against = _against(record)
+    if record.gsd_m_per_px is not None and analysis.level and not against:
         draw_scale_bar(picture, record.gsd_m_per_px / float(canvas.scale[0]))
     lines: list[CaptionLine] = [[(None, f"not to be used: {against}")]] if against else []
     lines.append([(MEASURED_RGB, size)])

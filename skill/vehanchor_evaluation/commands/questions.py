@@ -131,7 +131,7 @@ def questions(request: QuestionsRequest) -> None:
     else:
         print_table(_table(rows))
         for name in ("with the tools", "and a person's one length"):
-            _tell_wrong(outcomes[name])
+            _tell_wrong(name, outcomes[name])
     stopped = next((answers.stopped for answers in by_model.values() if answers.stopped), None)
     if stopped:
         print(f"stopped: {stopped}; with --out the same command goes on from here", file=sys.stderr)
@@ -153,8 +153,9 @@ def _table(rows: Sequence[PlannerScore]) -> Table:
     return table
 
 
-def _tell_wrong(outcomes: Sequence[Outcome]) -> None:
+def _tell_wrong(planner: str, outcomes: Sequence[Outcome]) -> None:
     for outcome in outcomes:
         if outcome.verdict != "right":
             question = outcome.question
-            print(f"{outcome.verdict}: {question.image.name}: {question.words} (truth {question.truth:.4g})")
+            about = f"{question.image.name}: {question.words} (truth {question.truth:.4g})"
+            print(f"{planner}, {outcome.verdict}: {about}")
