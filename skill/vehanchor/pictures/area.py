@@ -115,7 +115,11 @@ def _draw_prompt(picture: NDArray[np.uint8], analysis: AreaFindings, scale: NDAr
 
 def _caption_lines(record: AreaMeasurement) -> list[CaptionLine]:
     if record.area_m2 is None:
-        head = f"{record.mask_area_px} px; no scale: no vehicle found" if record.mask_area_px else "no object found"
+        head = (
+            f"{record.mask_area_px} px; no scale: nothing of known size found"
+            if record.mask_area_px
+            else "no object found"
+        )
     else:
         head = f"{record.area_m2:.4g} m2"
         if record.area_ci95_low_m2 is not None and record.area_ci95_high_m2 is not None:

@@ -213,7 +213,7 @@ def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
 
 def _headline(estimate: GsdEstimate) -> str:
     if estimate.gsd_m_per_px is None:
-        return "no scale: no vehicle found"
+        return "no scale: nothing of known size found"
     text = f"{estimate.gsd_m_per_px:.4g} m/px"
     if estimate.gsd_ci95_low_m_per_px is not None and estimate.gsd_ci95_high_m_per_px is not None:
         text += f"  (95 %: {estimate.gsd_ci95_low_m_per_px:.4g} to {estimate.gsd_ci95_high_m_per_px:.4g})"
