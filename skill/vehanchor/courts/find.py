@@ -13,7 +13,7 @@ from vehanchor.courts.axes import axes
 from vehanchor.courts.court import Court
 from vehanchor.courts.fit import AFFINE, HOMOGRAPHY, SIMILARITY, fit, pose_matrix, project
 from vehanchor.courts.match import Pose, Reach, match
-from vehanchor.courts.proposals import CELL_PX, LENGTHS_M, boxes_of_courts, coarse_factors, load_court_network
+from vehanchor.courts.proposals import LENGTHS_M, boxes_of_courts, coarse_factors, load_court_network
 from vehanchor.courts.template import BASKETBALL, TENNIS
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
@@ -33,18 +33,18 @@ if TYPE_CHECKING:
 
 __all__ = ["Proposed", "find_courts", "measure_court", "propose_courts", "rough_court"]
 
-_FAR = Reach(math.radians(3), math.radians(3), 0.32, 0.04, 15, 3)
+_FAR = Reach(0.0, 1.0, 0.4, 0.04, 27, 3)  # proposals lie on a court's end as often as on its middle
 _NEAR = Reach(math.radians(4), math.radians(2), 0.045, 0.015, 3, 1)
 _THERE = Reach(0.0, 1.0, 0.01, 0.01, 1, 1)
 _MOST_COURTS = 4
 _MOST_LOOKED_AT, _MOST_OF_ONE_SIZE = 20, 12  # proposals, the surest; fewer where the ground says how large courts are
-_MOST_IN_VAIN = 8  # of what has lines like a court, one after the other
+_MOST_IN_VAIN = 4  # of what has lines like a court, one after the other
 _PERSPECTIVE_PX = 150.0  # least length of a court for a homography
 _FITTED_PX = 220.0  # a court is fitted at the coarsest resolution at which it is at least so long, if there is one
 _AROUND = 0.6  # of a court's length: where the directions of its lines are looked for
+_LEAST_PX = 60.0  # length of a court in the image: of a shorter one lines are a pixel or two apart, and much looks so
 _MATCHED_PX = 72.0  # least length of a court whose lines are looked for, where there are so many pixels
-_CELLS_OFF, _PLACES_OFF = 1.0, (9, 24)  # how far a proposal may be off: cells of the network, patch pixels
-_MARGIN = 1.35  # of the patch that is read, over the court's half diagonal
+_MARGIN = 1.5  # of the patch that is read, over the court's half diagonal
 
 _WORTH_A_FIT = 0.3
 _LEAST_SCORE = 0.55  # 0.50 is the most that came of 232 training images without a court (RESULTS.md)
@@ -197,14 +197,11 @@ def _laid(raster: Raster, proposal: Proposal) -> list[_Laid]:
     """Where templates lie best near a proposal, the game that fits best first; none where there are too few lines."""
     games = ((TENNIS,), BASKETBALL)[:: -1 if proposal.which else 1]
     firsts = [game[0] for game in games]  # each stands for its game while it is searched for
-    factor = _matched_factor(proposal)
-    cell_px = CELL_PX * proposal.factor / factor
-    reach = _FAR._replace(place=int(np.clip(_CELLS_OFF * cell_px, *_PLACES_OFF)))
-    patch = _read(raster, proposal.pose, firsts[0], factor)
+    patch = _read(raster, proposal.pose, firsts[0], _matched_factor(proposal))
     start = patch.inside(proposal.pose)
     turned = axes(patch.grey, start.x, start.y, _AROUND * firsts[0].length_m * start.px_per_m)
     angles = [axis + quarter for axis in turned for quarter in (0.0, math.pi / 2)]
-    matched = match(patch.grey, firsts, start, reach, angles)
+    matched = match(patch.grey, firsts, start, _FAR, angles)
     laid = [_Laid(score, patch, pose, game) for (score, pose), game in zip(matched, games, strict=True)]
     return sorted((each for each in laid if each.score >= _WORTH_A_FIT), key=lambda each: -each.score)
 
@@ -220,6 +217,8 @@ def _measured(raster: Raster, laid: _Laid) -> Court | None:
     _, patch, pose, templates = laid
     ((_, pose),) = match(patch.grey, templates[:1], pose, _NEAR)
     first = fit(patch.grey, templates[0], pose_matrix(pose), SIMILARITY)
+    if templates[0].length_m * first.px_per_m * patch.factor < _LEAST_PX:
+        return None
     score, pose = max(match(patch.grey, templates, _pose(first.matrix), _THERE), key=lambda each: each[0])
     if score < _LEAST_SCORE:
         return None
@@ -265,7 +264,7 @@ def _borne_out(template: Template, seen: Fit) -> bool:
 
 def _read(raster: Raster, pose: Pose, template: Template, factor: int) -> _Patch:
     """The patch that holds a court wherever it is searched, as far as the image reaches."""
-    half = math.hypot(template.length_m, template.width_m) / 2 * pose.px_per_m / factor * _MARGIN + _PLACES_OFF[1]
+    half = math.hypot(template.length_m, template.width_m) / 2 * pose.px_per_m / factor * _MARGIN + _FAR.place
     x, y = (pose.x + 0.5) / factor, (pose.y + 0.5) / factor
     width, height = raster.width_px // factor, raster.height_px // factor
     left, top = (int(np.clip(value - half, 0, size - 1)) for value, size in ((x, width), (y, height)))

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
 
 __all__ = [
-    "CELL_PX",
     "LENGTHS_M",
     "CourtNetwork",
     "Proposal",
@@ -41,7 +40,7 @@ __all__ = [
     "load_court_network",
 ]
 
-CELL_PX = 8  # side of the network's cells, and what its length is told in: training/courts/network.py
+_CELL_PX = 8  # side of the network's cells, and what its length is told in: training/courts/network.py
 _LENGTH_PX = 44.0
 _SEEN_BEST_M = 0.58  # metres per pixel, in the middle of what it was trained on: training/courts/data.py
 _FACTORS = (2, 4, 8, 16)  # an octave of scales each: images of 0.02 to 0.44 m/px
@@ -124,7 +123,7 @@ class CourtNetwork:
         found = []
         for window in tile_grid(width, height, tile_px=_TILE_PX, stride_px=_STRIDE_PX):
             pixels = read_reduced_window(raster, window, factor)
-            down, right = -pixels.shape[0] % CELL_PX, -pixels.shape[1] % CELL_PX
+            down, right = -pixels.shape[0] % _CELL_PX, -pixels.shape[1] % _CELL_PX
             pixels = np.pad(pixels, ((0, down), (0, right), (0, 0)))
             tile = np.ascontiguousarray(pixels.transpose(2, 0, 1))[None]
             described = f"the court network {self.path} fails on {list(tile.shape)}"
@@ -153,7 +152,7 @@ def _peaks(seen: NDArray[np.float32], factor: int, left: int, top: int) -> list[
             cos, sin, log_length = (float(value) for value in seen[2:, row, column])
             length_px = _LENGTH_PX * math.exp(min(max(log_length, -1.0), 1.0)) * factor
             cell = column + _between(shares[row], column), row + _between(shares[:, column], row)
-            x, y = ((left, top) + (np.array(cell) + 0.5) * CELL_PX) * factor - 0.5
+            x, y = ((left, top) + (np.array(cell) + 0.5) * _CELL_PX) * factor - 0.5
             pose = Pose(float(x), float(y), math.atan2(sin, cos) / 2, length_px / LENGTHS_M[which])
             found.append(Proposal(which, float(shares[row, column]), pose, factor))
     return found

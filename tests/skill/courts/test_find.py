@@ -53,6 +53,11 @@ def test_a_basketball_court_says_by_whose_rules_it_was_painted(template: Templat
     assert court.gsd_m_per_px == pytest.approx(0.1, rel=0.005)
 
 
+def test_a_court_of_fewer_pixels_than_its_lines_need_is_none() -> None:
+    assert _measured(draw_court(TENNIS, 0.36, side_px=160), 0.36) is not None
+    assert _measured(draw_court(TENNIS, 0.5, side_px=128), 0.5) is None
+
+
 def test_a_line_hidden_or_worn_away_does_not_matter() -> None:
     court = _measured(draw_court(TENNIS, 0.25, missing=(8,)), 0.25, factor=2)
     assert court is not None
