@@ -55,7 +55,7 @@ def test_a_basketball_court_says_by_whose_rules_it_was_painted(template: Templat
 
 def test_a_court_of_fewer_pixels_than_its_lines_need_is_none() -> None:
     assert _measured(draw_court(TENNIS, 0.36, side_px=160), 0.36) is not None
-    assert _measured(draw_court(TENNIS, 0.5, side_px=128), 0.5) is None
+    assert _measured(draw_court(TENNIS, 0.44, side_px=160), 0.44) is None
 
 
 def test_a_line_hidden_or_worn_away_does_not_matter() -> None:
