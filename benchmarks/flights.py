@@ -1,10 +1,11 @@
-"""Flights of known scale, made from real pixels: ``python benchmarks/flights.py {pooled,matched,cost} DATA``.
+"""Flights of known scale, made from real pixels: ``python benchmarks/flights.py {pooled,matched,cost,real} DATA``.
 
 ``pooled`` turns, dims, blurs and JPEG-codes tiles of one scale into flights of 24 photographs and compares the scale by
 all of them with the truth, with the region unknown and given. ``matched`` cuts overlapping photographs of mixed scales
 out of mosaics; two thirds of them lose their vehicles. ``cost`` measures what comes
-beyond the detection for 200 photographs of 12 Mpx: features, pairs, matches, the graph. Cameras that look aside:
-``benchmarks/tilt.py``.
+beyond the detection for 200 photographs of 12 Mpx: features, pairs, matches, the graph. ``real`` holds the scales of
+DATA/flights/garfield, which ``vehanchor flight --out`` wrote, against the heights and positions of its metadata.
+Cameras that look aside: ``benchmarks/tilt.py``.
 """
 
 from __future__ import annotations
@@ -31,9 +32,11 @@ from vehanchor.flight.concluding import Failure, chief_member, conclude_flight
 from vehanchor.flight.estimate import conclude, look_at_flight
 from vehanchor.flight.features import Features, find_features
 from vehanchor.flight.islands import single_island
+from vehanchor.flight.matching import match
 from vehanchor.flight.pairs import candidate_pairs
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.taken import Taken
+from vehanchor.flight.written import read_record
 from vehanchor.imagery.raster import open_raster
 from vehanchor.options import ScaleOptions
 
@@ -43,11 +46,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.detector import Detector
-    from vehanchor.records import FlightEstimate
+    from vehanchor.records import FlightEstimate, FlightLink
 
-_REGIONS = {"cannes": "europe", "estonia": "europe", "ucm": "north_america", "saopaulo": "south_america"}
+_REGIONS = {"cannes": "europe", "estonia": "northern_europe", "ucm": "north_america", "saopaulo": "south_america"}
 _FLIGHTS, _PHOTOGRAPHS = 4, 24
 _LOOKED_AT = 8  # photographs whose features are timed
+_NEAR, _PAIR = 0.1, 0.2  # of a ratio; of a scale by one pair of positions
+_LEAST_APART_M = 15.0  # two positions: each is off by metres
 
 
 def tiles(data: Path, name: str, split: str) -> list[tuple[Path, float]]:
@@ -89,7 +94,7 @@ def looked_at(
 ) -> list[Photograph]:
     """Photographs that were looked at, each only once: what was found is kept in a folder, by model and pixels."""
     members = []
-    for name, image in taken:
+    for name, image, _ in taken:
         pixels = np.ascontiguousarray(image)
         known = None
         if cache is not None:
@@ -199,15 +204,17 @@ def cut_flight(
     return photographs, np.array(scales)
 
 
-def matched(data: Path, cache: Path | None) -> None:
-    """Print a table."""
+def matched(data: Path, flights: int, cache: Path | None) -> None:
+    """Print a table: so many flights over each world."""
     detector = open_detector(None, ScaleOptions(), threads=1)
     print("| world | in islands | median | 95th percentile | ratios alone, median | inside the interval | dropped |")
     print("|---|---|---|---|---|---|---|")
     every: list[float] = []
     inside = total = 0
-    for number, (name, world) in enumerate(worlds(data).items()):
-        rng = np.random.default_rng([number, 20261121])
+    whole: list[bool] = []  # islands that hold all of their photographs' scales
+    mosaics = list(worlds(data).items())
+    for number, seed, (name, world) in ((k, seed, each) for k, each in enumerate(mosaics) for seed in range(flights)):
+        rng = np.random.default_rng([number, seed, 20261121] if seed else [number, 20261121])
         images, factors = cut_flight(world, rng, _PHOTOGRAPHS)
         taken = [Taken(str(place), image) for place, image in enumerate(images)]
         looks = looked_at(taken, detector, featured=True, cache=cache)
@@ -228,6 +235,7 @@ def matched(data: Path, cache: Path | None) -> None:
                 relative.append(abs(math.log(each.gsd_m_per_px / truth) - offset))
         every += errors
         inside, total = inside + held, total + len(errors)
+        whole += _islands_held(record, 0.2 * factors)
         sizes = ", ".join(str(island.n_photographs) for island in record.islands)
         dropped = sum(link.dropped is not None for link in record.links)
         print(
@@ -238,6 +246,17 @@ def matched(data: Path, cache: Path | None) -> None:
     print(
         f"| all | | {100 * np.median(every):.1f} % | {100 * np.percentile(every, 95):.1f} % | | {inside} of {total} | |"
     )
+    print(f"\nislands whose reference's interval holds its scale: {sum(whole)} of {len(whole)}")
+
+
+def _islands_held(record: FlightEstimate, truth: NDArray[np.float64]) -> list[bool]:
+    """Of each island with a scale, whether its reference's interval holds the true one."""
+    held = []
+    for island in record.islands:
+        low, high = island.pooled.gsd_ci95_low_m_per_px, island.pooled.gsd_ci95_high_m_per_px
+        if low is not None and high is not None:
+            held.append(low <= float(truth[int(island.reference)]) <= high)
+    return held
 
 
 def cost(number: int) -> None:
@@ -292,6 +311,80 @@ def _made_up(n: int, detector: Detector) -> list[Photograph]:
     return photographs
 
 
+def real(data: Path, written: Path) -> None:
+    """Print how the scales of a flight go with the heights above the sea and the track in its metadata.
+
+    Args:
+        data: with ``flights/table.csv``.
+        written: the flight's record.
+    """
+    record = read_record(written)
+    with (data / "flights" / "table.csv").open() as file:
+        seas = {Path(row["file"]).name: float(row["altitude_above_sea_m"]) for row in csv.DictReader(file)}
+    members = [each for each in record.photographs if each.gsd_m_per_px and each.island == 0]
+    sea = {each.photograph: seas[Path(each.photograph).name] for each in members}
+    scale = {each.photograph: math.log(each.gsd_m_per_px or 1.0) for each in members}
+    ground = _ground_height(np.array(list(sea.values())), np.array(list(scale.values())))
+    up = {name: math.log(height - ground) for name, height in sea.items()}
+    links = [each for each in record.links if each.first in scale and each.second in scale]
+    by_match = [abs(math.expm1(math.log(each.ratio) - up[each.first] + up[each.second])) for each in links]
+    solved = [
+        abs(math.expm1(scale[each.first] - scale[each.second] - up[each.first] + up[each.second])) for each in links
+    ]
+    sizes = ", ".join(str(island.n_photographs) for island in record.islands)
+    dropped = sum(each.dropped is not None for each in record.links)
+    print(f"{len(record.photographs)} photographs, islands of {sizes}, {len(record.links)} overlaps, {dropped} dropped")
+    rulers = [
+        f"{each.kind} {each.gsd_m_per_px:.4f} ({'agrees' if each.agrees else 'does not'})"
+        for each in record.islands[0].pooled.rulers
+    ]
+    pooled = record.islands[0].pooled
+    print(
+        f"{pooled.gsd_m_per_px:.4f} m/px, {pooled.gsd_ci95_low_m_per_px:.4f} to {pooled.gsd_ci95_high_m_per_px:.4f}: "
+    )
+    print("; ".join(rulers))
+    for name, errors in (("matches by themselves", by_match), ("solved scales", solved)):
+        share = np.mean(np.array(errors) <= _NEAR)
+        print(f"{name} against the heights: {100 * share:.1f} % within 10 %, median {100 * np.median(errors):.1f} %")
+    off = np.array(_off_track(record, [each for each in links if each.dropped is None]))
+    print(
+        f"scales against the track, {len(off)} pairs of {_LEAST_APART_M:.0f} m and more: median of the ratios", end=" "
+    )
+    print(f"{np.exp(np.median(off)):.3f}, {100 * np.mean(np.abs(np.expm1(off)) <= _PAIR):.0f} % within a fifth")
+
+
+def _ground_height(seas_m: NDArray[np.float64], logs: NDArray[np.float64]) -> float:
+    """Height of the ground above the sea under which scales go best with heights, metres."""
+    tried = seas_m.min() - np.geomspace(5.0, 500.0, 400)
+    spreads = []
+    for ground in tried:
+        off = logs - np.log(seas_m - ground)
+        spreads.append(float(np.median(np.abs(off - np.median(off)))))
+    return float(tried[int(np.argmin(spreads))])
+
+
+def _off_track(record: FlightEstimate, links: Sequence[FlightLink]) -> list[float]:
+    """Logs of each pair's scale over that by the way between its two positions and the shift that was matched."""
+    members = {each.photograph: each for each in record.photographs if each.placed_by == "positions"}
+    features, centres = {}, {}
+    for name in members:
+        with open_raster(name) as raster:
+            features[name] = find_features(raster)
+            centres[name] = np.array([raster.width_px / 2, raster.height_px / 2])
+    off = []
+    for link in links:
+        if link.first not in members or link.second not in members:
+            continue
+        first, second = members[link.first], members[link.second]
+        east, north = (second.east_m or 0.0) - (first.east_m or 0.0), (second.north_m or 0.0) - (first.north_m or 0.0)
+        matched = match(features[link.first], features[link.second])
+        if matched is None or math.hypot(east, north) < _LEAST_APART_M or not second.gsd_m_per_px:
+            continue
+        moved = matched.turn[:, :2] @ centres[link.first] + matched.turn[:, 2] - centres[link.second]
+        off.append(math.log(second.gsd_m_per_px * float(np.hypot(*moved)) / math.hypot(east, north)))
+    return off
+
+
 def without_vehicles(look: Photograph) -> Photograph:
     """The photograph as if no vehicle had been there."""
     seen = look.view.sighting
@@ -310,19 +403,22 @@ def without_vehicles(look: Photograph) -> Photograph:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("pooled", "matched", "cost"))
+    parser.add_argument("what", choices=("pooled", "matched", "cost", "real"))
     parser.add_argument("data", type=Path, nargs="?", default=Path("../shared/data"))
     parser.add_argument("--photographs", type=int, default=200, help="of the largest flight whose cost is measured")
     parser.add_argument("--split", default="val")
-    parser.add_argument("--flights", type=int, default=_FLIGHTS)
+    parser.add_argument("--flights", type=int, help="a set (pooled: 4), over each world (matched, 1)")
     parser.add_argument("--cache", type=Path, help="folder that keeps what was found in each image")
+    parser.add_argument("--record", type=Path, default=Path("flight.json"), help="real: what 'vehanchor flight' wrote")
     arguments = parser.parse_args()
     if arguments.what == "pooled":
-        pooled(arguments.data, arguments.split, arguments.flights, arguments.cache)
+        pooled(arguments.data, arguments.split, arguments.flights or _FLIGHTS, arguments.cache)
     elif arguments.what == "cost":
         cost(arguments.photographs)
+    elif arguments.what == "real":
+        real(arguments.data, arguments.record)
     else:
-        matched(arguments.data, arguments.cache)
+        matched(arguments.data, arguments.flights or 1, arguments.cache)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""Large images: ``python benchmarks/gigapixel.py make|search``. Prints Markdown, kept in RESULTS.md with the machine.
+"""Large images: ``python -m benchmarks.gigapixel make|search``. Prints Markdown, kept in RESULTS.md with the machine.
 
 A mosaic is laid out of images of known scale, towns with fields between them, every pixel of a town at exactly 0.2 m.
-``search`` runs one mosaic with one effort in this process and tells tiles, seconds, memory and the scale.
+``search`` runs one mosaic with one effort in this process and tells tiles, seconds, memory and the scale; with
+``--threads 1`` also how much of the processor's time the networks have, by file: the rest is what the pipeline adds.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import cv2
 import numpy as np
 import rasterio
 
+from benchmarks.networks_time import networks_seconds
 from vehanchor.detection.detector import load_detector
 from vehanchor.estimate import analyse_raster
 from vehanchor.imagery.raster import open_raster
@@ -86,20 +88,24 @@ def make(data: Path, out: Path, side: int, share: float, town: str, seed: int, o
             file.build_overviews([2, 4, 8, 16], rasterio.enums.Resampling.average)
 
 
-def search(image: Path, effort: str) -> str:
+def search(image: Path, effort: str, threads: int | None, model: str | None) -> str:
     """One line of a table for one image and effort."""
-    detector = load_detector(resolve_model(None))
+    detector = load_detector(resolve_model(model), threads=threads)
     options = ScaleOptions.of({"effort": effort})
     started, cpu = time.perf_counter(), time.process_time()
-    with open_raster(image, limits=options.reading.limits) as raster:
+    with networks_seconds(time.thread_time) as networks, open_raster(image, limits=options.reading.limits) as raster:
         found = analyse_raster(raster, detector, options).estimate
     seconds, cpu = time.perf_counter() - started, time.process_time() - cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return (
+    line = (
         f"| {image.stem} | {effort} | {found.tiles_searched} / {found.tiles_total} | {found.stopped_because} | "
         f"{seconds:.0f} | {cpu:.0f} | {found.gsd_m_per_px or 0:.4f} | {found.gsd_ci95_low_m_per_px or 0:.4f} to "
         f"{found.gsd_ci95_high_m_per_px or 0:.4f} | {found.status} | {found.n_vehicles} | {peak:.0f} |"
     )
+    if threads == 1:
+        parts = ", ".join(f"{name} {spent:.1f}" for name, spent in networks.items())
+        line += f"\n\nCPU time over the networks': {cpu / sum(networks.values()):.3f} ({parts})\n"
+    return line
 
 
 def main() -> None:
@@ -117,12 +123,14 @@ def main() -> None:
     searching = commands.add_parser("search")
     searching.add_argument("images", type=Path, nargs="+")
     searching.add_argument("--effort", choices=["full", "auto", "fast"], default="auto")
+    searching.add_argument("--threads", type=int)
+    searching.add_argument("--detector")
     chosen = parser.parse_args()
     if chosen.command == "make":
         make(chosen.data, chosen.out, chosen.side, chosen.towns, chosen.town, chosen.seed, chosen.overviews)
         return
     for image in chosen.images:
-        print(search(image, chosen.effort), flush=True)
+        print(search(image, chosen.effort, chosen.threads, chosen.detector), flush=True)
 
 
 if __name__ == "__main__":

@@ -9,17 +9,14 @@ first, ``--state FILE`` keeps what was seen, and the same command goes on from t
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import os
 import random
 import signal
-import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -28,7 +25,15 @@ import anyio
 import cv2
 from mcp import Client
 
-from benchmarks.server_process import HttpServer, child_processes, http_server, memory_mib, middle_box, target
+from benchmarks.server_process import (
+    HttpServer,
+    child_processes,
+    health_times_ms,
+    http_server,
+    memory_mib,
+    middle_box,
+    target,
+)
 from tests import bombs
 from vehanchor.output import whole_file
 from vehanchor_scenes import render_scene
@@ -41,14 +46,6 @@ DEADLINE_S = 20.0
 BACK_OFF_S = 1.5, 5.0  # before a client that was told to try again does
 N_PLACES = 4
 _SIDE_PX = 320
-_PROBE = """
-import sys, time, urllib.request
-while True:
-    started = time.perf_counter()
-    urllib.request.urlopen(sys.argv[1], timeout=60).read()
-    print(1000 * (time.perf_counter() - started), flush=True)
-    time.sleep(0.1)
-"""
 
 
 @dataclass
@@ -101,7 +98,7 @@ async def chaos(n_calls: int, n_clients: int, period_s: float, minutes: float, s
                 expected = [await _settled(client, question) for question in asked]
             began = time.monotonic()
             ends = began + 60 * minutes
-            with _probed(server, tally):
+            with health_times_ms(server) as times:
                 async with anyio.create_task_group() as group:
                     group.start_soon(_kill, server, period_s, tally)
                     group.start_soon(_weigh, server, tally)
@@ -110,6 +107,7 @@ async def chaos(n_calls: int, n_clients: int, period_s: float, minutes: float, s
                         for _ in range(n_clients):
                             clients.start_soon(_ask, server, asked, expected, numbers, ends, tally)
                     group.cancel_scope.cancel()
+            tally.healthy_ms += times
             tally.seconds += time.monotonic() - began
     if state is not None:
         with whole_file(state) as partial:
@@ -174,21 +172,6 @@ async def _weigh(server: HttpServer, tally: Tally) -> None:
     while True:
         tally.peak_mib = max(tally.peak_mib, sum(await anyio.to_thread.run_sync(memory_mib, server.pid)))
         await anyio.sleep(2)
-
-
-@contextlib.contextmanager
-def _probed(server: HttpServer, tally: Tally) -> Iterator[None]:
-    """Ask for the server's health all the time, in a process that does nothing else."""
-    with tempfile.TemporaryFile("w+") as times:
-        command = [sys.executable, "-c", _PROBE, server.url.replace("/mcp", "/healthz")]
-        process = subprocess.Popen(command, stdout=times)
-        try:
-            yield
-        finally:
-            process.kill()
-            process.wait()
-            times.seek(0)
-            tally.healthy_ms += map(float, times.read().split())
 
 
 async def _settled(client: Client, question: Question) -> Reply:

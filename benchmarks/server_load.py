@@ -31,6 +31,7 @@ from vehanchor.segmentation.segmenter import load_segmenter
 
 BUSY_PAUSE_S = 0.05
 WARM_SHARE = 0.3
+_WHOLE = {"detail": "full"}  # the library's record
 
 
 class MixedCall(NamedTuple):
@@ -47,8 +48,8 @@ def mixed_calls(images: list[Path]) -> list[MixedCall]:
     segmenter = load_segmenter(*resolve_segmenter(), threads=1)
     calls: list[MixedCall] = []
     for image in images:
-        by_path = {"image": {"kind": "path", "path": str(image)}}
-        in_base64 = {"image": {"kind": "base64", "data": base64.b64encode(image.read_bytes()).decode()}}
+        by_path = {"image": {"kind": "path", "path": str(image)}, **_WHOLE}
+        in_base64 = {"image": {"kind": "base64", "data": base64.b64encode(image.read_bytes()).decode()}, **_WHOLE}
         box = middle_box(image)
         estimate = estimate_gsd(image, detector=detector).model_dump(mode="json")
         area = measure_area(image, box=box, detector=detector, segmenter=segmenter).model_dump(mode="json")

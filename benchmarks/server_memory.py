@@ -16,7 +16,7 @@ from typing import Any
 import anyio
 from mcp import Client
 
-from benchmarks.server_process import http_server, memory_mib, middle_box, target, write_images
+from benchmarks.server_process import IDLE_S, http_server, memory_mib, middle_box, target, write_images
 
 
 async def measure(*flags: str, n_rounds: int, n_calls: int) -> None:
@@ -39,6 +39,8 @@ async def measure(*flags: str, n_rounds: int, n_calls: int) -> None:
                             for _ in range(2):
                                 group.start_soon(call, tool, arguments)
                 called = memory_mib(server.pid)
+                await anyio.sleep(IDLE_S)
+                idle = memory_mib(server.pid)
                 taken_ms = []
                 for _ in range(n_calls):
                     started = time.perf_counter()
@@ -46,6 +48,7 @@ async def measure(*flags: str, n_rounds: int, n_calls: int) -> None:
                     taken_ms.append(1000 * (time.perf_counter() - started))
     print(f"PSS once loaded: {sum(loaded):.0f} MiB {_shown(loaded)}")
     print(f"PSS after both tools, twice at once: {sum(called):.0f} MiB {_shown(called)}")
+    print(f"PSS {IDLE_S:g} s later: {sum(idle):.0f} MiB {_shown(idle)}")
     print(
         f"measure_area with a known scale: median {statistics.median(taken_ms):.1f} ms, fastest {min(taken_ms):.1f} ms"
     )

@@ -21,6 +21,7 @@ from mcp import Client, StdioServerParameters
 from pydantic import BaseModel
 
 from benchmarks.server_process import (
+    IDLE_S,
     SERVE,
     http_server,
     memory_mib,
@@ -41,7 +42,8 @@ async def overhead(n_calls: int, threads: int) -> None:
     segmenter = load_segmenter(*resolve_segmenter(), threads=threads)
     with tempfile.TemporaryDirectory() as directory:
         image = write_images(Path(directory).resolve())[0]
-        by_path, box = {"image": {"kind": "path", "path": str(image)}}, middle_box(image)
+        by_path = {"image": {"kind": "path", "path": str(image)}, "detail": "full"}
+        box = middle_box(image)
         questions: dict[str, tuple[Callable[[], BaseModel], dict[str, Any]]] = {
             "estimate_gsd": (lambda: estimate_gsd(image, detector=detector), by_path),
             "measure_area": (
@@ -113,8 +115,11 @@ async def workers_cost(n_calls: int, threads: int) -> None:
                         f"{used[0] / n_calls:.1f} and {used[1] / n_calls:.1f} ms",
                         flush=True,
                     )
+            await anyio.sleep(IDLE_S)
             held = [sum(memory_mib(server.pid)) for server in (isolated, single)]
-            print(f"PSS: {held[0]:.0f} MiB with a worker, {held[1]:.0f} in process: {held[0] / held[1]:.2f} times")
+            print(
+                f"idle, PSS: {held[0]:.0f} MiB with a worker, {held[1]:.0f} in process: {held[0] / held[1]:.2f} times"
+            )
 
 
 _LINE: dict[str, Any] = {"lines": [{"points": [{"x": 5, "y": 5}, {"x": 90, "y": 90}]}]}

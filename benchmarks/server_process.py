@@ -7,6 +7,7 @@ import os
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -19,9 +20,11 @@ import numpy as np
 from vehanchor_scenes import render_scene
 
 __all__ = [
+    "IDLE_S",
     "SERVE",
     "HttpServer",
     "child_processes",
+    "health_times_ms",
     "http_server",
     "memory_mib",
     "middle_box",
@@ -34,7 +37,16 @@ __all__ = [
 
 SERVE = [sys.executable, "-c", "import typer; from vehanchor_server.command import serve; typer.run(serve)"]
 START_S = 120
+IDLE_S = 2.0  # by then an idle worker has given back what it does not need
 _PAGE_BYTES = 4096
+_PROBE = """
+import sys, time, urllib.request
+while True:
+    started = time.perf_counter()
+    urllib.request.urlopen(sys.argv[1], timeout=60).read()
+    print(1000 * (time.perf_counter() - started), flush=True)
+    time.sleep(0.1)
+"""
 
 
 class HttpServer(NamedTuple):
@@ -112,6 +124,22 @@ def http_server(*flags: str) -> Iterator[HttpServer]:
             process.wait(20)
         except subprocess.TimeoutExpired:
             process.kill()
+
+
+@contextlib.contextmanager
+def health_times_ms(server: HttpServer) -> Iterator[list[float]]:
+    """Ask for the server's health all the time, in a process that does nothing else; sorted times, there at the end."""
+    times: list[float] = []
+    with tempfile.TemporaryFile("w+") as printed:
+        command = [sys.executable, "-c", _PROBE, server.url.replace("/mcp", "/healthz")]
+        process = subprocess.Popen(command, stdout=printed)
+        try:
+            yield times
+        finally:
+            process.kill()
+            process.wait()
+            printed.seek(0)
+            times += sorted(map(float, printed.read().split()))
 
 
 def child_processes(pid: int) -> list[int]:

@@ -1,6 +1,7 @@
-"""Speed and memory: ``python benchmarks/speed.py``. Prints Markdown, kept in RESULTS.md with the machine.
+"""Speed and memory: ``python -m benchmarks.speed``. Prints Markdown, kept in RESULTS.md with the machine.
 
-The whole pipeline on a 4096 x 4096 scene is timed against bare ONNX Runtime on the same tiles, in turns.
+The whole pipeline on a 4096 x 4096 scene is timed against bare ONNX Runtime on the same tiles, in turns, and against
+all of its own networks; ``--detector`` names other files that take turns with it.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import cv2
 import numpy as np
 import onnxruntime
 
+from benchmarks.networks_time import networks_seconds
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import search_levels
 from vehanchor.detection.nms import oriented_nms
@@ -26,12 +28,14 @@ from vehanchor.estimate import analyse_scale
 from vehanchor.imagery.raster import open_raster
 from vehanchor.imagery.tiles import read_reduced_window, tile_grid
 from vehanchor.models.zoo import resolve_model
+from vehanchor.options import ScaleOptions, Search
 from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _SIDE_PX = 4096
+_EVERY_TILE = ScaleOptions(search=Search(effort="full"))  # an image of that size is not searched wholly by default
 
 
 def large_scene() -> NDArray[np.uint8]:
@@ -47,32 +51,47 @@ def _bare(session: onnxruntime.InferenceSession, tiles: list[NDArray[np.float32]
     return time.perf_counter() - started
 
 
-def pipeline(rounds: int) -> list[str]:
-    """Whole pipeline against bare ONNX Runtime."""
+def pipeline(rounds: int, others: list[str]) -> list[str]:
+    """Whole pipeline against bare ONNX Runtime, against its own networks, and with other files."""
     image = large_scene()
-    detector = Detector(resolve_model())
+    detectors = [Detector(resolve_model(name)) for name in (None, *others)]
     tiles = []
     with open_raster(image) as raster:
-        card = detector.card
+        card = detectors[0].card
         for level in search_levels(_SIDE_PX, _SIDE_PX, card.length_range_px, search_scales=card.search_scales):
             for window in tile_grid(level.width_px, level.height_px):
                 pixels = read_reduced_window(raster, window, level.factor)
                 tiles.append(np.asarray(cv2.dnn.blobFromImage(pixels, 1 / 255.0), dtype=np.float32))
-    session = onnxruntime.InferenceSession(str(detector.path), providers=["CPUExecutionProvider"])
-    _bare(session, tiles[:2])
-    analyse_scale(image[:1024, :1024], detector=detector)
-    bare, whole = [], []
-    for _ in range(rounds):
-        bare.append(_bare(session, tiles))
-        started = time.perf_counter()
-        analysis = analyse_scale(image, detector=detector)
-        whole.append(time.perf_counter() - started)
-    ratio = statistics.median(w / b for w, b in zip(whole, bare, strict=True))
-    return [
-        f"| pipeline, 4096 x 4096, {len(analysis.detections.boxes)} boxes | {statistics.median(whole):.2f} s |",
-        f"| bare ONNX Runtime, the same {len(tiles)} tiles | {statistics.median(bare):.2f} s |",
-        f"| pipeline / bare (median of {rounds} pairs) | {ratio:.3f} |",
-    ]
+    sessions = [onnxruntime.InferenceSession(str(each.path), providers=["CPUExecutionProvider"]) for each in detectors]
+    bare: list[list[float]] = [[] for _ in detectors]
+    whole: list[list[float]] = [[] for _ in detectors]
+    added: list[list[float]] = [[] for _ in detectors]
+    for number in range(rounds + 1):
+        for k, (detector, session) in enumerate(zip(detectors, sessions, strict=True)):
+            alone = _bare(session, tiles)
+            started = time.perf_counter()
+            with networks_seconds(time.perf_counter) as networks:
+                n_boxes = len(analyse_scale(image, _EVERY_TILE, detector=detector).detections.boxes)
+            seconds = time.perf_counter() - started
+            if number:  # the first round warms up
+                bare[k].append(alone)
+                whole[k].append(seconds)
+                added[k].append(seconds / sum(networks.values()))
+    lines = []
+    for k, detector in enumerate(detectors):
+        name = detector.path.stem
+        ratio = statistics.median(w / b for w, b in zip(whole[k], bare[k], strict=True))
+        lines += [
+            f"| {name}: pipeline, 4096 x 4096, {n_boxes} boxes | {statistics.median(whole[k]):.2f} s |",
+            f"| {name}: bare ONNX Runtime, the same {len(tiles)} tiles | {statistics.median(bare[k]):.2f} s |",
+            f"| {name}: pipeline / bare (median of {rounds} pairs) | {ratio:.3f} |",
+            f"| {name}: pipeline / all its networks | {statistics.median(added[k]):.3f} |",
+        ]
+        if k:
+            for what, times in (("pipeline", whole), ("bare", bare)):
+                share = statistics.median(a / b for a, b in zip(times[k], times[0], strict=True))
+                lines.append(f"| {what}, {name} / {detectors[0].path.stem} | {share:.3f} |")
+    return lines
 
 
 def peak_memory() -> str:
@@ -127,10 +146,11 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--detector", action="append", default=[], help="file or name; may be repeated")
     options = parser.parse_args()
     print(f"{platform.machine()}, onnxruntime {onnxruntime.__version__}, OpenCV {cv2.__version__}\n")
     print("| what | measured |\n|---|---|")
-    for line in [*pipeline(options.rounds), peak_memory(), nms_time(), *start_up()]:
+    for line in [*pipeline(options.rounds, options.detector), peak_memory(), nms_time(), *start_up()]:
         print(line, flush=True)
 
 

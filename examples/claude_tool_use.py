@@ -73,11 +73,21 @@ async def by_schemas(claude: anthropic.AsyncAnthropic, model: str, tools: Client
                 text = " ".join(getattr(part, "text", "") for part in result.content)
                 tell_result(text)
                 record = json.dumps(result.structured_content) if result.structured_content else text
+                content = [{"type": "text", "text": record}, *pictures(result.content)]
                 results.append(
-                    {"type": "tool_result", "tool_use_id": block.id, "content": record, "is_error": result.is_error}
+                    {"type": "tool_result", "tool_use_id": block.id, "content": content, "is_error": result.is_error}
                 )
         messages += [{"role": "assistant", "content": message.content}, {"role": "user", "content": results}]
     return "no answer: too many turns"
+
+
+def pictures(content: list[Any]) -> list[dict[str, Any]]:
+    """What a tool shows, as Claude sees it."""
+    return [
+        {"type": "image", "source": {"type": "base64", "media_type": part.mime_type, "data": part.data}}
+        for part in content
+        if part.type == "image"
+    ]
 
 
 def tell(message: Any) -> str:

@@ -45,7 +45,8 @@ async def by_agents(model: str, root: Path, question: str) -> str:
         if isinstance(item, ToolCallItem):
             print(f"calls {getattr(item.raw_item, 'name', '')} {getattr(item.raw_item, 'arguments', '')}")
         elif isinstance(item, ToolCallOutputItem):
-            print(f"tool  {item.output['text'] if isinstance(item.output, dict) else item.output}")
+            parts = item.output if isinstance(item.output, list) else [item.output]  # several where there is a picture
+            print("tool ", *(part.get("text", "") if isinstance(part, dict) else part for part in parts))
     return str(result.final_output)
 
 
@@ -71,7 +72,13 @@ async def by_responses(model: str, root: Path, question: str) -> str:
                 text = " ".join(getattr(part, "text", "") for part in result.content)
                 print(f"tool  {text}")
                 record = json.dumps(result.structured_content) if result.structured_content else text
-                items.append({"type": "function_call_output", "call_id": call.call_id, "output": record})
+                shown = [
+                    {"type": "input_image", "image_url": f"data:{part.mime_type};base64,{part.data}", "detail": "auto"}
+                    for part in result.content
+                    if part.type == "image"
+                ]
+                output = [{"type": "input_text", "text": record}, *shown]
+                items.append({"type": "function_call_output", "call_id": call.call_id, "output": output})
     return "no answer: too many turns"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from mcp import Client
 from mcp.types import TextContent
 
 from vehanchor_server.app import create_server
+from vehanchor_server.calls.short import GIVE_BACK
 from vehanchor_server.schemas import anthropic_definition, openai_definition
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -48,6 +50,9 @@ class InProcessTools:
         self._stack = ExitStack()
 
     def __enter__(self) -> InProcessTools:
+        log = logging.getLogger("vehanchor_server.calls")  # a line a call is for operators
+        self._stack.callback(log.setLevel, log.level)
+        log.setLevel(logging.WARNING)
         self._portal = self._stack.enter_context(start_blocking_portal())
         self._client = self._stack.enter_context(self._portal.wrap_async_context_manager(Client(self._server)))
         return self
@@ -94,5 +99,6 @@ def _text(result: CallToolResult) -> str:
     lines = [block.text for block in result.content if isinstance(block, TextContent)]
     record = result.structured_content
     if record is not None and not result.is_error:
+        lines = [line for line in lines if not line.startswith(GIVE_BACK)]  # the record has the scale
         lines.append(json.dumps({key: value for key, value in record.items() if key not in _FOR_DRAWING}))
     return "\n".join(lines)

@@ -6,7 +6,7 @@ import contextlib
 import importlib
 import logging
 import threading
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from vehanchor.errors import VehAnchorError
 from vehanchor.models.files import read_model
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from vehanchor.detection.detector import Detector
+    from vehanchor.models.precision import Precision
     from vehanchor.scale.calibration import Calibration
     from vehanchor.segmentation.segmenter import Segmenter
     from vehanchor_server.settings import Settings
@@ -119,7 +120,7 @@ class Models:
         """All files that loading reads, as far as they exist."""
         settings = self._settings
         found: list[Path] = []
-        for resolve in (lambda: (resolve_model(settings.detector),), lambda: resolve_segmenter(settings.segmenter)):
+        for resolve in (lambda: (self._detector_file(),), lambda: resolve_segmenter(settings.segmenter)):
             with contextlib.suppress(VehAnchorError):  # loading will say what is missing
                 found += resolve()
         beside = [other for path in found[:1] for other in (fleet_beside(path), second_look_beside(path)) if other]
@@ -169,11 +170,14 @@ class Models:
 
     # OpenCV and ONNX Runtime are slow to load: not before they are needed.
 
+    def _detector_file(self) -> Path:
+        return resolve_model(self._settings.detector, cast("Precision", self._settings.precision))
+
     def _load_detector(self) -> Detector:
         from vehanchor.detection.detector import load_detector
         from vehanchor.models.session import DEFAULT_PROVIDERS
 
-        path, providers = resolve_model(self._settings.detector), self._settings.providers or DEFAULT_PROVIDERS
+        path, providers = self._detector_file(), self._settings.providers or DEFAULT_PROVIDERS
         return load_detector(path, threads=self._settings.threads, providers=providers)
 
     def _load_calibration(self) -> Calibration:

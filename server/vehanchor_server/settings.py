@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vehanchor.choices import choice
+from vehanchor.models.precision import Precision
 from vehanchor.options import DECODED_BYTES_PER_PIXEL, Effort, ImageLimits
 
 if TYPE_CHECKING:
@@ -64,6 +65,10 @@ class Settings:
         metadata=_words("Host that images may be fetched from (https); repeatable.", panel=_SOURCES, flag="image-host"),
     )
     detector: str | None = field(default=None, metadata=_words("Bundled name or path of the detector.", panel=_WORK))
+    precision: str = field(
+        default="float32",
+        metadata=_words("Numbers of the bundled detector: float32, int8, or auto for the quicker.", panel=_WORK),
+    )
     segmenter: tuple[Path, Path] | None = field(
         default=None,
         metadata=_words(
@@ -196,8 +201,9 @@ class Settings:
                 continue
             if not (math.isfinite(value) and (value > 0 or (each.name == "min_score" and value == 0))):
                 raise SettingsError(f"{each.name} is {value}: use a finite number > 0")
-        if self.effort not in typing.get_args(Effort):
-            raise SettingsError(f"effort is {self.effort!r}: use one of {', '.join(typing.get_args(Effort))}")
+        for name, words in (("effort", typing.get_args(Effort)), ("precision", typing.get_args(Precision))):
+            if getattr(self, name) not in words:
+                raise SettingsError(f"{name} is {getattr(self, name)!r}: use one of {', '.join(words)}")
         if self.min_score is not None and self.min_score > 1:
             raise SettingsError(f"min_score is {self.min_score}: it lies in 0..1")
 

@@ -28,7 +28,8 @@ __all__ = ["estimate_gsd", "measure_area", "measure_distance"]
 Result = TypeVar("Result")
 
 _KEPT_APART = frozenset(
-    {"detector", "segmenter", "threads", "progress", "box", "points", "gsd_m_per_px", "scale", "object_height_m"}
+    {"detector", "segmenter", "threads", "providers", "progress"}
+    | {"box", "points", "gsd_m_per_px", "scale", "object_height_m"}
 )  # keywords of the verbs that are no options of the method
 
 

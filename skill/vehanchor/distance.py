@@ -6,7 +6,7 @@ Raster + path -> pixels x GSD -> record. The scale comes from the vehicles of th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -14,8 +14,9 @@ import numpy as np
 
 from vehanchor.errors import PromptError
 from vehanchor.exchange import places_of
+from vehanchor.exhibits import DistanceAnalysis
 from vehanchor.found_scale import choose_scale, find_scale, interval_around
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.raster import can_be_read_again, open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.pointing import Pointing
 from vehanchor.records import DistanceMeasurement, ImagePoint
@@ -28,9 +29,7 @@ if TYPE_CHECKING:
     import onnxruntime
 
     from vehanchor.detection.detector import Detector
-    from vehanchor.estimate import ScaleAnalysis
     from vehanchor.found_scale import FoundScale, ScaleInput
-    from vehanchor.imagery.georeference import Ground
     from vehanchor.imagery.raster import ImageSource, Raster
     from vehanchor.options import OptionKeywords
     from vehanchor.pointing import Place
@@ -45,29 +44,6 @@ MAX_PATH_POINTS = 1000
 _POINT_SD = 1.0  # how well a place is hit, in the finest step of the caller's coordinates, as for lines of known length
 
 
-@dataclass(frozen=True, eq=False)
-class DistanceAnalysis:
-    """A measurement together with what it came from.
-
-    Attributes:
-        measurement: the record.
-        scale: the analysis of the scale; None for one that was given, or given back.
-        ground: where on the ground the image lies; None where nothing tells.
-    """
-
-    measurement: DistanceMeasurement
-    scale: ScaleAnalysis | None
-    ground: Ground | None = None
-
-    @property
-    def __geo_interface__(self) -> dict[str, Any]:
-        """The line as a GeoJSON Feature with its length, which geopandas takes; pixels, y down."""
-        record = self.measurement
-        names = ("status", "distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "gsd_m_per_px", "confidence")
-        properties = {name: getattr(record, name) for name in names}
-        return {"type": "Feature", "geometry": record.__geo_interface__, "properties": properties}
-
-
 def measure_distance(
     image: ImageSource,
     path: Sequence[Place],
@@ -77,6 +53,7 @@ def measure_distance(
     object_height_m: float | None = None,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
+    providers: Sequence[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Unpack[OptionKeywords],
 ) -> DistanceMeasurement:
@@ -94,6 +71,7 @@ def measure_distance(
         object_height_m: how high it lies above the ground, as a roof does; None for on it.
         detector: as in ``estimate_gsd``.
         threads: as in ``estimate_gsd``.
+        providers: as in ``estimate_gsd``.
         progress: called with (tiles done, tiles in all) while vehicles are searched.
         **options: as in ``estimate_gsd``; the frame is that of the path, too.
 
@@ -118,6 +96,7 @@ def measure_distance(
         object_height_m=object_height_m,
         detector=detector,
         threads=threads,
+        providers=providers,
         progress=progress,
     ).measurement
 
@@ -132,6 +111,7 @@ def analyse_distance(
     object_height_m: float | None = None,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
+    providers: Sequence[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> DistanceAnalysis:
@@ -146,6 +126,7 @@ def analyse_distance(
         object_height_m: above the ground.
         detector: of vehicles.
         threads: CPU threads.
+        providers: where models run.
         progress: of the search for vehicles.
         run_options: ONNX Runtime's, for a caller that may have to end a running model (``terminate``).
 
@@ -157,7 +138,7 @@ def analyse_distance(
     """
     chosen = options or ScaleOptions()
     places = read_path(path)
-    source = choose_scale(gsd_m_per_px, scale, detector, chosen, threads=threads)
+    source = choose_scale(gsd_m_per_px, scale, detector, chosen, threads=threads, providers=providers)
     with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits, bgr=chosen.reading.bgr) as raster:
         (analysis,) = analyse_paths(
             raster,
@@ -168,7 +149,8 @@ def analyse_distance(
             progress=progress,
             run_options=run_options,
         )
-    return replace(analysis, ground=raster.ground)
+    seen = image if can_be_read_again(image) else None
+    return replace(analysis, image=seen, reading=chosen.reading, ground=raster.ground)
 
 
 def read_path(path: Sequence[Place]) -> tuple[Place, ...]:

@@ -20,7 +20,7 @@ from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.anchors.leaning import leaning_notice
 from vehanchor.anchors.registry import OTHER_ANCHORS
 from vehanchor.anchors.scene_scale import SceneScale
-from vehanchor.anchors.tilt import joint_attitude, on_the_plane
+from vehanchor.anchors.tilt import expected_scale, joint_attitude, on_the_plane
 from vehanchor.anchors.vehicles import Vehicles
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene import load_scene_scale
@@ -31,6 +31,7 @@ from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.raster import can_be_read_again, open_raster
 from vehanchor.judgement import judge, standing
+from vehanchor.models.session import named_providers
 from vehanchor.models.zoo import resolve_model
 from vehanchor.notices import NoticeCode
 from vehanchor.options import ScaleOptions
@@ -79,6 +80,7 @@ def estimate_gsd(
     *,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
+    providers: Sequence[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Unpack[OptionKeywords],
 ) -> GsdEstimate: ...
@@ -90,6 +92,7 @@ def estimate_gsd(
     *,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
+    providers: Sequence[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Unpack[OptionKeywords],
 ) -> list[GsdEstimate]: ...
@@ -100,6 +103,7 @@ def estimate_gsd(
     *,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
+    providers: Sequence[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Unpack[OptionKeywords],
 ) -> GsdEstimate | list[GsdEstimate]:
@@ -112,6 +116,8 @@ def estimate_gsd(
         detector: a bundled model's name, the path of an ONNX oriented-box model, or a loaded ``Detector``; default the
             bundled one.
         threads: CPU threads for the model; None leaves it to ONNX Runtime. Ignored for a loaded ``Detector``.
+        providers: where models run, in order of preference, as ``["cuda", "cpu"]``: with ``cpu`` among them one that
+            is missing gives way, and the log says so. None for the CPU. Ignored for a loaded ``Detector``.
         progress: called with (tiles done, tiles in all).
         **options: the fields of ``vehanchor.options``' groups: ``min_score``, ``nms_iou``, ``search_scales``,
             ``tile_px``, ``stride_px``, ``effort``, ``max_tiles``, ``max_seconds`` (``Search``), ``aggregation``,
@@ -131,10 +137,10 @@ def estimate_gsd(
         CalibrationError: the calibration cannot be read, or was made for another detector.
     """
     chosen = ScaleOptions.of(options)
+    model = open_detector(detector, chosen, threads=threads, providers=providers)
     if isinstance(image, list | tuple):
-        detector = open_detector(detector, chosen, threads=threads)
-        return [analyse_scale(each, chosen, detector=detector, progress=progress).estimate for each in image]
-    return analyse_scale(image, chosen, detector=detector, threads=threads, progress=progress).estimate
+        return [analyse_scale(each, chosen, detector=model, progress=progress).estimate for each in image]
+    return analyse_scale(image, chosen, detector=model, progress=progress).estimate
 
 
 def analyse_scale(
@@ -143,6 +149,7 @@ def analyse_scale(
     *,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
+    providers: Sequence[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> ScaleAnalysis:
@@ -153,6 +160,7 @@ def analyse_scale(
         options: every choice of the method; None for the defaults.
         detector: as in ``estimate_gsd``.
         threads: as in ``estimate_gsd``.
+        providers: as in ``estimate_gsd``.
         progress: as in ``estimate_gsd``.
         run_options: ONNX Runtime's, for a caller that may have to end a running model (``terminate``).
 
@@ -163,7 +171,7 @@ def analyse_scale(
         VehAnchorError: as ``estimate_gsd``.
     """
     chosen = options or ScaleOptions()
-    model = open_detector(detector, chosen, threads=threads)
+    model = open_detector(detector, chosen, threads=threads, providers=providers)
     with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits, bgr=chosen.reading.bgr) as raster:
         analysis = analyse_raster(raster, model, chosen, progress=progress, run_options=run_options)
     seen = image if can_be_read_again(image) else None
@@ -171,12 +179,16 @@ def analyse_scale(
 
 
 def open_detector(
-    detector: Detector | str | os.PathLike[str] | None, options: ScaleOptions, *, threads: int | None = None
+    detector: Detector | str | os.PathLike[str] | None,
+    options: ScaleOptions,
+    *,
+    threads: int | None = None,
+    providers: Sequence[str] | None = None,
 ) -> Detector:
     """Open the detector that a caller names, after a check that it knows the region of the options: before the work."""
     if not isinstance(detector, Detector):
         path = resolve_model(None if detector is None else str(detector))
-        detector = load_detector(path, threads=threads)
+        detector = load_detector(path, threads=threads, providers=named_providers(providers))
     reference_length(detector.card, options.reference, None)
     return detector
 
@@ -196,11 +208,10 @@ def analyse_raster(
     aside = attitude(facts, options)  # a horizon in sight is refused before the work
     weighed = detector.card.votes or not options.rulers.uses(Vehicles.kind)  # else there is nothing to weigh it against
     looks = weighed and options.rulers.uses(SceneScale.kind)
-    network = load_scene_scale(providers=detector.providers) if looks else None
+    network = load_scene_scale(threads=detector.threads, providers=detector.providers) if looks else None
     scene = None if network is None else network.look(raster, run_options=run_options)
-    view = View(
-        facts, replace(_NOT_SEARCHED, scene=scene), detector.card, options, partial(resolved_share, raster), raster
-    )
+    nothing_yet, resolved = replace(_NOT_SEARCHED, scene=scene), partial(resolved_share, raster)
+    view = View(facts, nothing_yet, detector.card, options, resolved, raster, detector.providers)
     if options.rulers.searches:
         sighting = search(
             raster,
@@ -251,7 +262,8 @@ def analyse_sighting(view: View, others: Sequence[Evidence] | None = None, *, le
         CalibrationMismatchError: the calibration was made for another model.
         TooObliqueError: the horizon is in sight, or nearly so.
     """
-    rulers, said = view.options.rulers, attitude(view.image, view.options) if level else None
+    rulers, aside = view.options.rulers, attitude(view.image, view.options)
+    said = aside if level else None
     if said is not None:  # the network of the ground was never shown such a view
         view = replace(view, sighting=replace(view.sighting, scene=None))
     if others is None:
@@ -260,8 +272,9 @@ def analyse_sighting(view: View, others: Sequence[Evidence] | None = None, *, le
     if looked is not None:
         others = on_the_plane(others, looked, view)
         seen = replace(view, sighting=levelled(view.sighting, looked, view.image))
+    expected = None if looked is None and aside is None else expected_scale(others)
     used = rulers.uses(Vehicles.kind)
-    vehicles = Vehicles().look(seen if used else replace(view, sighting=_NOT_SEARCHED))
+    vehicles = Vehicles(expected).look(seen if used else replace(view, sighting=_NOT_SEARCHED))
     estimate = conclude(vehicles, others, view, looked, placed=level)
     in_image = view.sighting if looked is not None and used else None
     return ScaleAnalysis(estimate, vehicles, tuple(others), in_image)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehanchor.errors import InvalidParameterError, MissingExtraError
-from vehanchor.findings import AreaFindings, ScaleFindings
+from vehanchor.findings import AreaFindings, DistanceFindings, ScaleFindings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import ImageSource
     from vehanchor.options import Reading
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement
 
-__all__ = ["AreaAnalysis", "Exhibit", "ScaleAnalysis"]
+__all__ = ["AreaAnalysis", "DistanceAnalysis", "Exhibit", "ScaleAnalysis"]
 
 
 def _import_supervision() -> Any:
@@ -27,8 +28,8 @@ def _import_supervision() -> Any:
     """
     try:
         import supervision
-    except ImportError:
-        raise MissingExtraError("to_supervision needs supervision: pip install supervision") from None
+    except ImportError as error:  # it, or something that it needs
+        raise MissingExtraError(f"to_supervision needs supervision ({error}): pip install supervision") from None
     return supervision
 
 
@@ -186,7 +187,24 @@ class AreaAnalysis(Exhibit, AreaFindings):
     @property
     def __geo_interface__(self) -> dict[str, Any]:
         """The outline as a GeoJSON Feature with its area, which geopandas takes; pixels, y down."""
-        record = self.measurement
-        names = ("status", "area_m2", "area_ci95_low_m2", "area_ci95_high_m2", "gsd_m_per_px", "confidence")
-        properties = {name: getattr(record, name) for name in names}
-        return {"type": "Feature", "geometry": record.__geo_interface__, "properties": properties}
+        return _feature(self.measurement, "area_m2", "area_ci95_low_m2", "area_ci95_high_m2")
+
+
+class DistanceAnalysis(Exhibit, DistanceFindings):
+    """A measured line together with what its length came from, and the forms in which that is handed on."""
+
+    def _drawn(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        from vehanchor.pictures.distance import draw_distance
+
+        return draw_distance(image, self)
+
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        """The line as a GeoJSON Feature with its length, which geopandas takes; pixels, y down."""
+        return _feature(self.measurement, "distance_m", "distance_ci95_low_m", "distance_ci95_high_m")
+
+
+def _feature(record: AreaMeasurement | DistanceMeasurement, *names: str) -> dict[str, Any]:
+    """What was measured as a GeoJSON Feature; ``names`` are those of the size and its interval."""
+    properties = {name: getattr(record, name) for name in ("status", *names, "gsd_m_per_px", "confidence")}
+    return {"type": "Feature", "geometry": record.__geo_interface__, "properties": properties}

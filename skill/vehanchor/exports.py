@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.distance import DistanceAnalysis
-    from vehanchor.exhibits import AreaAnalysis, ScaleAnalysis
+    from vehanchor.exhibits import AreaAnalysis, DistanceAnalysis, ScaleAnalysis
     from vehanchor.imagery.georeference import Ground
 
 __all__ = ["BOX_SUFFIXES", "LINE_SUFFIXES", "check_boxes_path", "write_boxes", "write_measured"]

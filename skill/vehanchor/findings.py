@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from vehanchor.imagery.georeference import Ground
     from vehanchor.imagery.raster import ImageSource
     from vehanchor.options import Reading
-    from vehanchor.records import AreaMeasurement, GsdEstimate
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.segmenter import Segmentation
 
-__all__ = ["AreaFindings", "ScaleFindings"]
+__all__ = ["AreaFindings", "DistanceFindings", "ScaleFindings"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +88,25 @@ class AreaFindings:
     measurement: AreaMeasurement
     segmentation: Segmentation
     prompt: Prompt
+    scale: ScaleFindings | None
+    image: ImageSource | None = None
+    reading: Reading | None = None
+    ground: Ground | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceFindings:
+    """A measured line together with what its length came from.
+
+    Attributes:
+        measurement: the record.
+        scale: the analysis of the scale; None for one that was given, or given back.
+        image: where the image can be read again, for pictures; None for a stream.
+        reading: how it was read; None for the defaults.
+        ground: where on the ground the image lies; None where nothing tells.
+    """
+
+    measurement: DistanceMeasurement
     scale: ScaleFindings | None
     image: ImageSource | None = None
     reading: Reading | None = None

@@ -123,6 +123,7 @@ def choose_scale(
     options: ScaleOptions,
     *,
     threads: int | None = None,
+    providers: Sequence[str] | None = None,
 ) -> ScaleInput:
     """Settle what the scale is to come from, before the work.
 
@@ -132,6 +133,7 @@ def choose_scale(
         detector: opened where neither is given.
         options: every choice of the method.
         threads: CPU threads of the detector.
+        providers: where it runs.
 
     Raises:
         InvalidParameterError: both are given, or one has no meaning.
@@ -142,7 +144,7 @@ def choose_scale(
     if scale is not None:
         return _as_known(scale)
     if gsd_m_per_px is None:
-        return open_detector(detector, options, threads=threads)
+        return open_detector(detector, options, threads=threads, providers=providers)
     if not (math.isfinite(gsd_m_per_px) and gsd_m_per_px > 0):
         raise InvalidParameterError(f"gsd_m_per_px is {gsd_m_per_px}: use a finite number > 0")
     return gsd_m_per_px

@@ -15,6 +15,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.exhibits import AreaAnalysis
 from vehanchor.found_scale import choose_scale, find_scale, interval_around
 from vehanchor.imagery.raster import can_be_read_again, open_raster
+from vehanchor.models.session import named_providers
 from vehanchor.models.zoo import resolve_segmenter
 from vehanchor.options import ScaleOptions
 from vehanchor.records import (
@@ -70,18 +71,17 @@ def measure_area(
     segmenter: SegmenterSource | None = None,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
+    providers: Sequence[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Unpack[OptionKeywords],
 ) -> AreaMeasurement:
     """Measure the area of the object in a box or at a point, ``A = N_px * GSD^2`` (paper, section III-G).
 
-    Prompts are in pixels, the image's first pixel spanning 0 to 1; of the caller's resized copy where a frame is named;
-    in shares of the sides where ``coordinates`` says so.
+    Prompts are in pixels, the first spanning 0 to 1, of the copy that a frame names; or as ``coordinates`` says.
 
     Args:
         image: as in ``estimate_gsd``.
-        box: x1, y1, x2, y2 around the object, a geometry of shapely, or supervision's ``Detections`` of one object.
-            Either a box or points.
+        box: x1, y1, x2, y2, a geometry of shapely, or supervision's ``Detections`` of one object; or give points.
         points: x, y and, optionally, whether the point is on the object (the default) or beside it.
         gsd_m_per_px: the scale, metres per pixel of the full image, where it is known: then no detector runs.
         scale: an earlier estimate of this image, or its ``scale``: then no detector runs, either, and its interval and
@@ -89,7 +89,8 @@ def measure_area(
         object_height_m: how high it lies above the ground, as a roof does; None for on it.
         segmenter: encoder and decoder paths, or a loaded ``Segmenter``; default the bundled one.
         detector: as in ``estimate_gsd``.
-        threads: CPU threads for the models; None leaves it to ONNX Runtime. Ignored for loaded ones.
+        threads: as in ``estimate_gsd``, for both models.
+        providers: as in ``estimate_gsd``, for both models.
         progress: called with (tiles done, tiles in all) while vehicles are searched.
         **options: as in ``estimate_gsd``; the frame is that of the prompt, too.
 
@@ -116,6 +117,7 @@ def measure_area(
         segmenter=segmenter,
         detector=detector,
         threads=threads,
+        providers=providers,
         progress=progress,
     ).measurement
 
@@ -132,6 +134,7 @@ def analyse_area(
     segmenter: SegmenterSource | None = None,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
+    providers: Sequence[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> AreaAnalysis:
@@ -148,6 +151,7 @@ def analyse_area(
         segmenter: encoder and decoder.
         detector: of vehicles.
         threads: CPU threads.
+        providers: where models run.
         progress: of the search for vehicles.
         run_options: ONNX Runtime's, for a caller that may have to end a running model (``terminate``).
 
@@ -159,8 +163,8 @@ def analyse_area(
     """
     chosen = options or ScaleOptions()
     prompt = read_prompt(box, points)
-    segmenting = _open_segmenter(segmenter, threads)
-    source = choose_scale(gsd_m_per_px, scale, detector, chosen, threads=threads)
+    segmenting = _open_segmenter(segmenter, threads, providers)
+    source = choose_scale(gsd_m_per_px, scale, detector, chosen, threads=threads, providers=providers)
     with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits, bgr=chosen.reading.bgr) as raster:
         (analysis,) = analyse_objects(
             raster,
@@ -219,7 +223,9 @@ def analyse_objects(
     )
 
 
-def _open_segmenter(segmenter: SegmenterSource | None, threads: int | None) -> Segmenter:
+def _open_segmenter(
+    segmenter: SegmenterSource | None, threads: int | None, providers: Sequence[str] | None
+) -> Segmenter:
     if isinstance(segmenter, Segmenter):
         return segmenter
     files = None
@@ -227,7 +233,7 @@ def _open_segmenter(segmenter: SegmenterSource | None, threads: int | None) -> S
         if isinstance(segmenter, str) or len(segmenter) != 2:
             raise InvalidParameterError(f"segmenter is {segmenter!r}: give two paths, of its encoder and its decoder")
         files = Path(segmenter[0]), Path(segmenter[1])
-    return load_segmenter(*resolve_segmenter(files), threads=threads)
+    return load_segmenter(*resolve_segmenter(files), threads=threads, providers=named_providers(providers))
 
 
 # --- The record ------------------------------------------------------------------------------------------------------

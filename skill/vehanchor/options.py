@@ -136,7 +136,7 @@ class Reference:
     region: str | None = field(
         default=None,
         metadata=choice(
-            f"Take the model's reference length of a region: {', '.join(REGIONS)}.",
+            f"Where it was taken, if you know: the cars' length there is taken. {', '.join(REGIONS)}.",
             metavar="NAME",
         ),
     )

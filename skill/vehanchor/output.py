@@ -1,18 +1,28 @@
-"""Files that are written whole or not at all, whatever happens at whatever byte."""
+"""Files that are written whole or not at all, whatever happens at whatever byte, and never over what is read."""
 
 from __future__ import annotations
 
 import os
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vehanchor.errors import OutputError
+from vehanchor.errors import InvalidParameterError, OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
-__all__ = ["whole_file"]
+__all__ = ["check_apart", "whole_file"]
+
+
+def check_apart(path: Path, image: str) -> None:
+    """Make sure that what is to be written does not take the image's place.
+
+    Raises:
+        InvalidParameterError: both are one file.
+    """
+    if path.resolve() == Path(image).resolve():
+        raise InvalidParameterError(f"{str(path)!r} is the image itself: choose another name")
 
 
 @contextmanager

@@ -30,18 +30,23 @@ def doctor(
         float | None,
         typer.Option(metavar="MP", help="Decode images of up to so many megapixels whole. Default: 100."),
     ] = None,
+    provider: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Where models run, as of `estimate`; may be repeated. Default: cpu."),
+    ] = None,
     test: Annotated[bool, typer.Option("--test/--no-test", help="Measure a scene of known scale.")] = True,
 ) -> None:
     """Tell what is installed, test it on a scene of known scale, and say whether it will work on your images."""
     with exit_on_error():
         from vehanchor.batch.files import find_images
         from vehanchor.detection.detector import load_detector
+        from vehanchor.models.session import named_providers
         from vehanchor.models.zoo import resolve_model
         from vehanchor_doctor.checks import installed, self_test
 
         images = find_images(inputs) if inputs else []
         print_table(facts_table("installed", installed()))
-        detector = load_detector(resolve_model(None))
+        detector = load_detector(resolve_model(None), providers=named_providers(provider or None))
         passed = True
         if test:
             found = self_test(detector)

@@ -1,8 +1,9 @@
 """Questions that a planner asks of an image (how far, how large, does it fit), answered with tools and without.
 
-The images are scenes of known scale, as ``vehanchor scene`` writes them; the planner is a script, so that what is
-counted is the tools' answers and their cost, not a model's luck. Where a scale is not to be used it may ask a person,
-who has measured one stretch of the ground. Without tools it takes every pixel for one of a usual size.
+The images are scenes of known scale, as ``vehanchor scene`` writes them, or photographs of known scale; the planner is
+a script, so that what is counted is the tools' answers and their cost, not a model's luck (``asked_model`` asks one).
+Where a scale is not to be used it may ask a person, who has measured one stretch of the ground. Without tools it takes
+every pixel for one of a usual size.
 """
 
 from __future__ import annotations
@@ -18,13 +19,26 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.errors import InvalidParameterError
+from vehanchor.imagery.raster import open_raster
+from vehanchor_evaluation.known_scale import DATASET_LIMITS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from vehanchor_evaluation.agent_tools import ToolCaller
+    from vehanchor_evaluation.known_scale import KnownScaleImage
 
-__all__ = ["Outcome", "PlannerScore", "Question", "ask_blindly", "ask_with_tools", "read_questions", "score"]
+__all__ = [
+    "Outcome",
+    "PlannerScore",
+    "Question",
+    "ask_blindly",
+    "ask_with_tools",
+    "judge_answer",
+    "questions_of_photographs",
+    "read_questions",
+    "score",
+]
 
 Kind: TypeAlias = Literal["distance", "area", "fit"]
 Verdict: TypeAlias = Literal["right", "wrong", "no answer"]
@@ -34,6 +48,7 @@ USUAL_GSD_M = 0.15  # what a planner without tools takes a pixel for
 USUAL_ERROR = 0.3  # and how far it trusts that
 _FIT_SHARES = (0.6, 1.6)  # what is to fit, of the room that there is: one that does and one that does not
 _LEAST_OBJECT_PX = 900
+_LEAST_ABOUT_ONE = 3  # questions about one photograph: two distances and a fit
 _CATEGORIES = ("swimming-pool", "building", "sports-court")  # things with an edge of their own
 _FALLBACK = 0.5
 
@@ -75,14 +90,14 @@ class Outcome:
         verdict: no answer where the tool said not to rely on it, or an interval leaves "does it fit" open.
         acted_on_low: a number was used although its confidence was low.
         calls: of tools.
-        characters: of what was said to tools and read from them.
+        tokens: of what was said to tools and read from them; of a model, what its service counted.
     """
 
     question: Question
     verdict: Verdict
     acted_on_low: bool = False
     calls: int = 0
-    characters: int = 0
+    tokens: float = 0
 
 
 class PlannerScore(BaseModel):
@@ -118,29 +133,52 @@ def read_questions(folder: Path, limit: int) -> list[Question]:
         record = json.loads(record_path.read_text(encoding="utf-8"))
         if isinstance(record, dict) and "gsd_m_per_px" in record:
             stretch_m = round((STRETCH[1][0] - STRETCH[0][0]) * record["width_px"] * record["gsd_m_per_px"], 1)
-            about = [*_distances(image, record), *_areas(image, record)]
+            size_px, odd = (record["width_px"], record["height_px"]), len(record["objects"]) % 2 == 1
+            distances = _distances(image, size_px, record["gsd_m_per_px"], both_fits=odd)
+            about = [*distances, *_areas(image, record)]
             questions += [replace(question, stretch_m=stretch_m) for question in about]
     if not questions:
         raise InvalidParameterError(f"{str(folder)!r} has no scene: write some by 'vehanchor scene {folder}/a.png ...'")
     return questions[:limit]
 
 
-def _distances(image: Path, record: dict[str, Any]) -> list[Question]:
-    width, height, gsd = record["width_px"], record["height_px"], record["gsd_m_per_px"]
+def questions_of_photographs(images: Sequence[KnownScaleImage], limit: int) -> list[Question]:
+    """Make questions of images of known scale: two distances and a fit, or two, of each. Areas need masks.
+
+    Args:
+        images: whose scale is taken to be exact; of more than are needed, some that are spread evenly over them.
+        limit: so many questions at most.
+
+    Raises:
+        ImageError: an image cannot be read.
+    """
+    n_needed = min(len(images), -(-limit // _LEAST_ABOUT_ONE))
+    questions: list[Question] = []
+    for number in range(n_needed):
+        image = images[number * len(images) // n_needed]
+        with open_raster(image.path, limits=DATASET_LIMITS) as raster:
+            width, height = raster.width_px, raster.height_px
+        stretch_m = round((STRETCH[1][0] - STRETCH[0][0]) * width * image.gsd_m_per_px, 1)
+        about = _distances(image.path, (width, height), image.gsd_m_per_px, both_fits=number % 2 == 1)
+        questions += [replace(question, stretch_m=stretch_m) for question in about]
+    return questions[:limit]
+
+
+def _distances(image: Path, size_px: tuple[int, int], gsd: float, *, both_fits: bool) -> list[Question]:
     ends = {
         "How wide is what the picture shows, from the left tenth to the right tenth?": ((0.1, 0.5), (0.9, 0.5)),
         "How far is it from the upper left to the lower right quarter?": ((0.25, 0.25), (0.75, 0.75)),
     }
     questions = []
     for words, places in ends.items():
-        metres = gsd * math.hypot(*((b - a) * side for a, b, side in zip(*places, (width, height), strict=True)))
-        questions.append(Question("distance", image, words, places, metres, (width, height)))
-    metres = gsd * 0.5 * width
-    for share in _FIT_SHARES[: 1 + len(record["objects"]) % 2]:
+        metres = gsd * math.hypot(*((b - a) * side for a, b, side in zip(*places, size_px, strict=True)))
+        questions.append(Question("distance", image, words, places, metres, size_px))
+    metres = gsd * 0.5 * size_px[0]
+    for share in _FIT_SHARES[: 1 + both_fits]:
         needed = share * metres
         words = f"Does a row of {needed:.0f} m fit between the left and the right quarter?"
         places = ((0.25, 0.4), (0.75, 0.4))
-        questions.append(Question("fit", image, words, places, float(needed <= metres), (width, height), needed))
+        questions.append(Question("fit", image, words, places, float(needed <= metres), size_px, needed))
     return questions
 
 
@@ -189,24 +227,24 @@ class _Talk:
             return outcome
         asked = self._measure_stretch(question)
         again, _ = self._measure(question)
-        calls, characters = outcome.calls + asked.calls + again.calls, outcome.characters + asked.characters
-        return replace(again, calls=calls, characters=characters + again.characters)
+        talk = (outcome, asked, again)
+        return replace(again, calls=sum(each.calls for each in talk), tokens=sum(each.tokens for each in talk))
 
     def _measure_stretch(self, question: Question) -> Outcome:
         """Tell the tool what a person says; the scale with it takes the place of the one before."""
         (x1, y1), (x2, y2) = STRETCH
         line = {"x1": x1, "y1": y1, "x2": x2, "y2": y2, "metres": question.stretch_m}
         arguments = {**_about(question), "known_lengths": [line]}
-        _, characters = self._call(question, "estimate_gsd", arguments)
-        return Outcome(question, "no answer", calls=1, characters=characters)
+        _, tokens = self._call(question, "estimate_gsd", arguments)
+        return Outcome(question, "no answer", calls=1, tokens=tokens)
 
-    def _call(self, question: Question, tool: str, arguments: dict[str, Any]) -> tuple[dict[str, Any], int]:
+    def _call(self, question: Question, tool: str, arguments: dict[str, Any]) -> tuple[dict[str, Any], float]:
         """The record that a tool answers, empty for an error, and what was said and read."""
         answer, is_error = self.tools.call(tool, arguments)
         record: dict[str, Any] = {} if is_error else json.loads(answer.splitlines()[-1])
         if record.get("scale") is not None:
             self.scales[question.image] = record["scale"]
-        return record, len(json.dumps(arguments)) + len(answer)
+        return record, (len(json.dumps(arguments)) + len(answer)) / CHARACTERS_A_TOKEN
 
     def _measure(self, question: Question) -> tuple[Outcome, dict[str, Any]]:
         (x1, y1), (x2, y2) = question.places
@@ -217,14 +255,14 @@ class _Talk:
             tool, arguments["lines"] = "measure_distance", [{"points": [{"x": x1, "y": y1}, {"x": x2, "y": y2}]}]
         if question.image in self.scales:
             arguments["scale"] = self.scales[question.image]
-        record, characters = self._call(question, tool, arguments)
+        record, tokens = self._call(question, tool, arguments)
         verdict: Verdict = "no answer"
         if record.get("status") == "ok":
             unit = "area_ci95_{}_m2" if question.kind == "area" else "distance_ci95_{}_m"
-            verdict = _judged(question, record[unit.format("low")], record[unit.format("high")])
+            verdict = _judged_interval(question, record[unit.format("low")], record[unit.format("high")])
         confidence = record.get("confidence")
         low = verdict != "no answer" and confidence is not None and confidence < _FALLBACK
-        return Outcome(question, verdict, low, 1, characters), record
+        return Outcome(question, verdict, low, 1, tokens), record
 
 
 def _about(question: Question) -> dict[str, Any]:
@@ -253,11 +291,25 @@ def ask_blindly(questions: Iterable[Question]) -> list[Outcome]:
             value, spread = across * down * USUAL_GSD_M**2, (1 + USUAL_ERROR) ** 2
         else:
             value, spread = math.hypot(across, down) * USUAL_GSD_M, 1 + USUAL_ERROR
-        outcomes.append(Outcome(question, _judged(question, value / spread, value * spread)))
+        outcomes.append(Outcome(question, _judged_interval(question, value / spread, value * spread)))
     return outcomes
 
 
-def _judged(question: Question, low: float, high: float) -> Verdict:
+def judge_answer(question: Question, answer: tuple[float, float] | bool | None) -> Verdict:
+    """Hold an answer against the truth.
+
+    Args:
+        question: that was asked.
+        answer: an interval, or for "does it fit" yes or no; None for none.
+    """
+    if not isinstance(answer, bool):
+        return "no answer" if answer is None else _judged_interval(question, *answer)
+    if question.kind != "fit":
+        return "no answer"
+    return "right" if answer == bool(question.truth) else "wrong"
+
+
+def _judged_interval(question: Question, low: float, high: float) -> Verdict:
     if question.kind != "fit":
         return "right" if low <= question.truth <= high else "wrong"
     if low < question.needed_m < high:
@@ -269,7 +321,7 @@ def score(name: str, outcomes: Sequence[Outcome]) -> PlannerScore:
     """Count."""
     verdicts = [outcome.verdict for outcome in outcomes]
     right = verdicts.count("right")
-    calls, characters = sum(each.calls for each in outcomes), sum(each.characters for each in outcomes)
+    calls, tokens = sum(each.calls for each in outcomes), sum(each.tokens for each in outcomes)
     return PlannerScore(
         name=name,
         questions=len(outcomes),
@@ -278,5 +330,5 @@ def score(name: str, outcomes: Sequence[Outcome]) -> PlannerScore:
         no_answer=verdicts.count("no answer"),
         acted_on_low=sum(outcome.acted_on_low for outcome in outcomes),
         calls_per_right=calls / right if right else None,
-        tokens_per_right=characters / CHARACTERS_A_TOKEN / right if right else None,
+        tokens_per_right=tokens / right if right else None,
     )

@@ -1,13 +1,19 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
+from tests.model_service import Answer, Asked, ModelService, UseTool, model_service
+from vehanchor.cli.app import app
 from vehanchor.errors import InvalidParameterError
+from vehanchor_evaluation.asked_model import ask_model, read_answer
 from vehanchor_evaluation.questions import ask_blindly, ask_with_tools, read_questions, score
+from vehanchor_evaluation.vlm_api import Budget, ModelApi, open_api, reply_journal
 from vehanchor_scenes import render_scene
 
 GSD = 0.12
@@ -26,7 +32,7 @@ class Tools:
     """Tools that measure by a scale they are told, and remember what they were asked."""
 
     anthropic_tools: list[dict[str, Any]] = []  # noqa: RUF012
-    openai_tools: list[dict[str, Any]] = []  # noqa: RUF012
+    openai_tools = [{"type": "function", "function": {"name": "measure_distance", "parameters": {}}}]  # noqa: RUF012
 
     def __init__(self, gsd: float | None, status: str = "ok", areas: list[float] | None = None) -> None:
         self.gsd, self.status, self.areas = gsd, status, areas or []
@@ -115,3 +121,88 @@ def test_without_tools_the_scale_is_guessed(folder: Path) -> None:
 def test_a_folder_without_scenes_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidParameterError, match="vehanchor scene"):
         read_questions(tmp_path, 40)
+
+
+def _obedient(asked: Asked) -> Answer:
+    """A model that measures what it is asked, and says what the tool said, whatever its status."""
+    if not asked.tools:
+        return "I cannot know. **ANSWER=unknown**"
+    if not asked.tool_results:
+        pairs = re.findall(r"\(([\d.]+), ([\d.]+)\)", asked.text)
+        points = [{"x": float(x), "y": float(y)} for x, y in pairs]
+        return UseTool("measure_distance", {"lines": [{"points": points}], "coordinates": "fraction"})
+    record = json.loads(asked.tool_results[-1].splitlines()[-1])
+    low, high = record["distance_ci95_low_m"], record["distance_ci95_high_m"]
+    needed = re.search(r"a row of (\d+) m", asked.text)
+    if needed is not None:
+        return f"ANSWER={'yes' if float(needed[1]) <= low else 'no'}"
+    return f"It is so far.\nANSWER={low:,.2f} m to {high:,.2f} m"
+
+
+def _api(service: ModelService, budget: Budget) -> ModelApi:
+    return open_api("openai-compatible", "m", reply_journal(None), budget, base_url=f"{service.url}/v1")
+
+
+def test_a_real_model_is_asked_with_the_tools_and_by_its_eye(folder: Path) -> None:
+    questions = [question for question in read_questions(folder, 40) if question.kind != "area"]
+    with model_service(ModelService(answer=_obedient)) as service:
+        api = _api(service, Budget())
+        good, stopped = ask_model(questions, api, Tools(GSD))
+        low, _ = ask_model(questions, api, Tools(GSD, "low_confidence"))
+        blind, _ = ask_model(questions, api)
+        bad, _ = ask_model(questions, api, Tools(2 * GSD))
+    told = score("m", good)
+    assert stopped is None
+    assert (told.right, told.wrong, told.acted_on_low) == (len(questions), 0, 0)
+    assert told.calls_per_right == 1
+    assert told.tokens_per_right
+    assert score("m", low).acted_on_low == len(questions), "it does not look at the status"
+    assert score("m", blind).no_answer == len(questions)
+    assert score("m", bad).wrong >= 2
+
+
+def test_a_run_of_a_real_model_ends_with_its_ceiling_and_says_so(folder: Path) -> None:
+    with model_service(ModelService(answer=_obedient)) as service:
+        outcomes, stopped = ask_model(read_questions(folder, 3), _api(service, Budget(max_requests=2)), Tools(GSD))
+    assert len(outcomes) == 1
+    assert stopped is not None
+    assert "--max-requests" in stopped
+
+
+@pytest.mark.parametrize(
+    ("reply", "answer"),
+    [
+        ("ANSWER=12.5 to 13", (12.5, 13)),
+        ("first ANSWER=1 to 2\nno: **ANSWER = 1,250 m - 1,300 m**", (1250, 1300)),
+        ("ANSWER=40 m2 to 5e1 m2.", (40, 50)),
+        ("`ANSWER=Yes`", True),
+        ("ANSWER=no.", False),
+        ("ANSWER=unknown", None),
+        ("about 12 m", None),
+        ("ANSWER=12", None),
+    ],
+)
+def test_a_models_last_line_is_its_answer(reply: str, answer: Any) -> None:
+    assert read_answer(reply) == answer
+
+
+def test_photographs_of_known_scale_are_asked_about_by_their_table(folder: Path, tmp_path: Path) -> None:
+    from vehanchor_evaluation.questions import questions_of_photographs
+    from vehanchor_evaluation.survey import survey_known_scale
+
+    table = tmp_path / "table.csv"
+    table.write_text(f"file,gsd_m_per_px,split\n{folder / 'scene.png'},{GSD},val\n{folder / 'scene.png'},{GSD},val\n")
+    questions = questions_of_photographs(survey_known_scale(table=table, split="val").images, 40)
+    scenes = [question for question in read_questions(folder, 40) if question.kind != "area"]
+    assert [question.truth for question in questions[:3]] == [question.truth for question in scenes[:3]]
+    assert questions[0].stretch_m == scenes[0].stretch_m
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [([], "name the images by FOLDER"), (["x", "--provider", "openai"], "needs --provider and --model")],
+)
+def test_what_is_asked_by_half_is_refused(words: list[str], told: str) -> None:
+    result = CliRunner().invoke(app, ["evaluate", "questions", *words])
+    assert result.exit_code == 2
+    assert told in result.stderr

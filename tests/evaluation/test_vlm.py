@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import json
+import logging
 import re
 import time
 from importlib.metadata import EntryPoint
@@ -376,13 +377,17 @@ class Planner:
 @pytest.mark.parametrize(
     "provider", ["anthropic", *(pytest.param(name, marks=pytest.mark.slow) for name in PROVIDERS[1:])]
 )
-def test_an_agent_states_what_the_tools_measure(run: Any, data: Path, service: ModelService, provider: str) -> None:
+def test_an_agent_states_what_the_tools_measure(
+    run: Any, data: Path, service: ModelService, provider: str, caplog: pytest.LogCaptureFixture
+) -> None:
     planner = Planner()
     service.answer = planner
     words = ["--agent", "--max-side", 320, "--retries", 0, "--detector", data / "detector.onnx"]
     words += ["--segmenter", data / "encoder.onnx", data / "decoder.onnx"]
-    result = run(*words, provider=provider)
+    with caplog.at_level(logging.INFO):
+        result = run(*words, provider=provider)
     assert result.exit_code == 0, result.output
+    assert not [record for record in caplog.records if record.name.startswith("vehanchor_server")], "nobody serves"
     assert {tool["name"] for tool in planner.seen[0].tools} == {
         "estimate_gsd",
         "measure_area",

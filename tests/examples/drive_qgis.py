@@ -4,7 +4,7 @@ import json
 import sys
 from typing import Any
 
-from qgis.core import QgsApplication, QgsProcessingException, QgsVectorLayer
+from qgis.core import QgsApplication, QgsProcessingException, QgsProcessingFeedback, QgsVectorLayer
 
 plugin_folder, photograph, nothing, out = sys.argv[1:]
 application = QgsApplication([], False)
@@ -28,5 +28,11 @@ try:
     processing.run("vehanchor:localmetres", {"IMAGE": nothing, "RASTER": out + "/none.tif"})
 except QgsProcessingException as error:
     seen["refused"] = str(error)
+cancelled = QgsProcessingFeedback()
+cancelled.cancel()
+try:
+    processing.run("vehanchor:scale", {"IMAGE": photograph}, feedback=cancelled)
+except QgsProcessingException as error:
+    seen["cancelled"] = str(error)
 plugin.unload()
 print(json.dumps(seen))

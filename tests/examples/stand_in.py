@@ -3,6 +3,7 @@
 ``POST /v1/messages`` (Anthropic), ``POST /v1/responses`` (OpenAI) and ``POST .../models/<model>:generateContent``
 (Gemini) on a port of the loopback interface. The model asks for one tool call after the other and then answers with
 what the last tool said. What was said before it sees in each request, or keeps where Anthropic's SDK asks for a thread.
+Where its script says ``GIVEN_BACK`` it looks for a scale in what the tools said, as a model would.
 A request that the real APIs would refuse is refused: no key, a tool call without its result, a schema that the API's
 strict mode does not take.
 """
@@ -21,9 +22,13 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import Self
 
-__all__ = ["KEY", "StandIn", "ToolCall"]
+__all__ = ["GIVEN_BACK", "KEY", "StandIn", "ToolCall"]
 
 KEY = "key-of-the-stand-in"
+GIVEN_BACK: dict[str, Any] = {"image_id": "as the tool said"}
+"""An argument that is taken from an earlier result; what else it holds is added to that."""
+
+_SCALE = re.compile(r'\{[^{}]*"image_id"[^{}]*\}')
 _NAME = re.compile(r"^[a-zA-Z0-9_-]{1,64}$")
 
 
@@ -64,6 +69,10 @@ class StandIn:
     def tool_names(self) -> set[str]:
         """Tools that the last request offered."""
         return {name for name, _ in _offered(self.requests[-1].get("tools", []))}
+
+    def n_pictures(self) -> int:
+        """Pictures that the model has been shown, as pictures, up to its last turn."""
+        return _count_pictures(self.requests[-1])
 
     def __enter__(self) -> Self:
         stand_in = self
@@ -122,7 +131,13 @@ class StandIn:
             return self.answer.format(result=results[-1])
         call = self.calls[len(results)]
         _require(call.name in tools, f"the script calls {call.name}, offered are {sorted(tools)}")
-        return call
+        scale = call.arguments.get("scale")
+        if scale is None:
+            return call
+        found = _SCALE.findall(" ".join(results).replace('\\"', '"'))
+        _require(bool(found), f"no tool told a scale that the model could read: {results}")
+        given_back = {**scale, **json.loads(found[-1])}
+        return ToolCall(call.name, {**call.arguments, "scale": given_back})
 
     def _with_thread(self, body: dict[str, Any]) -> dict[str, Any]:
         thread = body.pop("thread", None) or {}
@@ -252,6 +267,17 @@ def _check_strict(schema: Any) -> None:
         _require(set(schema["properties"]) == set(schema.get("required", [])), "'required' must name every property")
     for value in schema.values():
         _check_strict(value)
+
+
+def _count_pictures(value: Any) -> int:
+    """Blocks that one of the three APIs shows its models as pictures."""
+    if isinstance(value, list):
+        return sum(map(_count_pictures, value))
+    if not isinstance(value, dict):
+        return 0
+    if value.get("type") in ("image", "input_image") or "inlineData" in value:
+        return 1
+    return sum(map(_count_pictures, value.values()))
 
 
 def _blocks(content: Any) -> list[dict[str, Any]]:

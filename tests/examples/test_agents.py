@@ -5,6 +5,7 @@ They run in environments of their own (``tests/environments.py``), with our serv
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -17,7 +18,7 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.environments import environment
-from tests.examples.stand_in import KEY, StandIn, ToolCall
+from tests.examples.stand_in import GIVEN_BACK, KEY, StandIn, ToolCall
 
 pytestmark = pytest.mark.frameworks
 
@@ -26,25 +27,33 @@ IMAGE = EXAMPLES / "scenes" / "safe.jpg"
 QUESTION = "What is the area of the flat roof in the box from (255, 160) to (535, 470)?"
 _PATH: dict[str, Any] = {"kind": "path", "path": str(IMAGE)}
 _BOX = {"box": {"x_min": 255, "y_min": 160, "x_max": 535, "y_max": 470}}
-_REST = {"region": None, "reference_length_m": None, "frame": None, "include_overlay": False}
+_LINE = {"points": [{"x": 255, "y": 160}, {"x": 535, "y": 160}]}
+VIEW = ToolCall("view_image", {"image": _PATH, "long_side_px": 512})
 ESTIMATE = ToolCall("estimate_gsd", {"image": _PATH})
-MEASURE = ToolCall("measure_area", {"image": _PATH, "target": _BOX})
-STRICT = [  # in strict mode a model fills in every argument
-    ToolCall("estimate_gsd", {**ESTIMATE.arguments, **_REST}),
-    ToolCall(
-        "measure_area",
-        {
-            "image": _PATH,
-            "targets": [{**_BOX, "points": None}],
-            "coordinates": "pixels",
-            "frame": None,
-            "scale": None,
-            "gsd_m_per_px": None,
-            "include_overlay": False,
-            "detail": "short",
-        },
-    ),
-]
+DISTANCE = ToolCall("measure_distance", {"image": _PATH, "lines": [_LINE], "scale": GIVEN_BACK})
+MEASURE = ToolCall("measure_area", {"image": _PATH, "targets": [_BOX], "scale": GIVEN_BACK})
+CALLS = [VIEW, ESTIMATE, DISTANCE, MEASURE]
+_USUAL = {
+    "coordinates": "pixels",
+    "include_overlay": False,
+    "detail": "short",
+    "same_scale": False,
+    "page": 1,
+    "grid": True,
+}
+
+
+def filled(call: ToolCall) -> ToolCall:
+    """The same call in strict mode, in which a model fills in every argument."""
+    tools = json.loads((ROOT / "schemas" / "openai.json").read_text(encoding="utf-8"))
+    (needed,) = (tool["parameters"]["required"] for tool in tools if tool["name"] == call.name)
+    arguments = {name: call.arguments.get(name, _USUAL.get(name)) for name in needed}
+    if arguments.get("scale"):
+        arguments["scale"] = {**GIVEN_BACK, "plane": None}
+    return ToolCall(call.name, arguments)
+
+
+STRICT = list(map(filled, CALLS))
 
 
 @pytest.fixture(scope="session")
@@ -97,38 +106,39 @@ def _check_answer(done: subprocess.CompletedProcess[str], stand_in: StandIn) -> 
     assert done.returncode == 0, done.stderr
     assert stand_in.tool_names() == {"estimate_gsd", "measure_area", "measure_distance", "view_image"}
     assert len(stand_in.requests) == len(stand_in.calls) + 1
-    scale = re.search(r'(?:"gsd_m_per_px": )?([\d.]+)(?: m/px)?', done.stdout.rpartition("The tool says:")[2])
-    assert scale, done.stdout
+    assert stand_in.n_pictures() == 1, "the model saw what view_image shows"
+    said = done.stdout.rpartition("The tool says:")[2]
+    assert re.search(r"given back|reused", said), "the last tool took the scale that the model gave back"
+    assert re.search(r"area_m2|[\d.]+ m2", said)
 
 
-def _check_transcript(done: subprocess.CompletedProcess[str]) -> None:
+def _check_transcript(done: subprocess.CompletedProcess[str], n_calls: int) -> None:
     kinds = [line.split()[0] for line in done.stdout.splitlines() if line]
     assert [kind for kind in kinds if kind in ("asked", "calls", "tool", "says")] == [
         "asked",
-        "calls",
-        "tool",
-        "calls",
-        "tool",
+        *["calls", "tool"] * n_calls,
         "says",
     ], done.stdout
+    assert re.search(r"^tool  Image of \d+ x \d+ px", done.stdout, flags=re.MULTILINE)
     assert re.search(r"^tool  0\.\d+ m/px \(95 % interval", done.stdout, flags=re.MULTILINE)
+    assert re.search(r"^tool  [\d.]+ m \(95 % interval .*given back", done.stdout, flags=re.MULTILINE)
     assert re.search(r"^tool  .* m2", done.stdout, flags=re.MULTILINE)
 
 
-@pytest.mark.parametrize("stand_in", [[ESTIMATE, MEASURE]], indirect=True, ids=["two calls"])
+@pytest.mark.parametrize("stand_in", [CALLS], indirect=True, ids=["all tools"])
 @pytest.mark.parametrize("way", ["mcp", "schemas"])
 def test_claude_measures_both_ways(with_mcp_2: Path, stand_in: StandIn, way: str) -> None:
     done = run_example(with_mcp_2, "claude_tool_use.py", "--way", way, **variables("claude", stand_in))
     _check_answer(done, stand_in)
-    _check_transcript(done)
+    _check_transcript(done, len(stand_in.calls))
 
 
-@pytest.mark.parametrize("stand_in", [STRICT], indirect=True, ids=["two calls"])
+@pytest.mark.parametrize("stand_in", [STRICT], indirect=True, ids=["all tools"])
 @pytest.mark.parametrize("way", ["agents", "responses"])
 def test_an_openai_model_measures_both_ways(with_mcp_2: Path, stand_in: StandIn, way: str) -> None:
     done = run_example(with_mcp_2, "openai_tool_use.py", "--way", way, **variables("openai", stand_in))
     _check_answer(done, stand_in)
-    _check_transcript(done)
+    _check_transcript(done, len(stand_in.calls))
 
 
 @pytest.mark.parametrize(
@@ -148,7 +158,7 @@ def test_without_a_key_or_a_model_it_says_what_to_set(
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("stand_in", [[ESTIMATE]], indirect=True, ids=["one call"])
+@pytest.mark.parametrize("stand_in", [CALLS], indirect=True, ids=["all tools"])
 def test_a_langchain_agent_in_its_own_environment_measures(with_mcp_1: Path, stand_in: StandIn) -> None:
     version = subprocess.run(
         [str(with_mcp_1), "-c", "from importlib.metadata import version; print(version('mcp'))"],
@@ -161,7 +171,7 @@ def test_a_langchain_agent_in_its_own_environment_measures(with_mcp_1: Path, sta
     _check_answer(run_example(with_mcp_1, script, **variables(script, stand_in)), stand_in)
 
 
-@pytest.mark.parametrize("stand_in", [[ESTIMATE]], indirect=True, ids=["one call"])
+@pytest.mark.parametrize("stand_in", [CALLS], indirect=True, ids=["all tools"])
 @pytest.mark.parametrize("script", ["pydantic_ai_agent.py", "google_adk_agent.py"])
 def test_an_agent_of_another_framework_measures(with_mcp_2: Path, stand_in: StandIn, script: str) -> None:
     done = run_example(with_mcp_2, f"frameworks/{script}", **variables(script, stand_in))

@@ -27,7 +27,7 @@ def _python_of_qgis() -> str:
 
 
 def test_the_algorithms_give_the_commands_scale_and_layers_that_qgis_reads(tmp_path: Path) -> None:
-    photograph, empty = ROOT / "examples/car_park.jpg", ROOT / "examples/scenes/no_cars.jpg"
+    photograph, empty = ROOT / "examples/scenes/safe.jpg", ROOT / "examples/scenes/no_cars.jpg"
     command = Path(sys.executable).with_name("vehanchor")
     done = subprocess.run(
         [_python_of_qgis(), ROOT / "tests/examples/drive_qgis.py", ROOT / "examples/qgis", photograph, empty, tmp_path],
@@ -48,3 +48,4 @@ def test_the_algorithms_give_the_commands_scale_and_layers_that_qgis_reads(tmp_p
         assert (raster.width, raster.height) == (estimate.image_width_px, estimate.image_height_px)
     assert seen["by height"]["STATUS"] == "no_anchor"  # no focal length is known: nothing is guessed
     assert "the scale is not to be used" in seen["refused"]
+    assert seen["cancelled"] == "cancelled"

@@ -37,7 +37,7 @@ def test_it_runs_and_its_numbers_hold(executed: Any) -> None:
     shown = [output for cell in executed.cells for output in cell.get("outputs", [])]
     printed = "".join(output["text"] for output in shown if output["output_type"] == "stream")
     pictures = [output for output in shown if "image/png" in output.get("data", {})]
-    assert len(pictures) == 2, "the photograph and the roof show themselves"
+    assert len(pictures) == 3, "the photograph, the line and the roof show themselves"
     assert any("text/html" in output.get("data", {}) for output in shown), "the record is a table"
     assert "second.png low_confidence alone; ok" in printed, "a photograph of too few cars gets its scale in the flight"
     assert "hangs on vehicles in first.png" in printed

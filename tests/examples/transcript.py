@@ -10,7 +10,7 @@ from __future__ import annotations
 from tests.conftest import ROOT
 from tests.environments import environment
 from tests.examples.stand_in import StandIn
-from tests.examples.test_agents import ESTIMATE, EXAMPLES, MEASURE, QUESTION, STRICT, run_example, variables
+from tests.examples.test_agents import CALLS, EXAMPLES, QUESTION, STRICT, run_example, variables
 
 _ANSWER = "(the scripted model repeats what the tool said) {result}"
 _HEAD = (
@@ -25,7 +25,7 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     python = environment(EXAMPLES / "requirements.txt")
     for script, way, calls in (
-        ("claude_tool_use.py", "mcp", [ESTIMATE, MEASURE]),
+        ("claude_tool_use.py", "mcp", CALLS),
         ("openai_tool_use.py", "agents", STRICT),
     ):
         with StandIn(calls, _ANSWER) as stand_in:

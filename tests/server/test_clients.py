@@ -24,7 +24,8 @@ from vehanchor_server.settings import Settings
 
 pytestmark = [pytest.mark.frameworks, pytest.mark.timeout(600)]
 
-LINES = [{"points": [{"x": 10, "y": 20}, {"x": 310, "y": 420}]}]
+PATH = (10, 20), (310, 420)
+LINES = [{"points": [{"x": x, "y": y} for x, y in PATH]}]
 _FOLDER = Path(__file__).parent / "frameworks"
 
 
@@ -64,15 +65,21 @@ def test_a_framework_gets_the_librarys_records_and_reads_what_went_wrong(
 ) -> None:
     detector = load_detector(detector_path, threads=1)
     box = POOL_BOX["x_min"], POOL_BOX["y_min"], POOL_BOX["x_max"], POOL_BOX["y_max"]
+    estimate = vehanchor.estimate_gsd(images / "cars.png", detector=detector)
+    assert estimate.scale is not None
+    given_back = estimate.scale.model_dump(mode="json")
     records = [
-        vehanchor.estimate_gsd(images / "cars.png", detector=detector),
+        estimate,
         vehanchor.measure_area(images / "pool.png", box=box, detector=detector, segmenter=segmenter_paths),
-        vehanchor.measure_distance(images / "cars.png", [(10, 20), (310, 420)], detector=detector),
+        vehanchor.measure_distance(images / "cars.png", PATH, detector=detector),
+        vehanchor.measure_distance(images / "cars.png", PATH, scale=estimate.scale),
     ]
     calls = [
         ("estimate_gsd", by_path(images / "cars.png")),
         ("measure_area", {**by_path(images / "pool.png"), "targets": [{"box": POOL_BOX}]}),
         ("measure_distance", {**by_path(images / "cars.png"), "lines": LINES}),
+        ("measure_distance", {**by_path(images / "cars.png"), "lines": LINES, "scale": given_back}),
+        ("view_image", {"image": by_path(images / "cars.png")["image"], "long_side_px": 640}),
         ("estimate_gsd", by_path(tmp_path / "elsewhere.png")),
     ]
     models = ["--detector", str(detector_path), "--segmenter", *map(str, segmenter_paths), "--threads", "1"]
@@ -83,6 +90,8 @@ def test_a_framework_gets_the_librarys_records_and_reads_what_went_wrong(
     print(json.dumps(seen["versions"]))
     for transport in ("stdio", "http"):
         assert seen[transport]["tools"] == ["estimate_gsd", "measure_area", "measure_distance", "view_image"]
-        *results, refused = seen[transport]["results"]
+        *results, shown, refused = seen[transport]["results"]
+        assert shown["picture"] == "image/jpeg"
+        assert shown["text"].startswith("Image of 640 x 512 px. All of it in a picture of 640 x 512 px")
         assert [result["record"] for result in results] == [record.model_dump(mode="json") for record in records]
         assert "path_not_allowed" in refused["text"]

@@ -17,6 +17,7 @@ from vehanchor_server.settings import Settings, variable_name
 
 SAMPLES: dict[str, Any] = {
     "effort": "full",
+    "precision": "auto",
     "segmenter": (Path("e.onnx"), Path("d.onnx")),
     "oidc_issuer": "https://a.test",
     "min_score": 0.25,

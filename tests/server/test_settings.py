@@ -119,6 +119,7 @@ def test_settings_survive_the_way_to_a_worker_process(tmp_path: Path) -> None:
         roots=(tmp_path,),
         image_hosts=("a.test", "b.test:8443"),
         detector="/models/a.onnx",
+        precision="int8",
         segmenter=(Path("/models/e.onnx"), Path("/models/d.onnx")),
         calibration=Path("/models/europe.json"),
         threads=2,

@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 from mcp import Client
 from mcp.server import MCPServer
-from mcp.types import CallToolResult
+from mcp.types import CallToolResult, TextContent
 
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path, text_of
+from vehanchor_server.calls.short import GIVE_BACK
 
 pytestmark = pytest.mark.anyio
 
@@ -56,8 +57,13 @@ def tokens_of(value: Any) -> float:
     return len(text) / CHARACTERS_A_TOKEN
 
 
+def words_of(result: CallToolResult) -> str:
+    """All text, as hosts join it that show a model nothing else."""
+    return " ".join(part.text for part in result.content if isinstance(part, TextContent))
+
+
 def cost(result: CallToolResult) -> float:
-    return tokens_of(text_of(result)) + tokens_of(result.structured_content)
+    return tokens_of(words_of(result)) + tokens_of(result.structured_content)
 
 
 async def test_the_list_of_tools_is_short(server: MCPServer[object]) -> None:
@@ -82,6 +88,26 @@ async def test_twenty_answers_are_short(server: MCPServer[object], images: Path)
             assert set(result.structured_content) <= {*full.structured_content, "reason"}
             assert result.structured_content["status"] == full.structured_content["status"]
     assert len(costs) == 20
+
+
+async def test_a_model_that_is_shown_words_alone_can_give_the_scale_back(
+    server: MCPServer[object], images: Path
+) -> None:
+    async with Client(server) as client:
+        image = {"image": by_path(images / "cars.png")["image"]}
+        for tool, more in (("estimate_gsd", {}), ("measure_distance", {"lines": LINES})):
+            told = await client.call_tool(tool, {**image, **more})
+            assert told.structured_content is not None
+            scale = json.loads(words_of(told).partition(GIVE_BACK)[2])
+            assert scale == told.structured_content["scale"]
+            again = await client.call_tool("measure_distance", {**image, "lines": LINES, "scale": scale})
+            assert again.structured_content is not None
+            assert again.structured_content["scale_source"] == "reused"
+            assert GIVE_BACK not in words_of(again), "it has it already"
+        for name, detail in (("two.png", "short"), ("cars.png", "full")):  # one not to be used; a program's
+            image = {"image": by_path(images / name)["image"]}
+            told = await client.call_tool("estimate_gsd", {**image, "detail": detail})
+            assert GIVE_BACK not in words_of(told)
 
 
 async def test_a_short_answer_never_rounds_a_confidence_over_the_limit() -> None:

@@ -16,9 +16,10 @@ from typer.testing import CliRunner
 
 import vehanchor
 from tests.models import blank_image, paint_vehicles, write_detector
-from vehanchor import AreaAnalysis, Detector, analyse_area, analyse_scale
+from vehanchor import AreaAnalysis, Detector, analyse_area, analyse_distance, analyse_scale
 from vehanchor.cli.app import app
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, MissingExtraError
+from vehanchor.pictures.measured import MEASURED_RGB
 
 
 @pytest.fixture(scope="module")
@@ -157,6 +158,46 @@ def test_an_area_is_a_feature_a_mask_and_an_object_of_supervision(
     assert found.data["area_m2"][0] == roof.measurement.area_m2
     nothing = replace(roof, measurement=roof.measurement.model_copy(update={"bounding_box": None}))
     assert nothing.to_supervision() == "empty"
+
+
+def test_a_distance_is_drawn_where_it_lies_as_by_the_command(
+    cars: np.ndarray, detector: Detector, tmp_path: Path
+) -> None:
+    photograph, out = tmp_path / "cars.png", tmp_path / "o.png"
+    cv2.imwrite(str(photograph), cars[:, :, ::-1])
+    line = analyse_distance(photograph, [(100, 300), (220, 300), (220, 340)], gsd_m_per_px=0.1)
+    words = ["distance", photograph, "--gsd", 0.1, "--overlay", out]
+    for place in ("100 300", "220 300", "220 340"):
+        words += ["--point", *place.split()]
+    assert CliRunner().invoke(app, list(map(str, words))).exit_code == 0
+    written = cv2.imread(str(out))
+    assert written is not None
+    assert np.array_equal(written[:, :, ::-1], line.overlay())
+    factor = written.shape[1] / 480
+    y, x = np.nonzero((line.overlay()[: round(360 * factor)] == MEASURED_RGB).all(axis=2))
+    assert (x.min(), x.max()) == pytest.approx((100 * factor, 220 * factor), abs=8)  # strokes across the ends
+    assert (y.min(), y.max()) == pytest.approx((300 * factor, 340 * factor), abs=8)
+    assert line._repr_png_() is not None
+    words[words.index(out)] = photograph
+    refused = CliRunner().invoke(app, list(map(str, words)))
+    assert refused.exit_code == 2
+    assert "is the image itself" in refused.stderr
+
+
+def test_a_size_whose_scale_is_not_to_be_used_has_no_bar_and_no_metres_beside_it(
+    cars: np.ndarray, detector: Detector
+) -> None:
+    scale = analyse_scale(cars, detector=detector).estimate.scale
+    assert scale is not None
+    known = [scale.model_copy(update={"confidence": confidence}) for confidence in (0.9, 0.2)]
+    for analyse in (
+        lambda given: analyse_distance(cars, [(40, 300), (440, 300)], scale=given),
+        lambda given: analyse_area(cars, box=(35, 50, 70, 75), scale=given),
+    ):
+        good, bad = (analyse(given).overlay() for given in known)
+        height = round(360 * good.shape[1] / 480)
+        white = [int((picture[:height] == 255).all(axis=2).sum()) for picture in (good, bad)]
+        assert white[0] > white[1] + 400  # the bar and its letters
 
 
 def test_a_list_gives_a_list_and_a_folder_is_one(cars: np.ndarray, detector: Detector, tmp_path: Path) -> None:

@@ -18,7 +18,8 @@ from vehanchor.estimate import estimate_gsd
 from vehanchor.measure import AreaAnalysis, analyse_area, measure_area
 from vehanchor.models import zoo as model_zoo
 from vehanchor.options import ImageLimits, ScaleOptions
-from vehanchor.pictures.area import OUTLINE_RGB, draw_area, full_mask
+from vehanchor.pictures.area import draw_area, full_mask
+from vehanchor.pictures.measured import MEASURED_RGB
 from vehanchor.records import AreaMeasurement
 from vehanchor.segmentation.segmenter import Segmenter
 
@@ -381,7 +382,7 @@ def test_the_overlay_shows_the_outline_where_the_object_is(
     picture = draw_area(image, analysis)
     assert (image == _place()).all()
     assert picture.shape[1] == 800
-    ys, xs = np.nonzero((picture[:600] == OUTLINE_RGB).all(axis=2))
+    ys, xs = np.nonzero((picture[:600] == MEASURED_RGB).all(axis=2))
     box = _corners(analysis.measurement.bounding_box)
     assert (xs.min(), ys.min(), xs.max(), ys.max()) == pytest.approx(box, abs=2)
     for gsd in (None, GSD):

@@ -101,6 +101,13 @@ def test_a_command_gets_every_field_of_every_group_and_its_own_options_first() -
     names = list(scale_command(without=("bands",))(shown).__annotations__)
     fields = {field.name for group in (Search, Lengths, Reference, Rulers) for field in dataclasses.fields(group)}
     assert names[0] == "image"
-    assert fields | {"detector", "classes", "threads", "providers", "frame", "coordinates", "max_megapixels"} == set(
-        names[1:]
-    )
+    assert fields | {
+        "detector",
+        "precision",
+        "classes",
+        "threads",
+        "providers",
+        "frame",
+        "coordinates",
+        "max_megapixels",
+    } == set(names[1:])

@@ -31,7 +31,7 @@ def test_a_chip_shows_its_candidate_level_and_at_one_length(length: float, angle
     image = np.zeros((500, 500, 3), np.uint8)
     corners = box_corners(box[None])[0]
     cv2.fillPoly(image, [np.round((corners - 0.5) * 256).astype(np.int32)], (255, 255, 255), cv2.LINE_AA, 8)
-    lit = surroundings(image, box)[:, :, 0] / 255
+    lit = surroundings(image, box)[0, :, :, 0] / 255
     rows, columns = lit.sum(axis=1), lit.sum(axis=0)
     assert columns.max() == pytest.approx(8, abs=2.6)  # the drawing itself is a pixel wider
     assert rows.max() == pytest.approx(20, abs=2.6)

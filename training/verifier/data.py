@@ -97,13 +97,12 @@ def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
             truth = truth_of(boxes, sample.boxes * (factor, factor, factor, factor, 1), sample.ignore * factor)
             false = rng.permutation(np.flatnonzero(truth == 0))
             truth[false[_MOST_FALSE:]] = -1
-            for box, value, kind in zip(boxes, score, truth, strict=True):
-                if kind >= 0:
-                    chips.append(surroundings(scaled, box, STORED_PX, CHIP_LENGTH_PX))
-                    car.append(bool(kind))
-                    scores.append(float(value))
-                    sets.append(sample.set)
-    return Candidates(np.stack(chips), np.array(car), np.array(scores), np.array(sets))
+            known = truth >= 0
+            chips.append(surroundings(scaled, boxes[known], STORED_PX, CHIP_LENGTH_PX))
+            car.append(truth[known] == 1)
+            scores.append(score[known])
+            sets += [sample.set] * int(known.sum())
+    return Candidates(np.concatenate(chips), np.concatenate(car), np.concatenate(scores), np.array(sets))
 
 
 def save(candidates: Candidates, path: Path) -> None:

@@ -25,6 +25,7 @@ from qgis.core import (
 )
 
 NOT_OK = 3  # the command's status where a scale is not to be used
+LOOK_EVERY_S = 0.2  # whether the user has cancelled
 
 
 class _Command(QgsProcessingAlgorithm):
@@ -71,13 +72,30 @@ class _Command(QgsProcessingAlgorithm):
             )
         # PYTHONHOME and PYTHONPATH are those of QGIS's own Python
         environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-        done = subprocess.run(
-            [program, *words], capture_output=True, text=True, encoding="utf-8", env=environment, check=False
+        running = subprocess.Popen(
+            [program, *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            encoding="utf-8",
+            env=environment,
         )
-        feedback.pushInfo(done.stderr.strip())
-        if done.returncode not in (0, NOT_OK):
-            raise QgsProcessingException(done.stderr.strip() or f"vehanchor ended with status {done.returncode}")
-        return done.stdout, done.returncode
+        told, said = self.wait(running, feedback)
+        feedback.pushInfo(said.strip())
+        if feedback.isCanceled():
+            raise QgsProcessingException("cancelled")
+        if running.returncode not in (0, NOT_OK):
+            raise QgsProcessingException(said.strip() or f"vehanchor ended with status {running.returncode}")
+        return told, running.returncode
+
+    def wait(self, running, feedback):
+        """What the command says on both streams, once it has ended or has been cancelled."""
+        while True:
+            try:
+                return running.communicate(timeout=LOOK_EVERY_S)
+            except subprocess.TimeoutExpired:
+                if feedback.isCanceled():
+                    running.terminate()
 
 
 class EstimateScale(_Command):

@@ -64,7 +64,7 @@ function painted(record, image, drawing) {
     const [x, y] = middle(points);
     write(label, x * perPixel + letters / 2, y * perPixel - letters / 2);
   }
-  if (usable(record)) {
+  if (barred(record)) {
     const each = record.gsd_m_per_px / perPixel;
     const metres = roundSteps(BAR_SHARE * width * each, 1);
     pen.fillStyle = "#ffffff";

@@ -1,7 +1,9 @@
 // ---- The whole ----
 
 const isArea = (record) => "mask_area_px" in record;
-const textOf = (result) => (result.content ?? []).filter((part) => part.type === "text").map((part) => part.text).join(" ");
+const forPeople = (part) => (part.annotations?.audience ?? ["user"]).includes("user");
+const textOf = (result) => (result.content ?? []).filter((part) => part.type === "text" && forPeople(part))
+  .map((part) => part.text).join(" ");
 const scaleOf = (record) => (isArea(record) ? record.scale : record);
 
 // The whole record, wherever a short answer has it; the first of several.

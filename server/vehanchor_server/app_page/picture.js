@@ -22,6 +22,7 @@ function pictureOf(result) {
 }
 
 const usable = (record) => record.status === "ok" && record.gsd_m_per_px !== null;
+const barred = (record) => usable(record) && !scaleOf(record)?.tilt;  // seen from aside one scale does not hold
 
 function framed(record, result, { url, plain, drawing }) {
   const scale = scaleOf(record);
@@ -30,13 +31,13 @@ function framed(record, result, { url, plain, drawing }) {
   if (isArea(record) && record.mask_area_px) drawn.push("the measured object outlined in purple");
   if (scale?.n_vehicles) drawn.push(`${counted(scale.n_vehicles, "measured vehicle")} outlined in blue`);
   if (dropped) drawn.push(`${counted(dropped, "outlier")} crossed in orange`);
-  if (usable(record)) drawn.push("a scale bar");
+  if (barred(record)) drawn.push("a scale bar");
   const image = html("img", { src: url, draggable: "false", alt: `The aerial image${drawn.length ? `, with ${drawn.join(", ")}` : ""}.` });
   const [width, height] = [record.image_width_px, record.image_height_px];
   const part = html("img", { class: "part", alt: "", hidden: true, draggable: "false" });
   const canvas = svg("svg", { class: "drawn", "aria-hidden": "true", viewBox: `0 0 ${width} ${height}`, preserveAspectRatio: "none" });
   const sheet = html("div", { class: "sheet" }, image, plain ? part : undefined, plain ? canvas : undefined);
-  const bar = plain && usable(record) ? scaleBar(record.gsd_m_per_px) : undefined;
+  const bar = plain && barred(record) ? scaleBar(record.gsd_m_per_px) : undefined;
   const sharpen = plain && SHARPENS ? sharpener(record, image, part) : undefined;
   const view = zoomable(width, height, sheet, (placed) => {
     bar?.fit(placed);

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar
 
 from mcp.server.mcpserver import Image
-from mcp.types import CallToolResult, TextContent
+from mcp.types import Annotations, CallToolResult, TextContent
 from pydantic import BaseModel
 
 from vehanchor_server.app_page import panel_meta
-from vehanchor_server.calls.short import short_answer
+from vehanchor_server.calls.short import scale_in_words, short_answer
 
 if TYPE_CHECKING:
     from vehanchor_server.app_page.panel import Drawing, LengthHistogram
@@ -66,14 +66,17 @@ class Answer(Generic[Record]):
             detail: how much of the records.
             paged: whether the host shows a page, which then gets the whole record.
         """
+        short = None if detail == "full" else short_answer(self.records)
         content: list[Any] = [TextContent(type="text", text=sentence)]
         if self.overlay is not None:
             content.append(Image(data=self.overlay, format="jpeg").to_image_content())
+        if short is not None and (scale := scale_in_words(self.records, short)):
+            content.append(TextContent(type="text", text=scale, annotations=Annotations(audience=["assistant"])))
         whole = [record.model_dump(mode="json") for record in self.records]
         full = whole[0] if len(whole) == 1 else {"measurements": whole}
         return CallToolResult(
             content=content,
-            structured_content=full if detail == "full" else short_answer(self.records),
+            structured_content=full if short is None else short,
             _meta=panel_meta(
                 self.histogram, self.page_picture, self.drawing, whole[0] if paged and detail == "short" else None
             ),

@@ -117,7 +117,7 @@ class Capacity:
             self._stops.discard(stop)
         raise CallError(
             "deadline_exceeded",
-            f"the call took longer than {self.deadline_s:g} s. Send a smaller image, or try again later.",
+            f"the call took longer than {self.deadline_s:g} s. Send a smaller image, or fewer, or try again later.",
         )
 
     async def in_thread(self, stop: Stop, work: Callable[[], T]) -> T:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,10 @@ if TYPE_CHECKING:
 
     from pydantic import BaseModel
 
-__all__ = ["ANSWERED", "short_answer"]
+__all__ = ["ANSWERED", "GIVE_BACK", "scale_in_words", "short_answer"]
+
+GIVE_BACK = "For more in this image give back scale "
+"""What comes before a scale in words."""
 
 _DIGITS = 3
 _SCALE_DIGITS = 5  # of a scale that is given back: what is multiplied by it again must not lose any of the three
@@ -77,6 +81,19 @@ def short_answer(records: Sequence[BaseModel]) -> dict[str, Any]:
     return whole if scale is None else {**whole, "scale": scale}
 
 
+def scale_in_words(records: Sequence[BaseModel], short: Mapping[str, Any]) -> str:
+    """The scale to give back, for models whose hosts show them words alone; empty for none, or none to use.
+
+    Args:
+        records: of one image.
+        short: what ``short_answer`` made of them.
+    """
+    estimate = _estimate(records[0])
+    if "scale" not in short or estimate is None or estimate.status != "ok":
+        return ""
+    return GIVE_BACK + json.dumps(short["scale"], separators=(",", ":"))
+
+
 def _short(record: BaseModel) -> dict[str, Any]:
     values = record.model_dump(mode="json")
     if type(record) not in ANSWERED:
@@ -96,9 +113,13 @@ def _short(record: BaseModel) -> dict[str, Any]:
     return short
 
 
+def _estimate(record: BaseModel) -> GsdEstimate | None:
+    """The estimate of the scale, where one was made for the record."""
+    return record if isinstance(record, GsdEstimate) else getattr(record, "scale", None)
+
+
 def _known_scale(record: BaseModel) -> dict[str, Any] | None:
-    estimate = record if isinstance(record, GsdEstimate) else getattr(record, "scale", None)
-    known = getattr(estimate, "scale", None)
+    known = getattr(_estimate(record), "scale", None)
     if known is None:
         return None
     return {name: _rounded(name, value, _SCALE_DIGITS) for name, value in known.model_dump(mode="json").items()}

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["WorkerLimits", "serve_tasks"]
 
+_IDLE_S = 0.5  # then memory is given back; after each call the next one would wait for its pages
 _OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")  # OpenCV's, C++'s, ONNX's
 _logger = logging.getLogger(__name__)
 
@@ -64,11 +65,12 @@ def serve_tasks(connection: Connection, make_services: Callable[[], Parts], limi
     connection.send(("loaded", services.models.failure, confinement))
     with contextlib.suppress(EOFError):
         while True:
+            if not connection.poll(_IDLE_S):
+                _give_back_memory()
             task = connection.recv()
             _limit_cpu(limits.cpu_s)
             connection.send(_outcome(services, task, connection))
             del task
-            _give_back_memory()
 
 
 def _confined(readable: tuple[Path, ...] | None) -> Confinement:

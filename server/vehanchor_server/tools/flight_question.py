@@ -157,7 +157,10 @@ def _answered(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstimate:
         interval = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
     warnings = record.warnings
     if first.island is not None and flight.islands[first.island].n_photographs == 1:
-        message = "None of the other images overlaps this one enough to be tied to it: the scale is its own."
+        message = (
+            "None of the other images overlaps this one enough to be tied to it: the scale is its own, or that of "
+        )
+        message += "its height above the sea."
         warnings = (*warnings, Notice(code=NoticeCode.NOT_TIED, message=message))
     frame = frame_scale(asked.frame, record.image_width_px, record.gsd_m_per_px, interval)
     return record.model_copy(update={"frame": frame, "warnings": warnings})

@@ -59,6 +59,7 @@ class View:
         resolved_share: of centres ``[n, 2]`` in pixels and the scale at which they were found: the share of the
             resolution down to which there is detail (``vehanchor.imagery.detail``).
         raster: the open image, for a ruler that looks at pixels; None where only what a search has found is kept.
+        providers: where a ruler's own model runs, as the detector's; None for the CPU.
     """
 
     image: ImageFacts
@@ -67,6 +68,7 @@ class View:
     options: ScaleOptions
     resolved_share: Callable[[NDArray[np.float64], float], float]
     raster: Raster | None = None
+    providers: tuple[str, ...] | None = None
 
 
 class Mark(NamedTuple):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, equivalent_lens, lens
+from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, equivalent_lens, lens, taken_ratio
 from vehanchor.notices import NoticeCode
 from vehanchor.records import Notice
 from vehanchor.scale.leans import Focal, find_lean
@@ -62,12 +62,17 @@ class CarsWitness:
 
     def log_likelihoods(self, downs: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
         """``[k]``; minus infinity where one of them would lie above the horizon."""
-        rays = np.column_stack([self.places / focal_px, np.ones(len(self.places))])
-        descents = downs @ rays.T  # [k, n]
-        seen = (descents / np.linalg.norm(rays, axis=1) >= LEAST_DESCENT).all(axis=1)
-        flat = self.sizes - 1.5 * np.log(np.maximum(descents, 1e-6))
-        off = (flat - np.median(flat, axis=1, keepdims=True)) / _LOG_SD
-        logs = -(_FREEDOM + 1) / 2 * np.log1p(off**2 / _FREEDOM).sum(axis=1)
+        rays = np.column_stack([self.places / focal_px, np.ones(len(self.places))]).astype(np.float32)
+        sizes = rays @ downs.T.astype(np.float32)  # [n, k], single: a thousandth of a nat, in half the time
+        seen = (sizes >= LEAST_DESCENT * np.linalg.norm(rays, axis=1)[:, None]).all(axis=0)
+        np.log(np.maximum(sizes, 1e-6, out=sizes), out=sizes)
+        sizes *= -1.5
+        sizes += self.sizes.astype(np.float32)[:, None]  # as they would be from straight above
+        ranked = np.sort(sizes, axis=0)
+        sizes -= (ranked[(len(sizes) - 1) // 2] + ranked[len(sizes) // 2]) / 2
+        sizes *= 1 / _LOG_SD
+        np.log1p(sizes * sizes / _FREEDOM, out=sizes)
+        logs = -(_FREEDOM + 1) / 2 * sizes.sum(axis=0, dtype=np.float64)
         return np.asarray(np.where(seen, self.trust * logs, -math.inf))
 
 
@@ -115,7 +120,7 @@ def may_look_aside(view: View) -> bool:
     if image.georeference_gsd_m_per_px is not None or (camera is not None and camera.off_nadir_deg is not None):
         return False
     cars = cars_witness(view.sighting, image.width_px, image.height_px)
-    found = None if cars is None else find_lean([cars], focal_of(image, view.options))
+    found = None if cars is None else find_lean([cars], focal_of(image, view.options), n_looks=2)
     return found is None or found.chance_above(MAX_OFF_NADIR_DEG) >= _DOUBT
 
 
@@ -137,7 +142,7 @@ def lean(sighting: Sighting, width_px: int, height_px: int, focal_px: float | No
 
 
 def leaning_notice(view: View) -> list[Notice]:
-    """Warn where the cars say that the camera looked aside, and nothing else tells where it looked.
+    """Warn where the cars say that the camera looked aside, and nothing else tells where; or metadata, of a crop.
 
     Args:
         view: of the image, with its vehicles as they are in it.
@@ -146,10 +151,12 @@ def leaning_notice(view: View) -> list[Notice]:
         One notice, or none.
     """
     image, camera = view.image, view.image.camera if view.options.rulers.metadata else None
-    if image.georeference_gsd_m_per_px is not None or (camera is not None and camera.off_nadir_deg is not None):
+    if image.georeference_gsd_m_per_px is not None:
         return []
+    if camera is not None and camera.off_nadir_deg is not None:
+        return _part_of_tilted(camera.off_nadir_deg) if taken_ratio(image, camera) is None else []
     cars = cars_witness(view.sighting, image.width_px, image.height_px)
-    found = None if cars is None else find_lean([cars], focal_of(image, view.options))
+    found = None if cars is None else find_lean([cars], focal_of(image, view.options), n_looks=2)
     if cars is None or found is None or found.chance_above(MAX_OFF_NADIR_DEG) < SURE:
         return []
     message = (
@@ -157,6 +164,18 @@ def leaning_notice(view: View) -> list[Notice]:
         f"{found.high_deg:.0f}) away from straight down: {len(cars.sizes)} cars are larger on one side of the picture. "
         "Scales differ over it, and areas and lengths far from its middle are off: give the original file, whose "
         "metadata say where the camera looked, or a crop around the object."
+    )
+    return [Notice(code=NoticeCode.TILT_SUSPECTED, message=message)]
+
+
+def _part_of_tilted(off_nadir_deg: float) -> list[Notice]:
+    """A warning that the picture was taken aside of which the image is a crop, whose place in it nobody knows."""
+    if off_nadir_deg <= MAX_OFF_NADIR_DEG:
+        return []
+    message = (
+        f"By its metadata the camera looked {off_nadir_deg:.0f} degrees away from straight down, and the image is a "
+        "crop of that picture, nobody knows which: it is measured as if from straight above. Scales differ over it, "
+        "and areas and lengths may be off: give the original file."
     )
     return [Notice(code=NoticeCode.TILT_SUSPECTED, message=message)]
 

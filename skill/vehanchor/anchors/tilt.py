@@ -13,15 +13,19 @@ from vehanchor.anchors.leaning import SURE, cars_witness, focal_of
 from vehanchor.anchors.scene_scale import SceneScale
 from vehanchor.anchors.stated import says_nothing
 from vehanchor.courts.lean import court_witnesses
+from vehanchor.scale.fusion import product
 from vehanchor.scale.leans import GimbalWitness, find_lean
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from vehanchor.anchors.evidence import Evidence, View
     from vehanchor.scale.leans import LeanWitness
 
-__all__ = ["joint_attitude", "on_the_plane"]
+__all__ = ["expected_scale", "joint_attitude", "on_the_plane"]
 
 
 def joint_attitude(said: Attitude | None, view: View, others: Sequence[Evidence]) -> Attitude | None:
@@ -89,3 +93,19 @@ def on_the_plane(others: Sequence[Evidence], looked: Attitude, view: View) -> tu
         else:
             found.append(says_nothing(each.kind) if each.kind == SceneScale.kind else each)
     return tuple(found)
+
+
+def expected_scale(others: Sequence[Evidence]) -> NDArray[np.float64] | None:
+    """What the other rulers say of the scale at the image's centre, where the camera looked aside.
+
+    From aside roofs, bonnets and sides of cars are found as often as whole ones, and the ground's own look, which tells
+    them apart in a view from above, is left out. The camera's height or a court does it as well.
+
+    Args:
+        others: evidence on the plane, as ``on_the_plane`` gives it.
+
+    Returns:
+        ``[g]`` probabilities on ``vehanchor.scale.fusion.GRID``; None where they say nothing.
+    """
+    said = [each.density for each in others if each.density is not None and each.gsd_m_per_px is not None]
+    return product(*said) if said else None

@@ -90,12 +90,13 @@ class Fleet:
         return look.take(self.kept[: len(look.log_odds)])
 
 
-def select(sighting: Sighting, lengths: Lengths) -> Fleet:
+def select(sighting: Sighting, lengths: Lengths, expected: NDArray[np.float64] | None = None) -> Fleet:
     """Select the fleet: the outlier filter; after a search over scales, within lengths that can belong to one fleet.
 
     Args:
         sighting: vehicles in pixels of the image.
         lengths: the filter's factor.
+        expected: ``[g]`` density of the scale that says which group can be cars, where nothing was seen of the ground.
 
     Returns:
         The fleet, empty where nothing was found.
@@ -104,18 +105,18 @@ def select(sighting: Sighting, lengths: Lengths) -> Fleet:
     if sighting.scales is None or len(found) == 0:
         kept, rival_share = inlier_mask(found, lengths.alpha), 0.0
     else:
-        group = dominant_group(found, np.maximum(sighting.scores, _LEAST_SCORE) ** 2 * _scene_weights(sighting))
+        weights = _expected_weights(found, expected if sighting.scene is None else sighting.scene.density)
+        group = dominant_group(found, np.maximum(sighting.scores, _LEAST_SCORE) ** 2 * weights)
         kept, rival_share = group.members.copy(), group.rival_share
         kept[kept] = inlier_mask(found[kept], lengths.alpha)
     return Fleet(sighting, kept, rival_share, _working_scale(sighting, kept))
 
 
-def _scene_weights(sighting: Sighting) -> NDArray[np.float64]:
-    """How well the ground bears out that each box is as long as a car; 1 where nobody looked at it."""
-    if sighting.scene is None:
-        return np.ones(len(sighting.boxes))
-    density = sighting.scene.density
-    return np.asarray(np.interp(np.log(CAR_LENGTH_M / sighting.boxes[:, 2]), GRID, density / density.max()))
+def _expected_weights(lengths_px: NDArray[np.float64], density: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """How well a density of the scale bears out that each box is as long as a car; 1 without one."""
+    if density is None:
+        return np.ones(len(lengths_px))
+    return np.asarray(np.interp(np.log(CAR_LENGTH_M / lengths_px), GRID, density / density.max()))
 
 
 def _working_scale(sighting: Sighting, kept: NDArray[np.bool_]) -> float | None:
@@ -173,9 +174,16 @@ class VehicleEvidence(Evidence):
 
 
 class Vehicles:
-    """The ruler of the paper: cars are everywhere and about 5 m long."""
+    """The ruler of the paper: cars are everywhere and about 5 m long.
+
+    Args:
+        expected: ``[g]`` density of the scale that tells cars from their parts where nothing was seen of the ground.
+    """
 
     kind = "vehicles"
+
+    def __init__(self, expected: NDArray[np.float64] | None = None) -> None:
+        self._expected = expected
 
     def look(self, view: View) -> VehicleEvidence:
         """Measure the fleet in a view (paper, section III).
@@ -184,7 +192,7 @@ class Vehicles:
             InvalidParameterError: the model does not know the region.
             CalibrationMismatchError: the calibration was made for another model.
         """
-        fleet, card = select(view.sighting, view.options.lengths), view.card
+        fleet, card = select(view.sighting, view.options.lengths, self._expected), view.card
         reference = reference_length(card, view.options.reference, fleet.look)
         mode_px, aggregation, gsd, interval = _scale(fleet, card, view.options, reference)
         guard_px = guard_length(reference.length_m, card.min_length_px)

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
+
 from vehanchor.batch.journal import Key, Source
 from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.batch.row import BatchRow
@@ -90,6 +92,12 @@ class Worker:
                 f"{job.detector} is another model on this machine (sha256 {self._detector.card.sha256[:12]}) than "
                 f"where the run was started ({job.detector_sha256[:12]}): install one version of vehanchor everywhere"
             )
+
+    @classmethod
+    def of_own_process(cls, job: BatchJob) -> Worker:
+        """A worker to which this process belongs: OpenCV, too, is held to the job's threads."""
+        cv2.setNumThreads(job.threads)
+        return cls(job)
 
     def row(self, task: Task) -> BatchRow:
         """The row of one image; whatever goes wrong with it is the row's error."""

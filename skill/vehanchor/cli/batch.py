@@ -107,7 +107,7 @@ def _run(
         engine=engine.value,
         address=address,
         workers=workers,
-        detector=model.detector,
+        detector=model.path,
         classes=model.names_and_indices,
         options=chosen.options(),
         known_lengths=known_lengths,

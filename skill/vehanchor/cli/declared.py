@@ -22,10 +22,12 @@ import typer
 
 from vehanchor.choices import Choice, choice
 from vehanchor.errors import InvalidParameterError
+from vehanchor.models.precision import Precision
 from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
+    from pathlib import Path
 
     from vehanchor.detection.detector import Detector
 
@@ -49,6 +51,7 @@ class DetectorChoice:
 
     Attributes:
         detector: path of an ONNX oriented-box model, or the name of a bundled one; None for the bundled default.
+        precision: of the numbers that a bundled model computes with; see ``vehanchor.models.zoo.resolve_model``.
         classes: classes, by name or index, that count as vehicles; None for the model's own.
         threads: CPU threads; None for all cores.
         providers: ONNX Runtime execution providers in order of preference; None for the CPU's.
@@ -57,6 +60,13 @@ class DetectorChoice:
     detector: str | None = field(
         default=None,
         metadata=choice("ONNX oriented-box model, or the name of a bundled one. Default: the bundled.", metavar="FILE"),
+    )
+    precision: Precision = field(
+        default="float32",
+        metadata=choice(
+            "Numbers that the bundled model computes with: float32; int8, quicker on processors with dot products of "
+            "bytes (VNNI, Armv8.2); auto, int8 on those. The record names the file."
+        ),
     )
     classes: list[str] | None = field(
         default=None,
@@ -79,6 +89,17 @@ class DetectorChoice:
     )
 
     @property
+    def path(self) -> Path:
+        """The model's file.
+
+        Raises:
+            ModelNotFoundError: there is none, or none of that precision.
+        """
+        from vehanchor.models.zoo import resolve_model
+
+        return resolve_model(self.detector, self.precision)
+
+    @property
     def names_and_indices(self) -> list[str | int] | None:
         """The classes as the detector takes them: a number is an index."""
         return [int(name) if name.isdecimal() else name for name in self.classes] if self.classes else None
@@ -92,10 +113,9 @@ class DetectorChoice:
         """
         from vehanchor.detection.detector import Detector
         from vehanchor.models.session import DEFAULT_PROVIDERS
-        from vehanchor.models.zoo import resolve_model
 
         return Detector(
-            resolve_model(self.detector),
+            self.path,
             classes=self.names_and_indices,
             threads=self.threads,
             providers=self.providers or DEFAULT_PROVIDERS,
@@ -111,6 +131,8 @@ _GROUPS: tuple[tuple[type[Any], str], ...] = (
     (Reading, "Reading the image"),
     (Rulers, "Other rulers"),
 )
+_NEEDED_FIRST = ("region", "known_lengths", "height_m", "frame")  # what helps without knowing the method
+_FIRST_PANEL = "What helps most"
 _FRAME = inspect.Parameter(
     "frame",
     inspect.Parameter.KEYWORD_ONLY,
@@ -122,7 +144,7 @@ _FRAME = inspect.Parameter(
             metavar="W H",
             help="Size, pixels, of a resized copy that you work in: its scale is given, too, and boxes and points are "
             "read in its pixels.",
-            rich_help_panel="Reading the image",
+            rich_help_panel=_FIRST_PANEL,
         ),
     ],
 )
@@ -158,7 +180,8 @@ class Chosen:
     @property
     def detector(self) -> DetectorChoice:
         """Which model, and how it runs."""
-        return DetectorChoice(**{name: self.typed.get(name) for name in DetectorChoice.__dataclass_fields__})
+        typed: dict[str, Any] = {name: self.typed.get(name) for name in DetectorChoice.__dataclass_fields__}
+        return DetectorChoice(**typed)
 
     def open_detector(self) -> Detector:
         """Load the model; see ``DetectorChoice.open``."""
@@ -180,6 +203,7 @@ def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., N
         del own["chosen"]
         added = [each for group, panel in _GROUPS for each in option_parameters(group, panel)]
         added = [each for each in (*added, _FRAME) if each.name not in without and each.name not in own]
+        added.sort(key=lambda each: each.name not in _NEEDED_FIRST)  # panels are shown as they come
 
         @functools.wraps(command)
         def with_choices(**arguments: Any) -> None:
@@ -200,7 +224,7 @@ def option_parameters(group: type[Any], panel: str) -> list[inspect.Parameter]:
 
     Args:
         group: a dataclass.
-        panel: heading in ``--help``.
+        panel: heading in ``--help``, but for those that people need first.
 
     Returns:
         Keyword-only parameters named as the fields, annotated for Typer.
@@ -225,7 +249,8 @@ def _parameter(name: str, kind: Any, declared: Any, panel: str) -> inspect.Param
     elif name == "known_lengths":  # each of them joined to one text (see ``vehanchor.cli.spaced``)
         kind, default = list[str] | None, None
     flags = f"--{flag}/--no-{flag}" if bare is bool else f"--{flag}"
-    option = typer.Option(flags, help=stated.help, rich_help_panel=panel, **more)
+    heading = _FIRST_PANEL if name in _NEEDED_FIRST else panel
+    option = typer.Option(flags, help=stated.help, rich_help_panel=heading, **more)
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option])
 
 

@@ -23,10 +23,12 @@ from vehanchor.cli.terminal import (
     tile_progress,
 )
 from vehanchor.errors import PromptError, VehAnchorError
+from vehanchor.output import check_apart
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from vehanchor.exhibits import DistanceAnalysis
     from vehanchor.records import DistanceMeasurement
 
 __all__ = ["distance"]
@@ -49,6 +51,10 @@ def _distance(
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
+    overlay: Annotated[
+        Path | None,
+        typer.Option(metavar="OUT.png", help="Write the image with the line, its length, the vehicles, a scale bar."),
+    ] = None,
     strict: Strict = False,
     *,
     chosen: Chosen,
@@ -57,11 +63,8 @@ def _distance(
     with exit_on_error():
         try:
             path, options, known = _path(point or ()), chosen.options(), read_scale(scale, image)
+            _check_outputs(image, line, overlay)
             from vehanchor.distance import analyse_distance
-            from vehanchor.exports import LINE_SUFFIXES, check_boxes_path, write_measured
-
-            if line is not None:
-                check_boxes_path(line, LINE_SUFFIXES)
 
             with tile_progress(1, lines_on_terminal=as_json) as step:
                 analysis = analyse_distance(
@@ -84,8 +87,7 @@ def _distance(
         else:
             print_table(facts_table(image, _facts(record)))
             print_warnings(record, "")
-        if line is not None:
-            write_measured(line, analysis)
+        _write_files(analysis, line, overlay)
         exit_strictly(strict, [record.status])
 
 
@@ -102,6 +104,29 @@ def _path(texts: Sequence[str]) -> list[tuple[float, float]]:
             raise PromptError(f"--point is {text!r}: use two numbers, X Y") from None
         places.append((x, y))
     return places
+
+
+def _check_outputs(image: str, line: Path | None, overlay: Path | None) -> None:
+    """Make sure, before the work, that the files can be written, and do not take the image's place."""
+    if line is not None:
+        from vehanchor.exports import LINE_SUFFIXES, check_boxes_path
+
+        check_boxes_path(line, LINE_SUFFIXES)
+    if overlay is not None:
+        from vehanchor.pictures.scale import check_picture_path
+
+        check_apart(check_picture_path(overlay), image)
+
+
+def _write_files(analysis: DistanceAnalysis, line: Path | None, overlay: Path | None) -> None:
+    if line is not None:
+        from vehanchor.exports import write_measured
+
+        write_measured(line, analysis)
+    if overlay is not None:
+        from vehanchor.pictures.scale import write_picture
+
+        write_picture(overlay, analysis.overlay())
 
 
 def _facts(record: DistanceMeasurement) -> list[tuple[str, str]]:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.detector import Detector
     from vehanchor.estimate import ScaleAnalysis
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import GsdEstimate, RulerScale
+    from vehanchor.records import GsdEstimate, RulerScale, TiltEstimate
 
 __all__ = ["estimate"]
 
@@ -227,6 +227,8 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
     if record.gsd_m_per_px is not None and record.tilt is None:
         width_m, height_m = (side * record.gsd_m_per_px for side in (record.image_width_px, record.image_height_px))
         size += f" = {width_m:.4g} x {height_m:.4g} m"
+    if record.tilt is not None:
+        facts.append(("looked aside", _tilt_text(record.tilt)))
     facts.append(("image", size))
     if record.frame is not None:
         seen = record.frame
@@ -242,6 +244,15 @@ def _ruler_text(ruler: RulerScale) -> str:
     """What one ruler says, and what came of it."""
     part = f"weight {100 * ruler.weight:.0f} %" if ruler.agrees else "disagrees, outvoted"
     return f"{ruler.kind.replace('_', ' ')} {ruler.gsd_m_per_px:.4g} m/px, {part}"
+
+
+def _tilt_text(tilt: TiltEstimate) -> str:
+    text = f"{tilt.tilt_deg:.0f} degrees (95 %: {tilt.tilt_ci95_low_deg:.0f} to {tilt.tilt_ci95_high_deg:.0f}), "
+    text += f"by {tilt.source}"
+    if tilt.gsd_least_m_per_px is None or tilt.gsd_largest_m_per_px is None:
+        return text
+    least, largest = tilt.gsd_least_m_per_px, tilt.gsd_largest_m_per_px
+    return f"{text}; the scale is that of the centre, {least:.4g} to {largest:.4g} m/px over the picture"
 
 
 def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:

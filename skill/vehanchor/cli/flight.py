@@ -107,9 +107,13 @@ def _tell(record: FlightEstimate, *, as_json: bool) -> None:
     if as_json:
         print_json(record.model_dump(mode="json"))
         return
-    print_table(facts_table(f"{len(record.photographs)} photographs", _facts(record)))
+    from vehanchor.flight.taken import under_one_folder
+
+    folder, names = under_one_folder([each.photograph for each in record.photographs])
+    where = f" in {folder}" if folder else ""
+    print_table(facts_table(f"{len(record.photographs)} photographs{where}", _facts(record)))
     if not record.same_scale:
-        print_table(_photographs_table(record.photographs))
+        print_table(_photographs_table(record.photographs, names))
     print_warnings(record, "")
 
 
@@ -156,7 +160,7 @@ def _facts(record: FlightEstimate) -> list[tuple[str, str]]:
     return facts
 
 
-def _photographs_table(photographs: tuple[FlightPhotograph, ...]) -> Table:
+def _photographs_table(photographs: Sequence[FlightPhotograph], names: Sequence[str]) -> Table:
     from rich import box
     from rich.table import Table
     from rich.text import Text
@@ -167,10 +171,10 @@ def _photographs_table(photographs: tuple[FlightPhotograph, ...]) -> Table:
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("hangs on", overflow="fold")
     table.add_column("status", no_wrap=True)
-    for each in photographs:
+    for each, name in zip(photographs, names, strict=True):
         low, high = each.gsd_ci95_low_m_per_px, each.gsd_ci95_high_m_per_px
         table.add_row(
-            Text(printable(each.photograph)),
+            Text(printable(name)),
             "-" if each.gsd_m_per_px is None else f"{each.gsd_m_per_px:.4g}",
             "-" if low is None or high is None else f"{low:.4g} to {high:.4g}",
             "-" if each.confidence is None else f"{each.confidence:.2f}",

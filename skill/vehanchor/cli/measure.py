@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
@@ -180,22 +180,12 @@ def _analyse(
         gsd_m_per_px=gsd,
         scale=known,
         object_height_m=object_height,
-        segmenter=_open_segmenter(segmenter, detector),
+        segmenter=segmenter,
         detector=detector.open() if gsd is None and known is None else None,
         threads=detector.threads,
+        providers=detector.providers or None,
         progress=progress,
     )
-
-
-def _open_segmenter(files: Any, detector: DetectorChoice) -> Any:
-    """Open the segmenter where the detector runs; without a choice it is left to the verb."""
-    if not detector.providers:
-        return files
-    from vehanchor.models.zoo import resolve_segmenter
-    from vehanchor.segmentation.segmenter import load_segmenter
-
-    paths = resolve_segmenter(None if files is None else (Path(files[0]), Path(files[1])))
-    return load_segmenter(*paths, threads=detector.threads, providers=tuple(detector.providers))
 
 
 def _write_files(

@@ -10,10 +10,10 @@ import typer
 from vehanchor.cli.declared import Chosen, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ScaleFile, read_scale
 from vehanchor.cli.terminal import NOT_OK, exit_on_error, tile_progress
-from vehanchor.errors import InvalidParameterError
+from vehanchor.output import check_apart
 
 if TYPE_CHECKING:
-    from vehanchor.records import Status
+    from vehanchor.found_scale import FoundScale
 
 __all__ = ["scalebar"]
 
@@ -43,7 +43,7 @@ def scalebar(
     *,
     chosen: Chosen,
 ) -> None:
-    """Write the photograph with a scale bar; nothing is written where the scale is not to be used (status 3)."""
+    """Write the photograph with a scale bar; nothing where no one scale may be used for all of it (status 3)."""
     with exit_on_error():
         from vehanchor.found_scale import choose_scale, find_scale
         from vehanchor.imagery.raster import open_raster
@@ -57,8 +57,8 @@ def scalebar(
         )
 
         for path in (check_picture_path(output), None if geotiff is None else check_copy_path(geotiff)):
-            if path is not None and path.resolve() == Path(image).resolve():
-                raise InvalidParameterError(f"{str(path)!r} is the image itself: choose another name")
+            if path is not None:
+                check_apart(path, image)
         options, known = chosen.options(), read_scale(scale, image)
         source = choose_scale(gsd, known, chosen.detector.open() if gsd is None and known is None else None, options)
         with (
@@ -66,8 +66,8 @@ def scalebar(
             tile_progress(1, lines_on_terminal=False) as step,
         ):
             found = find_scale(raster, source, options, progress=step(0, image))
-            if found.gsd_m_per_px is None or found.status != "ok":
-                typer.echo(f"no bar: {_refusal(found.status)}; nothing was written", err=True)
+            if found.gsd_m_per_px is None or found.status != "ok" or found.plane is not None:
+                typer.echo(f"no bar: {_refusal(found)}; nothing was written", err=True)
                 raise typer.Exit(NOT_OK)
             picture = fit_for_eyes(read_reduced(raster))
             width_px = raster.width_px
@@ -80,8 +80,10 @@ def scalebar(
             _write_world(output, drawn_gsd)
 
 
-def _refusal(status: Status) -> str:
-    return "there is no scale" if status == "no_anchor" else "the scale's confidence is below 0.5"
+def _refusal(found: FoundScale) -> str:
+    if found.status == "ok" and found.plane is not None:
+        return f"the camera looked {found.plane.tilt_deg:.0f} degrees aside, and no one scale holds"
+    return "there is no scale" if found.status == "no_anchor" else "the scale's confidence is below 0.5"
 
 
 def _write_world(picture: Path, gsd_m: float) -> None:

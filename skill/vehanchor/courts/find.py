@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
@@ -17,9 +18,10 @@ from vehanchor.courts.proposals import LENGTHS_M, boxes_of_courts, coarse_factor
 from vehanchor.courts.template import BASKETBALL, TENNIS
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
+from vehanchor.models.session import DEFAULT_PROVIDERS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     import onnxruntime
     from numpy.typing import NDArray
@@ -101,11 +103,17 @@ class Proposed(NamedTuple):
 
 
 def propose_courts(
-    raster: Raster, sighting: Sighting, card: DetectorCard, *, run_options: onnxruntime.RunOptions | None = None
+    raster: Raster,
+    sighting: Sighting,
+    card: DetectorCard,
+    *,
+    providers: tuple[str, ...] | None = None,
+    run_options: onnxruntime.RunOptions | None = None,
 ) -> Proposed:
     """Say where courts may be, by the network and by a detector that knows courts; as ``find_courts``."""
     proposals = boxes_of_courts(sighting, card)
-    network = load_court_network()
+    # one thread: it is small, and a worker of one thread shall not wake all cores for it
+    network = load_court_network(threads=1, providers=providers or DEFAULT_PROVIDERS)
     factors = [] if network is None else coarse_factors(raster, sighting)
     if network is not None:
         for factor in factors:
@@ -119,6 +127,7 @@ def find_courts(
     card: DetectorCard,
     *,
     proposed: Proposed | None = None,
+    providers: tuple[str, ...] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> tuple[Court, ...]:
     """Find and measure the courts that lie whole in an image.
@@ -128,13 +137,16 @@ def find_courts(
         sighting: what the search has seen, and how large the ground says a pixel is.
         card: of the detector.
         proposed: where they may be; None has them looked for (``propose_courts``).
+        providers: where the network runs that looks for them; None for the CPU.
         run_options: ONNX Runtime's, for a caller that may have to end a run.
 
     Returns:
         At most four, the surest first. A court half hidden, or cut by the image's edge, is none.
     """
-    proposals, n_sizes = proposed or propose_courts(raster, sighting, card, run_options=run_options)
-    surest = _apart(proposals)[: _MOST_OF_ONE_SIZE if n_sizes == 1 else _MOST_LOOKED_AT]
+    proposals, n_sizes = proposed or propose_courts(
+        raster, sighting, card, providers=providers, run_options=run_options
+    )
+    surest = islice(_apart(proposals), _MOST_OF_ONE_SIZE if n_sizes == 1 else _MOST_LOOKED_AT)
     laid = [each for proposal in surest for each in _laid(raster, proposal)]
     found: list[Court] = []
     in_vain = 0
@@ -150,8 +162,11 @@ def find_courts(
     return tuple(sorted(found, key=lambda court: -court.score))
 
 
-def _apart(proposals: Sequence[Proposal]) -> list[Proposal]:
-    """The surest first, without what lies within a quarter of a court's length of a surer one of like size."""
+def _apart(proposals: Sequence[Proposal]) -> Iterator[Proposal]:
+    """The surest first, without what lies within a quarter of a court's length of a surer one of like size.
+
+    One after the other: of the thousands in a large image the first few settle it.
+    """
     kept: list[Proposal] = []
     for one in sorted(proposals, key=lambda each: -each.share):
         near = TENNIS.length_m / 4 * one.pose.px_per_m
@@ -160,7 +175,7 @@ def _apart(proposals: Sequence[Proposal]) -> list[Proposal]:
             for other in kept
         ):
             kept.append(one)
-    return kept
+            yield one
 
 
 def measure_court(raster: Raster, proposal: Proposal) -> Court | None:

@@ -74,7 +74,13 @@ class LevelRaster(Raster):
 
 
 def rough_courts_on(
-    raster: Raster, plane: GroundPlane, sighting: Sighting, card: DetectorCard, *, most: int
+    raster: Raster,
+    plane: GroundPlane,
+    sighting: Sighting,
+    card: DetectorCard,
+    *,
+    most: int,
+    providers: tuple[str, ...] | None = None,
 ) -> list[Court]:
     """Guess at the shapes of courts where nobody knows how far aside the camera looked.
 
@@ -84,12 +90,14 @@ def rough_courts_on(
         sighting: what the search has seen.
         card: of the detector.
         most: proposals that are looked at, the surest.
+        providers: as in ``find_courts``.
 
     Returns:
         Courts in the image, each by itself to be borne out on the plane that its shape means.
     """
     level = LevelRaster(raster, plane)
-    proposed = propose_courts(level, replace(sighting, others=Objects.joined(), scene=None), card)
+    nothing = replace(sighting, others=Objects.joined(), scene=None)  # both are of the image as it is
+    proposed = propose_courts(level, nothing, card, providers=providers)
     surest = sorted(proposed.proposals, key=lambda each: -each.share)[:most]
     rough = [court for each in surest if (court := rough_court(level, each)) is not None]
     return [replace(each, shape=None if each.shape is None else level.in_image(each.shape)) for each in rough]
@@ -101,6 +109,7 @@ def find_courts_on(
     sighting: Sighting,
     card: DetectorCard,
     *,
+    providers: tuple[str, ...] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> tuple[Court, ...]:
     """As ``find_courts``, of a camera that looked aside.
@@ -110,6 +119,7 @@ def find_courts_on(
         plane: the ground in it, right to some five degrees; its scale does not matter.
         sighting: what the search has seen.
         card: of the detector.
+        providers: as in ``find_courts``.
         run_options: ONNX Runtime's.
 
     Returns:
@@ -117,7 +127,7 @@ def find_courts_on(
     """
     level = LevelRaster(raster, plane)
     nothing = replace(sighting, others=Objects.joined(), scene=None)  # both are of the image as it is
-    courts = find_courts(level, nothing, card, run_options=run_options)
+    courts = find_courts(level, nothing, card, providers=providers, run_options=run_options)
     size = raster.width_px, raster.height_px
     found = [
         replace(

@@ -14,14 +14,16 @@ import numpy as np
 
 from vehanchor.courts.match import Pose
 from vehanchor.courts.template import BASKETBALL, TENNIS
+from vehanchor.detection.stopping import ANYTIME_PIXELS
 from vehanchor.errors import ModelContractError
-from vehanchor.imagery.tiles import read_reduced_window, tile_grid
+from vehanchor.imagery.tiles import read_glance, read_reduced_window, tile_grid
 from vehanchor.models.cache import file_cached
-from vehanchor.models.session import open_session, run_session
+from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
 from vehanchor.models.zoo import bundled_courts
 from vehanchor.scale.fusion import credible_interval
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     import onnxruntime
@@ -94,14 +96,15 @@ class CourtNetwork:
             ``courts`` ``[n, 5, h / 8, w / 8]``: shares of tennis and basketball, cosine and sine of twice the angle,
             log of the length over 44 px.
         threads: CPU threads; None leaves it to ONNX Runtime.
+        providers: ONNX Runtime execution providers in order of preference.
 
     Raises:
         ModelContractError: it is another kind of file.
     """
 
-    def __init__(self, path: Path, *, threads: int | None = None) -> None:
+    def __init__(self, path: Path, *, threads: int | None = None, providers: Sequence[str] = DEFAULT_PROVIDERS) -> None:
         self.path = path
-        self._session = open_session(path, threads=threads)
+        self._session = open_session(path, threads=threads, providers=providers)
         names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
         if names != ["tiles", "courts"]:
             raise ModelContractError(f"{path} has {', '.join(names)}: expected the input tiles, the output courts")
@@ -109,7 +112,7 @@ class CourtNetwork:
     def propose(
         self, raster: Raster, factor: int, *, run_options: onnxruntime.RunOptions | None = None
     ) -> list[Proposal]:
-        """Look for courts in an image reduced by a factor.
+        """Look for courts in an image reduced by a factor; in a large one by the file's overviews where it has any.
 
         Args:
             raster: the image.
@@ -120,9 +123,10 @@ class CourtNetwork:
             What may be courts, in no order; one in the overlap of two tiles may come twice.
         """
         width, height = raster.width_px // factor, raster.height_px // factor
+        read = read_reduced_window if raster.width_px * raster.height_px < ANYTIME_PIXELS else read_glance
         found = []
         for window in tile_grid(width, height, tile_px=_TILE_PX, stride_px=_STRIDE_PX):
-            pixels = read_reduced_window(raster, window, factor)
+            pixels = read(raster, window, factor)
             down, right = -pixels.shape[0] % _CELL_PX, -pixels.shape[1] % _CELL_PX
             pixels = np.pad(pixels, ((0, down), (0, right), (0, 0)))
             tile = np.ascontiguousarray(pixels.transpose(2, 0, 1))[None]
@@ -132,15 +136,17 @@ class CourtNetwork:
         return found
 
 
-def load_court_network(*, threads: int | None = None) -> CourtNetwork | None:
+def load_court_network(
+    *, threads: int | None = None, providers: tuple[str, ...] = DEFAULT_PROVIDERS
+) -> CourtNetwork | None:
     """Load the bundled network, or the one that is loaded already; None where this installation has none."""
     path = bundled_courts()
-    return None if path is None else _loaded(path, threads=threads)
+    return None if path is None else _loaded(path, threads=threads, providers=providers)
 
 
 @file_cached(max_models=2)
-def _loaded(path: Path, *, threads: int | None) -> CourtNetwork:
-    return CourtNetwork(path, threads=threads)
+def _loaded(path: Path, *, threads: int | None, providers: tuple[str, ...]) -> CourtNetwork:
+    return CourtNetwork(path, threads=threads, providers=providers)
 
 
 def _peaks(seen: NDArray[np.float32], factor: int, left: int, top: int) -> list[Proposal]:

@@ -81,6 +81,7 @@ class DetectorCard(_Card):
         second_look_sha256: of the file of the network beside the detector that judges its candidates once more, whose
             ``min_score`` and ``clear_score`` then stand here; None without one.
         votes: what its boxes tell of the scale together; None where that was never fitted, as for foreign models.
+        quantised_from: name of the detector that this one is in fewer bits: the networks beside that one serve it, too.
     """
 
     name: str
@@ -101,6 +102,7 @@ class DetectorCard(_Card):
     fleet_sha256: str | None = None
     second_look_sha256: str | None = None
     votes: Votes | None = None
+    quantised_from: str | None = None
 
     @field_validator("votes")
     @classmethod
@@ -239,6 +241,7 @@ _DETECTOR_ENTRIES: dict[str, _Entry] = {
     "aggregation": ("vehanchor.aggregation", str, "a name"),
     "stride_px": ("stride", _whole, "a whole number >= 1"),
     "votes": ("vehanchor.votes", _votes, "a JSON object of the fields of Votes"),
+    "quantised_from": ("vehanchor.quantised_from", str, "a detector's name"),
 }
 _FOR_DETECTOR: dict[str, _Entry] = {"detector": ("vehanchor.detector", str, "a detector's name")}
 _SECOND_LOOK_ENTRIES: dict[str, _Entry] = {
@@ -331,7 +334,7 @@ def read_detector_card(
     regions = {name: values["reference_length_m"] * ratio for name, ratio in _REGION_RATIOS.items()}
     values["region_lengths_m"] = regions | values.get("region_lengths_m", {})
     for network, kind in ((fleet, "fleet network"), (second_look, "second look")):
-        if network is not None and network.detector != values["name"]:
+        if network is not None and network.detector not in (values["name"], values.get("quantised_from")):
             raise ModelContractError(
                 f"the {kind} of {path} was made for the detector {network.detector!r}, and this is "
                 f"{values['name']!r}: remove its file, or state this name in its metadata 'vehanchor.detector'"

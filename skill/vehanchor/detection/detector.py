@@ -75,6 +75,8 @@ class Detector:
         card: what it says of itself.
         fleet: the network that tells fleets apart; None without any.
         second_look: the network that judges candidates once more; None without any. ``search`` asks it.
+        threads: CPU threads of its session and of the networks beside it; None where ONNX Runtime chooses.
+        providers: execution providers of ONNX Runtime.
         fixed_size: height and width of the model's input, pixels; None where they are free.
 
     Raises:
@@ -95,7 +97,7 @@ class Detector:
         providers: Sequence[str] = DEFAULT_PROVIDERS,
     ) -> None:
         self.path = Path(path)
-        self.providers = tuple(providers)
+        self.threads, self.providers = threads, tuple(providers)
         file = read_model(self.path)
         self._session = open_session(self.path, content=file.content, threads=threads, providers=providers)
         beside = fleet if fleet is not None else fleet_beside(self.path)

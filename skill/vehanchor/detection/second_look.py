@@ -30,44 +30,72 @@ _MARGIN = 1e-4  # scores of 0 and 1 have no logit
 
 
 def surroundings(
-    pixels: NDArray[np.uint8], box: ArrayLike, side_px: int = CHIP_PX, length_px: float = CHIP_LENGTH_PX
+    pixels: NDArray[np.uint8], boxes: ArrayLike, side_px: int = CHIP_PX, length_px: float = CHIP_LENGTH_PX
 ) -> NDArray[np.uint8]:
-    """Cut a candidate with what stands around it.
+    """Cut candidates with what stands around them.
 
     Args:
         pixels: ``[h, w, 3]`` uint8 RGB.
-        box: ``(x, y, length, width, angle)`` in their pixels and radians; the width is not used.
-        side_px: rows and columns of the chip.
-        length_px: the candidate's length on the chip.
+        boxes: ``[n, 5]``, ``(x, y, length, width, angle)`` in their pixels and radians; the width is not used.
+        side_px: rows and columns of a chip.
+        length_px: a candidate's length on its chip.
 
     Returns:
-        ``[side, side, 3]`` uint8: the box's middle in the chip's middle, its axis along the columns. What lies outside
-        the pixels repeats their border.
+        ``[n, side, side, 3]`` uint8: the box's middle in the chip's middle, its axis along the columns. What lies
+        outside the pixels repeats their border.
     """
-    x, y, length, _, angle = np.asarray(box, dtype=np.float64)
-    step = length / length_px  # pixels to one of the chip
-    reach = 0.75 * side_px * step + 2  # beyond the corners of the turned chip
-    height, width = pixels.shape[:2]
-    left, right = int(np.clip(x - reach, 0, width - 1)), int(np.clip(x + reach + 1, 1, width))
-    top, bottom = int(np.clip(y - reach, 0, height - 1)), int(np.clip(y + reach + 1, 1, height))
-    part = pixels[top : max(bottom, top + 1), left : max(right, left + 1)]
-    new_width = max(1, round(part.shape[1] * min(1.0, _SHARPNESS / step)))
-    new_height = max(1, round(part.shape[0] * min(1.0, _SHARPNESS / step)))
-    ratio = np.array([new_width / part.shape[1], new_height / part.shape[0]])
-    if (new_height, new_width) != part.shape[:2]:
-        part = np.asarray(cv2.resize(part, (new_width, new_height), interpolation=cv2.INTER_AREA), np.uint8)
-    turn = step * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])  # chip -> pixels
-    origin = np.array([x - left, y - top]) - turn @ [side_px / 2, side_px / 2]
-    matrix = np.column_stack([turn * ratio[:, None], origin * ratio])
-    matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5  # continuous coordinates have pixel centres at +0.5
-    cut = cv2.warpAffine(
-        part,
-        matrix,
-        (side_px, side_px),
-        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    return np.asarray(cut, np.uint8)
+    parts = _parts(np.asarray(boxes, np.float64).reshape(-1, 5), pixels.shape[1], pixels.shape[0], side_px, length_px)
+    chips = np.empty((len(parts.matrices), side_px, side_px, 3), np.uint8)
+    bounds, sizes = parts.bounds.tolist(), parts.sizes.tolist()
+    for chip, (left, top, right, bottom), (width, height), matrix in zip(
+        chips, bounds, sizes, parts.matrices, strict=True
+    ):
+        part = pixels[top:bottom, left:right]
+        if (height, width) != part.shape[:2]:
+            part = np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+        cv2.warpAffine(
+            part,
+            matrix,
+            (side_px, side_px),
+            dst=chip,
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+    return chips
+
+
+class _Parts(NamedTuple):
+    """Where chips come from.
+
+    Attributes:
+        bounds: ``[n, 4]`` left, top, right and bottom of a part of the pixels.
+        sizes: ``[n, 2]`` width and height to which it is reduced.
+        matrices: ``[n, 2, 3]`` from the chip to the reduced part.
+    """
+
+    bounds: NDArray[np.intp]
+    sizes: NDArray[np.intp]
+    matrices: NDArray[np.float64]
+
+
+def _parts(boxes: NDArray[np.float64], width_px: int, height_px: int, side_px: int, length_px: float) -> _Parts:
+    """Lay out the chips of all boxes at once: for one at a time this took longer than to cut them."""
+    centres, angles = boxes[:, :2], boxes[:, 4]
+    step = boxes[:, 2] / length_px  # pixels to one of the chip
+    reach = (0.75 * side_px * step + 2)[:, None]  # beyond the corners of the turned chip
+    ends = np.array([width_px, height_px])
+    first = np.clip(centres - reach, 0, ends - 1).astype(np.intp)
+    last = np.maximum(np.clip(centres + reach + 1, 1, ends).astype(np.intp), first + 1)
+    extent = last - first
+    sizes = np.maximum(1, np.rint(extent * np.minimum(1.0, _SHARPNESS / step)[:, None])).astype(np.intp)
+    ratio = sizes / extent
+    cosine, sine = np.cos(angles), np.sin(angles)
+    turn = step[:, None, None] * np.array([[cosine, -sine], [sine, cosine]]).transpose(2, 0, 1)  # chip -> pixels
+    origin = centres - first - turn @ [side_px / 2, side_px / 2]
+    matrices = np.concatenate([turn * ratio[:, :, None], (origin * ratio)[:, :, None]], axis=2)
+    # Continuous coordinates have pixel centres at +0.5.
+    matrices[:, :, 2] += matrices[:, :, :2] @ (0.5, 0.5) - 0.5
+    return _Parts(np.concatenate([first, last], axis=1), sizes, matrices)
 
 
 class Weights(NamedTuple):
@@ -113,8 +141,9 @@ class SecondLook(Companion[SecondLookCard]):
         """
         logits = [np.zeros(0)]
         for start in range(0, len(found), _BATCH):
-            chips = np.stack([surroundings(pixels, box) for box in found.boxes[start : start + _BATCH]])
-            batch = np.ascontiguousarray(chips.transpose(0, 3, 1, 2), dtype=np.float32) / np.float32(255)
+            chips = surroundings(pixels, found.boxes[start : start + _BATCH])
+            planes = np.ascontiguousarray(chips.transpose(0, 3, 1, 2))
+            batch: NDArray[np.float32] = np.divide(planes, np.float32(255), dtype=np.float32)
             logits.extend(self.answers(batch, run_options))
         scores = Weights(*self.card.weights).score(found.scores, np.concatenate(logits), size_odds)
         return Objects(found.boxes, scores, found.classes)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from vehanchor.anchors.attitude import known_plane
 from vehanchor.estimate import model_id
+from vehanchor.flight.heights import ground_below, heights_evidence
 from vehanchor.flight.pooling import pool
 from vehanchor.flight.positions import POSITIONS, places_of
 from vehanchor.records import FlightAnchor, FlightEstimate, FlightIsland, FlightPhotograph, KnownScale
@@ -87,9 +88,8 @@ def conclude_flight(
         place: _failed(each) for place, each in enumerate(looks) if isinstance(each, Failure)
     }
     pooled_islands = []
-    for number, island in enumerate(islands):
-        members = [look for place in island.members if not isinstance(look := looks[place], Failure)]
-        pooled = pool(members, island.log_scales, island.reference, island.extra)
+    for number, (island, pooled) in enumerate(_pooled(looks, islands)):
+        members = _members(looks, island)
         estimate = pooled.estimate
         pooled_islands.append(
             FlightIsland(
@@ -120,6 +120,28 @@ def conclude_flight(
         model_sha256=card.sha256,
         warnings=(*warnings, *(whole.warnings if whole else ())),
     )
+
+
+def _members(looks: Sequence[Photograph | Failure], island: Island) -> list[Photograph]:
+    return [look for place in island.members if not isinstance(look := looks[place], Failure)]
+
+
+def _pooled(looks: Sequence[Photograph | Failure], islands: Sequence[Island]) -> list[tuple[Island, ScaleAnalysis]]:
+    """Each island with what all of its evidence says; one without any hangs on the ground below the others."""
+    found, grounds = [], []
+    for island in islands:
+        members = _members(looks, island)
+        pooled = pool(members, island.log_scales, island.reference, island.extra)
+        found.append((island, pooled))
+        if members[0].view.options.rulers.uses(POSITIONS):
+            grounds.append(ground_below(members, island.offsets, pooled.estimate))
+    known = [ground for ground in grounds if ground is not None]
+    for place, (island, pooled) in enumerate(found if known else ()):
+        if pooled.estimate.gsd_m_per_px is None:
+            members = _members(looks, island)
+            by_height = replace(island, extra=(*island.extra, *heights_evidence(known, members, island.offsets)))
+            found[place] = by_height, pool(members, island.log_scales, island.reference, by_height.extra)
+    return found
 
 
 def _positions(looks: Sequence[Photograph | Failure]) -> dict[int, tuple[float, float]]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence, Sized
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -48,6 +48,7 @@ def estimate_flight(
     same_scale: bool = False,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
+    providers: Sequence[str] | None = None,
     journal: str | os.PathLike[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Unpack[OptionKeywords],
@@ -62,8 +63,10 @@ def estimate_flight(
         same_scale: they are all of one scale, as those of a survey at one height: their evidence is one.
         detector: as in ``estimate_gsd``.
         threads: CPU threads for the models.
+        providers: where they run, as in ``estimate_gsd``.
         journal: file that keeps what was found in each photograph, so that the same call after an interruption goes on
-            where it stopped; removed at the end. Only photographs given as paths are kept.
+            where it stopped; removed at the end. Only photographs given as paths, and frames of ``sample_video``, are
+            kept.
         progress: called with (photographs looked at, photographs in all).
         **options: as in ``estimate_gsd``, without a frame and without lines of known length, which belong to one
             photograph.
@@ -84,6 +87,7 @@ def estimate_flight(
         same_scale=same_scale,
         detector=detector,
         threads=threads,
+        providers=providers,
         journal=journal,
         progress=progress,
     )
@@ -96,6 +100,7 @@ def analyse_flight(
     same_scale: bool = False,
     detector: Detector | str | os.PathLike[str] | None = None,
     threads: int | None = None,
+    providers: Sequence[str] | None = None,
     journal: str | os.PathLike[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
     lines: KnownLengthTable | None = None,
@@ -108,13 +113,14 @@ def analyse_flight(
         same_scale: of all.
         detector: of vehicles.
         threads: for the models.
+        providers: for the models.
         journal: of what was found.
         progress: of the photographs.
         lines: of known length in single photographs, which are paths or addresses; see ``read_known_lengths``.
     """
     chosen = options or ScaleOptions()
     _check(chosen)
-    model = open_detector(detector, chosen, threads=threads)
+    model = open_detector(detector, chosen, threads=threads, providers=providers)
     taken = list(named(images)) if isinstance(images, Sequence) else named(images)
     kept = _open_journal(None if journal is None else Path(journal), model, chosen, lines or {})
     looks = look_at_flight(
@@ -170,9 +176,10 @@ def look_at_flight(
     tell = progress or (lambda _done, _total: None)
     found: list[Photograph | Failure] = []
     total = len(taken) if isinstance(taken, Sized) else 0
-    for done, (name, image) in enumerate(taken):
+    for done, each in enumerate(taken):
+        name, image, _ = each
         tell(done, max(total, done))
-        key = _key(name, image)
+        key = _key(each)
         known = journal.get(key) if journal is not None and key is not None else None
         try:
             own = with_lines_of(options, lines, image) if lines and isinstance(image, str | os.PathLike) else options
@@ -180,7 +187,7 @@ def look_at_flight(
         except VehAnchorError as error:
             found.append(Failure(name, error))
             continue
-        if known is None and journal is not None and key is not None and key == _key(name, image):
+        if known is None and journal is not None and key is not None and key == _key(each):
             journal.add(key, look)
         found.append(Photograph.of(name, look, detector.card, own, features))
     tell(len(found), len(found))
@@ -219,8 +226,9 @@ def _check(options: ScaleOptions) -> None:
         raise InvalidParameterError("a line of known length belongs to one image: estimate that image by itself")
 
 
-def _key(name: str, image: Any) -> Key | None:
-    return (name, *Source.of(image)) if isinstance(image, str | os.PathLike) else None
+def _key(taken: Taken) -> Key | None:
+    file = taken.image if taken.film is None else taken.film
+    return (taken.name, *Source.of(file)) if isinstance(file, str | os.PathLike) else None
 
 
 def _open_journal(

@@ -82,12 +82,12 @@ def _nearest(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> NDArray[np.
         return np.zeros((0, 2), np.intp)
     here, there = first.astype(np.float32), second.astype(np.float32)
     closeness = here @ there.T  # RootSIFT: all of one length
-    best = closeness.argmax(axis=1)
-    mutual = closeness.argmax(axis=0)[best] == np.arange(len(here))
-    two = np.partition(closeness, -2, axis=1)[:, -2:]
-    length = 255.0**2
-    near = np.maximum(2 * (length - two[:, 1]), 0.0)
-    next_near = np.maximum(2 * (length - two[:, 0]), 1e-6)
+    best, rows = closeness.argmax(axis=1), np.arange(len(here))
+    mutual = closeness.argmax(axis=0)[best] == rows
+    length, nearest = 255.0**2, closeness[rows, best]
+    closeness[rows, best] = -math.inf
+    near = np.maximum(2 * (length - nearest), 0.0)
+    next_near = np.maximum(2 * (length - closeness.max(axis=1)), 1e-6)
     chosen = np.flatnonzero(mutual & (near <= _SECOND_BEST**2 * next_near))
     return np.column_stack([chosen, best[chosen]])
 

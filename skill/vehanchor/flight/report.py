@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import OutputError
+from vehanchor.flight.taken import under_one_folder
 from vehanchor.output import whole_file
 from vehanchor.pictures.track import draw_tracks
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from vehanchor.records import FlightAnchor, FlightEstimate, FlightPhotograph
 
@@ -57,9 +58,11 @@ def write_report(path: Path, record: FlightEstimate) -> None:
 def report_page(record: FlightEstimate) -> str:
     """Make the page, without scripts and without anything from elsewhere."""
     dropped = [link for link in record.links if link.dropped]
+    folder, names = under_one_folder([each.photograph for each in record.photographs])
     sections = [
         f"<h1>Flight of {len(record.photographs)} photographs</h1>",
         f"<p>{escape(_summary(record))}</p>",
+        *([f"<p>In {escape(folder)}.</p>"] if folder else []),
         draw_tracks(record) or "<p>No photograph has a place, so there is no track to draw.</p>",
     ]
     if record.warnings:
@@ -67,8 +70,9 @@ def report_page(record: FlightEstimate) -> str:
     if dropped:
         named = (f"{each.first} and {each.second}: {each.dropped}" for each in dropped)
         sections.append(f"<h2>Overlaps that were dropped</h2>{_list(named)}")
-    sections.append(_islands(record))
-    sections.append(_photographs(record.photographs))
+    short = {each.photograph: name for each, name in zip(record.photographs, names, strict=True)}
+    sections.append(_islands(record, short))
+    sections.append(_photographs(record.photographs, short))
     sections.append(f"<p>Detector {escape(record.model)}, {escape(record.model_sha256[:12])}.</p>")
     body = "\n".join(sections)
     return (
@@ -88,21 +92,23 @@ def _summary(record: FlightEstimate) -> str:
     return f"{said}. {record.n_vehicles} vehicles, confidence {record.confidence:.2f}, {record.status}."
 
 
-def _islands(record: FlightEstimate) -> str:
+def _islands(record: FlightEstimate, short: Mapping[str, str]) -> str:
     rows = []
     for island in record.islands:
         pooled = island.pooled
         rulers = ", ".join(f"{each.kind} ({100 * each.weight:.0f} %)" for each in pooled.rulers if each.agrees)
         scale = _scale(pooled.gsd_m_per_px, pooled.gsd_ci95_low_m_per_px, pooled.gsd_ci95_high_m_per_px)
-        rows.append((str(island.number), str(island.n_photographs), island.reference, scale, rulers, pooled.status))
+        rows.append(
+            (str(island.number), str(island.n_photographs), short[island.reference], scale, rulers, pooled.status)
+        )
     heads = ("island", "photographs", "measured in the pixels of", "its scale", "rulers", "status")
     return f"<h2>Islands</h2>{_table(heads, rows)}"
 
 
-def _photographs(photographs: Sequence[FlightPhotograph]) -> str:
+def _photographs(photographs: Sequence[FlightPhotograph], short: Mapping[str, str]) -> str:
     rows = [
         (
-            each.photograph,
+            short[each.photograph],
             _scale(each.gsd_m_per_px, each.gsd_ci95_low_m_per_px, each.gsd_ci95_high_m_per_px),
             "-" if each.confidence is None else f"{each.confidence:.2f}",
             "-" if each.island is None else str(each.island),

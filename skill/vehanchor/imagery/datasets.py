@@ -8,6 +8,7 @@ import warnings
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 
+import cv2
 import numpy as np
 
 from vehanchor.errors import (
@@ -266,22 +267,27 @@ class DatasetRaster(Raster):
         self._stack.close()
 
     def read_overview(self, window: Window, factor: int) -> NDArray[np.uint8] | None:
-        """Read a window of the image reduced by a factor from the file's overviews; None where it has none as coarse.
+        """Read a window of the image reduced by a factor from the file's overviews; None where it has none for it.
 
         Args:
             window: as in ``Raster.read_overview``.
             factor: as there.
         """
-        if self._palette is not None or not self._reduced_at_least(2, factor):
+        step = next((each for each in (factor, factor // 2) if each > 1 and self._has_overview(each)), None)
+        if self._palette is not None or step is None:
             return None
         full = Window(*(factor * each for each in (window.x_px, window.y_px, window.width_px, window.height_px)))
         stored = stored_window(full, self.width_px, self.height_px, self._orientation)
-        return self._shown(self._read_stored(stored, (stored.height_px // factor, stored.width_px // factor)))
+        seen = self._shown(self._read_stored(stored, (stored.height_px // step, stored.width_px // step)))
+        if step != factor:
+            size = window.width_px, window.height_px
+            seen = np.asarray(cv2.resize(seen, size, interpolation=cv2.INTER_AREA), np.uint8)
+        return seen
 
-    def _reduced_at_least(self, least: int, most: int) -> bool:
-        """Whether every band has an overview between two factors."""
+    def _has_overview(self, factor: int) -> bool:
+        """Whether every band has an overview reduced by this factor."""
         with gdal(self.source):
-            return all(any(least <= each <= most for each in self._dataset.overviews(k)) for k in self._unique)
+            return all(factor in self._dataset.overviews(k) for k in self._unique)
 
     def _read_stored(self, window: Window, shape: tuple[int, int] | None = None) -> StoredPixels:
         bounds = (

@@ -203,7 +203,9 @@ def _open_regular(path: str) -> BinaryIO:
     if stat.S_ISREG(mode):
         return os.fdopen(descriptor, "rb")
     os.close(descriptor)
-    kind = "a directory" if stat.S_ISDIR(mode) else "a pipe" if stat.S_ISFIFO(mode) else "a device or socket"
+    if stat.S_ISDIR(mode):
+        raise ImageNotFoundError(f"{path!r} is a folder: give an image; vehanchor.find_images lists those in it")
+    kind = "a pipe" if stat.S_ISFIFO(mode) else "a device or socket"
     raise ImageNotFoundError(f"the image {path!r} is {kind}, not a file")
 
 

@@ -33,7 +33,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["DEFAULT_PROVIDERS", "MAX_THREADS", "metadata_number", "open_session", "run_session", "stoppable"]
+__all__ = [
+    "DEFAULT_PROVIDERS",
+    "MAX_THREADS",
+    "metadata_number",
+    "named_providers",
+    "open_session",
+    "run_session",
+    "stoppable",
+]
 
 DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
 
@@ -52,6 +60,20 @@ MAX_THREADS = 256
 """More are refused: each takes a stack, and no machine that runs these models has more cores for one of them."""
 
 _WANT_OF_MEMORY = re.compile("bad.?alloc|failed to allocate|out of memory", re.IGNORECASE)
+
+
+def named_providers(providers: Sequence[str] | None) -> tuple[str, ...]:
+    """Execution providers as a caller names them: a list, one name alone, or None for the CPU's.
+
+    Raises:
+        InvalidParameterError: it is something else.
+    """
+    if providers is None:
+        return DEFAULT_PROVIDERS
+    named = (providers,) if isinstance(providers, str) else tuple(providers)
+    if not named or not all(isinstance(name, str) for name in named):
+        raise InvalidParameterError(f"providers is {providers!r}: name them, as in ['cuda', 'cpu']")
+    return named
 
 
 def stoppable() -> onnxruntime.RunOptions:

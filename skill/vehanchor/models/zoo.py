@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from vehanchor.errors import ModelNotFoundError
+from vehanchor.models.precision import has_byte_dot_products
+
+if TYPE_CHECKING:
+    from vehanchor.models.precision import Precision
 
 __all__ = [
     "DEFAULT_DETECTOR",
@@ -19,18 +24,21 @@ __all__ = [
 ]
 
 DEFAULT_DETECTOR = "vehicles"
+_IN_EIGHT_BITS = "-int8"  # ends the name of a bundled detector's file of that precision
 _SEGMENTER = "segmenter-encoder.onnx", "segmenter-decoder.onnx"
 _FLEET = "fleet.onnx"  # of the default detector
 _SECOND_LOOK = "second-look.onnx"  # of the default detector
+_SECOND_LOOK_IN_EIGHT_BITS = "second-look-int8.onnx"  # of the same in eight bits
 _SCENE_SCALE = "scene-scale.onnx"
 _COURTS = "courts.onnx"
-_NO_DETECTORS = (*_SEGMENTER, _FLEET, _SECOND_LOOK, _SCENE_SCALE, _COURTS)
+_NO_DETECTORS = (*_SEGMENTER, _FLEET, _SECOND_LOOK, _SECOND_LOOK_IN_EIGHT_BITS, _SCENE_SCALE, _COURTS)
 _BUNDLED = Path(__file__).parent / "bundled"
 
 
 def bundled_models() -> dict[str, Path]:
     """Names of the bundled detectors and their files."""
-    return {path.stem: path for path in sorted(_BUNDLED.glob("*.onnx")) if path.name not in _NO_DETECTORS}
+    files = sorted(_BUNDLED.glob("*.onnx"), key=lambda path: path.stem)
+    return {path.stem: path for path in files if path.name not in _NO_DETECTORS}
 
 
 def fleet_beside(detector: Path) -> Path | None:
@@ -40,7 +48,7 @@ def fleet_beside(detector: Path) -> Path | None:
         detector: its file. The default detector's network is bundled with it; any other's lies beside it, as
             ``mine.fleet.onnx`` beside ``mine.onnx``.
     """
-    return _beside(detector, _FLEET, "fleet")
+    return _beside(detector, (_FLEET, _FLEET), "fleet")
 
 
 def second_look_beside(detector: Path) -> Path | None:
@@ -50,12 +58,15 @@ def second_look_beside(detector: Path) -> Path | None:
         detector: its file. The default detector's network is bundled with it; any other's lies beside it, as
             ``mine.second-look.onnx`` beside ``mine.onnx``.
     """
-    return _beside(detector, _SECOND_LOOK, "second-look")
+    return _beside(detector, (_SECOND_LOOK, _SECOND_LOOK_IN_EIGHT_BITS), "second-look")
 
 
-def _beside(detector: Path, bundled_name: str, kind: str) -> Path | None:
-    bundled = detector.resolve() == (_BUNDLED / f"{DEFAULT_DETECTOR}.onnx").resolve()
-    path = _BUNDLED / bundled_name if bundled else detector.with_name(f"{detector.stem}.{kind}.onnx")
+def _beside(detector: Path, bundled: tuple[str, str], kind: str) -> Path | None:
+    """The file beside a detector; ``bundled`` are the default one's, and those of the same in eight bits."""
+    path = detector.with_name(f"{detector.stem}.{kind}.onnx")
+    for name, ending in zip(bundled, ("", _IN_EIGHT_BITS), strict=True):
+        if detector.resolve() == (_BUNDLED / f"{DEFAULT_DETECTOR}{ending}.onnx").resolve():
+            path = _BUNDLED / name
     return path if path.is_file() else None
 
 
@@ -77,14 +88,23 @@ def bundled_segmenter() -> tuple[Path, Path] | None:
     return (encoder, decoder) if encoder.is_file() and decoder.is_file() else None
 
 
-def resolve_model(model: str | Path | None = None) -> Path:
+def resolve_model(model: str | Path | None = None, precision: Precision | None = None) -> Path:
     """The file of a model given by its bundled name or by its path; the default detector for None.
 
+    Args:
+        model: name or path.
+        precision: of the numbers that it computes with: ``int8`` takes the file in eight bits that is bundled beside
+            the one named, ``auto`` does where the processor is quick with it; else it is the one named.
+
     Raises:
-        ModelNotFoundError: neither a bundled name nor a file.
+        ModelNotFoundError: neither a bundled name nor a file; or none of that precision.
     """
     bundled = bundled_models()
     name = DEFAULT_DETECTOR if model is None else str(model)
+    if precision == "int8" and not name.endswith(_IN_EIGHT_BITS) and name + _IN_EIGHT_BITS not in bundled:
+        raise ModelNotFoundError(f"no file of {name!r} in int8 is bundled: leave the precision to the file")
+    if precision == "int8" or (precision == "auto" and name + _IN_EIGHT_BITS in bundled and has_byte_dot_products()):
+        name = name.removesuffix(_IN_EIGHT_BITS) + _IN_EIGHT_BITS
     if name in bundled:
         return bundled[name]
     path = Path(name)

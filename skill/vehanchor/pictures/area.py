@@ -8,21 +8,19 @@ import cv2
 import numpy as np
 
 from vehanchor.errors import OutputError
-from vehanchor.pictures.marks import draw_marks
-from vehanchor.pictures.scale import caption_panel, draw_scale_bar, draw_vehicles, fit_for_eyes, with_margins
+from vehanchor.pictures.measured import MEASURED_RGB, finish, open_canvas, size_in_words
+from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.findings import AreaFindings
     from vehanchor.options import ImageLimits
-    from vehanchor.pictures.scale import CaptionLine
     from vehanchor.records import AreaMeasurement
 
-__all__ = ["OUTLINE_RGB", "PROMPT_RGB", "draw_area", "full_mask"]
+__all__ = ["PROMPT_RGB", "draw_area", "full_mask"]
 
-OUTLINE_RGB = (204, 121, 167)  # Okabe and Ito's reddish purple, beside the vehicles' sky blue and orange
-PROMPT_RGB = (240, 228, 66)  # and yellow
+PROMPT_RGB = (240, 228, 66)  # Okabe and Ito's yellow
 _BESIDE_RGB = (213, 94, 0)
 _TINT = 0.35
 _SUBPIXEL_BITS = 4
@@ -40,17 +38,10 @@ def draw_area(image: NDArray[np.uint8], analysis: AreaFindings) -> NDArray[np.ui
         ``[h', w', 3]`` RGB, at most 2048 px a side before the caption is added.
     """
     record = analysis.measurement
-    picture = fit_for_eyes(image)
-    scale = np.array([picture.shape[1] / record.image_width_px, picture.shape[0] / record.image_height_px])
-    if analysis.scale is not None:
-        draw_vehicles(picture, analysis.scale, scale)
-        draw_marks(picture, analysis.scale.marks, scale)
-    _draw_mask(picture, analysis, scale)
-    _draw_prompt(picture, analysis, scale)
-    picture = with_margins(picture)
-    if record.gsd_m_per_px is not None and (record.scale is None or record.scale.status == "ok"):
-        draw_scale_bar(picture, record.gsd_m_per_px / float(scale[0]))
-    return np.concatenate([picture, caption_panel(picture.shape[1], _caption_lines(record))])
+    canvas = open_canvas(image, record, analysis.scale)
+    _draw_mask(canvas.picture, analysis, canvas.scale)
+    _draw_prompt(canvas.picture, analysis, canvas.scale)
+    return finish(canvas, record, _size(record), f"; mask score {record.mask_score:.2f}{_low_mask(record)}")
 
 
 def full_mask(analysis: AreaFindings, limits: ImageLimits) -> NDArray[np.uint8]:
@@ -87,14 +78,14 @@ def _draw_mask(picture: NDArray[np.uint8], analysis: AreaFindings, scale: NDArra
     share = cv2.resize(mask.view(np.uint8) * 255, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
     shown = np.asarray(share > 127, dtype=np.uint8)
     region = picture[top:bottom, left:right]
-    tint = np.array(OUTLINE_RGB, dtype=np.float64)
+    tint = np.array(MEASURED_RGB, dtype=np.float64)
     region[shown > 0] = np.rint((1 - _TINT) * region[shown > 0] + _TINT * tint).astype(np.uint8)
     rings, _ = cv2.findContours(np.pad(shown, 1), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     cv2.polylines(
         picture,
         [ring + np.array([left - 1, top - 1], np.int32) for ring in rings],
         True,
-        OUTLINE_RGB,
+        MEASURED_RGB,
         _line_px(picture),
     )
 
@@ -113,20 +104,15 @@ def _draw_prompt(picture: NDArray[np.uint8], analysis: AreaFindings, scale: NDAr
         cv2.circle(picture, at, 2 * line * fine, colour, cv2.FILLED, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def _caption_lines(record: AreaMeasurement) -> list[CaptionLine]:
-    if record.area_m2 is None:
-        head = (
-            f"{record.mask_area_px} px; no scale: nothing of known size found"
-            if record.mask_area_px
-            else "no object found"
-        )
-    else:
-        head = f"{record.area_m2:.4g} m2"
-        if record.area_ci95_low_m2 is not None and record.area_ci95_high_m2 is not None:
-            head += f"  (95 %: {record.area_ci95_low_m2:.4g} to {record.area_ci95_high_m2:.4g})"
-    lines: list[CaptionLine] = [[(OUTLINE_RGB, head)]]
-    if record.gsd_m_per_px is not None:
-        source = "given" if record.confidence is None else f"confidence {record.confidence:.2f}"
-        low = " - low" if record.status == "low_confidence" else ""
-        lines.append([(None, f"{record.gsd_m_per_px:.4g} m/px, {source}; mask score {record.mask_score:.2f}{low}")])
-    return lines
+def _size(record: AreaMeasurement) -> str:
+    if record.area_m2 is None and not record.mask_area_px:
+        return "no object found"
+    return size_in_words(
+        record.area_m2, record.area_ci95_low_m2, record.area_ci95_high_m2, "m2", f"{record.mask_area_px} px"
+    )
+
+
+def _low_mask(record: AreaMeasurement) -> str:
+    """A word where it is the mask that is in doubt, rather than the scale."""
+    scale_is_good = record.confidence is None or record.confidence >= FALLBACK_CONFIDENCE
+    return " - low" if record.status == "low_confidence" and scale_is_good else ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
 import numpy as np
@@ -18,19 +18,27 @@ if TYPE_CHECKING:
 
 __all__ = ["MARK_RGB", "draw_marks"]
 
+Rgb: TypeAlias = tuple[int, int, int]
+
 MARK_RGB = (0, 190, 138)  # Okabe and Ito's bluish green, lighter
 _RIM_RGB = (22, 24, 28)
 _SUBPIXEL_BITS = 4
 _LETTERS = 0.8  # of the height of the caption's
 
 
-def draw_marks(picture: NDArray[np.uint8], marks: Sequence[Mark], scale: NDArray[np.float64]) -> None:
+def draw_marks(
+    picture: NDArray[np.uint8],
+    marks: Sequence[Mark],
+    scale: NDArray[np.float64],
+    colour: Rgb = MARK_RGB,
+) -> None:
     """Draw the lines that rulers were laid along, with their labels beside the middle.
 
     Args:
         picture: ``[h, w, 3]`` RGB, drawn into.
         marks: in pixels of the image.
         scale: ``[2]`` pixels of the picture per image pixel, across and down.
+        colour: RGB, of the lines.
     """
     line = int(np.clip(round(max(picture.shape[:2]) / 500), 1, 3))
     labels = []
@@ -38,35 +46,50 @@ def draw_marks(picture: NDArray[np.uint8], marks: Sequence[Mark], scale: NDArray
         # Marks count from the corner of the first pixel, OpenCV from its centre.
         points = np.asarray(mark.points, dtype=np.float64) * scale - 0.5
         fixed_point = np.rint(points * (1 << _SUBPIXEL_BITS)).astype(np.int32)
-        for colour, thickness in ((_RIM_RGB, line + 2), (MARK_RGB, line)):
-            cv2.polylines(picture, [fixed_point], mark.closed, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
-        if not mark.closed and len(points) == 2:
-            _draw_ends(picture, points, line)
-        elif len(points) == 1:
-            _draw_cross(picture, points[0], line)
+        for ink, thickness in ((_RIM_RGB, line + 2), (colour, line)):
+            cv2.polylines(picture, [fixed_point], mark.closed, ink, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
+        if len(points) == 1:
+            _draw_cross(picture, points[0], line, colour)
+        elif not mark.closed:
+            _draw_ends(picture, points, line, colour)
         if mark.label:
-            labels.append((mark.label, points[:2].mean(axis=0)))
+            labels.append((mark.label, points[:2].mean(axis=0) if mark.closed else _middle(points)))
     for label, middle in labels:
         _write_label(picture, label, middle)
 
 
-def _draw_ends(picture: NDArray[np.uint8], points: NDArray[np.float64], line: int) -> None:
+def _middle(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Halfway along an open line."""
+    legs = np.hypot(*np.diff(points, axis=0).T) if len(points) > 1 else np.zeros(0)
+    way = np.concatenate([[0.0], np.cumsum(legs)])
+    return np.array([np.interp(way[-1] / 2, way, points[:, axis]) for axis in (0, 1)])
+
+
+def _draw_ends(picture: NDArray[np.uint8], points: NDArray[np.float64], line: int, colour: Rgb) -> None:
     """Short strokes across the ends, as on a drawing with dimensions."""
-    along = points[1] - points[0]
-    across = np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-9) * (3.0 + 2 * line)
-    for end in points:
-        stroke = np.rint(np.array([end - across, end + across]) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
-        for colour, thickness in ((_RIM_RGB, line + 2), (MARK_RGB, line)):
-            cv2.polylines(picture, [stroke], False, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
+    for end, along in ((points[0], points[1] - points[0]), (points[-1], points[-1] - points[-2])):
+        across = np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-9) * (3.0 + 2 * line)
+        _draw_stroke(picture, end, across, line, colour)
 
 
-def _draw_cross(picture: NDArray[np.uint8], middle: NDArray[np.float64], line: int) -> None:
+def _draw_cross(picture: NDArray[np.uint8], middle: NDArray[np.float64], line: int, colour: Rgb) -> None:
     """A cross where a ruler holds that was laid along nothing."""
     reach = 6.0 + 3 * line
-    for colour, thickness in ((_RIM_RGB, line + 2), (MARK_RGB, line)):
-        for arm in ((reach, 0.0), (0.0, reach)):
-            stroke = np.rint(np.array([middle - arm, middle + arm]) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
-            cv2.polylines(picture, [stroke], False, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
+    for arm in ((reach, 0.0), (0.0, reach)):
+        _draw_stroke(picture, middle, np.array(arm), line, colour)
+
+
+def _draw_stroke(
+    picture: NDArray[np.uint8],
+    middle: NDArray[np.float64],
+    half: NDArray[np.float64],
+    line: int,
+    colour: Rgb,
+) -> None:
+    """A short line around a point, ``half`` of it to either side."""
+    stroke = np.rint(np.array([middle - half, middle + half]) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
+    for ink, thickness in ((_RIM_RGB, line + 2), (colour, line)):
+        cv2.polylines(picture, [stroke], False, ink, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
 def _write_label(picture: NDArray[np.uint8], label: str, middle: NDArray[np.float64]) -> None:

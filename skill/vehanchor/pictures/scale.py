@@ -50,7 +50,8 @@ def draw_overlay(image: NDArray[np.uint8], analysis: ScaleFindings) -> NDArray[n
 
     The bar has a round length; rulers that were laid along something are drawn there. Small images are enlarged and
     large ones reduced; a caption below gives scale, interval and confidence. A scale that is not to be used has no bar,
-    and the caption begins with why and what would help.
+    and the caption begins with why and what would help; nor has one of a camera that looked aside, which holds at the
+    centre only.
 
     Args:
         image: ``[h, w, 3]`` RGB, the analysed image or a reduced copy of it (see ``read_reduced``).
@@ -65,7 +66,7 @@ def draw_overlay(image: NDArray[np.uint8], analysis: ScaleFindings) -> NDArray[n
     draw_vehicles(picture, analysis, scale)
     draw_marks(picture, analysis.marks, scale)
     picture = with_margins(picture)
-    if estimate.gsd_m_per_px is not None and estimate.status == "ok":
+    if estimate.gsd_m_per_px is not None and estimate.status == "ok" and estimate.tilt is None:
         draw_scale_bar(picture, estimate.gsd_m_per_px / float(scale[0]))
     return np.concatenate([picture, caption_panel(picture.shape[1], _caption_lines(analysis))])
 
@@ -214,10 +215,14 @@ def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
 def _headline(estimate: GsdEstimate) -> str:
     if estimate.gsd_m_per_px is None:
         return "no scale: nothing of known size found"
-    text = f"{estimate.gsd_m_per_px:.4g} m/px"
-    if estimate.gsd_ci95_low_m_per_px is not None and estimate.gsd_ci95_high_m_per_px is not None:
-        text += f"  (95 %: {estimate.gsd_ci95_low_m_per_px:.4g} to {estimate.gsd_ci95_high_m_per_px:.4g})"
-    return text
+    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
+    return with_interval(estimate.gsd_m_per_px, low, high, "m/px")
+
+
+def with_interval(value: float, low: float | None, high: float | None, unit: str) -> str:
+    """A quantity in words, with its interval where it has one."""
+    interval = "" if low is None or high is None else f"  (95 %: {low:.4g} to {high:.4g})"
+    return f"{value:.4g} {unit}{interval}"
 
 
 def _caption_lines(analysis: ScaleFindings) -> list[CaptionLine]:
@@ -236,6 +241,8 @@ def _caption_lines(analysis: ScaleFindings) -> list[CaptionLine]:
         lines = [[(None, f"no scale to use: {why}")], [(None, helps)]]
         if estimate.gsd_m_per_px is not None:
             lines.append([(None, f"{scale}, confidence {estimate.confidence:.2f}")])
+    if estimate.tilt is not None:
+        lines.append([(None, f"at the centre: the camera looked {estimate.tilt.tilt_deg:.0f} degrees aside")])
     if estimate.n_detections:
         lines.append([*legend])
     if said := _rulers_line(analysis):

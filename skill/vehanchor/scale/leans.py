@@ -21,7 +21,6 @@ __all__ = ["Focal", "GimbalWitness", "Lean", "LeanWitness", "downs_of", "find_le
 
 _MOST_DEG = 64.0  # a camera that leans further has the horizon in sight
 _STEP_DEG, _FINER = 3.0, 3  # of the lean's grid, and by how much each look after the first is finer
-_LOOKS = 3
 _NEGLIGIBLE = 12.0  # nats below the best: what is less likely is looked at no finer
 _MOST_POINTS = 6000
 _LEVEL_SHARE, _LEVEL_SD_DEG = 0.7, 8.0  # of cameras whose horizon is level, and how level it is
@@ -120,12 +119,13 @@ def downs_of(leans: ArrayLike) -> NDArray[np.float64]:
     return np.column_stack([np.sinc(tilts / math.pi)[:, None] * vectors, np.cos(tilts)])
 
 
-def find_lean(witnesses: Sequence[LeanWitness], focal: Focal) -> Lean | None:
+def find_lean(witnesses: Sequence[LeanWitness], focal: Focal, *, n_looks: int = 3) -> Lean | None:
     """Multiply what witnesses say.
 
     Args:
         witnesses: at least one.
         focal: the focal length as far as it is known without them.
+        n_looks: each after the first is three times as fine. To tell whether it leans at all, two do.
 
     Returns:
         The lean; None where no direction is possible for all of them.
@@ -134,7 +134,7 @@ def find_lean(witnesses: Sequence[LeanWitness], focal: Focal) -> Lean | None:
     step = _STEP_DEG
     reach = np.arange(-_MOST_DEG, _MOST_DEG + step, step)
     leans = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
-    for look in range(_LOOKS):
+    for look in range(n_looks):
         leans = leans[np.hypot(*leans.T) <= _MOST_DEG]
         focals = focal.pixels * np.exp(focal.log_sd * steps)
         logs = _log_prior(leans)[:, None] - 0.5 * steps**2
@@ -143,7 +143,7 @@ def find_lean(witnesses: Sequence[LeanWitness], focal: Focal) -> Lean | None:
         if not np.isfinite(logs).any():
             return None
         kept = logs.max(axis=1) > logs.max() - _NEGLIGIBLE
-        if look == _LOOKS - 1 or kept.sum() * _FINER**2 > _MOST_POINTS:
+        if look == n_looks - 1 or kept.sum() * _FINER**2 > _MOST_POINTS:
             break
         likely = steps[logs.max(axis=0) > logs.max() - _NEGLIGIBLE]
         if len(steps) > 1:

@@ -166,7 +166,7 @@ def _measure(request: AreaRequest, chosen: Chosen, folder: Path, workers: int) -
     options = chosen.options()
     detector = open_detector(open_shared(chosen, workers), options)
     threads = chosen.detector.threads or max(1, (os.cpu_count() or 1) // workers)
-    segmenter = load_segmenter(*resolve_segmenter(request.segmenter), threads=threads)
+    segmenter = load_segmenter(*resolve_segmenter(request.segmenter), threads=threads, providers=detector.providers)
     with tile_progress(1, lines_on_terminal=False) as step:
         run = measure_benchmark(
             folder,

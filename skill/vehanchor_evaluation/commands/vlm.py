@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +12,7 @@ import typer
 
 from vehanchor.cli.terminal import tile_progress
 from vehanchor_evaluation.commands.request import plain_command
+from vehanchor_evaluation.commands.service import STOPPED, ProviderName, ServiceRequest
 from vehanchor_evaluation.commands.sources import tell_issues
 
 if TYPE_CHECKING:
@@ -21,26 +21,18 @@ if TYPE_CHECKING:
 
     from vehanchor_evaluation.agent_tools import ToolCaller
     from vehanchor_evaluation.rs_gsd import BenchmarkEntry
-    from vehanchor_evaluation.vlm_api import ModelApi
 
 __all__ = ["vlm"]
 
-_LIMITS, _TOOLS = "Ceilings and the service", "Tools of --agent"
-_STOPPED = 3  # exit status of a run that ended early, results so far written
-
-
-class _Provider(StrEnum):
-    anthropic = "anthropic"
-    openai = "openai"
-    openai_compatible = "openai-compatible"
+_TOOLS = "Tools of --agent"
 
 
 @dataclass(frozen=True, kw_only=True)
-class VlmRequest:
+class VlmRequest(ServiceRequest):
     """The question of the command: each field is an option."""
 
     benchmark: Annotated[Path, typer.Option(metavar="DIR", help="A benchmark that 'evaluate area' has built.")]
-    provider: Annotated[_Provider, typer.Option(help="Whose API: openai-compatible is vLLM, DashScope, ...")]
+    provider: Annotated[ProviderName, typer.Option(help="Whose API: openai-compatible is vLLM, DashScope, ...")]
     model: Annotated[str, typer.Option(metavar="NAME", help="Name of the model there.")]
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where results and replies go; a run goes on there.")]
     hint: Annotated[bool, typer.Option("--hint", help="Tell the model how long cars are, as in the paper.")] = False
@@ -55,38 +47,6 @@ class VlmRequest:
         1568
     )
     max_turns: Annotated[int, typer.Option(min=1, metavar="N", help="Replies that --agent may take an entry.")] = 8
-    base_url: Annotated[
-        str | None,
-        typer.Option(metavar="URL", help="Address of the service. Default: the provider's.", rich_help_panel=_LIMITS),
-    ] = None
-    key_variable: Annotated[
-        str | None,
-        typer.Option(
-            "--api-key-env",
-            metavar="NAME",
-            help="Environment variable with the key. Default: ANTHROPIC_API_KEY or OPENAI_API_KEY.",
-            rich_help_panel=_LIMITS,
-        ),
-    ] = None
-    max_requests: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Requests of this run.", rich_help_panel=_LIMITS)
-    ] = None
-    max_tokens: Annotated[
-        int | None,
-        typer.Option(min=1, metavar="N", help="Input and output tokens of this run.", rich_help_panel=_LIMITS),
-    ] = None
-    requests_per_minute: Annotated[
-        float | None, typer.Option(min=0.001, metavar="N", help="At most so fast.", rich_help_panel=_LIMITS)
-    ] = None
-    max_output_tokens: Annotated[
-        int, typer.Option(min=16, metavar="N", help="Of one reply.", rich_help_panel=_LIMITS)
-    ] = 4096
-    timeout: Annotated[
-        float, typer.Option(min=0.1, metavar="S", help="Of one attempt, seconds.", rich_help_panel=_LIMITS)
-    ] = 120.0
-    retries: Annotated[
-        int, typer.Option(min=0, metavar="N", help="Attempts after the first.", rich_help_panel=_LIMITS)
-    ] = 6
     detector: Annotated[
         str | None, typer.Option(metavar="FILE", help="Default: the bundled.", rich_help_panel=_TOOLS)
     ] = None
@@ -94,22 +54,6 @@ class VlmRequest:
         tuple[str, str] | None,
         typer.Option(metavar="ENCODER DECODER", help="Default: the bundled.", rich_help_panel=_TOOLS),
     ] = None
-
-    def open_api(self) -> ModelApi:
-        """Connect to the model, with the ceilings that were chosen."""
-        from vehanchor_evaluation.vlm_api import Budget, open_api, reply_journal
-
-        return open_api(
-            self.provider.value,
-            self.model,
-            reply_journal(self.out),
-            Budget(self.max_requests, self.max_tokens, self.requests_per_minute),
-            base_url=self.base_url,
-            key_variable=self.key_variable,
-            max_output_tokens=self.max_output_tokens,
-            timeout_s=self.timeout,
-            max_retries=self.retries,
-        )
 
     def open_tools(self, entries: Sequence[BenchmarkEntry]) -> AbstractContextManager[ToolCaller]:
         """Open the tools of an agent, which read the images of the benchmark and nothing else."""
@@ -133,7 +77,7 @@ def vlm(request: VlmRequest) -> None:
     from vehanchor_evaluation.vlm_report import report_stem, vlm_report
 
     built, sha256 = load_benchmark(request.benchmark)
-    entries, api = built.entries[: request.limit], request.open_api()
+    entries, api = built.entries[: request.limit], request.open_api(request.provider, request.model, request.out)
     query = Query(hint=request.hint, agent=request.agent, max_side_px=request.max_side, max_turns=request.max_turns)
     with ExitStack() as stack:
         tools = stack.enter_context(request.open_tools(entries)) if request.agent else None
@@ -146,4 +90,4 @@ def vlm(request: VlmRequest) -> None:
     print(area_markdown(report), end="")
     if run.stopped:
         print(f"stopped: {run.stopped}; the same command goes on from here", file=sys.stderr)
-        raise typer.Exit(_STOPPED)
+        raise typer.Exit(STOPPED)

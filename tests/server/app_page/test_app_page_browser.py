@@ -356,7 +356,8 @@ def test_a_cancelled_call_is_told(host: Host, calls: dict[str, Call]) -> None:
 
 def test_a_host_that_passes_on_the_text_alone_still_shows_it(host: Host, calls: dict[str, Call]) -> None:
     host.show()
-    host.result(calls["good"], {"content": [{"type": "text", "text": "0.1 m/px"}]})
+    for_the_model = {"type": "text", "text": "give back scale {}", "annotations": {"audience": ["assistant"]}}
+    host.result(calls["good"], {"content": [{"type": "text", "text": "0.1 m/px"}, for_the_model]})
     host.says("#sentence", "0.1 m/px")
 
 

@@ -20,7 +20,9 @@ async def answers(client: Any, calls: list[tuple[str, dict[str, Any]]]) -> dict[
         for name, arguments in calls:
             try:
                 result = await client.call_tool(name, arguments)
-                results.append({"text": result.content[0].text, "record": result.structured_content})
+                words, *pictures = result.content
+                seen = {"text": words.text, "record": result.structured_content}
+                results.append({**seen, "picture": pictures[0].mime_type} if pictures else seen)
             except ToolError as error:
                 results.append({"text": str(error)})
         return {"tools": tools, "results": results}

@@ -20,10 +20,9 @@ async def answers(server: Any, calls: list[tuple[str, dict[str, Any]]]) -> dict[
         for name, arguments in calls:
             # By alias, since attributes are camelCase in mcp 1 and snake_case in mcp 2.
             result = (await server.call_tool(name, arguments)).model_dump(mode="json", by_alias=True)
-            text = result["content"][0]["text"]
-            results.append(
-                {"text": text} if result["isError"] else {"text": text, "record": result["structuredContent"]}
-            )
+            words, *pictures = result["content"]
+            seen = {"text": words["text"], "record": result["structuredContent"]}
+            results.append({**seen, "picture": pictures[0]["mimeType"]} if pictures else seen)
         return {"tools": tools, "results": results}
 
 

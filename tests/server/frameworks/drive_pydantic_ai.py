@@ -21,7 +21,10 @@ async def answers(toolset: Any, calls: list[tuple[str, dict[str, Any]]]) -> dict
         results = []
         for name, arguments in calls:
             try:
-                results.append({"record": await toolset.direct_call_tool(name, arguments)})
+                result = await toolset.direct_call_tool(name, arguments)
+                parts = isinstance(result, list)  # where there is a picture; else it is the record
+                seen = {"text": result[0], "picture": result[1].media_type} if parts else {"record": result}
+                results.append(seen)
             except ModelRetry as error:  # what the model is told
                 results.append({"text": str(error)})
         return {"tools": tools, "results": results}

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+import onnxruntime
 import pytest
 from typer.testing import CliRunner
 
@@ -25,6 +26,8 @@ from vehanchor.batch.row import COLUMNS
 from vehanchor.batch.run import journal_path, open_journal
 from vehanchor.batch.worker import Task, Worker
 from vehanchor.cli import app as cli
+from vehanchor.courts import proposals
+from vehanchor.detection import scene
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import (
     ImageNotFoundError,
@@ -36,6 +39,8 @@ from vehanchor.errors import (
     WorkerDiedError,
 )
 from vehanchor.estimate import estimate_gsd
+from vehanchor.models.files import models_sha256, read_model
+from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Frame, Reference, ScaleOptions
 from vehanchor.records import GsdEstimate
 
@@ -164,6 +169,27 @@ def test_want_of_memory_is_an_images_row_under_its_code(
     monkeypatch.setattr(Detector, "detect_tile", hungry)
     run_batch(["cars.png"], table, detector=detector, workers=1)
     assert [row["error_code"] for row in _rows(table)] == ["out_of_memory"]
+
+
+def test_a_worker_of_one_thread_wakes_no_other_core(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[int | None] = []
+    session = onnxruntime.InferenceSession
+
+    def counted(path: Any, options: Any, **more: Any) -> Any:
+        opened.append(options.intra_op_num_threads)
+        return session(path, options, **more)
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", counted)
+    for load in (scene, proposals):  # what another test has loaded stays there
+        monkeypatch.setattr(load, "_loaded", load._loaded.__wrapped__)
+    before = cv2.getNumThreads()
+    try:
+        worker = Worker.of_own_process(BatchJob("vehicles", models_sha256(read_model(resolve_model()))))
+        assert cv2.getNumThreads() == 1
+        assert worker.row(Task.of(str(folder / "empty.png"))).estimate is not None
+    finally:
+        cv2.setNumThreads(before)
+    assert opened == [1] * 5  # the detector, the two networks beside it, the ground's and that of courts
 
 
 def test_a_worker_refuses_another_model_than_the_runs(detector: Path) -> None:

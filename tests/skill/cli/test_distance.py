@@ -91,3 +91,12 @@ def test_help_shows_commands_in_panels() -> None:
     panels = ["Measure", "For agents", "This installation", "Calibrate and evaluate"]
     for panel, command in zip(panels, ("distance", "skill", "doctor", "calibrate"), strict=True):
         assert out.index(panel) < out.index(command, out.index(panel))
+
+
+@pytest.mark.parametrize("command", ["estimate", "distance", "measure"])
+def test_the_options_that_people_need_first_come_first(command: str) -> None:
+    _, out, _ = run(command, "--help")
+    first = out[out.index("What helps most") : out.index("─ Detector")]
+    needed = ("--region", "--known-length", "--height", "--frame")
+    assert [option for option in needed if f"{option} " in first] == list(needed)
+    assert first.count("│ --") == len(needed)

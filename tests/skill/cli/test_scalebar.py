@@ -10,6 +10,9 @@ from typer.testing import CliRunner
 import vehanchor
 from tests.models import blank_image, write_detector
 from vehanchor.cli.app import app
+from vehanchor.imagery.identity import image_id
+from vehanchor.imagery.raster import open_raster
+from vehanchor.records import KnownPlane, KnownScale
 
 
 def run(*arguments: object) -> tuple[int, str]:
@@ -48,6 +51,19 @@ def test_without_a_usable_scale_nothing_is_written(image: Path, tmp_path: Path) 
     out = image.with_name("out.png")
     code, told = run(image, "-o", out, "--detector", write_detector(tmp_path / "painted.onnx"))
     assert (code, told.strip()) == (3, "no bar: there is no scale; nothing was written")
+    assert not out.exists()
+
+
+def test_of_a_camera_that_looked_aside_no_bar_holds(image: Path) -> None:
+    with open_raster(str(image)) as raster:
+        plane = KnownPlane(tilt_deg=35.0, roll_deg=0.0, focal_length_px=800.0)
+        facts = {"gsd_ci95_low_m_per_px": 0.09, "gsd_ci95_high_m_per_px": 0.11, "confidence": 0.9}
+        known = KnownScale(gsd_m_per_px=0.1, image_id=image_id(raster), model_id="0" * 12, plane=plane, **facts)
+    scale, out = image.with_name("scale.json"), image.with_name("out.png")
+    scale.write_text(known.model_dump_json())
+    code, told = run(image, "-o", out, "--scale", scale)
+    assert code == 3
+    assert told.strip() == "no bar: the camera looked 35 degrees aside, and no one scale holds; nothing was written"
     assert not out.exists()
 
 

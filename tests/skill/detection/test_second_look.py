@@ -28,7 +28,7 @@ def test_a_chip_lies_along_its_candidate(length: float, angle: float) -> None:
     rows, columns = np.mgrid[0:300, 0:300] + 0.5
     along = (columns - 150) * np.cos(angle) + (rows - 140) * np.sin(angle)
     ramp = np.clip(128 + 100 * along / length, 0, 255).astype(np.uint8)
-    chip = surroundings(np.repeat(ramp[:, :, None], 3, axis=2), (150.0, 140.0, length, 0.4 * length, angle))
+    (chip,) = surroundings(np.repeat(ramp[:, :, None], 3, axis=2), [(150.0, 140.0, length, 0.4 * length, angle)])
     assert chip.shape == (CHIP_PX, CHIP_PX, 3)
     middle = chip[CHIP_PX // 2, :, 0].astype(float)
     assert middle[14] == pytest.approx(78, abs=8)
@@ -38,7 +38,17 @@ def test_a_chip_lies_along_its_candidate(length: float, angle: float) -> None:
 
 def test_outside_the_image_its_border_is_repeated() -> None:
     pixels = np.full((40, 60, 3), 90, np.uint8)
-    assert (surroundings(pixels, (0.5, 39.5, 80.0, 30.0, 1.0)) == 90).all()
+    assert (surroundings(pixels, [(0.5, 39.5, 80.0, 30.0, 1.0)]) == 90).all()
+
+
+def test_chips_are_the_same_cut_alone_or_with_others() -> None:
+    rng = np.random.default_rng(3)
+    pixels = rng.integers(0, 255, (150, 170, 3), dtype=np.uint8)
+    boxes = np.column_stack(
+        [rng.uniform(-5, 175, (60, 2)), rng.uniform(8, 70, 60), np.full(60, 9.0), rng.uniform(-1.6, 1.6, 60)]
+    )
+    assert np.array_equal(surroundings(pixels, boxes), np.concatenate([surroundings(pixels, box) for box in boxes]))
+    assert surroundings(pixels, np.zeros((0, 5))).shape == (0, CHIP_PX, CHIP_PX, 3)
 
 
 def test_weights_make_one_score_of_two_opinions() -> None:

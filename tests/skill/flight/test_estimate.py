@@ -3,6 +3,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,6 +15,7 @@ from vehanchor.errors import ImageDecodeError, ImageError, InvalidParameterError
 from vehanchor.estimate import analyse_raster
 from vehanchor.flight import estimate as flight_estimate
 from vehanchor.flight.taken import Taken
+from vehanchor.flight.video import sample_video
 from vehanchor.imagery.raster import ImageSource
 
 FLEET = list(30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3))
@@ -110,3 +112,32 @@ def test_an_interrupted_flight_goes_on_where_it_stopped(
         vehanchor.estimate_flight(flight, same_scale=True, detector=detector, journal=journal, progress=stop)
     with pytest.raises(InvalidParameterError, match="unfinished run"):
         vehanchor.estimate_flight(flight, same_scale=True, detector=detector, journal=journal, alpha=2.0)
+
+
+def test_an_interrupted_flight_of_a_video_goes_on_where_it_stopped(
+    detector: Detector, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    film, journal = tmp_path / "film.avi", tmp_path / "flight.journal"
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 1.0, (480, 360))
+    for _ in range(3):
+        writer.write(car_park(FLEET)[:, :, ::-1])
+    writer.release()
+
+    def stop(done: int, _total: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        vehanchor.estimate_flight(
+            sample_video(str(film), 1.0), same_scale=True, detector=detector, journal=journal, progress=stop
+        )
+    searched: list[object] = []
+
+    def counted(*arguments: Any, **more: Any) -> Any:
+        searched.append(arguments)
+        return analyse_raster(*arguments, **more)
+
+    monkeypatch.setattr(flight_estimate, "analyse_raster", counted)
+    again = vehanchor.estimate_flight(sample_video(str(film), 1.0), same_scale=True, detector=detector, journal=journal)
+    assert len(searched) == 1
+    assert len(again.photographs) == 3

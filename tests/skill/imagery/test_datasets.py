@@ -225,3 +225,7 @@ def test_overviews_show_where_to_look_without_reading_the_whole_file(tmp_path: P
         assert seen is not None
         assert np.abs(seen.astype(int) - expected).max() <= 1
         np.testing.assert_array_equal(read_reduced_window(raster, Window(3, 2, 40, 30), 8), expected)
+        next_finer = raster.read_overview(Window(3, 2, 30, 20), 16)
+        assert next_finer is not None
+        assert np.abs(next_finer.astype(int) - read_reduced_window(raster, Window(3, 2, 30, 20), 16)).max() <= 1
+        assert raster.read_overview(Window(0, 0, 20, 10), 32) is None

@@ -77,7 +77,7 @@ def bad_paths(tmp_path: Path) -> dict[str, str]:
     ("name", "message"),
     [
         ("missing", "No such file"),
-        ("directory", "is a directory"),
+        ("directory", "is a folder: give an image; vehanchor.find_images"),
         ("fifo", "is a pipe"),
         ("device", "device"),
         ("below a file", "Not a directory"),

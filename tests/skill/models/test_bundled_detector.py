@@ -11,9 +11,9 @@ import pytest
 
 from tests.conftest import ROOT
 from vehanchor.defaults import REGIONS
-from vehanchor.detection.detector import Detector
+from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.estimate import estimate_gsd
-from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, fleet_beside, resolve_model
+from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, fleet_beside, resolve_model, second_look_beside
 from vehanchor.records import GsdEstimate
 from vehanchor_evaluation.gsd import read_table, run_trials, summarise
 from vehanchor_scenes import Scene, render_scene
@@ -84,8 +84,36 @@ def test_the_shipped_file_is_the_one_that_was_measured() -> None:
     assert hashlib.sha256(fleet.read_bytes()).hexdigest() in path.with_suffix(".md").read_text(encoding="utf-8")
 
 
-def test_the_network_that_tells_fleets_apart_is_no_detector_of_its_own() -> None:
-    assert list(bundled_models()) == [DEFAULT_DETECTOR]
+def test_the_networks_beside_a_detector_are_no_detectors_of_their_own() -> None:
+    assert list(bundled_models()) == [DEFAULT_DETECTOR, "vehicles-int8"]
+
+
+def test_the_file_in_eight_bits_is_the_one_that_was_measured() -> None:
+    path = resolve_model(None, "int8")
+    look = second_look_beside(path)
+    assert look is not None
+    card = path.with_suffix(".md").read_text(encoding="utf-8")
+    results = (ROOT / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")
+    for file in (path, look):
+        sha256 = hashlib.sha256(file.read_bytes()).hexdigest()
+        assert sha256 in results
+        assert sha256 in card
+    assert path.stat().st_size + look.stat().st_size <= 2_500_000
+
+
+def test_eight_bits_say_nearly_what_float32_says_and_the_record_names_them(scene: Scene, detector: Detector) -> None:
+    image = np.ascontiguousarray(scene.image[:512, :512])
+    plain = estimate_gsd(image, detector=detector)
+    small, again = (estimate_gsd(image, detector="vehicles-int8", threads=threads) for threads in (1, 2))
+    assert small == again
+    assert (plain.model, small.model) == ("vehicles", "vehicles-int8")
+    assert small.model_sha256 != plain.model_sha256
+    assert small.gsd_m_per_px == pytest.approx(plain.gsd_m_per_px, rel=0.02)
+    assert small.confidence == pytest.approx(plain.confidence, abs=0.1)
+    cards = detector.card, load_detector(resolve_model("vehicles-int8")).card
+    assert cards[1].quantised_from == cards[0].name
+    assert cards[1].fleet_sha256 == cards[0].fleet_sha256
+    assert cards[1].second_look_sha256 not in (None, cards[0].second_look_sha256)
 
 
 def test_the_shipped_file_carries_its_calibration(detector: Detector) -> None:

@@ -13,6 +13,7 @@ from vehanchor.models.zoo import (
     fleet_beside,
     resolve_model,
     resolve_segmenter,
+    second_look_beside,
 )
 
 if TYPE_CHECKING:
@@ -48,6 +49,32 @@ def test_a_detector_is_given_by_its_name_or_its_path(bundled: Path, tmp_path: Pa
     for name in ("fleet", "segmenter-encoder", str(tmp_path / "absent.onnx"), str(tmp_path)):
         with pytest.raises(ModelNotFoundError, match=r"bundled detectors \(boats, vehicles\)"):
             resolve_model(name)
+
+
+def test_a_bundled_detector_in_eight_bits_is_asked_for_by_precision(
+    bundled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, small = bundled / "vehicles.onnx", bundled / "vehicles-int8.onnx"
+    with pytest.raises(ModelNotFoundError, match="'vehicles' in int8"):
+        resolve_model(None, "int8")
+    small.touch()
+    for quick in (True, False):
+        monkeypatch.setattr(zoo, "has_byte_dot_products", lambda quick=quick: quick)
+        assert resolve_model(None, "auto") == resolve_model("vehicles", "auto") == (small if quick else plain)
+        assert resolve_model(None, "int8") == resolve_model("vehicles-int8") == small
+        assert resolve_model("vehicles-int8", "int8") == resolve_model("vehicles-int8", "auto") == small
+        assert resolve_model(None, "float32") == resolve_model() == plain
+        assert resolve_model("boats", "auto") == bundled / "boats.onnx"
+    own = tmp_path / "own.onnx"
+    own.touch()
+    assert resolve_model(own, "auto") == own
+    with pytest.raises(ModelNotFoundError, match="in int8"):
+        resolve_model(own, "int8")
+    assert fleet_beside(small) == fleet_beside(plain) == bundled / "fleet.onnx"
+    (bundled / "second-look-int8.onnx").touch()
+    assert second_look_beside(small) == bundled / "second-look-int8.onnx"
+    assert second_look_beside(plain) is None
+    assert list(bundled_models()) == ["boats", "vehicles", "vehicles-int8"]
 
 
 def test_the_fleet_network_lies_beside_its_detector(bundled: Path, tmp_path: Path) -> None:

@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.analyses import analyse_found, made_card, make_analysis
-from vehanchor.anchors.evidence import Mark
+from vehanchor.anchors.attitude import Attitude, tilt_record
+from vehanchor.anchors.evidence import ImageFacts, Mark
 from vehanchor.detection.sighting import Sighting
 from vehanchor.errors import OutputError
 from vehanchor.estimate import ScaleAnalysis
@@ -119,6 +120,15 @@ def test_a_scale_that_is_not_to_be_used_has_no_scale_bar() -> None:
     corner = (slice(600, 700), slice(0, 600))
     assert (draw_overlay(_grey(1000, 700), doubtful)[corner] == 100).all()
     assert not (draw_overlay(_grey(1000, 700), sure)[corner] == 100).all()
+
+
+def test_a_picture_that_was_taken_aside_has_no_scale_bar() -> None:
+    level = _judged(make_analysis(np.array([[900.0, 100.0, 50.0, 20.0, 0.0]]), 1000, 700), "ok", None)
+    tilt = tilt_record(Attitude(35.0, 0.0, 800.0, "metadata"), ImageFacts(1000, 700), 0.1)
+    aside = replace(level, estimate=level.estimate.model_copy(update={"tilt": tilt}))
+    corner = (slice(600, 700), slice(0, 600))
+    assert (draw_overlay(_grey(1000, 700), aside)[corner] == 100).all()
+    assert draw_overlay(_grey(1000, 700), aside).shape[0] > draw_overlay(_grey(1000, 700), level).shape[0]
 
 
 def test_the_image_itself_is_not_drawn_into_and_may_be_read_only() -> None:

@@ -70,7 +70,7 @@ def _start(job: BatchJob) -> None:
     global _worker
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _worker = Worker(job)
+    _worker = Worker.of_own_process(job)
 
 
 def _end_with_parent() -> None:

@@ -47,7 +47,7 @@ class _Actor:
 
     def __call__(self, batch: dict[str, Any], job: BatchJob) -> dict[str, Any]:
         if self._worker is None:  # not in __init__: Ray warns of actors whose constructor has arguments
-            self._worker = Worker(job)
+            self._worker = Worker.of_own_process(job)
         tasks = [Task(str(file), str(path)) for file, path in zip(batch["file"], batch["path"], strict=True)]
         return {"row": [row.model_dump_json() for row in self._worker.rows(tasks)]}
 

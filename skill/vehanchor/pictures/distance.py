@@ -1,0 +1,43 @@
+"""The picture of a measured line: its length beside it, the vehicles behind the scale, a scale bar."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from vehanchor.anchors.evidence import Mark
+from vehanchor.pictures.marks import draw_marks
+from vehanchor.pictures.measured import MEASURED_RGB, finish, open_canvas, size_in_words
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from vehanchor.findings import DistanceFindings
+
+__all__ = ["draw_distance"]
+
+
+def draw_distance(image: NDArray[np.uint8], analysis: DistanceFindings) -> NDArray[np.uint8]:
+    """Draw a measured line and what its length rests on, under a caption with length, scale and confidence.
+
+    The length stands beside the middle of the line, too, where it is one to use.
+
+    Args:
+        image: ``[h, w, 3]`` RGB, the measured image or a reduced copy of it (see
+            ``vehanchor.pictures.scale.read_reduced``).
+        analysis: of that image.
+
+    Returns:
+        ``[h', w', 3]`` RGB, at most 2048 px a side before the caption is added.
+    """
+    record = analysis.measurement
+    canvas = open_canvas(image, record, analysis.scale)
+    usable = record.status == "ok" and record.distance_m is not None
+    line = Mark(
+        tuple((point.x_px, point.y_px) for point in record.path), f"{record.distance_m:.3g} m" if usable else ""
+    )
+    draw_marks(canvas.picture, [line], canvas.scale, MEASURED_RGB)
+    length = size_in_words(
+        record.distance_m, record.distance_ci95_low_m, record.distance_ci95_high_m, "m", f"{record.length_px:.0f} px"
+    )
+    return finish(canvas, record, length)

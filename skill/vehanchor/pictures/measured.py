@@ -1,0 +1,99 @@
+"""What pictures of measured things share: the vehicles behind the scale below, the bar and the caption above."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+import numpy as np
+
+from vehanchor.advice import ADVICE
+from vehanchor.pictures.marks import draw_marks
+from vehanchor.pictures.scale import (
+    caption_panel,
+    draw_scale_bar,
+    draw_vehicles,
+    fit_for_eyes,
+    with_interval,
+    with_margins,
+)
+from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.findings import ScaleFindings
+    from vehanchor.pictures.scale import CaptionLine
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement
+
+    Measured: TypeAlias = AreaMeasurement | DistanceMeasurement
+
+__all__ = ["MEASURED_RGB", "Canvas", "finish", "open_canvas", "size_in_words"]
+
+MEASURED_RGB = (204, 121, 167)  # Okabe and Ito's reddish purple, beside the vehicles' sky blue and orange
+
+
+class Canvas(NamedTuple):
+    """A picture to draw into.
+
+    Attributes:
+        picture: ``[h, w, 3]`` RGB, a copy of the image fit for eyes.
+        scale: ``[2]`` pixels of the picture per image pixel, across and down.
+    """
+
+    picture: NDArray[np.uint8]
+    scale: NDArray[np.float64]
+
+
+def open_canvas(image: NDArray[np.uint8], record: Measured, scale: ScaleFindings | None) -> Canvas:
+    """Copy an image, with what the scale rests on drawn over it.
+
+    Args:
+        image: ``[h, w, 3]`` RGB, the measured image or a reduced copy of it.
+        record: of that image.
+        scale: the vehicles and other rulers; None where the scale was given.
+    """
+    picture = fit_for_eyes(image)
+    factors = np.array([picture.shape[1] / record.image_width_px, picture.shape[0] / record.image_height_px])
+    if scale is not None:
+        draw_vehicles(picture, scale, factors)
+        draw_marks(picture, scale.marks, factors)
+    return Canvas(picture, factors)
+
+
+def finish(canvas: Canvas, record: Measured, size: str, doubt: str = "") -> NDArray[np.uint8]:
+    """Add the bar, where the scale holds all over, and the caption: size, scale, and first what speaks against them.
+
+    Args:
+        canvas: with what was measured drawn into it.
+        record: of that.
+        size: what was measured, in words.
+        doubt: what else to know about it, behind the scale.
+
+    Returns:
+        ``[h', w', 3]`` RGB.
+    """
+    picture, against = with_margins(canvas.picture), _against(record)
+    level = record.scale is None or record.scale.tilt is None
+    if record.gsd_m_per_px is not None and level and not against:
+        draw_scale_bar(picture, record.gsd_m_per_px / float(canvas.scale[0]))
+    lines: list[CaptionLine] = [[(None, f"not to be used: {against}")]] if against else []
+    lines.append([(MEASURED_RGB, size)])
+    if record.gsd_m_per_px is not None:
+        source = "given" if record.confidence is None else f"confidence {record.confidence:.2f}"
+        lines.append([(None, f"{record.gsd_m_per_px:.4g} m/px, {source}{doubt}")])
+    return np.concatenate([picture, caption_panel(picture.shape[1], lines)])
+
+
+def size_in_words(value: float | None, low: float | None, high: float | None, unit: str, pixels: str) -> str:
+    """A size with its interval, or its pixels where there is no scale."""
+    if value is None:
+        return f"{pixels}; no scale: nothing of known size found"
+    return with_interval(value, low, high, unit)
+
+
+def _against(record: Measured) -> str:
+    """Why the scale is not to be used; empty where it is, and where there is none."""
+    if record.confidence is None or record.gsd_m_per_px is None or record.confidence >= FALLBACK_CONFIDENCE:
+        return ""
+    reason = None if record.scale is None else record.scale.reason
+    return f"the scale's confidence is below {FALLBACK_CONFIDENCE}" if reason is None else ADVICE[reason].why
