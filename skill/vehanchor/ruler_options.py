@@ -68,7 +68,8 @@ class Rulers:
             does not run.
         metadata: read the camera's metadata in the file; False is the paper's case.
         known_lengths: lines of known length, x1, y1, x2, y2 in pixels and metres.
-        height_m: of the camera above the ground, metres, for a picture taken straight down.
+        height_m: of the camera above the ground, metres; a picture counts as taken straight down unless its metadata
+            or its courts say otherwise.
         focal_35mm: focal length of a 35 mm camera with the same view, millimetres; None takes the file's.
 
     Raises:
@@ -98,7 +99,9 @@ class Rulers:
     )
     height_m: float | None = field(
         default=None,
-        metadata=choice("Height of the camera above the ground, metres, looking straight down.", metavar="M"),
+        metadata=choice(
+            "Height of the camera above the ground, metres; straight down unless metadata say otherwise.", metavar="M"
+        ),
     )
     focal_35mm: float | None = field(
         default=None,

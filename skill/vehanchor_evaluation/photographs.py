@@ -50,7 +50,8 @@ def survey_photographs(
         known_lengths: reads the lines of known length of single photographs, given what they are; None for none.
 
     Returns:
-        The photographs of which one knows the scale, with what it may be off by; the others as issues.
+        The photographs of which one knows the scale, with what it may be off by; as issues the others, and those whose
+        camera looked aside.
 
     Raises:
         InvalidParameterError: a path does not exist, or the options leave no such ruler.
@@ -79,6 +80,12 @@ def survey_photographs(
         if gsd is None or low is None or high is None:
             why = " ".join(notice.message for notice in record.warnings) or "no ruler but vehicles finds anything in it"
             issues.append(FileIssue(file, "no_other_ruler", why))
+            continue
+        if record.tilt is not None:
+            why = (
+                f"the camera looked {record.tilt.tilt_deg:.0f} degrees aside: one scale does not hold for all vehicles"
+            )
+            issues.append(FileIssue(file, "camera_tilted", why))
             continue
         log_sd = math.log(high / low) / (2 * _Z95)
         images.append(KnownScaleImage(file, gsd, labels=labels_beside(file), gsd_log_sd=log_sd))

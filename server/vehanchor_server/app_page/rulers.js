@@ -5,11 +5,12 @@ const RULERS = {
   courts: "Sports courts", positions: "Positions",
 };
 
+const hasOtherRulers = (scale) => (scale.rulers ?? []).some(({ kind }) => kind !== "vehicles" && kind !== "scene_scale");
+
 // Vehicles alone, or with the ground's word, need no list: the readings above say it.
 function rulersSection(scale) {
-  const rulers = scale.rulers ?? [];
-  if (!rulers.some(({ kind }) => kind !== "vehicles" && kind !== "scene_scale")) return undefined;
-  const rows = rulers.map((ruler) => {
+  if (!hasOtherRulers(scale)) return undefined;
+  const rows = scale.rulers.map((ruler) => {
     const name = RULERS[ruler.kind] ?? ruler.kind.replaceAll("_", " ");
     const lead = ruler.kind === scale.scale_source ? ", leads" : "";
     const bounds = interval(ruler.gsd_ci95_low_m_per_px, ruler.gsd_ci95_high_m_per_px, "m/px");

@@ -10,7 +10,7 @@ function reading(name, value, unit, ...notes) {
 }
 
 function scaleReading(scale) {
-  if (scale.gsd_m_per_px === null) return reading("Scale", "none", "", "no vehicle found");
+  if (scale.gsd_m_per_px === null) return reading("Scale", "none", "", "nothing of known size found");
   const bounds = interval(scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px, "m/px");
   return reading("Scale", number(scale.gsd_m_per_px), "m/px", bounds);
 }
@@ -67,8 +67,10 @@ const TERMS = [ // the paper's weights, section III-D
   ["plausibility", "Plausible length", 0.1],
 ];
 
+// With another ruler the confidence is the chance of being right, and the terms are those of the vehicles beside it.
 function confidence(scale) {
   const value = scale.confidence;
+  const fused = hasOtherRulers(scale);
   const tick = (at, kind, ...words) => html("div", { class: `tick ${kind}`, left_share: at }, html("span", {}, ...words));
   const track = html(
     "div",
@@ -77,7 +79,7 @@ function confidence(scale) {
       "aria-valuenow": value.toFixed(2), "aria-valuetext": `${value.toFixed(2)}; 0.5 or more is safe to use`,
     },
     html("div", { class: "fill", width_share: value }),
-    scale.resolution_guard ? tick(0.3, "cap", "0.3", html("br"), "guard's cap") : undefined,
+    scale.resolution_guard && !fused ? tick(0.3, "cap", "0.3", html("br"), "guard's cap") : undefined,
     tick(0.5, "", "0.5", html("br"), "act from here"),
   );
   const terms = TERMS.map(([key, words, weight]) => [
@@ -91,6 +93,7 @@ function confidence(scale) {
   return section(
     "Confidence", "",
     html("div", { class: "gauge" }, html("p", { class: `reading ${scale.status}` }, value.toFixed(2)), track),
-    html("dl", { class: "terms" }, ...terms.flat()),
+    fused ? html("p", { class: "note" }, `Chance that the scale is right within 20 %, by all rulers.${scale.n_vehicles ? " Of the vehicles alone:" : ""}`) : undefined,
+    fused && !scale.n_vehicles ? undefined : html("dl", { class: "terms" }, ...terms.flat()),
   );
 }

@@ -47,6 +47,7 @@ _RULERS = {
     "known_length": "known length",
     "height": "the given height",
     "courts": "sports courts",
+    "positions": "the metadata's positions",
 }
 
 

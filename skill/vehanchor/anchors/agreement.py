@@ -19,8 +19,10 @@ AGREEMENT = 0.2  # two scales agree where the larger is at most this share above
 _NAMES = {
     "vehicles": "the vehicles say",
     "camera": "the camera's height says",
+    "known_length": "the known length says",
     "height": "the given height says",
     "courts": "the courts say",
+    "positions": "the positions say",
 }
 _CHECK = "Check which of them is wrong before using either."
 

@@ -20,7 +20,16 @@ if TYPE_CHECKING:
     from vehanchor.anchors.stated import StatedEvidence
     from vehanchor.imagery.camera_metadata import CameraMetadata
 
-__all__ = ["MAX_OFF_NADIR_DEG", "Camera", "Lens", "equivalent_lens", "lens", "taken_ratio"]
+__all__ = [
+    "MAX_OFF_NADIR_DEG",
+    "Camera",
+    "Lens",
+    "cropped",
+    "equivalent_lens",
+    "lens",
+    "looking_aside",
+    "taken_ratio",
+]
 
 _HEIGHT_LOG_SD = 0.12  # ground below is not the ground of the take-off: 10 to 15 %
 _HEIGHT_SD_M = 2.0  # barometer and the height of the hand or roof it started from
@@ -72,7 +81,7 @@ class Camera:
         if camera.digital_zoom > _MAX_DIGITAL_ZOOM:
             return self._unusable(f"the picture was enlarged {camera.digital_zoom:g} times in the camera")
         if taken_ratio(view.image, camera) is None:
-            return says_nothing(self.kind, _cropped(view.image, camera))
+            return says_nothing(self.kind, cropped(view.image, camera, "its camera's metadata are no ruler"))
         seen = lens(view.image, camera)
         if seen is None:
             if camera.off_nadir_deg is not None and camera.off_nadir_deg > MAX_OFF_NADIR_DEG:
@@ -85,19 +94,20 @@ class Camera:
         return replace(measured, marks=(Mark.of_height(view.image, camera.height_m),))
 
     def _measure(self, camera: CameraMetadata, height_m: float, seen: Lens) -> StatedEvidence:
-        tilt = math.radians(camera.off_nadir_deg or 0.0)
-        tilted = tilt > math.radians(MAX_OFF_NADIR_DEG)
-        if tilt >= math.radians(_MAX_TILT_DEG):
-            return says_nothing(self.kind, _tilted(math.degrees(tilt), "so far that"))
-        gsd = height_m / seen.pixels * (math.cos(tilt) ** -1.5 if tilted else 1.0)  # vehanchor.scale.plane
+        tilt_deg = camera.off_nadir_deg or 0.0
+        tilted = tilt_deg > MAX_OFF_NADIR_DEG
+        if tilt_deg >= _MAX_TILT_DEG:
+            return says_nothing(self.kind, _tilted(tilt_deg, "so far that"))
+        coarser, tilt_log_sd = looking_aside(tilt_deg if tilted else 0.0)
+        gsd = height_m / seen.pixels * coarser
         if not on_grid(gsd):
             return self._unusable(f"{height_m:g} m and {seen.source} would make {gsd:.3g} m/px")
         aimed = camera.off_nadir_deg is not None
         log_sd = math.hypot(math.hypot(_HEIGHT_LOG_SD, _HEIGHT_SD_M / height_m), seen.log_sd)
         said = f"The camera's metadata say {{}}: {height_m:g} m ({camera.height_tag}) and {seen.source}."
         if tilted:
-            log_sd = math.hypot(log_sd, 1.5 * math.tan(tilt) * _TILT_SD)
-            notices = [_tilted(math.degrees(tilt))]
+            log_sd = math.hypot(log_sd, tilt_log_sd)
+            notices = [_tilted(tilt_deg)]
             said += " At the image's centre."
             return stated(self.kind, gsd, log_sd, _CHANCE_WRONG, said, notices=notices)
         if aimed:
@@ -109,6 +119,19 @@ class Camera:
     def _unusable(self, why: str) -> StatedEvidence:
         message = f"The camera's metadata are no ruler: {why}."
         return says_nothing(self.kind, Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
+
+
+def looking_aside(tilt_deg: float) -> tuple[float, float]:
+    """What a camera that looked aside does to the scale of the image's centre (``vehanchor.scale.plane``).
+
+    Args:
+        tilt_deg: angle between its axis and straight down, below 90.
+
+    Returns:
+        By how much the scale is coarser than straight down, and the standard deviation of the log of that.
+    """
+    tilt = math.radians(tilt_deg)
+    return math.cos(tilt) ** -1.5, 1.5 * math.tan(tilt) * _TILT_SD
 
 
 def taken_ratio(image: ImageFacts, camera: CameraMetadata) -> float | None:
@@ -192,10 +215,10 @@ def _tilted(off_nadir_deg: float, unusable: str = "") -> Notice:
     return Notice(code=NoticeCode.CAMERA_TILTED, message=looked + rest)
 
 
-def _cropped(image: ImageFacts, camera: CameraMetadata) -> Notice:
+def cropped(image: ImageFacts, camera: CameraMetadata, means: str) -> Notice:
+    """Tell that an image is a piece of the picture that was taken, and what that means."""
     return Notice(
         code=NoticeCode.CAMERA_CROPPED,
         message=f"The picture was taken with {camera.taken_width_px} x {camera.taken_height_px} px and has "
-        f"{image.width_px} x {image.height_px}: it is a crop, and its camera's metadata are no ruler. Give the "
-        "original.",
+        f"{image.width_px} x {image.height_px}: it is a crop, and {means}. Give the original.",
     )

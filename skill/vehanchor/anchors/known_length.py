@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from vehanchor.anchors.camera import equivalent_lens, lens
+from vehanchor.anchors.attitude import TILT_SD_DEG
+from vehanchor.anchors.camera import cropped, equivalent_lens, lens, looking_aside, taken_ratio
 from vehanchor.anchors.evidence import Mark
 from vehanchor.anchors.stated import on_grid, says_nothing, stated
 from vehanchor.errors import KnownLengthError
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
     from vehanchor.anchors.camera import Lens
     from vehanchor.anchors.evidence import View
     from vehanchor.anchors.stated import StatedEvidence
+    from vehanchor.scale.plane import GroundPlane
 
 __all__ = ["GivenHeight", "KnownLengths"]
 
@@ -31,8 +34,15 @@ class KnownLengths:
 
     kind = "known_length"
 
-    def look(self, view: View) -> StatedEvidence:
+    def look(self, view: View, plane: GroundPlane | None = None) -> StatedEvidence:
         """Weigh the lines by how many pixels each has.
+
+        Args:
+            view: of the image.
+            plane: the ground, where the camera looked aside; its scale does not matter.
+
+        Returns:
+            The scale, of the image's centre where the camera looked aside.
 
         Raises:
             KnownLengthError: they would make a scale that no picture has.
@@ -44,14 +54,15 @@ class KnownLengths:
         across, down = view.image.width_px / frame[0], view.image.height_px / frame[1]
         logs, log_sds = [], []
         for line in lines:
-            length_px = math.hypot((line.x2 - line.x1) * across, (line.y2 - line.y1) * down)
+            ends = (line.x1 * across, line.y1 * down), (line.x2 * across, line.y2 * down)
+            length_px, tilt_log_sd = _as_at_the_centre(*ends, plane)
             if not on_grid(line.metres / length_px):
                 raise KnownLengthError(
                     f"a line of {line.metres:g} m over {length_px:.0f} px would make {line.metres / length_px:.3g} "
                     "m/px: give metres, and pixels of the image or of the frame that you name"
                 )
             logs.append(math.log(line.metres / length_px))
-            log_sds.append(math.hypot(math.sqrt(2) * _END_SD_PX / line.length_px, _LINE_LOG_SD))
+            log_sds.append(math.hypot(math.sqrt(2) * _END_SD_PX / line.length_px, _LINE_LOG_SD, tilt_log_sd))
         weights = [1 / sd**2 for sd in log_sds]
         mean = sum(weight * log for weight, log in zip(weights, logs, strict=True)) / sum(weights)
         off_sds = [abs(log - mean) / sd for log, sd in zip(logs, log_sds, strict=True)]
@@ -59,6 +70,7 @@ class KnownLengths:
         scales = sorted(math.exp(log) for log in logs)
         apart = max(off_sds) > _LINES_APART_SDS
         said = f"The {len(lines)} given lines say {{}}." if len(lines) > 1 else "The given line says {}."
+        said += _AT_THE_CENTRE if plane else ""
         return stated(
             self.kind,
             math.exp(mean),
@@ -79,20 +91,33 @@ class GivenHeight:
 
     kind = "height"
 
-    def look(self, view: View) -> StatedEvidence:
-        """Measure by the given height, as of a picture taken straight down."""
+    def look(self, view: View, tilt_deg: float = 0.0) -> StatedEvidence:
+        """Measure by the given height.
+
+        Args:
+            view: of the image.
+            tilt_deg: angle between the camera's axis and straight down, where it is known that it looked aside.
+
+        Returns:
+            The scale, of the image's centre where the camera looked aside.
+        """
         chosen, image = view.options.rulers, view.image
         if chosen.height_m is None:
             return says_nothing(self.kind)
+        camera = image.camera if chosen.metadata else None
+        if camera is not None and taken_ratio(image, camera) is None:
+            return says_nothing(self.kind, cropped(image, camera, _NO_LENS_OF_A_CROP))
         seen: Lens | None = None
         if chosen.focal_35mm is not None:
             seen = equivalent_lens(image.width_px, image.height_px, chosen.focal_35mm)
-        elif chosen.metadata and image.camera is not None:
-            seen = lens(image, image.camera)
+        elif camera is not None:
+            seen = lens(image, camera)
         if seen is None:
             return says_nothing(self.kind, _FOCAL_LENGTH_MISSING)
-        gsd = chosen.height_m / seen.pixels
+        coarser, tilt_log_sd = looking_aside(tilt_deg)
+        gsd = chosen.height_m / seen.pixels * coarser
         said = f"The given height says {{}}: {chosen.height_m:g} m and {seen.source}."
+        said += _AT_THE_CENTRE if tilt_deg else ""
         if not on_grid(gsd):
             return says_nothing(
                 self.kind,
@@ -102,14 +127,30 @@ class GivenHeight:
                     f"{gsd:.3g} m/px.",
                 ),
             )
-        log_sd, marks = math.hypot(_HEIGHT_LOG_SD, seen.log_sd), [Mark.of_height(image, chosen.height_m)]
+        log_sd, marks = math.hypot(_HEIGHT_LOG_SD, seen.log_sd, tilt_log_sd), [Mark.of_height(image, chosen.height_m)]
         return stated(self.kind, gsd, log_sd, _CHANCE_WRONG_HEIGHT, said, marks=marks)
 
 
+_AT_THE_CENTRE = " At the image's centre."
+_NO_LENS_OF_A_CROP = (
+    "no focal length of the whole picture holds for it: the given height is no ruler. If focal_35mm is that of the "
+    "crop, leave the metadata out"
+)
 _FOCAL_LENGTH_MISSING = Notice(
     code=NoticeCode.FOCAL_LENGTH_MISSING,
     message="A height was given, but no focal length, and the file has none that holds for it: give focal_35mm, too.",
 )
+
+
+def _as_at_the_centre(
+    first: tuple[float, float], second: tuple[float, float], plane: GroundPlane | None
+) -> tuple[float, float]:
+    """Pixels that a line would have at the image's centre, seen from straight above, and the log's spread of that."""
+    if plane is None:
+        return math.dist(first, second), 0.0
+    less = replace(plane, gsd_m_per_px=1.0, tilt_deg=plane.tilt_deg - TILT_SD_DEG)
+    here, there = (float(each.length([first], [second])[0]) for each in (replace(plane, gsd_m_per_px=1.0), less))
+    return here, abs(math.log(here / there))
 
 
 def _lines_disagree(finest: float, coarsest: float) -> Notice:

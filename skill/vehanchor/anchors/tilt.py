@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from vehanchor.anchors.attitude import TILT_SD_DEG, Attitude, plane_with
 from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, Camera
 from vehanchor.anchors.courts import CourtsEvidence
+from vehanchor.anchors.known_length import GivenHeight, KnownLengths
 from vehanchor.anchors.leaning import SURE, cars_witness, focal_of
 from vehanchor.anchors.scene_scale import SceneScale
 from vehanchor.anchors.stated import says_nothing
@@ -71,8 +72,8 @@ def on_the_plane(others: Sequence[Evidence], looked: Attitude, view: View) -> tu
     """What rulers say of the scale at the image's centre, where the camera looked aside.
 
     Args:
-        others: evidence of the rulers beside vehicles: courts and the camera's height are measured again, and the
-            ground's own look is left out, whose network was never shown such a view.
+        others: evidence of the rulers beside vehicles: courts, lines and heights are measured again, and the ground's
+            own look is left out, whose network was never shown such a view.
         looked: where the camera looked.
         view: of the image.
     """
@@ -85,6 +86,10 @@ def on_the_plane(others: Sequence[Evidence], looked: Attitude, view: View) -> tu
         elif each.kind == Camera.kind and camera is not None and camera.off_nadir_deg is not None:
             aimed = image._replace(camera=replace(camera, off_nadir_deg=looked.tilt_deg))
             found.append(Camera().look(replace(view, image=aimed)))
+        elif each.kind == GivenHeight.kind:
+            found.append(GivenHeight().look(view, looked.tilt_deg))
+        elif each.kind == KnownLengths.kind:
+            found.append(KnownLengths().look(view, plane))
         else:
             found.append(says_nothing(each.kind) if each.kind == SceneScale.kind else each)
     return tuple(found)

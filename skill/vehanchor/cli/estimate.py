@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.detector import Detector
     from vehanchor.estimate import ScaleAnalysis
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import GsdEstimate, TiltEstimate
+    from vehanchor.records import GsdEstimate, RulerScale, TiltEstimate
 
 __all__ = ["estimate"]
 
@@ -206,12 +206,16 @@ def _write_outputs(analysis: ScaleAnalysis, outputs: _Outputs) -> None:
 
 
 def _estimate_table(source: str, record: GsdEstimate) -> Table:
-    guard = "; capped by the resolution guard" if record.resolution_guard else ""
+    fused = any(ruler.kind not in ("vehicles", "scene_scale") for ruler in record.rulers)
+    guard = "; capped by the resolution guard" if record.resolution_guard and not fused else ""
+    searched = record.stopped_because is not None
     facts = [
         ("scale", scale_text(record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px)),
         ("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}{guard}"),
-        ("vehicles", f"{record.n_vehicles} kept of {record.n_detections} found"),
+        ("vehicles", f"{record.n_vehicles} kept of {record.n_detections} found" if searched else "not looked for"),
     ]
+    if fused:
+        facts.append(("rulers", "\n".join(map(_ruler_text, record.rulers))))
     if record.reason is not None:
         facts.append(("not to be used", f"{ADVICE[record.reason].why}: {ADVICE[record.reason].helps}"))
     size = f"{record.image_width_px} x {record.image_height_px} px"
@@ -220,8 +224,9 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
         told = " by the vehicles' look" if record.reference_source == "appearance" else ""
         found = f"{record.mode_length_px:.1f} px ({record.aggregation})"
         facts.append(("modal length", f"{found} = {record.reference_length_m:.4g} m{told}{found_at}"))
+    if record.gsd_m_per_px is not None and record.tilt is None:
         width_m, height_m = (side * record.gsd_m_per_px for side in (record.image_width_px, record.image_height_px))
-        size += "" if record.tilt else f" = {width_m:.4g} x {height_m:.4g} m"
+        size += f" = {width_m:.4g} x {height_m:.4g} m"
     if record.tilt is not None:
         facts.append(("looked aside", _tilt_text(record.tilt)))
     facts.append(("image", size))
@@ -233,6 +238,12 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
         facts.append(("file's own scale", f"{record.georeference_gsd_m_per_px:.4g} m/px"))
     facts.append(("model", f"{record.model} ({record.model_sha256[:_SHORT_SHA]})"))
     return facts_table(source, facts)
+
+
+def _ruler_text(ruler: RulerScale) -> str:
+    """What one ruler says, and what came of it."""
+    part = f"weight {100 * ruler.weight:.0f} %" if ruler.agrees else "disagrees, outvoted"
+    return f"{ruler.kind.replace('_', ' ')} {ruler.gsd_m_per_px:.4g} m/px, {part}"
 
 
 def _tilt_text(tilt: TiltEstimate) -> str:

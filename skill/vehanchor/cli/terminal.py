@@ -180,7 +180,7 @@ def facts_table(title: str, facts: Sequence[tuple[str, str]]) -> Table:
 def scale_text(gsd: float | None, low: float | None, high: float | None) -> str:
     """A scale with its interval."""
     if gsd is None:
-        return "none: no vehicle found"
+        return "none: nothing of known size found"
     interval = "" if low is None or high is None else f"   (95 %: {low:.4g} to {high:.4g})"
     return f"{gsd:.4g} m/px{interval}"
 

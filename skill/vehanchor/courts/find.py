@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
@@ -13,7 +14,7 @@ from vehanchor.courts.axes import axes
 from vehanchor.courts.court import Court
 from vehanchor.courts.fit import AFFINE, HOMOGRAPHY, SIMILARITY, fit, pose_matrix, project
 from vehanchor.courts.match import Pose, Reach, match
-from vehanchor.courts.proposals import boxes_of_courts, coarse_factors, load_court_network
+from vehanchor.courts.proposals import LENGTHS_M, boxes_of_courts, coarse_factors, load_court_network
 from vehanchor.courts.template import BASKETBALL, TENNIS
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
@@ -34,15 +35,18 @@ if TYPE_CHECKING:
 
 __all__ = ["Proposed", "find_courts", "measure_court", "propose_courts", "rough_court"]
 
-_FAR = Reach(math.radians(3), math.radians(3), 0.32, 0.04, 15, 3)
+_FAR = Reach(0.0, 1.0, 0.4, 0.04, 27, 3)  # proposals lie on a court's end as often as on its middle
 _NEAR = Reach(math.radians(4), math.radians(2), 0.045, 0.015, 3, 1)
 _THERE = Reach(0.0, 1.0, 0.01, 0.01, 1, 1)
 _MOST_COURTS = 4
-_MOST_IN_VAIN = 4  # proposals one after the other that are no courts, and one for each size that is searched
+_MOST_LOOKED_AT, _MOST_OF_ONE_SIZE = 20, 6  # proposals, the surest; fewer where the ground says how large courts are
+_MOST_IN_VAIN = 4  # of what has lines like a court, one after the other
 _PERSPECTIVE_PX = 150.0  # least length of a court for a homography
 _FITTED_PX = 220.0  # a court is fitted at the coarsest resolution at which it is at least so long, if there is one
 _AROUND = 0.6  # of a court's length: where the directions of its lines are looked for
-_MARGIN = 1.35  # of the patch that is read, over the court's half diagonal
+_LEAST_PX = 60.0  # length of a court in the image: of a shorter one lines are a pixel or two apart, and much looks so
+_MATCHED_PX = 72.0  # least length of a court whose lines are looked for, where there are so many pixels
+_MARGIN = 1.5  # of the patch that is read, over the court's half diagonal
 
 _WORTH_A_FIT = 0.3
 _LEAST_SCORE = 0.55  # 0.50 is the most that came of 232 training images without a court (RESULTS.md)
@@ -75,6 +79,15 @@ class _Patch(NamedTuple):
         """A pose of the patch in the image's pixels."""
         x, y = ((value + 0.5) * self.factor - 0.5 for value in (pose.x + self.left, pose.y + self.top))
         return Pose(x, y, pose.angle, pose.px_per_m * self.factor)
+
+
+class _Laid(NamedTuple):
+    """A game's lines laid over those of a patch: how well, and where; its templates, the one that was laid first."""
+
+    score: float
+    patch: _Patch
+    pose: Pose
+    game: tuple[Template, ...]
 
 
 class Proposed(NamedTuple):
@@ -133,14 +146,16 @@ def find_courts(
     proposals, n_sizes = proposed or propose_courts(
         raster, sighting, card, providers=providers, run_options=run_options
     )
+    surest = islice(_apart(proposals), _MOST_OF_ONE_SIZE if n_sizes == 1 else _MOST_LOOKED_AT)
+    laid = [each for proposal in surest for each in _laid(raster, proposal)]
     found: list[Court] = []
     in_vain = 0
-    for proposal in _apart(proposals):
-        if in_vain == _MOST_IN_VAIN + n_sizes or len(found) == _MOST_COURTS:
+    for one in sorted(laid, key=lambda each: -each.score):
+        if in_vain == _MOST_IN_VAIN or len(found) == _MOST_COURTS:
             break
-        if any(_lies_in(proposal.pose, court) for court in found):
+        if any(_lies_in(one.patch.outside(one.pose), court) for court in found):
             continue
-        court = measure_court(raster, proposal)
+        court = _measured(raster, one)
         in_vain = 0 if court else in_vain + 1
         if court is not None and not any(_lies_in(_pose_of(court), other) for other in found):
             found.append(court)
@@ -170,11 +185,8 @@ def measure_court(raster: Raster, proposal: Proposal) -> Court | None:
         raster: the image.
         proposal: where it may be. That it names the wrong game does no harm.
     """
-    for patch, pose, game in _matched(raster, proposal):
-        court = _measured(raster, patch, pose, game)
-        if court is not None:
-            return court
-    return None
+    courts = (_measured(raster, each) for each in _laid(raster, proposal))
+    return next((court for court in courts if court is not None), None)
 
 
 def rough_court(raster: Raster, proposal: Proposal) -> Court | None:
@@ -182,7 +194,7 @@ def rough_court(raster: Raster, proposal: Proposal) -> Court | None:
 
     What comes is a guess at its shape, not a court: judge it where it is seen from straight above.
     """
-    for patch, start, game in _matched(raster, proposal):
+    for _, patch, start, game in _laid(raster, proposal):
         ((score, pose),) = match(patch.grey, game[:1], start, _NEAR)
         seen = fit(patch.grey, game[0], pose_matrix(pose), HOMOGRAPHY)
         if seen.coverage < _ROUGH_COVERAGE or not math.isfinite(seen.corner_sd_px):
@@ -196,25 +208,33 @@ def rough_court(raster: Raster, proposal: Proposal) -> Court | None:
     return None
 
 
-def _matched(raster: Raster, proposal: Proposal) -> Iterator[tuple[_Patch, Pose, tuple[Template, ...]]]:
-    """Where templates lie best near a proposal, the game that fits best first."""
+def _laid(raster: Raster, proposal: Proposal) -> list[_Laid]:
+    """Where templates lie best near a proposal, the game that fits best first; none where there are too few lines."""
     games = ((TENNIS,), BASKETBALL)[:: -1 if proposal.which else 1]
     firsts = [game[0] for game in games]  # each stands for its game while it is searched for
-    patch = _read(raster, proposal.pose, firsts[0], max(1, proposal.factor // 2))
+    patch = _read(raster, proposal.pose, firsts[0], _matched_factor(proposal))
     start = patch.inside(proposal.pose)
     turned = axes(patch.grey, start.x, start.y, _AROUND * firsts[0].length_m * start.px_per_m)
     angles = [axis + quarter for axis in turned for quarter in (0.0, math.pi / 2)]
     matched = match(patch.grey, firsts, start, _FAR, angles)
-    for (score, pose), game in sorted(zip(matched, games, strict=True), key=lambda each: -each[0][0]):
-        if score >= _WORTH_A_FIT:
-            yield patch, pose, game
+    laid = [_Laid(score, patch, pose, game) for (score, pose), game in zip(matched, games, strict=True)]
+    return sorted((each for each in laid if each.score >= _WORTH_A_FIT), key=lambda each: -each.score)
 
 
-def _measured(raster: Raster, patch: _Patch, pose: Pose, templates: tuple[Template, ...]) -> Court | None:
-    """The court of the template that fits best near a pose of a patch."""
+def _matched_factor(proposal: Proposal) -> int:
+    """The coarsest reduction at which a court so large still shows its lines."""
+    length_px = LENGTHS_M[proposal.which] * proposal.pose.px_per_m
+    return int(2 ** max(0, math.floor(math.log2(length_px / _MATCHED_PX))))
+
+
+def _measured(raster: Raster, laid: _Laid) -> Court | None:
+    """The court of the template that fits best near where its game was laid."""
+    _, patch, pose, templates = laid
     ((_, pose),) = match(patch.grey, templates[:1], pose, _NEAR)
     first = fit(patch.grey, templates[0], pose_matrix(pose), SIMILARITY)
-    ((score, pose),) = match(patch.grey, templates[:1], _pose(first.matrix), _THERE)
+    if templates[0].length_m * first.px_per_m * patch.factor < _LEAST_PX:
+        return None
+    score, pose = max(match(patch.grey, templates, _pose(first.matrix), _THERE), key=lambda each: each[0])
     if score < _LEAST_SCORE:
         return None
     fits = [(kind, *_fitted(raster, kind, patch, pose)) for kind in templates]

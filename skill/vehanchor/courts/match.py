@@ -21,6 +21,8 @@ _LEAST_CONTRAST = 3.0  # grey levels
 _CONTRAST_PER_TEXTURE = 1.5
 _TEXTURE_PX, _SMOOTH_PX = 15, 5
 _MARGIN_M = 1.5
+_LONG = 0.35  # of a court's length: its longer lines alone tell where all of them are looked at
+_LOOKED_AT = 48  # places and sizes of an angle
 
 
 class Pose(NamedTuple):
@@ -114,9 +116,7 @@ def match(
         sums = _turned_sums(grey, start, float(angle), half_x, half_y)
         cos, sin = np.cos(angle), np.sin(angle)
         for index, template_ends in enumerate(ends):
-            scores = template_ends.scores(sums, places)
-            size, row, column = np.unravel_index(int(scores.argmax()), scores.shape)
-            score = float(scores[size, row, column])
+            score, size, row, column = template_ends.best(sums, places)
             if score > best[index][0]:
                 dx, dy = places[column], places[row]
                 x, y = start.x + cos * dx - sin * dy, start.y + sin * dx + cos * dy
@@ -161,12 +161,14 @@ class _Ends(NamedTuple):
         last: of its end.
         weights: ``[sizes, lines]``, 1 over its pixels, times its share of the lines; negative where none should be.
         steps: ``[lines, 2]`` what a row and a column of the patch add to an index.
+        long: indices of the lines that are painted and long: by them alone it is told where to look at all.
     """
 
     first: NDArray[np.intp]
     last: NDArray[np.intp]
     weights: NDArray[np.float32]
     steps: NDArray[np.intp]
+    long: NDArray[np.intp]
 
     @classmethod
     def of(cls, template: Template, sizes: NDArray[np.float64], half_x: int, half_y: int) -> _Ends:
@@ -185,12 +187,21 @@ class _Ends(NamedTuple):
         first = base + (half_y + y1) * pitch + half_x + x1
         last = base + (half_y + y2 + ~along) * pitch + half_x + x2 + along
         count = np.where(along, x2 - x1, y2 - y1) + 1
-        return cls(first, last, np.asarray(shares / count, np.float32), np.stack([pitch, np.ones_like(pitch)], axis=1))
+        steps = np.stack([pitch, np.ones_like(pitch)], axis=1)
+        (long,) = np.nonzero(wanted & (metres >= _LONG * template.length_m))
+        return cls(first, last, np.asarray(shares / count, np.float32), steps, long)
 
-    def scores(self, sums: NDArray[np.float32], places: NDArray[np.intp]) -> NDArray[np.float32]:
-        """``[sizes, rows, columns]`` of all places of the centre."""
-        shift = self.steps[:, 0, None, None] * places[:, None] + self.steps[:, 1, None, None] * places
-        shift = shift.reshape(len(shift), -1)
-        seen = sums[self.last[:, :, None] + shift] - sums[self.first[:, :, None] + shift]
-        total = np.einsum("sl,slp->sp", self.weights, seen)
-        return np.asarray(total.reshape(len(total), len(places), len(places)), np.float32)
+    def best(self, sums: NDArray[np.float32], places: NDArray[np.intp]) -> tuple[float, int, int, int]:
+        """The best score, and the indices of its size, row and column, of all places of the centre."""
+        rows, columns = (each.ravel() for each in np.meshgrid(places, places, indexing="ij"))
+        shift = self.steps[:, :1] * rows + self.steps[:, 1:] * columns  # [lines, places]
+        few = shift[self.long]
+        seen = sums[self.last[:, self.long, None] + few] - sums[self.first[:, self.long, None] + few]
+        told = np.einsum("sl,slp->sp", self.weights[:, self.long], seen).ravel()
+        kept = np.argpartition(told, -_LOOKED_AT)[-_LOOKED_AT:] if len(told) > _LOOKED_AT else np.arange(len(told))
+        size, place = np.unravel_index(kept, (len(self.weights), shift.shape[1]))
+        there = shift.T[place]
+        whole = self.weights[size] * (sums[self.last[size] + there] - sums[self.first[size] + there])
+        scores = whole.sum(axis=1)
+        top = int(scores.argmax())
+        return float(scores[top]), int(size[top]), *(int(each) for each in divmod(int(place[top]), len(places)))

@@ -33,7 +33,14 @@ if TYPE_CHECKING:
     from vehanchor.detection.sighting import Sighting
     from vehanchor.imagery.raster import Raster
 
-__all__ = ["CourtNetwork", "Proposal", "boxes_of_courts", "coarse_factors", "load_court_network"]
+__all__ = [
+    "LENGTHS_M",
+    "CourtNetwork",
+    "Proposal",
+    "boxes_of_courts",
+    "coarse_factors",
+    "load_court_network",
+]
 
 _CELL_PX = 8  # side of the network's cells, and what its length is told in: training/courts/network.py
 _LENGTH_PX = 44.0
@@ -44,7 +51,7 @@ _TILE_PX, _STRIDE_PX = 1088, 960  # of the reduced image: they overlap by two co
 _LEAST_SHARE = 0.25
 _MIN_SIDE_PX = 24
 _NAMES = {"tennis": 0, "basketball": 1}
-_LENGTHS_M = (TENNIS.length_m, BASKETBALL[0].length_m)
+LENGTHS_M = (TENNIS.length_m, BASKETBALL[0].length_m)
 
 
 class Proposal(NamedTuple):
@@ -150,10 +157,20 @@ def _peaks(seen: NDArray[np.float32], factor: int, left: int, top: int) -> list[
         for row, column in zip(*np.nonzero((shares >= highest) & (shares >= _LEAST_SHARE)), strict=True):
             cos, sin, log_length = (float(value) for value in seen[2:, row, column])
             length_px = _LENGTH_PX * math.exp(min(max(log_length, -1.0), 1.0)) * factor
-            x, y = ((left, top) + (np.array([column, row]) + 0.5) * _CELL_PX) * factor - 0.5
-            pose = Pose(float(x), float(y), math.atan2(sin, cos) / 2, length_px / _LENGTHS_M[which])
+            cell = column + _between(shares[row], column), row + _between(shares[:, column], row)
+            x, y = ((left, top) + (np.array(cell) + 0.5) * _CELL_PX) * factor - 0.5
+            pose = Pose(float(x), float(y), math.atan2(sin, cos) / 2, length_px / LENGTHS_M[which])
             found.append(Proposal(which, float(shares[row, column]), pose, factor))
     return found
+
+
+def _between(shares: NDArray[np.float32], at: int) -> float:
+    """How far beside a cell a peak lies, in cells: the shares around it fall off like a normal density."""
+    if not 0 < at < len(shares) - 1:
+        return 0.0
+    before, here, after = np.log(np.maximum(shares[at - 1 : at + 2], 1e-6))
+    bend = before - 2 * here + after
+    return float(np.clip((before - after) / (2 * bend), -0.5, 0.5)) if bend < 0 else 0.0
 
 
 def boxes_of_courts(sighting: Sighting, card: DetectorCard) -> list[Proposal]:
@@ -173,7 +190,7 @@ def boxes_of_courts(sighting: Sighting, card: DetectorCard) -> list[Proposal]:
         if which is None:
             continue
         x, y, length_px, _, angle = (float(value) for value in box)
-        size = length_px / _LENGTHS_M[which]
+        size = length_px / LENGTHS_M[which]
         factor = max(1, 2 ** round(math.log2(max(size * 0.6, 1.0))))  # at about 0.6 m/px
         found.append(Proposal(which, float(score), Pose(x - 0.5, y - 0.5, angle, size), factor))
     return found

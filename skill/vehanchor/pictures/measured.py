@@ -87,7 +87,7 @@ def finish(canvas: Canvas, analysis: AreaFindings | DistanceFindings, size: str,
 def size_in_words(value: float | None, low: float | None, high: float | None, unit: str, pixels: str) -> str:
     """A size with its interval, or its pixels where there is no scale."""
     if value is None:
-        return f"{pixels}; no scale: no vehicle found"
+        return f"{pixels}; no scale: nothing of known size found"
     return with_interval(value, low, high, unit)
 
 

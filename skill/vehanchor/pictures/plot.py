@@ -71,7 +71,9 @@ def plot_scale(analysis: ScaleFindings) -> Figure:
             axes.spines[side].set_visible(False)
     if not (measured or fused):
         rows[0].set_axis_off()
-        rows[0].text(0.5, 0.5, "no scale: no vehicle found", ha="center", va="center", fontsize=14, color=_INK)
+        rows[0].text(
+            0.5, 0.5, "no scale: nothing of known size found", ha="center", va="center", fontsize=14, color=_INK
+        )
         return figure
     if measured:
         _plot_lengths(figure, rows[0], analysis)
@@ -83,7 +85,7 @@ def plot_scale(analysis: ScaleFindings) -> Figure:
 
 def _title(estimate: GsdEstimate) -> str:
     if estimate.gsd_m_per_px is None:
-        return "no scale: no vehicle found"
+        return "no scale: nothing of known size found"
     interval = ""
     if estimate.gsd_ci95_low_m_per_px is not None and estimate.gsd_ci95_high_m_per_px is not None:
         interval = f" (95 %: {estimate.gsd_ci95_low_m_per_px:.4g} to {estimate.gsd_ci95_high_m_per_px:.4g})"

@@ -214,7 +214,7 @@ def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
 
 def _headline(estimate: GsdEstimate) -> str:
     if estimate.gsd_m_per_px is None:
-        return "no scale: no vehicle found"
+        return "no scale: nothing of known size found"
     low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
     return with_interval(estimate.gsd_m_per_px, low, high, "m/px")
 

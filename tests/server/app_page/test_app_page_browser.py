@@ -256,7 +256,7 @@ def test_the_guard_and_its_cap_are_shown(
     assert float(host.page.locator(".mode-line").get_attribute("x1")) < float(
         host.page.locator(".guard-line").get_attribute("x1")
     )
-    assert "The guard caps the confidence." in host.page.get_by_role("img", name="Histogram").get_attribute(
+    assert "The guard caps the vehicles' confidence." in host.page.get_by_role("img", name="Histogram").get_attribute(
         "aria-label"
     )
 
@@ -288,7 +288,7 @@ def test_no_anchor_shows_no_number(host: Host, calls: dict[str, Call], results: 
     host.show()
     host.result(calls["no anchor"], results["no anchor"])
     host.says("#status", "No metric scale")
-    host.says(".readings > div:first-child", "Scalenoneno vehicle found")
+    host.says(".readings > div:first-child", "Scalenonenothing of known size found")
     host.says(".gauge .reading", "0.00")
     assert host.page.get_by_role("img", name="Histogram").count() == 0
     assert "null" not in host.page.locator("main").inner_text()
@@ -435,9 +435,12 @@ def test_every_ruler_is_listed_with_what_it_says_and_who_disagrees(
         assert f"{ruler['gsd_m_per_px']:.3g} m/px" in row
         assert ("disagrees" in row) == (not ruler["agrees"])
     assert [ruler["agrees"] for ruler in rulers].count(False) == 1
+    by_all = host.page.get_by_text("Chance that the scale is right within 20 %, by all rulers. Of the vehicles alone:")
+    assert by_all.count() == 1
     host.result(calls["good"], results["good"])
     host.says("#sentence", results["good"]["content"][0]["text"])
     assert rows.count() == 0
+    assert by_all.count() == 0
 
 
 @pytest.mark.parametrize("copy", [None, {"width_px": 320, "height_px": 256}])

@@ -86,6 +86,16 @@ def test_a_height_without_a_focal_length_asks_for_one(view: View) -> None:
     assert [notice.code for notice in evidence.notices] == ["focal_length_missing"]
 
 
+def test_a_given_height_is_no_ruler_of_a_crop_whose_metadata_say_that_it_is_one() -> None:
+    crop = replace(MAVIC, taken_width_px=5472, taken_height_px=3078, height_m=None)
+    for options in ({"height_m": 100}, {"height_m": 100, "focal_35mm": 26}):
+        evidence = GivenHeight().look(_view(crop, **options))
+        assert evidence.gsd_m_per_px is None
+        assert [notice.code for notice in evidence.notices] == ["camera_cropped"]
+    told = GivenHeight().look(_view(crop, height_m=100, focal_35mm=26, metadata=False))
+    assert told.gsd_m_per_px == pytest.approx(100 * 43.27 / (26 * 5000), rel=1e-3)
+
+
 def test_a_height_that_would_make_an_impossible_scale_is_told() -> None:
     evidence = GivenHeight().look(_view(height_m=20_000, focal_35mm=1))
     assert [notice.code for notice in evidence.notices] == ["camera_unusable"]
@@ -117,7 +127,7 @@ def test_rulers_that_agree_within_a_fifth_are_both_heard() -> None:
 def test_a_ruler_that_disagrees_with_the_cars_is_told_with_both_scales(metres: float) -> None:
     record = _beside_cars(metres).estimate
     assert [notice.code for notice in record.warnings] == ["rulers_disagree"]
-    assert "the vehicles say 0.1, known length says" in record.warnings[-1].message
+    assert "the vehicles say 0.1, the known length says" in record.warnings[-1].message
     assert f"{metres / 100:.2g} m/px" in record.warnings[-1].message
 
 

@@ -13,6 +13,7 @@ from vehanchor.anchors.attitude import Attitude, attitude
 from vehanchor.anchors.camera import Camera
 from vehanchor.anchors.courts import CourtsEvidence, evidence_of
 from vehanchor.anchors.evidence import ImageFacts, View
+from vehanchor.anchors.known_length import GivenHeight, KnownLengths
 from vehanchor.anchors.tilt import joint_attitude, on_the_plane
 from vehanchor.batch.stored import from_json, to_json
 from vehanchor.courts.court import Court
@@ -108,6 +109,28 @@ def test_the_height_of_the_camera_is_measured_along_the_joint_tilt() -> None:
     assert said.gsd_m_per_px is not None
     assert moved.gsd_m_per_px is not None
     assert moved.gsd_m_per_px > said.gsd_m_per_px
+
+
+def test_lines_and_heights_of_the_caller_are_measured_along_the_tilt() -> None:
+    plane = GroundPlane(GSD, 35.0, FOCAL_PX, WIDTH, HEIGHT, 5.0)
+    ends = (100.0, HEIGHT - 60.0), (700.0, HEIGHT - 160.0)  # near the camera: a third of the centre's metres a pixel
+    metres = float(plane.length([ends[0]], [ends[1]])[0])
+    said = {"known_lengths": [(*ends[0], *ends[1], metres)], "height_m": plane.height_m}
+    view = replace(_view(NOTHING, CAMERA), options=ScaleOptions.of(said))
+    looked = Attitude(35.0, 5.0, FOCAL_PX, "metadata")
+    flat = [KnownLengths().look(view), GivenHeight().look(view)]
+    for before, moved in zip(flat, on_the_plane(flat, looked, view), strict=True):
+        assert before.gsd_m_per_px is not None
+        assert before.interval is not None
+        assert abs(before.gsd_m_per_px / GSD - 1) > 0.15
+        assert moved.gsd_m_per_px == pytest.approx(GSD, rel=1e-6)
+        assert moved.interval is not None
+        assert moved.interval.high / moved.interval.low > before.interval.high / before.interval.low
+        assert moved.says is not None
+        assert moved.says.endswith("At the image's centre.")
+    record = analyse_sighting(view).estimate
+    assert record.gsd_m_per_px == pytest.approx(GSD, rel=0.1)  # the metadata have 30 degrees, and no roll
+    assert [ruler.agrees for ruler in record.rulers] == [True, True]
 
 
 def test_a_tilt_that_a_court_cannot_tell_from_a_horizon_is_refused() -> None:

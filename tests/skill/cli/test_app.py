@@ -89,6 +89,17 @@ def test_estimate_prints_a_readable_table(run: Any) -> None:
     assert "19 kept of 20 found" in result.stdout
 
 
+def test_the_table_says_what_each_ruler_says_and_who_disagrees(run: Any) -> None:
+    liar = _estimate(run, "cars.png", "--known-length", 10, 10, 410, 10, 400).stdout
+    assert "disagrees, outvoted" in liar
+    assert "weight 100 %" in liar
+    alone = _estimate(run, "none.png", "--rulers", "known_length", "--known-length", 0, 0, 500, 0, 100).stdout
+    assert "known length 0.2 m/px, weight 100 %" in alone
+    assert "not looked for" in alone
+    assert "900 x 500 px = 180 x 100 m" in alone
+    assert "weight" not in _estimate(run, "cars.png").stdout
+
+
 def test_json_is_the_record_and_its_source(run: Any, folder: Path) -> None:
     result = _estimate(run, "cars.png", "--json")
     assert result.exit_code == 0
@@ -116,7 +127,7 @@ def test_no_anchor_is_a_result(run: Any) -> None:
     (line,) = _lines(result)
     assert line["status"] == "no_anchor"
     assert line["gsd_m_per_px"] is None
-    assert "no vehicle found" in _estimate(run, "none.png").stdout
+    assert "nothing of known size found" in _estimate(run, "none.png").stdout
 
 
 def test_one_bad_image_does_not_stop_the_rest(run: Any) -> None:

@@ -11,9 +11,9 @@ from tests.analyses import made_card
 from tests.skill.courts.drawing import draw_court
 from vehanchor.anchors.courts import evidence_of
 from vehanchor.courts.court import Court
-from vehanchor.courts.find import find_courts, measure_court
+from vehanchor.courts.find import Proposed, find_courts, measure_court
 from vehanchor.courts.match import Pose
-from vehanchor.courts.proposals import Proposal, boxes_of_courts, coarse_factors
+from vehanchor.courts.proposals import Proposal, _peaks, boxes_of_courts, coarse_factors
 from vehanchor.courts.template import BASKETBALL, TENNIS, Template
 from vehanchor.detection.sighting import Objects, Sighting
 from vehanchor.imagery.raster import open_raster
@@ -53,6 +53,11 @@ def test_a_basketball_court_says_by_whose_rules_it_was_painted(template: Templat
     assert court.gsd_m_per_px == pytest.approx(0.1, rel=0.005)
 
 
+def test_a_court_of_fewer_pixels_than_its_lines_need_is_none() -> None:
+    assert _measured(draw_court(TENNIS, 0.36, side_px=160), 0.36) is not None
+    assert _measured(draw_court(TENNIS, 0.44, side_px=160), 0.44) is None
+
+
 def test_a_line_hidden_or_worn_away_does_not_matter() -> None:
     court = _measured(draw_court(TENNIS, 0.25, missing=(8,)), 0.25, factor=2)
     assert court is not None
@@ -90,6 +95,24 @@ def test_boxes_of_a_detector_that_knows_courts_are_followed() -> None:
     with open_raster(image) as raster:
         (court,) = find_courts(raster, seen, card)
     assert court.gsd_m_per_px == pytest.approx(0.3, rel=0.005)
+
+
+def test_what_has_the_lines_of_a_court_is_measured_first_however_unsure_the_network_is_of_it() -> None:
+    image = np.random.default_rng(3).integers(60, 120, (700, 700, 3)).astype(np.uint8)
+    image[380:636, 380:636] = draw_court(TENNIS, 0.2)
+    decoys = [Proposal(0, 0.9, Pose(x, y, 0.3, 5.0), 4) for x in (120.0, 330.0, 560.0) for y in (80.0, 180.0, 280.0)]
+    court = Proposal(0, 0.3, Pose(512.0, 504.0, 1.0, 5.6), 4)  # nine are surer, and its angle is wrong
+    with open_raster(image) as raster:
+        (found,) = find_courts(raster, NOTHING, made_card(4.6), proposed=Proposed([*decoys, court], 4))
+    assert found.gsd_m_per_px == pytest.approx(0.2, rel=0.005)
+
+
+def test_a_peak_between_cells_is_placed_between_them() -> None:
+    rows, columns = np.mgrid[:12, :12]
+    seen = np.zeros((5, 12, 12), np.float32)
+    seen[0] = 0.8 * np.exp(-((columns - 5.3) ** 2 + (rows - 6.6) ** 2) / (2 * 0.9**2))
+    (found,) = _peaks(seen, 2, 100, 40)
+    assert (found.pose.x, found.pose.y) == pytest.approx(((100 + 5.8 * 8) * 2 - 0.5, (40 + 7.1 * 8) * 2 - 0.5), abs=0.5)
 
 
 def test_a_small_image_is_searched_at_every_size_that_a_court_can_have_in_it() -> None:

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 import vehanchor
 from tests.models import blank_image, paint_vehicles, write_detector
 from tests.skill.courts.drawing import draw_court
+from tests.skill.imagery.metadata import exif, jpeg, xmp
 from vehanchor.cli import app as cli
 from vehanchor.courts.template import TENNIS
 from vehanchor.errors import (
@@ -328,6 +329,18 @@ def test_photographs_of_which_no_other_ruler_knows_the_scale_are_told(folder: Pa
     assert silent.exit_code == both.exit_code == 2
     assert "warning[no_other_ruler]" in silent.stderr
     assert "name the images by one of" in both.stderr
+
+
+def test_photographs_of_a_camera_that_looked_aside_are_left_out(folder: Path, tmp_path: Path) -> None:
+    aside = 'drone-dji:RelativeAltitude="60" drone-dji:GimbalPitchDegree="-65"'
+    dji = {"drone-dji": "http://www.dji.com/drone-dji/1.0/"}
+    photograph = tmp_path / "aside.jpg"
+    photograph.write_bytes(jpeg(exif=exif({"FocalLengthIn35mmFilm": 26}), xmp=xmp(dji, aside)))
+    common = ["--detector", folder / "detector.onnx", "--out", tmp_path / "c.json"]
+    result = _run("calibrate", "--photographs", photograph, *common)
+    assert result.exit_code == 2
+    assert "warning[camera_tilted]" in result.stderr
+    assert "25 degrees aside" in result.stderr
 
 
 def test_the_interval_of_an_estimate_follows_the_calibrations_spread(folder: Path, calibration: Path) -> None:
