@@ -204,4 +204,5 @@ class _Ends(NamedTuple):
         whole = self.weights[size] * (sums[self.last[size] + there] - sums[self.first[size] + there])
         scores = whole.sum(axis=1)
         top = int(scores.argmax())
-        return float(scores[top]), int(size[top]), *(int(each) for each in divmod(int(place[top]), len(places)))
+        row, column = divmod(int(place[top]), len(places))
+        return float(scores[top]), int(size[top]), row, column
