@@ -121,7 +121,7 @@ def test_one_liar_of_three_is_named_and_the_scale_stays_that_of_the_others() -> 
     (warning,) = record.warnings
     assert warning.code == "rulers_disagree"
     assert warning.message.startswith(
-        "Known length says 0.2 m/px, and the other rulers disagree: the vehicles say 0.03"
+        "The known length says 0.2 m/px, and the other rulers disagree: the vehicles say 0.03"
     )
 
 
