@@ -203,8 +203,10 @@ def analyse_paths(
     found = find_scale(
         raster, scale, options, object_height_m=object_height_m, progress=progress, run_options=run_options
     )
-    level = found.plane is None
-    return tuple(DistanceAnalysis(_conclude(path, pointing, found), found.analysis, level=level) for path in in_image)
+    return tuple(
+        DistanceAnalysis(_conclude(path, pointing, found), scale=found.analysis, level=found.plane is None)
+        for path in in_image
+    )
 
 
 def _in_image(path: Sequence[Place], pointing: Pointing) -> list[Place]:

@@ -71,47 +71,46 @@ class ScaleFindings:
         return self.vehicles.resolved
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MeasuredFindings:
+    """What a measurement came from, whatever was measured.
+
+    Attributes:
+        scale: the analysis of the scale; None for one that was given, or given back.
+        image: where the image can be read again, for pictures; None for a stream.
+        reading: how it was read; None for the defaults.
+        ground: where on the ground the image lies; None where nothing tells.
+        level: whether one scale holds all over: the camera looked straight down.
+    """
+
+    scale: ScaleFindings | None
+    image: ImageSource | None = None
+    reading: Reading | None = None
+    ground: Ground | None = None
+    level: bool = True
+
+
 @dataclass(frozen=True, eq=False)
-class AreaFindings:
+class AreaFindings(MeasuredFindings):
     """A measurement of an object together with what it came from.
 
     Attributes:
         measurement: the record.
         segmentation: the mask, and the window of the image it lies in.
         prompt: the box or points, in pixels of the full image.
-        scale: the analysis of the scale; None for one that was given, or given back.
-        image: where the image can be read again, for pictures; None for a stream.
-        reading: how it was read; None for the defaults.
-        ground: where on the ground the image lies; None where nothing tells.
-        level: whether one scale holds all over: the camera looked straight down.
     """
 
     measurement: AreaMeasurement
     segmentation: Segmentation
     prompt: Prompt
-    scale: ScaleFindings | None
-    image: ImageSource | None = None
-    reading: Reading | None = None
-    ground: Ground | None = None
-    level: bool = True
 
 
 @dataclass(frozen=True, eq=False)
-class DistanceFindings:
+class DistanceFindings(MeasuredFindings):
     """A measured line together with what its length came from.
 
     Attributes:
         measurement: the record.
-        scale: the analysis of the scale; None for one that was given, or given back.
-        image: where the image can be read again, for pictures; None for a stream.
-        reading: how it was read; None for the defaults.
-        ground: where on the ground the image lies; None where nothing tells.
-        level: whether one scale holds all over: the camera looked straight down.
     """
 
     measurement: DistanceMeasurement
-    scale: ScaleFindings | None
-    image: ImageSource | None = None
-    reading: Reading | None = None
-    ground: Ground | None = None
-    level: bool = True

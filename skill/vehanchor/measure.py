@@ -222,7 +222,7 @@ def analyse_objects(
         for prompt, mask in zip(prompts, masks, strict=True)
     ]
     return tuple(
-        AreaAnalysis(record, mask, prompt, found.analysis, level=found.plane is None)
+        AreaAnalysis(record, mask, prompt, scale=found.analysis, level=found.plane is None)
         for record, prompt, mask in zip(records, prompts, masks, strict=True)
     )
 

@@ -119,9 +119,8 @@ def may_look_aside(view: View) -> bool:
     image, camera = view.image, view.image.camera if view.options.rulers.metadata else None
     if image.georeference_gsd_m_per_px is not None or (camera is not None and camera.off_nadir_deg is not None):
         return False
-    cars = cars_witness(view.sighting, image.width_px, image.height_px)
-    found = None if cars is None else find_lean([cars], focal_of(image, view.options), n_looks=2)
-    return found is None or found.chance_above(MAX_OFF_NADIR_DEG) >= _DOUBT
+    seen = _seen_by_cars(view)
+    return seen is None or seen[1].chance_above(MAX_OFF_NADIR_DEG) >= _DOUBT
 
 
 def lean(sighting: Sighting, width_px: int, height_px: int, focal_px: float | None = None) -> Lean | None:
@@ -155,17 +154,25 @@ def leaning_notice(view: View) -> list[Notice]:
         return []
     if camera is not None and camera.off_nadir_deg is not None:
         return _part_of_tilted(camera.off_nadir_deg) if taken_ratio(image, camera) is None else []
-    cars = cars_witness(view.sighting, image.width_px, image.height_px)
-    found = None if cars is None else find_lean([cars], focal_of(image, view.options), n_looks=2)
-    if cars is None or found is None or found.chance_above(MAX_OFF_NADIR_DEG) < SURE:
+    seen = _seen_by_cars(view)
+    if seen is None or seen[1].chance_above(MAX_OFF_NADIR_DEG) < SURE:
         return []
+    n_cars, found = seen
     message = (
         f"The camera seems to have looked about {found.tilt_deg:.0f} degrees ({found.low_deg:.0f} to "
-        f"{found.high_deg:.0f}) away from straight down: {len(cars.sizes)} cars are larger on one side of the picture. "
+        f"{found.high_deg:.0f}) away from straight down: {n_cars} cars are larger on one side of the picture. "
         "Scales differ over it, and areas and lengths far from its middle are off: give the original file, whose "
         "metadata say where the camera looked, or a crop around the object."
     )
     return [Notice(code=NoticeCode.TILT_SUSPECTED, message=message)]
+
+
+def _seen_by_cars(view: View) -> tuple[int, Lean] | None:
+    """How many cars tell where the camera looked, and where, as finely as it takes to say whether it looked aside."""
+    image = view.image
+    cars = cars_witness(view.sighting, image.width_px, image.height_px)
+    found = None if cars is None else find_lean([cars], focal_of(image, view.options), n_looks=2)
+    return None if cars is None or found is None else (len(cars.sizes), found)
 
 
 def _part_of_tilted(off_nadir_deg: float) -> list[Notice]:
