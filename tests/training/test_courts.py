@@ -45,8 +45,8 @@ def test_a_network_that_has_learned_one_court_proposes_it(tmp_path: Path) -> Non
     torch.manual_seed(0)
     network, stream = CourtNet(), CropStream(_groups(), 0)
     optimizer = torch.optim.AdamW(network.parameters(), lr=4e-3)
-    for step in range(200):
-        parts = [torch.stack(each) for each in zip(*(stream[step * 8 + k] for k in range(8)), strict=True)]
+    for step in range(180):
+        parts = [torch.stack(each) for each in zip(*(stream[step * 6 + k] for k in range(6)), strict=True)]
         loss = torch.stack([*losses(network, (parts[0], parts[1], parts[2]), torch.device("cpu")).values()]).sum()
         optimizer.zero_grad()
         loss.backward()
