@@ -198,7 +198,8 @@ class GsdEstimate(_Record):
     tiles_total: int = Field(ge=0, description="Tiles that the image has, at all resolutions.")
     stopped_because: Stopped | None = Field(
         description="Why the search ended. all_searched: no tile was left. settled: more tiles could not narrow the "
-        "interval (images of 16 megapixels and more). max_tiles, max_seconds: as limited. Null where none was searched."
+        "interval, or by the ground no car can be at their resolution. max_tiles, max_seconds: as limited. Null where "
+        "none was searched."
     )
     aggregation: Aggregation = Field(description="How lengths became one: the mode, or the median below 5 vehicles.")
     reference_length_m: float = Field(gt=0, description="L_ref: vehicle length that P_mode stands for, metres.")

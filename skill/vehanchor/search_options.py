@@ -30,8 +30,8 @@ class Search:
         tile_px: tile side; None is 1024, or the model's input where that is fixed.
         stride_px: step between tiles; None is three quarters of the tile.
         effort: ``full`` visits every tile; ``auto`` and ``fast`` visit those where cars are likely first, and end when
-            more of them cannot narrow the interval (see ``vehanchor.detection.stopping``). Images of less than 16
-            megapixels are always searched wholly.
+            more of them cannot narrow the interval (see ``vehanchor.detection.stopping``). Of images of less than 16
+            megapixels these two leave out only resolutions at which, by the ground, no car is of a size that counts.
         max_tiles: end after so many tiles, those where cars are likely first; None for all.
         max_seconds: the same after so many seconds. The only choice with which a result depends on the machine.
 
@@ -64,7 +64,7 @@ class Search:
         default="auto",
         metadata=choice(
             "Of an image of 16 megapixels and more: full visits every tile, auto ends when more of them cannot narrow "
-            "the interval, fast sooner. Smaller images are always searched wholly."
+            "the interval, fast sooner. Of smaller images these leave out resolutions at which no car can be."
         ),
     )
     max_tiles: int | None = field(

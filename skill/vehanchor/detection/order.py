@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.windows import Window
 
-__all__ = ["TileOrder", "TilePlace", "level_shares", "spread_order"]
+__all__ = ["TileOrder", "TilePlace", "level_chances", "level_shares", "spread_order"]
 
 _SHARE_OF_ALL = 0.2  # of the tiles go to all resolutions alike: the ground may say something wrong
 _SPREAD_EVERY = 4  # every so many tiles one is taken whatever the image shows
@@ -43,30 +43,43 @@ class TilePlace(NamedTuple):
     window: Window
 
 
+def level_chances(
+    length_ranges_px: Mapping[int, tuple[float, float]], density: NDArray[np.float64]
+) -> dict[int, float]:
+    """Say how likely cars fit each resolution.
+
+    Args:
+        length_ranges_px: shortest and longest vehicle that counts at each resolution, pixels of the reduced image.
+        density: ``[g]`` probabilities of the scale on ``vehanchor.scale.fusion.GRID``.
+
+    Returns:
+        Probabilities by factor; neighbours overlap, and at some scales cars fit none.
+    """
+    lengths = CAR_LENGTH_M / np.exp(GRID)
+    return {
+        factor: float(density[(lengths >= low * factor) & (lengths <= high * factor)].sum())
+        for factor, (low, high) in length_ranges_px.items()
+    }
+
+
 def level_shares(
     length_ranges_px: Mapping[int, tuple[float, float]], density: NDArray[np.float64] | None
 ) -> dict[int, float]:
     """Say how many of the tiles belong to each resolution: as many as cars are likely to fit it, and some to all.
 
     Args:
-        length_ranges_px: shortest and longest vehicle that counts at each resolution, pixels of the reduced image.
-        density: ``[g]`` probabilities of the scale on ``vehanchor.scale.fusion.GRID``; None where nobody knows.
+        length_ranges_px: as for ``level_chances``.
+        density: the same; None where nobody knows.
 
     Returns:
         Shares by factor; their sum is 1.
     """
     even = 1.0 / len(length_ranges_px)
-    if density is None:
-        return dict.fromkeys(length_ranges_px, even)
-    lengths = CAR_LENGTH_M / np.exp(GRID)
-    fitting = {
-        factor: float(density[(lengths >= low * factor) & (lengths <= high * factor)].sum())
-        for factor, (low, high) in length_ranges_px.items()
-    }
-    total = sum(fitting.values())
+    chances = {} if density is None else level_chances(length_ranges_px, density)
+    total = sum(chances.values())
     if total <= 0:
         return dict.fromkeys(length_ranges_px, even)
-    return {factor: (1 - _SHARE_OF_ALL) * mass / total + _SHARE_OF_ALL * even for factor, mass in fitting.items()}
+    return {factor: (1 - _SHARE_OF_ALL) * mass / total + _SHARE_OF_ALL * even for factor, mass in chances.items()}
 
 
 def spread_order(places: Sequence[TilePlace]) -> NDArray[np.intp]:

@@ -1,7 +1,8 @@
 """The search of an image: overlapping tiles at one or more resolutions, and what they show merged into one sighting.
 
-All tiles of a small image are visited in reading order. Those of a large one are visited where cars are likely first,
-until the caller's ``standing`` says that more of them cannot narrow the scale's interval.
+Tiles of a small image are visited in reading order; those of resolutions at which, by the ground, no car can be, come
+last and only where the others show few. Tiles of a large one are visited where cars are likely first, until the
+caller's ``standing`` says that more of them cannot narrow the scale's interval.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.levels import search_levels
 from vehanchor.detection.nms import oriented_nms
-from vehanchor.detection.order import TileOrder, TilePlace, level_shares
+from vehanchor.detection.order import TileOrder, TilePlace, level_chances, level_shares
 from vehanchor.detection.promise import promise_map, promise_of
 from vehanchor.detection.sighting import Objects, Sighting
 from vehanchor.detection.stopping import ANYTIME_PIXELS, next_check, settled, stop_rule
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 __all__ = ["search"]
 
 _MIN_TILE_PX = 32
+_LEAST_CHANCE = 0.01  # of cars at a resolution: the flat part of the ground's density alone leaves most of that
+_ENOUGH_VEHICLES = 5  # elsewhere, for such a resolution to be left out: the ground may be wrong
 _TILES_AT_ONCE = 4  # read one after the other while the model works, and chosen by what those before them showed
 
 
@@ -80,11 +83,24 @@ def search(
     if rule.anytime:
         because = _search_in_order(work, rule, standing, tell)
     else:
-        for done, (k, pixels) in enumerate(work.read(work.reading_order())):
-            tell(done, total)
-            work.visit(k, pixels)
+        because = _search_likely_levels(work, everywhere=chosen.effort == "full", tell=tell)
     tell(total, total)
     return work.sighting(because)
+
+
+def _search_likely_levels(work: _Work, *, everywhere: bool, tell: Callable[[int, int], None]) -> Stopped:
+    """Visit the tiles of resolutions that may hold cars, and the others where these show few; why it ended."""
+    unlikely = frozenset() if everywhere else work.unlikely_factors()
+    order = work.reading_order()
+    first = [k for k in order if work.visits[k][0].factor not in unlikely]
+    rest = [k for k in order if work.visits[k][0].factor in unlikely]
+    for tiles in (first, rest):
+        if tiles and tiles is rest and work.n_vehicles >= _ENOUGH_VEHICLES:
+            return "settled"
+        for k, pixels in work.read(tiles):
+            tell(work.n_visited, len(order))
+            work.visit(k, pixels)
+    return "all_searched"
 
 
 def _search_in_order(
@@ -130,7 +146,7 @@ class _Work:
         self._overlap_px = tile_px - stride_px
         self._min_score = card.min_score if options.min_score is None else options.min_score
         self._search_scales = card.search_scales if options.search_scales is None else options.search_scales
-        self._length_range_px = card.length_range_px
+        self._card_range_px = card.length_range_px
         self.levels = search_levels(
             raster.width_px, raster.height_px, card.length_range_px, search_scales=self._search_scales
         )
@@ -145,14 +161,29 @@ class _Work:
     def n_visited(self) -> int:
         return len(self._found)
 
+    @property
+    def n_vehicles(self) -> int:
+        """Found so far, before those found twice are merged."""
+        return sum(len(seen.vehicles) for seen in self._found.values())
+
     def order(self) -> TileOrder:
         """The order in which to visit, by a coarse view of the image."""
         cells = promise_map(self._raster)
         places = [TilePlace(level.factor, tile) for level, tile in self.visits]
         promises = np.array([promise_of(cells, place.window, place.factor) for place in places])
-        shortest = self._length_range_px[0]
-        ranges = {level.factor: (max(shortest, level.shortest_px), level.longest_px) for level in self.levels}
-        return TileOrder(places, promises, level_shares(ranges, None if self._scene is None else self._scene.density))
+        density = None if self._scene is None else self._scene.density
+        return TileOrder(places, promises, level_shares(self._length_ranges_px(), density))
+
+    def unlikely_factors(self) -> frozenset[int]:
+        """Resolutions at which, by the ground, no car is of a length that counts there."""
+        if self._scene is None:
+            return frozenset()
+        chances = level_chances(self._length_ranges_px(), self._scene.density)
+        return frozenset(factor for factor, chance in chances.items() if chance < _LEAST_CHANCE)
+
+    def _length_ranges_px(self) -> dict[int, tuple[float, float]]:
+        shortest = self._card_range_px[0]
+        return {level.factor: (max(shortest, level.shortest_px), level.longest_px) for level in self.levels}
 
     def reading_order(self) -> list[int]:
         """All tiles; of a large image the coarse ones right after the fine ones below them, while these are decoded."""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["ANYTIME_PIXELS", "Standing", "StopRule", "next_check", "settled", "stop_rule"]
 
 ANYTIME_PIXELS = 16_000_000
-"""Images of fewer pixels are searched wholly unless tiles or seconds are limited."""
+"""Images of fewer pixels are searched at every resolution that may hold cars, unless tiles or seconds are limited."""
 
 _AUTO_SHARE, _AUTO_CHECKS = 1 / 3, 2
 _FAST_SHARE, _FAST_CHECKS = 2 / 3, 1

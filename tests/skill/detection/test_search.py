@@ -15,6 +15,7 @@ from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor.detection.boxes import oriented_iou
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, search_levels
+from vehanchor.detection.scene import SceneCalibration, SceneLevel, SceneSighting
 from vehanchor.detection.search import search
 from vehanchor.errors import InvalidParameterError
 from vehanchor.estimate import analyse_scale, estimate_gsd
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    from vehanchor.options import Effort
 
 _RANGE = {"vehanchor.length_range_px": "9,64"}
 _SEARCHING = _RANGE | {"vehanchor.search_scales": "1"}
@@ -150,6 +153,41 @@ def test_progress_counts_the_tiles_of_all_levels_and_may_stop_in_any(searching: 
 
     with open_raster(image) as raster, pytest.raises(TimeoutError):
         search(raster, searching, progress=stop)
+
+
+def _ground(gsd: float) -> SceneSighting:
+    """A ground that is nearly sure of a scale."""
+    first, step = np.log(0.005), 0.05
+    centres = first + step * np.arange(140)
+    log_probs = -0.5 * ((centres - np.log(gsd)) / 0.1) ** 2
+    return SceneSighting((SceneLevel(1, 1, log_probs),), SceneCalibration(float(first), step))
+
+
+@pytest.mark.parametrize(
+    ("gsd", "n_painted", "effort", "tiles"),
+    [
+        (0.15, 8, "auto", {1}),  # cars of 31 px: at full resolution and nowhere else
+        (0.15, 8, "full", {1, 2, 4, 8}),
+        (0.15, 3, "auto", {1, 2, 4, 8}),  # too few to rely on the ground
+        (0.05, 8, "auto", {1, 2, 4, 8}),  # the painted cars are not where the ground expects them
+        (None, 8, "auto", {1, 2, 4, 8}),
+    ],
+)
+def test_resolutions_at_which_no_car_can_be_are_left_out_once_there_are_cars_elsewhere(
+    searching: Detector, gsd: float | None, n_painted: int, effort: Effort, tiles: set[int]
+) -> None:
+    image = blank_image(1000, 900)
+    painted = paint_vehicles(image, [[80 + 100 * k, 450, 31, 13, 0.4] for k in range(n_painted)])
+    seen: list[tuple[int, int]] = []
+    with open_raster(image) as raster:
+        ground = None if gsd is None else _ground(gsd)
+        options = Search(effort=effort)
+        found = search(raster, searching, options, scene=ground, progress=lambda *each: seen.append(each))
+    assert found.n_tiles == len(tiles)
+    assert found.n_tiles_total == 4
+    assert found.stopped_because == ("all_searched" if len(tiles) == 4 else "settled")
+    assert len(found.boxes) == len(painted)
+    assert seen == [(k, 4) for k in [*range(len(tiles)), 4]]
 
 
 def test_the_search_costs_about_a_third_more_pixels() -> None:
