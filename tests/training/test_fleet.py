@@ -26,12 +26,15 @@ from training.fleet.data import (  # noqa: E402
 )
 from training.fleet.export import export_fleet  # noqa: E402
 from training.fleet.network import FleetNet  # noqa: E402
-from training.fleet.train import ChipStream, export, losses, report, trained  # noqa: E402
+from training.fleet.train import LESSONS, ChipStream, export, losses, report, trained  # noqa: E402
 from vehanchor.detection.fleet import FleetNetwork  # noqa: E402
 from vehanchor.detection.look import CHIP_SHAPE, FleetLengths  # noqa: E402
 from vehanchor_scenes import render_scene  # noqa: E402
 
 pytestmark = pytest.mark.slow
+
+BOX, FLEET = LESSONS
+CPU = torch.device("cpu")
 
 
 def _vehicle(set_name: str, *, hood: float, file: str = "a.png", length_m: float | None = None) -> Vehicle:
@@ -45,13 +48,35 @@ def _vehicle(set_name: str, *, hood: float, file: str = "a.png", length_m: float
 
 def test_a_random_chip_still_shows_the_vehicle() -> None:
     rng = np.random.default_rng(0)
-    chips = np.stack([random_chip(_vehicle("cannes", hood=0.3), rng) for _ in range(60)])
+    cut = [random_chip(_vehicle("cannes", hood=0.3), rng) for _ in range(60)]
+    chips, longer = np.stack([chip for chip, _ in cut]), np.array([factor for _, factor in cut])
     assert chips.shape == (60, *CHIP_SHAPE)
     assert chips.dtype == np.float32
     assert np.isfinite(chips).all()
     body, ground = chips[:, 6:10, 7:17].mean(axis=(1, 2)), chips[:, [0, 15]].mean(axis=(1, 2))
     assert np.mean(body > ground) > 0.9
     assert chips.std(axis=0).mean() > 0.1  # no two alike
+    assert 0.85 < longer.min() < 0.92 < 1.08 < longer.max() < 1.15
+
+
+def test_one_lesson_is_how_long_the_box_is_the_other_how_long_the_vehicle_is() -> None:
+    vehicle = _vehicle("cannes", hood=0.3, length_m=4.5)
+    stream = ChipStream([vehicle], BOX, seed=1)
+    drawn = [stream[k] for k in range(300)]
+    metres = np.exp([float(logs[0]) for _, _, logs, _ in drawn])
+    assert metres.min() < 0.92 * 4.5 < 1.08 * 4.5 < metres.max()
+    lit = [np.mean(chips.numpy()[0, 0, 6:10].mean(axis=0) > 0) for chips, _, _, _ in drawn]  # the vehicle's columns
+    assert np.corrcoef(lit, metres)[0, 1] < -0.15  # a box that is longer shows more of the ground
+    assert all(float(fleet) == pytest.approx(float(logs[0])) for _, _, logs, fleet in drawn)
+    np.testing.assert_allclose(ChipStream([vehicle], FLEET, seed=1)[0][2].numpy(), np.log(4.5), rtol=1e-6)
+
+
+def test_a_fleet_is_all_vehicles_of_its_image() -> None:
+    vehicles = [_vehicle("cannes", hood=0.3, length_m=length) for length in (3.5, 4.5, 5.5)]
+    chips, american, logs, fleet = ChipStream(vehicles, FLEET, seed=1)[0]
+    assert chips.shape == (8, 1, *CHIP_SHAPE)
+    assert american.shape == logs.shape == (8,)
+    assert float(fleet) == pytest.approx(np.log([3.5, 4.5, 5.5]).mean(), abs=1e-6)
 
 
 def test_resolution_alone_changes_a_chip_little() -> None:
@@ -61,7 +86,7 @@ def test_resolution_alone_changes_a_chip_little() -> None:
 
 def test_half_of_the_stream_is_north_american_whatever_the_sets_sizes() -> None:
     vehicles = [_vehicle(NORTH_AMERICA, hood=0.3)] + [_vehicle("cannes", hood=0.2)] * 9
-    stream = ChipStream(vehicles, 0)
+    stream = ChipStream(vehicles, BOX, 0)
     american = [bool(stream[k][1]) for k in range(400)]
     assert 0.4 < np.mean(american) < 0.6
 
@@ -69,8 +94,8 @@ def test_half_of_the_stream_is_north_american_whatever_the_sets_sizes() -> None:
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter
 def test_a_network_learns_a_longer_hood_and_its_file_says_the_same(tmp_path: Path) -> None:
     vehicles = [_vehicle(NORTH_AMERICA, hood=0.34, length_m=5.1), _vehicle("cannes", hood=0.12, length_m=4.1)]
-    network = trained(vehicles, steps=60, seed=0)
-    export(network, tmp_path / "fleet.onnx")
+    networks = [trained(vehicles, lesson, seed=0, steps=30) for lesson in LESSONS]
+    export(networks, tmp_path / "fleet.onnx")
     chips = np.stack([vehicle_at_length(v, 16.0) for v in vehicles])[:, None]
     session = onnxruntime.InferenceSession(tmp_path / "fleet.onnx")
     odds, lengths = session.run(None, {"chips": chips})
@@ -79,16 +104,17 @@ def test_a_network_learns_a_longer_hood_and_its_file_says_the_same(tmp_path: Pat
     assert lengths[0] > lengths[1] + 0.05
     mirrored = session.run(None, {"chips": np.ascontiguousarray(chips[..., ::-1, ::-1])})
     np.testing.assert_allclose(mirrored, [odds, lengths], atol=1e-4)
-    lines = report(network, [v._replace(file=f"{k}.png") for v in vehicles for k in (0, 0, 0, 1, 1, 1)])
+    lines = report(networks, [v._replace(file=f"{k}.png") for v in vehicles for k in (0, 0, 0, 1, 1, 1)])
     assert len(lines) == 1 + 2 * 4  # two sets at four lengths
     assert "   2 " in lines[1]  # images
 
 
 def test_vehicles_of_unknown_length_teach_no_length() -> None:
     network = FleetNet()
-    chips, american = torch.zeros(2, 1, *CHIP_SHAPE), torch.tensor([0.0, 1.0])
-    parts = losses(network, (chips, american, torch.full((2,), torch.nan)), torch.device("cpu"))
-    assert parts["length"].item() == 0
+    chips, american = torch.zeros(2, 1, 1, *CHIP_SHAPE), torch.tensor([[0.0], [1.0]])
+    unknown = torch.full((2, 1), torch.nan)
+    parts = losses(FLEET, network, (chips, american, unknown, unknown[:, 0]), CPU)
+    assert parts["length"].item() == parts["fleet"].item() == 0
     assert parts["entropy"].item() > 0
 
 
@@ -99,17 +125,19 @@ def test_rendered_cars_teach_their_length_and_no_region(tmp_path: Path) -> None:
     lengths = sorted(vehicle.length_m for vehicle in vehicles if vehicle.length_m is not None)
     assert len(lengths) == len(vehicles) > 5
     assert 3 < lengths[0] < lengths[-1] < 6.5
-    _, american, length = ChipStream(vehicles, 0)[0]
-    assert math.isnan(american)
-    assert any(math.exp(length) == pytest.approx(each, rel=1e-4) for each in lengths)
-    parts = losses(FleetNet(), (torch.zeros(1, 1, *CHIP_SHAPE), american[None], length[None]), torch.device("cpu"))
+    chips, american, logs, fleet = ChipStream(vehicles, FLEET, 0)[0]
+    assert american.isnan().all()
+    assert all(any(math.exp(log) == pytest.approx(each, rel=1e-4) for each in lengths) for log in logs)
+    parts = losses(FLEET, FleetNet(), (chips[None], american[None], logs[None], fleet[None]), CPU)
     assert parts["entropy"].item() == 0
     assert parts["length"].item() > 0
+    assert parts["fleet"].item() > 0
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter
 def test_the_networks_file_says_what_its_answers_mean_and_for_which_detector(tmp_path: Path) -> None:
-    export(trained([_vehicle(NORTH_AMERICA, hood=0.3), _vehicle("cannes", hood=0.2)], 2, 0), tmp_path / "fleet.onnx")
+    vehicles = [_vehicle(NORTH_AMERICA, hood=0.3), _vehicle("cannes", hood=0.2)]
+    export([trained(vehicles, lesson, 0, steps=2) for lesson in LESSONS], tmp_path / "fleet.onnx")
     lengths = FleetLengths((1.4, 1.6), (4.3, 5.1), 0.3, 1.0)
     (tmp_path / "fleet_lengths.json").write_text(json.dumps(lengths._asdict()))
     export_fleet(tmp_path, tmp_path / "mine.fleet.onnx", "mine")

@@ -135,8 +135,12 @@ def vehicle_at_length(vehicle: Vehicle, length_px: float) -> NDArray[np.float32]
     return chip(np.ascontiguousarray(pixels[:, :, 1]), box)
 
 
-def random_chip(vehicle: Vehicle, rng: np.random.Generator) -> NDArray[np.float32]:
-    """A chip at a random resolution, of a box a little off, with the tones, the blur and the noise of some camera."""
+def random_chip(vehicle: Vehicle, rng: np.random.Generator) -> tuple[NDArray[np.float32], float]:
+    """A chip at a random resolution, of a box a little off, with the tones, the blur and the noise of some camera.
+
+    Returns:
+        The chip, and how many times as long as the vehicle's its box is: a detector takes a shadow for part of a car.
+    """
     length = rng.uniform(*_LENGTHS_PX)
     pixels, box = resized(vehicle.pixels, vehicle.box, length / vehicle.box[2])
     channel = np.ascontiguousarray(pixels[:, :, rng.integers(3) if rng.random() < 0.3 else 1])
@@ -159,4 +163,4 @@ def random_chip(vehicle: Vehicle, rng: np.random.Generator) -> NDArray[np.float3
         cut = cut[::-1]
     if rng.random() < 0.5:
         cut = cut[:, ::-1]
-    return np.ascontiguousarray(cut)
+    return np.ascontiguousarray(cut), float(off[2] / box[2])

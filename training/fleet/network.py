@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import torch
 from torch import Tensor, nn
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 _LAYERS = ((1, 24, 1), (24, 32, 2), (32, 48, 1), (48, 64, 2), (64, 64, 1))  # inputs, outputs, stride
 _MIDDLE_LOG_M, _SPREAD_LOG_M = math.log(4.55), 0.1  # about those of cars of all fleets
@@ -35,15 +38,15 @@ class FleetNet(nn.Module):
         return odds, _MIDDLE_LOG_M + _SPREAD_LOG_M * length
 
 
-class Mirrored(nn.Module):
-    """The mean of a network's answers to a chip and its three mirror images: cars are alike from both sides."""
+class Mean(nn.Module):
+    """The mean of some networks' answers to a chip and to the chip turned by half: cars are alike from both ends."""
 
-    def __init__(self, network: FleetNet) -> None:
+    def __init__(self, networks: Sequence[FleetNet]) -> None:
         super().__init__()
-        self.network = network
+        self.networks = nn.ModuleList(networks)
 
     def forward(self, chips: Tensor) -> tuple[Tensor, Tensor]:
         """Log odds, and log lengths."""
-        views = [self.network(view) for view in (chips, chips.flip(2), chips.flip(3), chips.flip(2, 3))]
+        views = [network(view) for network in self.networks for view in (chips, chips.flip(2, 3))]
         odds, lengths = (torch.stack(answers).mean(dim=0) for answers in zip(*views, strict=True))
         return odds, lengths
