@@ -121,7 +121,7 @@ ObjectHeightArgument: TypeAlias = Annotated[
 ]
 EffortArgument: TypeAlias = Annotated[
     Effort | None,
-    Field(description="Of images of 16 megapixels and more: full, auto (ends when more would not help) or fast."),
+    Field(description="How much is searched: full (every tile), auto (ends when more would not help) or fast."),
 ]
 MaxTilesArgument: TypeAlias = Annotated[
     WholeNumber | None, Field(ge=1, le=1_000_000_000, description="Tiles to search at most.")
