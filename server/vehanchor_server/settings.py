@@ -91,7 +91,7 @@ class Settings:
     )
     min_score: float | None = field(default=None, metadata=_words("Lowest detection score.", panel=_WORK))
     effort: str = field(
-        default="auto", metadata=_words("How much of an image is searched: full (every tile), auto or fast.", panel=_WORK)
+        default="auto", metadata=_words("How much is searched: full (every tile), auto or fast.", panel=_WORK)
     )
     max_tiles: int | None = field(
         default=None, metadata=_words("Tiles of an image that are searched at most.", panel=_WORK, if_unset="all")

@@ -92,10 +92,10 @@ def _search_likely_levels(work: _Work, *, everywhere: bool, tell: Callable[[int,
     """Visit the tiles of resolutions that may hold cars, and the others where these show few; why it ended."""
     unlikely = frozenset() if everywhere else work.unlikely_factors()
     order = work.reading_order()
-    first = [k for k in order if work.visits[k][0].factor not in unlikely]
-    rest = [k for k in order if work.visits[k][0].factor in unlikely]
-    for tiles in (first, rest):
-        if tiles and tiles is rest and work.n_vehicles >= _ENOUGH_VEHICLES:
+    likely = [k for k in order if work.visits[k][0].factor not in unlikely]
+    others = [k for k in order if work.visits[k][0].factor in unlikely]
+    for tiles in filter(None, (likely, others)):
+        if tiles is others and work.n_vehicles >= _ENOUGH_VEHICLES:
             return "settled"
         for k, pixels in work.read(tiles):
             tell(work.n_visited, len(order))
