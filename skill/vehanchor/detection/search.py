@@ -79,18 +79,14 @@ def search(
     tell = progress or (lambda _done, _total: None)
     total = len(work.visits)
     rule = stop_rule(chosen, raster.width_px * raster.height_px, total)
-    because: Stopped = "all_searched"
-    if rule.anytime:
-        because = _search_in_order(work, rule, standing, tell)
-    else:
-        because = _search_likely_levels(work, everywhere=chosen.effort == "full", tell=tell)
+    because = _search_in_order(work, rule, standing, tell) if rule.anytime else _search_likely_levels(work, rule, tell)
     tell(total, total)
     return work.sighting(because)
 
 
-def _search_likely_levels(work: _Work, *, everywhere: bool, tell: Callable[[int, int], None]) -> Stopped:
+def _search_likely_levels(work: _Work, rule: StopRule, tell: Callable[[int, int], None]) -> Stopped:
     """Visit the tiles of resolutions that may hold cars, and the others where these show few; why it ended."""
-    unlikely = frozenset() if everywhere else work.unlikely_factors()
+    unlikely = frozenset() if rule.every_level else work.unlikely_factors()
     order = work.reading_order()
     likely = [k for k in order if work.visits[k][0].factor not in unlikely]
     others = [k for k in order if work.visits[k][0].factor in unlikely]

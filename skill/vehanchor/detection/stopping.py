@@ -49,12 +49,14 @@ class StopRule(NamedTuple):
         checks: in a row at which it has to be.
         max_tiles: to visit at most; None for all.
         max_seconds: to search at most; None for no limit.
+        every_level: whether resolutions count at which, by the ground, no vehicle can be.
     """
 
     share: float | None
     checks: int
     max_tiles: int | None
     max_seconds: float | None
+    every_level: bool = False
 
     @property
     def anytime(self) -> bool:
@@ -70,8 +72,9 @@ def stop_rule(options: Search, n_pixels: int, n_tiles: int) -> StopRule:
         n_pixels: of the image.
         n_tiles: in all.
     """
-    if options.effort == "full" or n_pixels < ANYTIME_PIXELS:
-        return StopRule(None, 0, options.max_tiles, options.max_seconds)
+    everywhere = options.effort == "full"
+    if everywhere or n_pixels < ANYTIME_PIXELS:
+        return StopRule(None, 0, options.max_tiles, options.max_seconds, every_level=everywhere)
     if options.effort == "auto":
         return StopRule(_AUTO_SHARE, _AUTO_CHECKS, options.max_tiles, options.max_seconds)
     most = max(_FAST_LEAST_TILES, round(_FAST_TILES * n_tiles))

@@ -133,8 +133,8 @@ def test_real_photographs_of_known_scale(real_data: Path, detector: Detector) ->
         for image in read_table(real_data / "gsd" / "table.csv")
         if image.split == "val" and (image.labelled_vehicles or 0) >= 5
     ]
-    summary = summarise(run_trials(images[::6], detector))  # benchmarks/detector.py takes all
-    assert summary.images == 18
+    summary = summarise(run_trials(images[::3], detector))  # benchmarks/detector.py takes all
+    assert summary.images == 35
     assert summary.median <= 0.08
     assert summary.coverage >= 0.9
 
