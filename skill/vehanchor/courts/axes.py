@@ -16,6 +16,7 @@ __all__ = ["axes"]
 _QUARTER = math.pi / 2
 _BINS = 45  # of a quarter turn: 2 degrees each
 _SMOOTH_PX = 1.2  # steps of a line as wide as a pixel have directions of their own
+_SUPPORT_PX = 8  # rows of which the smoothed edges of another one are made, and some
 _CLEAREST = 160.0  # of Scharr's sums, ten grey levels in all: one shadow's edge must not outweigh all painted lines
 _NO_EDGE = 0.7  # share of the patch that is texture and noise: rounded grey levels have directions of their own
 _SECOND = 0.8  # share of the strongest direction from which another one is looked at, too
@@ -34,15 +35,11 @@ def axes(grey: NDArray[np.float32], x: float, y: float, radius: float) -> list[f
     Returns:
         One or two angles, radians in 0 to a quarter turn, the clearest first; its perpendicular belongs to each.
     """
-    smoothed = cv2.GaussianBlur(grey, (0, 0), _SMOOTH_PX)
-    across = cv2.Scharr(smoothed, cv2.CV_32F, 1, 0)
-    down = cv2.Scharr(smoothed, cv2.CV_32F, 0, 1)
-    rows, columns = np.ogrid[: grey.shape[0], : grey.shape[1]]
-    near = (columns - x) ** 2 + (rows - y) ** 2 < radius**2
-    steepness = np.hypot(across, down)[near]
-    clear = np.where(steepness > np.quantile(steepness, _NO_EDGE), steepness, 0.0)
-    weights = np.minimum(clear, _CLEAREST)
-    turned = np.arctan2(down[near], across[near]) % _QUARTER
+    across, down = _gradients(grey, x, y, radius)
+    steepness = np.hypot(across, down)
+    clear = steepness > np.quantile(steepness, _NO_EDGE)
+    weights = np.minimum(steepness[clear], _CLEAREST)
+    turned = np.arctan2(down[clear], across[clear]) % _QUARTER
     cells = (turned / _QUARTER * _BINS).astype(np.intp) % _BINS
     counts = np.bincount(cells, weights, _BINS)
     smooth = (np.roll(counts, 1) + 2 * counts + np.roll(counts, -1)) / 4
@@ -58,3 +55,18 @@ def axes(grey: NDArray[np.float32], x: float, y: float, radius: float) -> list[f
         found.append((peak + 0.5 + shift) * _QUARTER / _BINS)
         left[(peak + np.arange(-_APART_BINS, _APART_BINS + 1)) % _BINS] = 0.0
     return found
+
+
+def _gradients(
+    grey: NDArray[np.float32], x: float, y: float, radius: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Scharr's sums of each pixel within a radius of a place, across and down; only rows around it are smoothed."""
+    top, left = max(math.floor(y - radius), 0), max(math.floor(x - radius), 0)
+    bottom, right = min(math.ceil(y + radius) + 1, grey.shape[0]), min(math.ceil(x + radius) + 1, grey.shape[1])
+    first = max(top - _SUPPORT_PX, 0)
+    smoothed = cv2.GaussianBlur(grey[first : bottom + _SUPPORT_PX], (0, 0), _SMOOTH_PX)
+    rows, columns = np.ogrid[top:bottom, left:right]
+    near = (columns - x) ** 2 + (rows - y) ** 2 < radius**2
+    box = slice(top - first, bottom - first), slice(left, right)
+    across, down = cv2.Scharr(smoothed, cv2.CV_32F, 1, 0), cv2.Scharr(smoothed, cv2.CV_32F, 0, 1)
+    return np.asarray(across[box][near], np.float32), np.asarray(down[box][near], np.float32)

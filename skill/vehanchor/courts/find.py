@@ -49,6 +49,7 @@ _MATCHED_PX = 72.0  # least length of a court whose lines are looked for, where 
 _MARGIN = 1.5  # of the patch that is read, over the court's half diagonal
 
 _WORTH_A_FIT = 0.3
+_LEAST_NEAR = 0.45  # before a fit, of which none of 1,158 made more than 0.11 of it; courts had 0.57 (RESULTS.md)
 _LEAST_SCORE = 0.55  # 0.50 is the most that came of 232 training images without a court (RESULTS.md)
 _ROUGH_COVERAGE = 0.5
 _LEAST_COVERAGE = 0.64  # roofs with grids came to 0.63
@@ -230,7 +231,9 @@ def _matched_factor(proposal: Proposal) -> int:
 def _measured(raster: Raster, laid: _Laid) -> Court | None:
     """The court of the template that fits best near where its game was laid."""
     _, patch, pose, templates = laid
-    ((_, pose),) = match(patch.grey, templates[:1], pose, _NEAR)
+    ((near, pose),) = match(patch.grey, templates[:1], pose, _NEAR)
+    if near < _LEAST_NEAR:
+        return None
     first = fit(patch.grey, templates[0], pose_matrix(pose), SIMILARITY)
     if templates[0].length_m * first.px_per_m * patch.factor < _LEAST_PX:
         return None
@@ -238,31 +241,36 @@ def _measured(raster: Raster, laid: _Laid) -> Court | None:
     if score < _LEAST_SCORE:
         return None
     fits = [(kind, *_fitted(raster, kind, patch, pose)) for kind in templates]
-    template, seen, sheared, patch = max(fits, key=lambda each: each[1].coverage)
-    if not _borne_out(template, seen):
-        return None
+    template, seen, patch = max(fits, key=lambda each: each[1].coverage)
     corners = patch.in_image(project(seen.matrix, template.outline))
     if (corners < 0).any() or (corners > (raster.width_px, raster.height_px)).any():
         return None
+    return _judged(template, seen, patch, corners, score) if _borne_out(template, seen) else None
+
+
+def _judged(template: Template, seen: Fit, patch: _Patch, corners: NDArray[np.float64], score: float) -> Court | None:
+    """The court whose lines are seen, if it keeps the rules' shape where it may shear or is seen in perspective."""
+    in_perspective = template.length_m * seen.px_per_m >= _PERSPECTIVE_PX
+    sheared = fit(patch.grey, template, seen.matrix, HOMOGRAPHY if in_perspective else AFFINE)
+    if not sheared.distortion <= _MOST_DISTORTION:
+        return None
     gsd = float(1.0 / (seen.px_per_m * patch.factor))
     size = template.length_m, template.width_m
-    found = Court(template.kind, corners, *size, gsd, seen.log_sd, score, seen.coverage, seen.distortion)
-    if sheared is None:
+    found = Court(template.kind, corners, *size, gsd, seen.log_sd, score, seen.coverage, sheared.distortion)
+    if not in_perspective:
         return found
     shape = patch.in_image(project(sheared.matrix, template.outline))
     return replace(found, shape=shape, shape_sd_px=sheared.corner_sd_px * patch.factor)
 
 
-def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tuple[Fit, Fit | None, _Patch]:
-    """Fit at the resolution of the match and, where there are more pixels, at finer ones; in perspective, too."""
+def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tuple[Fit, _Patch]:
+    """Fit at the resolution of the match and, where there are more pixels, at finer ones."""
     seen = fit(patch.grey, template, pose_matrix(pose), SIMILARITY)
     while patch.factor > 1 and template.length_m * seen.px_per_m < _FITTED_PX:
         finer = _read(raster, patch.outside(_pose(seen.matrix)), template, patch.factor // 2)
         seen = fit(finer.grey, template, pose_matrix(finer.inside(patch.outside(_pose(seen.matrix)))), SIMILARITY)
         patch = finer
-    enough = template.length_m * seen.px_per_m >= _PERSPECTIVE_PX
-    sheared = fit(patch.grey, template, seen.matrix, HOMOGRAPHY if enough else AFFINE)
-    return seen._replace(distortion=sheared.distortion), sheared if enough else None, patch
+    return seen, patch
 
 
 def _borne_out(template: Template, seen: Fit) -> bool:
@@ -272,7 +280,6 @@ def _borne_out(template: Template, seen: Fit) -> bool:
         seen.coverage >= (_LEAST_COVERAGE_WITH_ARCS if len(arcs) else _LEAST_COVERAGE)
         and (not len(arcs) or float(arcs.mean()) >= _SEEN_ARCS)
         and unseen <= _UNSEEN_LINES
-        and seen.distortion <= _MOST_DISTORTION
         and math.isfinite(seen.log_sd)
     )
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -70,13 +72,23 @@ def ridges(grey: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.f
     Returns:
         ``[h, w]`` in 0..1, for lines along rows and along columns.
     """
-    texture = cv2.blur(np.abs(grey - cv2.blur(grey, (_SMOOTH_PX, _SMOOTH_PX))), (_TEXTURE_PX, _TEXTURE_PX))
-    contrast = np.maximum(_LEAST_CONTRAST, _CONTRAST_PER_TEXTURE * texture)
+    texture = cv2.blur(cv2.absdiff(grey, cv2.blur(grey, (_SMOOTH_PX, _SMOOTH_PX))), (_TEXTURE_PX, _TEXTURE_PX))
+    contrast = np.maximum(texture * np.float32(_CONTRAST_PER_TEXTURE), np.float32(_LEAST_CONTRAST))
     d = _HALF_LINE_PX
     wide = cv2.copyMakeBorder(grey, d, d, d, d, cv2.BORDER_REPLICATE)
-    along = grey - np.maximum(wide[: -2 * d, d:-d], wide[2 * d :, d:-d])
-    across = grey - np.maximum(wide[d:-d, : -2 * d], wide[d:-d, 2 * d :])
-    return np.clip(along / contrast, 0, 1), np.clip(across / contrast, 0, 1)
+    along = np.maximum(wide[: -2 * d, d:-d], wide[2 * d :, d:-d])
+    across = np.maximum(wide[d:-d, : -2 * d], wide[d:-d, 2 * d :])
+    return _clearness(grey, along, contrast), _clearness(grey, across, contrast)
+
+
+def _clearness(
+    grey: NDArray[np.float32], beside: NDArray[np.float32], contrast: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """By how much a pixel is brighter than what lies beside it, over the contrast of a line, 0..1; into ``beside``."""
+    clear = np.divide(np.subtract(grey, beside, out=beside), contrast, out=beside)
+    cv2.threshold(clear, 0.0, 0.0, cv2.THRESH_TOZERO, dst=clear)
+    cv2.threshold(clear, 1.0, 0.0, cv2.THRESH_TRUNC, dst=clear)
+    return clear
 
 
 def match(
@@ -110,13 +122,13 @@ def match(
     ]
     half_x, half_y = (int(half) for half in np.ceil(np.max(halves, axis=0)) + reach.place + 2)
     places = np.arange(-reach.place, reach.place + 1, reach.place_step)
-    ends = [_Ends.of(template, each, half_x, half_y) for template, each in zip(templates, sizes, strict=True)]
+    ends = [_Ends.of(template, each, places, half_x, half_y) for template, each in zip(templates, sizes, strict=True)]
     turns = _steps(reach.angle, reach.angle_step)
     for angle in (each + turn for each in angles or (start.angle,) for turn in turns):
         sums = _turned_sums(grey, start, float(angle), half_x, half_y)
         cos, sin = np.cos(angle), np.sin(angle)
         for index, template_ends in enumerate(ends):
-            score, size, row, column = template_ends.best(sums, places)
+            score, size, row, column = template_ends.best(sums)
             if score > best[index][0]:
                 dx, dy = places[column], places[row]
                 x, y = start.x + cos * dx - sin * dy, start.y + sin * dx + cos * dy
@@ -132,7 +144,8 @@ def _steps(reach: float, step: float) -> NDArray[np.float64]:
 def _turned_sums(grey: NDArray[np.float32], start: Pose, angle: float, half_x: int, half_y: int) -> NDArray[np.float32]:
     """The lines around a pose, turned so that the court lies along rows, summed from the left and from the top, flat.
 
-    First ``[2 half_y + 1, 2 half_x + 2]`` of lines along rows, then ``[2 half_y + 2, 2 half_x + 1]`` of those across.
+    Rows of ``2 half_x + 2``: first ``2 half_y + 1`` of lines along rows, then ``2 half_y + 2`` of those across, whose
+    last column is empty.
     """
     cos, sin = np.cos(angle), np.sin(angle)
     x, y = start.x - cos * half_x + sin * half_y, start.y - sin * half_x - cos * half_y
@@ -145,64 +158,90 @@ def _turned_sums(grey: NDArray[np.float32], start: Pose, angle: float, half_x: i
     )
     along, across = ridges(np.asarray(turned, np.float32))
     rows, columns = along.shape
-    sums = np.zeros(rows * (columns + 1) + (rows + 1) * columns, np.float32)
-    first = sums[: rows * (columns + 1)].reshape(rows, columns + 1)
-    second = sums[rows * (columns + 1) :].reshape(rows + 1, columns)
-    np.cumsum(cv2.dilate(along, np.ones((3, 1))), axis=1, out=first[:, 1:])  # a pixel off still counts
-    np.cumsum(cv2.dilate(across, np.ones((1, 3))), axis=0, out=second[1:])
-    return sums
+    sums = np.zeros((2 * rows + 1, columns + 1), np.float32)
+    np.cumsum(cv2.dilate(along, np.ones((3, 1))), axis=1, out=sums[:rows, 1:])  # a pixel off still counts
+    np.cumsum(cv2.dilate(across, np.ones((1, 3))), axis=0, out=sums[rows + 1 :, :-1])
+    return sums.ravel()
+
+
+class _Lines(NamedTuple):
+    """The lines of a template that are laid, painted ones and blanks.
+
+    Attributes:
+        metres: ``[lines, 4]`` their ends.
+        shares: ``[lines]`` of the score, negative where no line should be.
+        along: ``[lines]`` whether they run along the court.
+        long: indices of those that are painted and long: by them alone it is told where to look at all.
+    """
+
+    metres: NDArray[np.float64]
+    shares: NDArray[np.float64]
+    along: NDArray[np.bool_]
+    long: NDArray[np.intp]
+
+
+@cache
+def _lines(template: Template) -> _Lines:
+    lines = np.array([*template.lines, *template.blank])
+    metres = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1])
+    wanted = np.arange(len(lines)) < len(template.lines)
+    shares = np.where(wanted, metres / metres[wanted].sum(), -metres / metres[~wanted].sum())
+    (long,) = np.nonzero(wanted & (metres >= _LONG * template.length_m))
+    return _Lines(lines, shares, lines[:, 1] == lines[:, 3], long)
 
 
 class _Ends(NamedTuple):
-    """Where the sums of a template's lines are read, for a court at the patch's centre.
+    """Where the sums of a template's lines are read, for a court at the patch's centre and around it.
 
     Attributes:
         first: ``[sizes, lines]`` index of each line's beginning.
         last: of its end.
         weights: ``[sizes, lines]``, 1 over its pixels, times its share of the lines; negative where none should be.
-        steps: ``[lines, 2]`` what a row and a column of the patch add to an index.
-        long: indices of the lines that are painted and long: by them alone it is told where to look at all.
+        shift: ``[places, places]`` what is added to an index for a court so far down and across.
+        long: ``first``, ``last`` and ``weights`` of the lines that are painted and long, at the first of the places.
     """
 
     first: NDArray[np.intp]
     last: NDArray[np.intp]
     weights: NDArray[np.float32]
-    steps: NDArray[np.intp]
-    long: NDArray[np.intp]
+    shift: NDArray[np.intp]
+    long: tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]
 
     @classmethod
-    def of(cls, template: Template, sizes: NDArray[np.float64], half_x: int, half_y: int) -> _Ends:
+    def of(
+        cls, template: Template, sizes: NDArray[np.float64], places: NDArray[np.intp], half_x: int, half_y: int
+    ) -> _Ends:
         """Those of a template in every size."""
-        lines = np.array([*template.lines, *template.blank])
-        metres = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1])
-        wanted = np.arange(len(lines)) < len(template.lines)
-        shares = np.where(wanted, metres / metres[wanted].sum(), -metres / metres[~wanted].sum())
+        lines, shares, along, long = _lines(template)
         pixels = np.rint(lines[None] * sizes[:, None, None]).astype(np.intp)
-        along = lines[:, 1] == lines[:, 3]
         x1, y1, x2, y2 = np.moveaxis(pixels, 2, 0)
-        width = 2 * half_x + 1
-        below = (2 * half_y + 1) * (width + 1)  # where the second sums begin
-        pitch = np.where(along, width + 1, width)
-        base = np.where(along, 0, below)
-        first = base + (half_y + y1) * pitch + half_x + x1
-        last = base + (half_y + y2 + ~along) * pitch + half_x + x2 + along
-        count = np.where(along, x2 - x1, y2 - y1) + 1
-        steps = np.stack([pitch, np.ones_like(pitch)], axis=1)
-        (long,) = np.nonzero(wanted & (metres >= _LONG * template.length_m))
-        return cls(first, last, np.asarray(shares / count, np.float32), steps, long)
+        pitch = 2 * half_x + 2
+        base = np.where(along, 0, (2 * half_y + 1) * pitch) + half_y * pitch + half_x
+        first = base + y1 * pitch + x1
+        last = base + (y2 + ~along) * pitch + x2 + along
+        weights = np.asarray(shares / (np.where(along, x2 - x1, y2 - y1) + 1), np.float32)
+        shift = pitch * places[:, None] + places
+        of_long = first[:, long] + shift[0, 0], last[:, long] + shift[0, 0], weights[:, long]
+        return cls(first, last, weights, shift, of_long)
 
-    def best(self, sums: NDArray[np.float32], places: NDArray[np.intp]) -> tuple[float, int, int, int]:
+    def best(self, sums: NDArray[np.float32]) -> tuple[float, int, int, int]:
         """The best score, and the indices of its size, row and column, of all places of the centre."""
-        rows, columns = (each.ravel() for each in np.meshgrid(places, places, indexing="ij"))
-        shift = self.steps[:, :1] * rows + self.steps[:, 1:] * columns  # [lines, places]
-        few = shift[self.long]
-        seen = sums[self.last[:, self.long, None] + few] - sums[self.first[:, self.long, None] + few]
-        told = np.einsum("sl,slp->sp", self.weights[:, self.long], seen).ravel()
+        first, last, weights = self.long
+        everywhere = self._everywhere(sums)
+        seen = everywhere[last]
+        seen -= everywhere[first]
+        told = np.einsum("sl,slp->sp", weights, seen.reshape(*seen.shape[:2], -1)).ravel()
         kept = np.argpartition(told, -_LOOKED_AT)[-_LOOKED_AT:] if len(told) > _LOOKED_AT else np.arange(len(told))
-        size, place = np.unravel_index(kept, (len(self.weights), shift.shape[1]))
-        there = shift.T[place]
-        whole = self.weights[size] * (sums[self.last[size] + there] - sums[self.first[size] + there])
+        size, place = np.divmod(kept, self.shift.size)
+        there = self.shift.ravel()[place, None]
+        whole = self.weights[size] * (sums.take(self.last[size] + there) - sums.take(self.first[size] + there))
         scores = whole.sum(axis=1)
         top = int(scores.argmax())
-        row, column = divmod(int(place[top]), len(places))
+        row, column = divmod(int(place[top]), len(self.shift))
         return float(scores[top]), int(size[top]), row, column
+
+    def _everywhere(self, sums: NDArray[np.float32]) -> NDArray[np.float32]:
+        """``[index, places, places]``: from each index on, the sums at all places; a view of them."""
+        shift, width = self.shift - self.shift[0, 0], sums.itemsize
+        strides = width, width * int(shift[1, 0]), width * int(shift[0, 1])
+        return as_strided(sums, (len(sums) - int(shift[-1, -1]), *shift.shape), strides, writeable=False)
