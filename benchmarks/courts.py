@@ -3,7 +3,7 @@
 ``tiles``: 70 real tiles with tennis courts at 0.3048 m/px, the held-out tenth apart; ``scenes``: rendered sports
 grounds, by scale, where a whole court is in sight; ``fused``: such grounds with 3 to 10 cars, by cars, by courts and by
 both; ``val``: images of the validation splits, with next to no courts in them; ``time``: what looking for courts adds
-to an estimate of 4096 x 4096 without any.
+to an estimate of 4096 x 4096 without any; ``cpu``: what it takes in small images, views from aside included.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import os
 import statistics
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -23,12 +24,14 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from training.detector.places import is_held_out, places
-from vehanchor.anchors.courts import evidence_of
+from vehanchor.anchors.courts import Courts, evidence_of
+from vehanchor.anchors.evidence import View
 from vehanchor.courts.find import find_courts
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene import load_scene_scale
 from vehanchor.detection.sighting import Sighting
-from vehanchor.estimate import analyse_scale
+from vehanchor.estimate import analyse_scale, image_facts
+from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.raster import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
@@ -46,7 +49,10 @@ _VIEW_M = 90.0
 _HIDDEN_SHARE = 0.05  # a court of which trees hide more is not in sight
 _FIRST_SEED = 5000  # training has other ones
 _TOLERANCE = 0.1
-_PARTS = ("tiles", "scenes", "fused", "val", "time")
+_EVERY = 15  # image of val is timed
+_SPORTS = ((0.15, 600), (0.2, 450))
+NOTHING = Sighting(np.zeros((0, 5)), np.zeros(0))
+_PARTS = ("tiles", "scenes", "fused", "val", "time", "cpu")
 
 
 class Case(NamedTuple):
@@ -60,8 +66,7 @@ class Case(NamedTuple):
 def look(image: ImageSource, card: DetectorCard) -> tuple[float | None, int]:
     """What the courts of an image say, and how many they are; nothing is asked of a detector."""
     with open_raster(image) as raster:
-        sighting = Sighting(np.zeros((0, 5)), np.zeros(0))
-        evidence = evidence_of(find_courts(raster, sighting, card))
+        evidence = evidence_of(find_courts(raster, NOTHING, card))
     return evidence.gsd_m_per_px, evidence.n
 
 
@@ -132,16 +137,44 @@ def fused(number: int) -> list[str]:
 
 def val(card: DetectorCard) -> list[str]:
     """Images of all validation splits; what is found is named, to be looked at."""
+    unique = val_paths()
+    found = [(path, *look(str(path), card)) for path in unique]
+    hits = [f"{path.name} ({n}, {gsd:.4f} m/px)" for path, gsd, n in found if gsd is not None]
+    return [f"| val, all sets | {len(unique)} | courts in {len(hits)}: {', '.join(hits)} | | | |"]
+
+
+def val_paths() -> list[Path]:
+    """Of all validation splits, sorted."""
     paths = []
     for table in ("gsd/table.csv", "gsd/upright.csv", "vehicles/index.csv", "upright/index.csv"):
         with (DATA / table).open(newline="") as handle:
             for entry in csv.DictReader(handle):
                 if entry["split"] == "val":
                     paths.append((DATA / table).parent / entry["file"])
-    unique = sorted({path.resolve() for path in paths})
-    found = [(path, *look(str(path), card)) for path in unique]
-    hits = [f"{path.name} ({n}, {gsd:.4f} m/px)" for path, gsd, n in found if gsd is not None]
-    return [f"| val, all sets | {len(unique)} | courts in {len(hits)}: {', '.join(hits)} | | | |"]
+    return sorted({path.resolve() for path in paths})
+
+
+def processor_time(card: DetectorCard, rounds: int) -> list[str]:
+    """Seconds of small images in which nothing else was seen: medians of rounds, by kind of image."""
+    park = render_scene(0.15, width_px=1024, height_px=1024, seed=5).image
+    sports = [
+        render_scene(gsd, width_px=side, height_px=side, seed=5001, layout="sports").image for gsd, side in _SPORTS
+    ]
+    lines = []
+    for name, images in (("car park", [park]), ("sports", sports), ("val", list(map(str, val_paths()[::_EVERY])))):
+        spent = []
+        for image in images:
+            with open_raster(image) as raster:
+                view = View(image_facts(raster), NOTHING, card, ScaleOptions(), partial(resolved_share, raster), raster)
+                spent.append(statistics.median(_seconds(view) for _ in range(rounds)))
+        lines.append(f"| {name} | {len(spent)} | {statistics.median(spent):.2f} s | {max(spent):.2f} s at most | | |")
+    return lines
+
+
+def _seconds(view: View) -> float:
+    begun = time.process_time()
+    Courts().look(view)
+    return time.process_time() - begun
 
 
 def added_time(rounds: int) -> list[str]:
@@ -195,6 +228,8 @@ def main() -> None:
         print(*val(card), sep="\n", flush=True)
     if "time" in options.parts:
         print(*added_time(options.rounds), sep="\n", flush=True)
+    if "cpu" in options.parts:
+        print(*processor_time(card, options.rounds), sep="\n", flush=True)
 
 
 if __name__ == "__main__":

@@ -33,6 +33,7 @@ _UNKNOWN_RULES_LOG_SD = 0.012  # of a basketball court: FIBA's 28 m and the NBA'
 _CHANCE_WRONG = 0.02
 _SURE_OF_A_COURT = 0.6  # share of a proposal from which views from aside are tried, too
 _TRIED_DEG = (12.0, 28.0, 42.0)  # a court's shape is found from ten degrees off
+_LEAST_TILT_DEG = 4.0  # of a guess that is followed: as if from straight down the image was searched already
 _MOST_TRIED = 3  # proposals
 _APART = 0.06  # of the log of the scale: a court further than that from the median is something else
 
@@ -86,7 +87,8 @@ class Courts:
                     raster, tried, view.sighting, view.card, most=_MOST_TRIED, providers=view.providers
                 )
                 leans = [find_lean([witness], focal) for witness in court_witnesses(rough, *size)]
-                for leaned in (each for each in leans if each is not None):  # from there it has to be borne out
+                followed = (each for each in leans if each is not None and each.tilt_deg >= _LEAST_TILT_DEG)
+                for leaned in followed:  # from there it has to be borne out
                     plane = GroundPlane(1.0, leaned.tilt_deg, leaned.focal_px, *size, leaned.roll_deg)
                     found = find_courts_on(raster, plane, view.sighting, view.card, providers=view.providers)
                     if found:

@@ -49,7 +49,7 @@ _MATCHED_PX = 72.0  # least length of a court whose lines are looked for, where 
 _MARGIN = 1.5  # of the patch that is read, over the court's half diagonal
 
 _WORTH_A_FIT = 0.3
-_LEAST_NEAR = 0.45  # before a fit, of which none of 1,158 made more than 0.11 of it; courts had 0.57 (RESULTS.md)
+_LEAST_NEAR = 0.45  # of the score before the fit: every court had 0.57 or more (RESULTS.md)
 _LEAST_SCORE = 0.55  # 0.50 is the most that came of 232 training images without a court (RESULTS.md)
 _ROUGH_COVERAGE = 0.5
 _LEAST_COVERAGE = 0.64  # roofs with grids came to 0.63

@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
 
 from tests.analyses import made_card
 from tests.skill.courts.drawing import draw_court
+from vehanchor.anchors import courts as ruler
+from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.courts.court import Court
 from vehanchor.courts.find import measure_court
 from vehanchor.courts.lean import court_witnesses
@@ -15,7 +19,8 @@ from vehanchor.courts.proposals import Proposal
 from vehanchor.courts.template import TENNIS
 from vehanchor.detection.sighting import Sighting
 from vehanchor.imagery.raster import open_raster
-from vehanchor.scale.leans import Focal, find_lean
+from vehanchor.options import ScaleOptions
+from vehanchor.scale.leans import Focal, GimbalWitness, find_lean
 from vehanchor.scale.plane import GroundPlane
 
 SIZE, FOCAL, GSD = 600, 650.0, 0.1
@@ -72,3 +77,25 @@ def test_a_court_is_guessed_at_from_a_view_ten_degrees_off(tilt_deg: float) -> N
 def test_a_court_of_few_pixels_tells_nothing_of_a_tilt() -> None:
     corners = np.array([(0.0, 0.0), (80.0, 0.0), (80.0, 37.0), (0.0, 37.0)])
     assert court_witnesses([Court("tennis", corners, 23.77, 10.97, 0.3, 0.01, 0.9, 0.9, 0.0)], 200, 200) == []
+
+
+@pytest.mark.parametrize(("tilt_deg", "followed"), [(2.0, 0), (15.0, 3)])
+def test_a_guess_that_the_camera_looked_down_is_not_followed_as_the_image_was_searched_as_it_is(
+    tilt_deg: float, followed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lean = find_lean([GimbalWitness(tilt_deg, 0.0, 0.3)], Focal(FOCAL, 0.0))
+    searched: list[GroundPlane] = []
+
+    def search(_: Any, plane: GroundPlane, *__: Any, **___: Any) -> tuple[Court, ...]:
+        searched.append(plane)
+        return ()
+
+    corners = np.array([(100.0, 100), (200, 100), (200, 150), (100, 150)])
+    rough = Court("tennis", corners, 23.77, 10.97, 0.2, 0.01, 0.5, 0.5, 0.2, shape=corners, shape_sd_px=1.0)
+    monkeypatch.setattr(ruler, "rough_courts_on", lambda *_, **__: [rough])
+    monkeypatch.setattr(ruler, "find_lean", lambda *_: lean)
+    monkeypatch.setattr(ruler, "find_courts_on", search)
+    with open_raster(np.zeros((SIZE, SIZE, 3), np.uint8)) as raster:
+        view = View(ImageFacts(SIZE, SIZE), NOTHING, made_card(4.6), ScaleOptions(), lambda *_: 1.0, raster)
+        assert ruler.Courts()._aside(view, raster) == ()
+    assert len(searched) == followed
