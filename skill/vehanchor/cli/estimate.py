@@ -260,15 +260,19 @@ def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    from vehanchor.imagery.names import under_one_folder
+
+    folder, names = under_one_folder([source for source, _ in rows])
+    title = Text(printable(f"{len(rows)} images in {folder}")) if folder else None
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=title, title_justify="left", title_style="bold")
     table.add_column("image", overflow="fold")
     for heading in ("m/px", "95 %", "confidence", "vehicles"):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("status", no_wrap=True)
-    for source, record in rows:
+    for name, (_, record) in zip(names, rows, strict=True):
         low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
         table.add_row(
-            Text(printable(source)),
+            Text(printable(name)),
             "-" if record.gsd_m_per_px is None else f"{record.gsd_m_per_px:.4g}",
             "-" if low is None or high is None else f"{low:.4g} to {high:.4g}",
             f"{record.confidence:.2f}",

@@ -107,7 +107,7 @@ def _tell(record: FlightEstimate, *, as_json: bool) -> None:
     if as_json:
         print_json(record.model_dump(mode="json"))
         return
-    from vehanchor.flight.taken import under_one_folder
+    from vehanchor.imagery.names import under_one_folder
 
     folder, names = under_one_folder([each.photograph for each in record.photographs])
     where = f" in {folder}" if folder else ""

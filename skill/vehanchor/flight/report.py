@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import OutputError
-from vehanchor.flight.taken import under_one_folder
+from vehanchor.imagery.names import under_one_folder
 from vehanchor.output import whole_file
 from vehanchor.pictures.track import draw_tracks
 

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import os
-from pathlib import PurePath
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import InvalidParameterError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator
 
     from vehanchor.imagery.raster import ImageSource
 
-__all__ = ["Taken", "named", "under_one_folder"]
+__all__ = ["Taken", "named"]
 
 
 class Taken(NamedTuple):
@@ -54,20 +53,3 @@ def named(images: Iterable[ImageSource | Taken]) -> Iterator[Taken]:
             raise InvalidParameterError(f"the photograph {taken.name!r} is given twice: give each once")
         seen.add(taken.name)
         yield taken
-
-
-def under_one_folder(names: Sequence[str]) -> tuple[str, list[str]]:
-    """Shorten photographs' names for people: the folder that all of them lie in, and each name below it.
-
-    Args:
-        names: as records have them.
-
-    Returns:
-        The folder, empty where there is none but the current, and the names.
-    """
-    try:
-        folder = os.path.commonpath([PurePath(name).parent for name in names])
-    except ValueError:  # some are absolute and some not
-        folder = ""
-    folder = "" if folder == "." else folder
-    return folder, [os.path.relpath(name, folder) if folder else name for name in names]

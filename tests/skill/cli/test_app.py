@@ -154,6 +154,13 @@ def test_several_images_give_one_table_with_a_row_each(run: Any) -> None:
     assert "error[image_undecodable]: text.png: " in result.stderr
 
 
+def test_images_of_one_folder_are_named_below_it(run: Any, folder: Path) -> None:
+    result = _estimate(run, folder / "cars.png", folder / "few.png")
+    heading, *rows = result.stdout.splitlines()
+    assert heading.startswith("2 images in ")
+    assert [row.split()[0] for row in rows if "png" in row] == ["cars.png", "few.png"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [

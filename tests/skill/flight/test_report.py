@@ -14,7 +14,6 @@ from vehanchor.flight.concluding import Failure, conclude_flight
 from vehanchor.flight.islands import single_island
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.report import check_report_path, report_page, write_report
-from vehanchor.flight.taken import under_one_folder
 from vehanchor.options import ScaleOptions
 from vehanchor.pictures.track import draw_tracks
 from vehanchor.records import FlightEstimate, FlightLink
@@ -75,16 +74,3 @@ def test_a_flight_without_places_has_no_track() -> None:
 def test_a_page_that_cannot_be_written_is_told(tmp_path: Path, name: str) -> None:
     with pytest.raises(OutputError):
         check_report_path(tmp_path / name)
-
-
-@pytest.mark.parametrize(
-    ("names", "folder", "short"),
-    [
-        (["/a/b/c.jpg", "/a/b/d/e.jpg"], "/a/b", ["c.jpg", "d/e.jpg"]),
-        (["flight/a.jpg", "flight/b.jpg"], "flight", ["a.jpg", "b.jpg"]),
-        (["/a/b.jpg", "c.jpg"], "", ["/a/b.jpg", "c.jpg"]),
-        (["#1", "frame at 3 s"], "", ["#1", "frame at 3 s"]),
-    ],
-)
-def test_names_are_told_without_the_folder_that_all_lie_in(names: list[str], folder: str, short: list[str]) -> None:
-    assert under_one_folder(names) == (folder, short)
