@@ -1,6 +1,7 @@
 """Train the detector: ``python -m training.detector.train --steps 7000 --run runs/detector``.
 
-Resumes from ``RUN/checkpoint.pt`` when it exists; uses a GPU when there is one (``training/loop.py``).
+Resumes from ``RUN/checkpoint.pt`` when it exists; uses a GPU when there is one (``training/loop.py``). ``--without
+estonia`` leaves sets out: what such a detector finds there is what a new place gets.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=2e-3, help="peak learning rate")
     parser.add_argument("--held", type=float, default=0.0, help="share of the steps after which the rate falls")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--without", default="", help="sets to leave out, comma between")
     parser.add_argument("--bfloat16", action="store_true", help="mixed precision: faster where the processor has it")
     options = parser.parse_args()
 
@@ -49,6 +51,7 @@ def main() -> None:
     images = load_train_images(options.data / "vehicles") + load_scenery(options.data)
     if options.scenes:
         images += load_scenes(options.scenes)
+    images = [image for image in images if image.set not in options.without.split(",")]
     print(f"{len(images)} images, {sum(len(i.boxes) for i in images)} cars", flush=True)
     stream = CropStream(images, seed=options.seed)
     network = VehicleNet()

@@ -1,7 +1,8 @@
 """Collect candidates: ``python -m training.verifier.mine MODEL.onnx RUN``; writes ``train.npz`` and ``held_out.npz``.
 
 The detector is best one that has not learned from the newer images: of what it was trained on it is surer than it
-should be, and its false alarms there are gone.
+should be, and its false alarms there are gone. ``--without estonia`` leaves sets out, as that of
+``training.detector.train`` does.
 """
 
 from __future__ import annotations
@@ -38,11 +39,13 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--scenes", type=Path, help="folder of rendered scenes (render_scenes.py)")
+    parser.add_argument("--without", default="", help="sets to leave out, comma between")
     options = parser.parse_args()
     detector = Detector(options.model, threads=1)
     for held_out, name in ((True, "held_out"), (False, "train")):
         images = load_train_images(options.data / "vehicles", held_out=held_out)
         images += load_scenery(options.data, held_out=held_out)
+        images = [image for image in images if image.set not in options.without.split(",")]
         if not held_out:
             images += distracted_crops(images, _DISTRACTED_CROPS)
             images += load_scenes(options.scenes) if options.scenes else []
