@@ -21,7 +21,8 @@ class SpacedCommand(TyperCommand):
         while rest:
             joined.append(rest.pop(0))
             n_values = _VALUES.get(joined[-1], 0)
-            if n_values and len(rest) >= n_values:
+            apart = bool(rest) and len(rest[0].replace(",", " ").split()) < n_values
+            if apart:
                 joined.append(" ".join(rest[:n_values]))
                 del rest[:n_values]
         return super().parse_args(ctx, joined)

@@ -528,6 +528,13 @@ def test_lines_of_known_length_are_given_again_and_again_and_heard(run: Any) -> 
     assert "known_length" not in said.stdout
 
 
+def test_a_line_may_be_one_text_and_one_with_a_number_missing_is_named_whole(run: Any) -> None:
+    quoted = _estimate(run, "--known-length", "0 0 300 0 90", "--json", "--rulers", "known_length", "cars.png")
+    assert json.loads(quoted.stdout)["rulers"][0]["n"] == 1
+    short = _estimate(run, "cars.png", "--known-length", 0, 0, 300, 90)
+    assert "the known length is '0 0 300 90'" in short.stderr
+
+
 @pytest.mark.parametrize(
     ("options", "code"),
     [
