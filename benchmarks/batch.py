@@ -61,7 +61,7 @@ class Run(NamedTuple):
     """One run of a batch.
 
     Attributes:
-        rate: rows a second, from the first to the last.
+        rate: rows a second, once there are as many rows as workers.
         n_lost: images without a row.
         n_doubled: rows beyond one an image.
     """
@@ -103,9 +103,9 @@ def run_rows(folder: Path, engine: Engine, workers: int, doomed: tuple[Any, Any]
         rows = Counter(json.loads(line)["file"] for line in table.read_text().splitlines())
     images = {str(path) for path in folder.glob("*.jpg")}
     came = seen[1:]  # the first call tells that there is none yet
-    return Run(
-        (len(came) - 1) / (came[-1] - came[0]), len(images - rows.keys()), max(len(came), rows.total()) - len(images)
-    )
+    warm = came[workers - 1 :]  # from the first row on, those that come with it would count as if they took no time
+    rate = (len(warm) - 1) / (warm[-1] - warm[0])
+    return Run(rate, len(images - rows.keys()), max(len(came), rows.total()) - len(images))
 
 
 def compare_nodes(folder: Path, sizes: list[int]) -> None:

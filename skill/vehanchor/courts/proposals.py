@@ -18,6 +18,7 @@ from vehanchor.detection.stopping import ANYTIME_PIXELS
 from vehanchor.errors import ModelContractError
 from vehanchor.imagery.tiles import read_glance, read_reduced_window, tile_grid
 from vehanchor.models.cache import file_cached
+from vehanchor.models.files import read_model
 from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
 from vehanchor.models.zoo import bundled_courts
 from vehanchor.scale.fusion import credible_interval
@@ -99,12 +100,13 @@ class CourtNetwork:
         providers: ONNX Runtime execution providers in order of preference.
 
     Raises:
+        ModelNotFoundError: there is no such file.
         ModelContractError: it is another kind of file.
     """
 
     def __init__(self, path: Path, *, threads: int | None = None, providers: Sequence[str] = DEFAULT_PROVIDERS) -> None:
         self.path = path
-        self._session = open_session(path, threads=threads, providers=providers)
+        self._session = open_session(path, content=read_model(path).content, threads=threads, providers=providers)
         names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
         if names != ["tiles", "courts"]:
             raise ModelContractError(f"{path} has {', '.join(names)}: expected the input tiles, the output courts")

@@ -20,6 +20,7 @@ from vehanchor.errors import ModelContractError
 from vehanchor.imagery.tiles import read_reduced_window
 from vehanchor.imagery.windows import Window
 from vehanchor.models.cache import file_cached
+from vehanchor.models.files import read_model
 from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
 from vehanchor.models.zoo import bundled_scene_scale
 from vehanchor.scale.fusion import GRID, blurred, floored
@@ -185,12 +186,13 @@ class SceneScaleNetwork:
         providers: execution providers of ONNX Runtime in order of preference.
 
     Raises:
+        ModelNotFoundError: there is no such file.
         ModelContractError: it is another kind of file.
     """
 
     def __init__(self, path: Path, *, threads: int | None = None, providers: Sequence[str] = DEFAULT_PROVIDERS) -> None:
         self.path = path
-        self._session = open_session(path, threads=threads, providers=providers)
+        self._session = open_session(path, content=read_model(path).content, threads=threads, providers=providers)
         names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
         if names != ["tiles", "log_probs"]:
             raise ModelContractError(f"{path} has {', '.join(names)}: expected the input tiles, the output log_probs")

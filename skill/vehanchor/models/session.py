@@ -54,6 +54,8 @@ _SHORT_NAMES = {  # what people say
     "directml": "DmlExecutionProvider",
     "rocm": "ROCMExecutionProvider",
 }
+_SMALL_BYTES = 32 << 20  # of a file: bundled ones and YOLO11n's have some 10 MB, encoders of SAM hundreds
+_AS_REQUESTED = 1  # ONNX Runtime's ``ArenaExtendStrategy``: an arena grows by what is asked for, not by powers of two
 _logger = logging.getLogger(__name__)
 
 MAX_THREADS = 256
@@ -112,18 +114,40 @@ def open_session(
     wanted = _installed(providers)
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4  # fatal only: a broken file is reported by our own error
-    options.enable_cpu_mem_arena = False  # it keeps what the largest run took, a third of a server, and is no faster
     if threads is not None:
         options.intra_op_num_threads = int(threads)
         options.inter_op_num_threads = 1
-    by_path = content is None or external_locations(content)
+    model = str(path) if content is None or external_locations(content) else content
+    if isinstance(model, bytes) and len(model) <= _SMALL_BYTES:
+        _share_arena()
+        options.add_session_config_entry("session.use_env_allocators", "1")
+        options.enable_mem_pattern = False  # a block for each shape of input, and tiles have many
+    else:
+        options.enable_cpu_mem_arena = False  # it would keep what the largest run took, for good
     try:
-        session = onnxruntime.InferenceSession(str(path) if by_path else content, options, providers=wanted)
+        session = onnxruntime.InferenceSession(model, options, providers=wanted)
     except Exception as error:  # ONNX Runtime's own exception types are private
         raise _as_ours(error, f"{path} is not an ONNX model that ONNX Runtime can load") from None
     if wanted[0] not in session.get_providers():  # ONNX Runtime goes on with the CPU, and says nothing
         _tell_once(f"{wanted[0]} cannot start here: models run on {session.get_providers()[0]}")
     return session
+
+
+@cache
+def _share_arena() -> None:
+    """Give the small models of this process one arena: each takes it in turn, and together they keep what one needs.
+
+    Without any, runs ask the system for every layer's memory anew and leave twice as much behind; with one for each
+    model, as ONNX Runtime has it by default, all keep their own (``benchmarks/RESULTS.md``).
+    """
+    memory = onnxruntime.OrtMemoryInfo(
+        "Cpu", onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, onnxruntime.OrtMemType.DEFAULT
+    )
+    arena = onnxruntime.OrtArenaCfg({"arena_extend_strategy": _AS_REQUESTED})
+    try:
+        onnxruntime.create_and_register_allocator(memory, arena)
+    except RuntimeError:  # somebody else in this process has: then that one is shared
+        _logger.debug("ONNX Runtime has a shared arena already")
 
 
 def _installed(providers: Sequence[str]) -> list[str]:

@@ -9,7 +9,7 @@ import pytest
 from tests.models import write_detector, write_other_model
 from tests.sam_models import keep_weights_beside, write_sam2
 from vehanchor.errors import InvalidParameterError, ModelContractError, ProviderUnavailableError
-from vehanchor.models.session import metadata_number, open_session
+from vehanchor.models.session import _share_arena, metadata_number, open_session
 
 
 def outputs(path: Path, content: bytes | None) -> list[np.ndarray]:
@@ -38,6 +38,30 @@ def test_bytes_that_were_read_already_are_what_is_run(tmp_path: Path) -> None:
     write_other_model(encoder)
     for was, now in zip(before, outputs(encoder, content), strict=True):
         np.testing.assert_array_equal(was, now)
+
+
+def test_small_models_share_an_arena_and_large_ones_keep_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def shares(path: Path) -> bool:
+        return bool(open_session(path, content=path.read_bytes()).get_session_options().enable_cpu_mem_arena)
+
+    small = write_detector(tmp_path / "small.onnx")
+    beside = write_sam2(tmp_path)[1]
+    keep_weights_beside(beside, ".weights")
+    assert shares(small)
+    assert not shares(beside)
+    monkeypatch.setattr("vehanchor.models.session._SMALL_BYTES", small.stat().st_size - 1)
+    assert not shares(small)
+
+
+def test_an_arena_that_somebody_else_shares_already_serves(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def taken(*_: object) -> None:
+        raise RuntimeError("an allocator for this device has been registered already")
+
+    monkeypatch.setattr(onnxruntime, "create_and_register_allocator", taken)
+    _share_arena.cache_clear()
+    encoder = write_sam2(tmp_path)[0]
+    assert len(outputs(encoder, encoder.read_bytes()))
+    _share_arena.cache_clear()  # for the tests after this one
 
 
 def test_what_cannot_be_loaded_is_our_error_that_names_the_file(tmp_path: Path) -> None:
