@@ -8,6 +8,7 @@ of threads.
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, overload
@@ -31,8 +32,9 @@ from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.raster import can_be_read_again, open_raster
 from vehanchor.judgement import judge, standing
+from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.session import named_providers
-from vehanchor.models.zoo import resolve_model
+from vehanchor.models.zoo import bundled_courts, bundled_scene_scale, resolve_model
 from vehanchor.notices import NoticeCode
 from vehanchor.options import ScaleOptions
 from vehanchor.records import FrameScale, GsdEstimate, KnownScale, Notice, RulerScale, SceneScaleEstimate
@@ -66,6 +68,7 @@ __all__ = [
     "georeference_notice",
     "image_facts",
     "image_notices",
+    "networks_sha256",
     "open_detector",
 ]
 
@@ -358,6 +361,19 @@ def _ruler_scale(share: RulerShare) -> RulerScale:
 def model_id(card: DetectorCard) -> str:
     """First digits of a detector's checksum."""
     return card.sha256[:_MODEL_DIGITS]
+
+
+def networks_sha256(card: DetectorCard) -> str:
+    """SHA-256 of all networks behind a record: the detector, those beside it, the ground's and the courts'.
+
+    What was found with some of them replaced is not the same any more.
+    """
+    digest = hashlib.sha256()
+    for checksum in (card.sha256, card.fleet_sha256, card.second_look_sha256):
+        digest.update(f"{checksum}\n".encode())
+    for path in (bundled_scene_scale(), bundled_courts()):
+        digest.update(models_sha256(read_model(path)).encode() if path else b"\n")
+    return digest.hexdigest()
 
 
 def _known_scale(

@@ -19,7 +19,7 @@ from vehanchor.batch.stored import from_json, to_json
 from vehanchor.defaults import OUTLIER_ALPHA
 from vehanchor.detection.sighting import Sighting
 from vehanchor.errors import InvalidParameterError, VehAnchorError
-from vehanchor.estimate import ScaleAnalysis, analyse_raster, analyse_sighting, image_facts
+from vehanchor.estimate import ScaleAnalysis, analyse_raster, analyse_sighting, image_facts, networks_sha256
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.raster import open_raster
 from vehanchor.options import Lengths, ScaleOptions, Search
@@ -107,8 +107,7 @@ def open_detection_log(
     settings = {
         "vehanchor": version("vehanchor"),
         "form": _FORM,
-        "model_sha256": detector.card.sha256,
-        "fleet_sha256": detector.card.fleet_sha256,
+        "networks_sha256": networks_sha256(detector.card),
         "classes": classes,
         "search": _of_full_search(options.search) if options.rulers.searches else None,
         "bands": options.reading.bands,

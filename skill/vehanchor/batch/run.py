@@ -20,7 +20,7 @@ from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, Task
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, OutputError
-from vehanchor.estimate import open_detector
+from vehanchor.estimate import networks_sha256, open_detector
 from vehanchor.models.session import DEFAULT_PROVIDERS
 from vehanchor.models.zoo import bundled_models, resolve_model
 from vehanchor.options import ScaleOptions
@@ -144,7 +144,7 @@ def _settings(job: BatchJob) -> dict[str, Any]:
         options["lines_of"] = job.known_lengths
     return {
         "vehanchor": version("vehanchor"),
-        "model_sha256": job.detector_sha256,
+        "networks_sha256": job.networks_sha256,
         "classes": job.classes,
         **options,
     }
@@ -162,7 +162,7 @@ def _job(
     model = open_detector(Detector(path, classes=named, providers=providers), options)
     bundled = model.path in bundled_models().values()  # elsewhere in the cluster it may lie elsewhere
     name = model.path.stem if bundled else str(model.path.resolve())
-    return BatchJob(name, model.card.sha256, named, options, providers)
+    return BatchJob(name, networks_sha256(model.card), named, options, providers)
 
 
 def _check(engine: str, address: str | None, workers: int | None, options: ScaleOptions) -> None:

@@ -13,7 +13,7 @@ from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.batch.row import BatchRow
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
-from vehanchor.estimate import analyse_scale, open_detector
+from vehanchor.estimate import analyse_scale, networks_sha256, open_detector
 from vehanchor.imagery.addresses import is_address
 from vehanchor.models.session import DEFAULT_PROVIDERS
 from vehanchor.models.zoo import resolve_model
@@ -33,7 +33,7 @@ class BatchJob:
 
     Attributes:
         detector: name of a bundled model, or the absolute path of a file.
-        detector_sha256: what that file must be: on another machine it could be another one.
+        networks_sha256: what that and all networks beside it must be: on another machine they could be others.
         classes: of the model, that count as vehicles; None for the model's own.
         options: every choice of the method, without a frame.
         providers: execution providers of ONNX Runtime.
@@ -42,7 +42,7 @@ class BatchJob:
     """
 
     detector: str
-    detector_sha256: str
+    networks_sha256: str
     classes: tuple[str | int, ...] | None = None
     options: ScaleOptions = field(default_factory=ScaleOptions)
     providers: tuple[str, ...] = DEFAULT_PROVIDERS
@@ -87,10 +87,11 @@ class Worker:
             Detector(resolve_model(job.detector), classes=job.classes, threads=job.threads, providers=job.providers),
             job.options,
         )
-        if self._detector.card.sha256 != job.detector_sha256:
+        here = networks_sha256(self._detector.card)
+        if here != job.networks_sha256:
             raise ModelContractError(
-                f"{job.detector} is another model on this machine (sha256 {self._detector.card.sha256[:12]}) than "
-                f"where the run was started ({job.detector_sha256[:12]}): install one version of vehanchor everywhere"
+                f"{job.detector} and the networks beside it are others on this machine (sha256 {here[:12]}) than where "
+                f"the run was started ({job.networks_sha256[:12]}): install one version of vehanchor everywhere"
             )
 
     @classmethod

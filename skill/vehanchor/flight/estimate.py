@@ -15,7 +15,7 @@ from vehanchor.batch.journal import Journal, Key, Source
 from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.batch.stored import from_json, to_json
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
-from vehanchor.estimate import analyse_raster, image_facts, open_detector
+from vehanchor.estimate import analyse_raster, image_facts, networks_sha256, open_detector
 from vehanchor.flight.concluding import Failure, chief_member, conclude_flight
 from vehanchor.flight.features import find_features
 from vehanchor.flight.islands import single_island
@@ -240,6 +240,7 @@ def _open_journal(
     del choices["frame"]
     if lines:
         choices["lines_of"] = lines
-    settings = {"vehanchor": version("vehanchor"), "model_sha256": detector.card.sha256, "flight": 1, **choices}
+    networks = networks_sha256(detector.card)
+    settings = {"vehanchor": version("vehanchor"), "networks_sha256": networks, "flight": 1, **choices}
     remedy = "move the file away, or name another"
     return Journal(path, settings, dump=to_json, load=from_json, sole=True, remedy=remedy)

@@ -19,7 +19,7 @@ import onnxruntime
 import pytest
 from typer.testing import CliRunner
 
-from tests.models import blank_image, paint_vehicles, write_detector
+from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network
 from vehanchor.batch import BatchJob, BatchRow, find_images, run_batch
 from vehanchor.batch.engines.local import local_workers
 from vehanchor.batch.row import COLUMNS
@@ -29,6 +29,7 @@ from vehanchor.cli import app as cli
 from vehanchor.courts import proposals
 from vehanchor.detection import scene
 from vehanchor.detection.detector import Detector
+from vehanchor.detection.look import FleetLengths
 from vehanchor.errors import (
     ImageNotFoundError,
     InvalidParameterError,
@@ -38,8 +39,7 @@ from vehanchor.errors import (
     VehAnchorError,
     WorkerDiedError,
 )
-from vehanchor.estimate import estimate_gsd
-from vehanchor.models.files import models_sha256, read_model
+from vehanchor.estimate import estimate_gsd, networks_sha256
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Frame, Reference, ScaleOptions
 from vehanchor.records import GsdEstimate
@@ -172,6 +172,7 @@ def test_want_of_memory_is_an_images_row_under_its_code(
 
 
 def test_a_worker_of_one_thread_wakes_no_other_core(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = BatchJob("vehicles", networks_sha256(Detector(resolve_model()).card))
     opened: list[int | None] = []
     session = onnxruntime.InferenceSession
 
@@ -184,7 +185,7 @@ def test_a_worker_of_one_thread_wakes_no_other_core(folder: Path, monkeypatch: p
         monkeypatch.setattr(load, "_loaded", load._loaded.__wrapped__)
     before = cv2.getNumThreads()
     try:
-        worker = Worker.of_own_process(BatchJob("vehicles", models_sha256(read_model(resolve_model()))))
+        worker = Worker.of_own_process(job)
         assert cv2.getNumThreads() == 1
         assert worker.row(Task.of(str(folder / "empty.png"))).estimate is not None
     finally:
@@ -193,7 +194,7 @@ def test_a_worker_of_one_thread_wakes_no_other_core(folder: Path, monkeypatch: p
 
 
 def test_a_worker_refuses_another_model_than_the_runs(detector: Path) -> None:
-    with pytest.raises(ModelContractError, match="is another model on this machine"):
+    with pytest.raises(ModelContractError, match="are others on this machine"):
         Worker(BatchJob(str(detector), "0" * 64))
 
 
@@ -340,6 +341,16 @@ def test_rows_of_other_options_are_not_mixed_in(analysed: list[str], detector: P
         run_batch(["."], table, detector=detector, workers=1, options=other)
     assert run_batch(["."], table, detector=detector, workers=1, options=other, overwrite=True).n_resumed == 0
     assert {row["reference_length_m"] for row in _rows(table)} == {4.3, None}
+
+
+def test_rows_of_other_networks_beside_the_detector_are_not_mixed_in(
+    analysed: list[str], detector: Path, table: Path
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(["."], table, detector=detector, workers=1)
+    write_fleet_network(detector, FleetLengths((1.4, 1.6), (4.3, 5.1), 0.3, 1.0))
+    with pytest.raises(InvalidParameterError, match="networks_sha256"):
+        run_batch(["."], table, detector=detector, workers=1)
 
 
 def test_an_image_that_was_replaced_meanwhile_is_looked_at_again(
@@ -624,7 +635,7 @@ def test_a_table_of_lines_that_cannot_be_used_is_told_before_the_work(
 
 
 def test_a_run_begun_with_other_lines_is_not_mixed_in(folder: Path, detector: Path, table: Path) -> None:
-    job = BatchJob(str(detector.resolve()), Detector(detector).card.sha256)
+    job = BatchJob(str(detector.resolve()), networks_sha256(Detector(detector).card))
     open_journal(table, job).add(Task.of("cars.png").key(), BatchRow(file="cars.png", error_code="e", error="e"))
     lines = folder / "lines.csv"
     lines.write_text("file,x1,y1,x2,y2,metres\ncars.png,1,2,300,4,40\n")
