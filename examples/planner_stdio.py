@@ -116,7 +116,12 @@ def judge(record: dict[str, Any], anchor: Anchor, zone: Zone, craft: Craft) -> D
 
 
 async def decide(
-    client: Client, image: Path, zones: Sequence[Zone], anchors: Sequence[Anchor], craft: Craft
+    client: Client,
+    image: Path,
+    zones: Sequence[Zone],
+    anchors: Sequence[Anchor],
+    craft: Craft,
+    region: str | None = None,
 ) -> Decision:
     """Go through the anchors, and for each through the zones, until one allows a landing or all are rejected."""
     decision = Decision(Action.HOLD_ALTITUDE, "no zone was proposed")
@@ -131,6 +136,8 @@ async def decide(
             }
             if anchor.gsd_m_per_px is not None:
                 arguments["gsd_m_per_px"] = anchor.gsd_m_per_px
+            elif region is not None:
+                arguments["region"] = region
             result = await client.call_tool("measure_area", arguments)
             if result.is_error:  # "code: what is wrong. what to do"
                 message = " ".join(getattr(part, "text", "") for part in result.content)
@@ -152,6 +159,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--zone", type=float, nargs=4, action="append", metavar=("X1", "Y1", "X2", "Y2"), default=[])
     parser.add_argument("--diameter", type=float, default=4.0, help="the craft's, rotors included, metres")
     parser.add_argument("--margin", type=float, default=2.0, help="to keep free on either side, metres")
+    parser.add_argument("--region", help="whose cars they are, as in europe; name it where cars are small: south_asia")
     parser.add_argument("--altitude", type=float, help="next anchor: height above ground by the barometer, metres")
     parser.add_argument("--focal", type=float, help="the camera's focal length in pixels, with --altitude")
     return parser.parse_args()
@@ -171,7 +179,7 @@ async def main() -> None:
         command=sys.executable, args=["-m", "vehanchor", "serve", "--root", str(options.image.resolve().parent)]
     )
     async with Client(server) as client:
-        decision = await decide(client, options.image, zones, anchors, craft)
+        decision = await decide(client, options.image, zones, anchors, craft, options.region)
     log.info("decision: %s, because %s", decision.action, decision.reason)
     print(json.dumps({name: value for name, value in asdict(decision).items() if value is not None}))
 

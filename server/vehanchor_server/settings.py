@@ -15,6 +15,7 @@ from functools import cache
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import urlsplit
 
 from vehanchor.choices import choice
 from vehanchor.models.precision import Precision
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["Settings", "SettingsError", "variable_name"]
 
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
+_EVERYWHERE = ("0.0.0.0", "::")
 _TRUE, _FALSE = ("1", "true", "yes", "on"), ("0", "false", "no", "off")
 _MIB, _MEGAPIXEL = 1 << 20, 1_000_000
 _SOURCES, _WORK, _HTTP = "Where images may come from", "Models and limits", "HTTP"
@@ -91,7 +93,8 @@ class Settings:
     )
     min_score: float | None = field(default=None, metadata=_words("Lowest detection score.", panel=_WORK))
     effort: str = field(
-        default="auto", metadata=_words("How much is searched: full (every tile), auto or fast.", panel=_WORK)
+        default="auto",
+        metadata=_words("How much is searched where the caller does not say: full, auto or fast.", panel=_WORK),
     )
     max_tiles: int | None = field(
         default=None, metadata=_words("Tiles of an image that are searched at most.", panel=_WORK, if_unset="all")
@@ -214,6 +217,10 @@ class Settings:
             raise SettingsError(f"oidc_issuer is {self.oidc_issuer!r}: an issuer is an https:// URL")
         if self.oidc_issuer is not None and self.token_file is not None:
             raise SettingsError("token_file and oidc_issuer exclude each other: choose one way to authenticate")
+        if self.public_url is not None and not _is_web_address(self.public_url):
+            raise SettingsError(f"public_url is {self.public_url!r}: write all of it, as in https://example.org/mcp")
+        if self.oidc_issuer is not None and self.public_url is None and self.host in _EVERYWHERE:
+            raise SettingsError(f"listening on {self.host} with an issuer: give --public-url, the address for callers")
 
     @property
     def spelled_roots(self) -> tuple[Path, ...]:
@@ -305,6 +312,14 @@ class Settings:
             elif values[name] is not None:
                 values[name] = form.type(values[name])
         return cls(**values)
+
+
+def _is_web_address(text: str) -> bool:
+    try:
+        parts = urlsplit(text)
+        return parts.scheme in ("http", "https") and bool(parts.hostname)
+    except ValueError:  # brackets without an address in them
+        return False
 
 
 def variable_name(name: str) -> str:

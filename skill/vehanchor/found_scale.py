@@ -136,11 +136,17 @@ def choose_scale(
         providers: where it runs.
 
     Raises:
-        InvalidParameterError: both are given, or one has no meaning.
+        InvalidParameterError: both are given, or one beside lines of known length, or one has no meaning.
         ModelError: the detector cannot be used.
     """
-    if gsd_m_per_px is not None and scale is not None:
+    known = [name for name, value in (("gsd_m_per_px", gsd_m_per_px), ("scale", scale)) if value is not None]
+    if len(known) > 1:
         raise InvalidParameterError("give gsd_m_per_px or scale, not both: each is the scale")
+    if known and options.rulers.known_lengths:
+        raise InvalidParameterError(
+            f"give {known[0]} or lines of known length, not both: a scale that is given is not measured again. Leave "
+            f"{known[0]} out to have it measured with the lines"
+        )
     if scale is not None:
         return _as_known(scale)
     if gsd_m_per_px is None:

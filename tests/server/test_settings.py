@@ -69,7 +69,15 @@ def test_roots_are_resolved_once(tmp_path: Path) -> None:
         ({"host": "192.168.1.5"}, False),
         ({"host": "0.0.0.0", "insecure": True}, True),
         ({"host": "0.0.0.0", "token_file": Path("tokens")}, True),
-        ({"host": "0.0.0.0", "oidc_issuer": "https://a.test", "oidc_audience": "x"}, True),
+        (
+            {
+                "host": "0.0.0.0",
+                "oidc_issuer": "https://a.test",
+                "oidc_audience": "x",
+                "public_url": "https://b.test/mcp",
+            },
+            True,
+        ),
     ],
 )
 def test_a_public_address_needs_authentication(options: dict[str, Any], allowed: bool) -> None:
@@ -149,6 +157,22 @@ def test_settings_survive_the_way_to_a_worker_process(tmp_path: Path) -> None:
 def test_a_root_of_any_name_survives_the_way_to_a_worker_process(tmp_path: Path, name: str) -> None:
     (tmp_path / name).mkdir()
     assert Settings.from_json(Settings(roots=(tmp_path / name,)).to_json()).roots == (tmp_path / name,)
+
+
+@pytest.mark.parametrize(
+    "address", ["example.org", "example.org/mcp", "ftp://example.org/mcp", "https://", "http://[::1/mcp"]
+)
+def test_an_address_for_callers_is_a_whole_one(address: str) -> None:
+    with pytest.raises(SettingsError, match=r"^public_url is .*: write all of it, as in https://example\.org/mcp"):
+        Settings(public_url=address)
+
+
+def test_who_listens_everywhere_with_an_issuer_has_to_say_where(tmp_path: Path) -> None:
+    issuer = {"oidc_issuer": "https://issuer.test", "oidc_audience": "vehanchor"}
+    with pytest.raises(SettingsError, match=r"^listening on 0\.0\.0\.0 with an issuer: give --public-url"):
+        Settings(host="0.0.0.0", **issuer)  # type: ignore[arg-type]
+    assert Settings(host="0.0.0.0", public_url="https://x.test/mcp", **issuer).authenticated  # type: ignore[arg-type]
+    assert Settings(host="127.0.0.1", **issuer).authenticated  # type: ignore[arg-type]
 
 
 def test_a_variable_with_a_directory_whose_name_holds_the_separator_is_refused(tmp_path: Path) -> None:

@@ -213,6 +213,12 @@ def test_two_scales_are_one_too_many(estimate: vehanchor.GsdEstimate) -> None:
         vehanchor.measure_distance(_place(), [(1, 1), (9, 9)], scale=estimate, gsd_m_per_px=0.1)
 
 
+def test_a_known_scale_leaves_no_line_unheard(estimate: vehanchor.GsdEstimate) -> None:
+    for known in ({"scale": estimate}, {"gsd_m_per_px": 0.1}):
+        with pytest.raises(InvalidParameterError, match=f"give {next(iter(known))} or lines of known length, not both"):
+            vehanchor.measure_distance(_place(), [(1, 1), (9, 9)], known_lengths=[(0, 0, 100, 0, 12.0)], **known)  # type: ignore[arg-type]
+
+
 def test_an_image_is_itself_however_it_is_handed_over(tmp_path: Path, estimate: vehanchor.GsdEstimate) -> None:
     import cv2
 

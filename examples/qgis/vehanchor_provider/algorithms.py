@@ -64,7 +64,7 @@ class _Command(QgsProcessingAlgorithm):
         return words
 
     def ask(self, words, feedback):
-        """Run the command; what it prints, and its status."""
+        """Run the command; what it prints, what it says beside it, and its status."""
         program = os.environ.get("VEHANCHOR") or shutil.which("vehanchor")
         if program is None:
             raise QgsProcessingException(
@@ -86,7 +86,7 @@ class _Command(QgsProcessingAlgorithm):
             raise QgsProcessingException("cancelled")
         if running.returncode not in (0, NOT_OK):
             raise QgsProcessingException(said.strip() or f"vehanchor ended with status {running.returncode}")
-        return told, running.returncode
+        return told, said, running.returncode
 
     def wait(self, running, feedback):
         """What the command says on both streams, once it has ended or has been cancelled."""
@@ -174,7 +174,7 @@ class LocalMetres(_Command):
         with tempfile.TemporaryDirectory() as folder:
             picture = str(Path(folder) / "bar.png")
             words = ["scalebar", *self.arguments(parameters, context), "--output", picture, "--geotiff", raster]
-            told, status = self.ask(words, feedback)
+            _, said, status = self.ask(words, feedback)
         if status == NOT_OK:
-            raise QgsProcessingException(f"the scale is not to be used: {told.strip() or 'see the log'}")
+            raise QgsProcessingException(f"the scale is not to be used: {said.strip() or 'see the log'}")
         return {self.RASTER: raster}

@@ -126,8 +126,8 @@ def measure_area_tool(services: Services) -> StrictTool:
 
 def _named(target: Target | None, targets: tuple[Target, ...] | None) -> tuple[Target, ...]:
     if (target is None) == (targets is None):
-        found = "both are given" if target else "target: it is required"
-        raise CallError("invalid_arguments", f"{found}, or targets instead. Give one of the two.")
+        problem = "target and targets are both given: give one of the two" if target else "targets: it is required"
+        raise CallError("invalid_arguments", f"{problem}.")
     return (target,) if target is not None else targets or ()
 
 

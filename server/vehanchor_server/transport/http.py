@@ -141,7 +141,8 @@ def _connection_limits(settings: Settings) -> ConnectionLimits:
 
 
 def _auth(settings: Settings) -> AuthSettings:
-    address = settings.public_url or f"http://{settings.host}:{settings.port}{MCP_PATH}"
+    host = f"[{settings.host}]" if ":" in settings.host else settings.host
+    address = settings.public_url or f"http://{host}:{settings.port}{MCP_PATH}"
     if settings.oidc_issuer is None:  # tokens of the operator's own: there is no authorization server to name
         return AuthSettings.model_validate({"issuer_url": address, "resource_server_url": None})
     return AuthSettings.model_validate(  # from strings: an issuer without a path must not gain a slash

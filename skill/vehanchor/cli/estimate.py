@@ -177,7 +177,7 @@ def _names(images: Sequence[str], option: str, pattern: str | None) -> list[Path
     if len(images) > 1 and _STEM not in pattern:
         raise InvalidParameterError(
             f"{option} {pattern!r} names one file for {len(images)} images: put {_STEM} into the name, as in "
-            f"{option} '{_STEM}_{option.lstrip('-')}.png'"
+            f"{option} '{_STEM}_{option.lstrip('-')}{Path(pattern).suffix}'"
         )
     return [Path(pattern.replace(_STEM, Path(source).stem)) for source in images]
 

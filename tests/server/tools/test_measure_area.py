@@ -145,7 +145,7 @@ async def test_the_overlay_is_a_small_jpeg_that_shows_the_object(server: MCPServ
     [
         ({}, "target: give box or points, one of the two: "),
         ("the pool", "target: give box or points"),
-        (None, "target: it is required, or targets instead"),
+        (None, "targets: it is required"),
         ({"box": POOL_BOX, "points": [{"x": 1, "y": 1}]}, "target: give box or points"),
         ({"box": {**POOL_BOX, "x_min": None}}, "target.box.x_min: "),
         ({"box": {"x_min": 1, "y_min": 2, "x_max": 3}}, "target.box.y_max: it is required"),
@@ -177,7 +177,7 @@ async def test_a_scale_without_meaning_is_told(server: MCPServer[object], images
 async def test_without_a_target_there_is_nothing_to_measure(server: MCPServer[object], images: Path) -> None:
     result = await asked(server, by_path(images / "pool.png"))
     assert error_of(result) == "invalid_arguments"
-    assert "target: it is required" in text_of(result)
+    assert "targets: it is required" in text_of(result)
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from tests.server.conversation import by_path, error_of, text_of
 from tests.server.serving import listening, serving
 from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings, SettingsError
-from vehanchor_server.transport.http import create_app, serve_http
+from vehanchor_server.transport.http import _auth, create_app, serve_http
 
 pytestmark = pytest.mark.anyio
 
@@ -166,6 +166,11 @@ async def test_without_the_token_nothing_but_health_answers(
             result = await mcp_client.call_tool("estimate_gsd", by_path(images / "cars.png"))
         assert not result.is_error
     assert TOKEN not in caplog.text
+
+
+def test_an_address_of_the_sixth_version_is_written_in_brackets() -> None:
+    listening = Settings(host="::1", oidc_issuer="https://issuer.test", oidc_audience="vehanchor")
+    assert str(_auth(listening).resource_server_url) == f"http://[::1]:{listening.port}/mcp"
 
 
 async def test_an_oidc_server_says_where_to_get_a_token(settings: Settings) -> None:
