@@ -214,7 +214,7 @@ def analyse_raster(
     network = load_scene_scale(threads=detector.threads, providers=detector.providers) if looks else None
     scene = None if network is None else network.look(raster, run_options=run_options)
     nothing_yet, resolved = replace(_NOT_SEARCHED, scene=scene), partial(resolved_share, raster)
-    view = View(facts, nothing_yet, detector.card, options, resolved, raster, detector.providers)
+    view = View(facts, nothing_yet, detector.card, options, resolved, raster, detector.providers, run_options)
     if options.rulers.searches:
         sighting = search(
             raster,

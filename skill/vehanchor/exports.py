@@ -34,6 +34,10 @@ _COLUMN_TYPES = {bool: "BOOLEAN", str: "TEXT"}  # all others are DOUBLE
 
 _GPKG_ID, _GPKG_VERSION = 0x47504B47, 10300  # "GPKG", version 1.3
 _UNDEFINED_SRS = -1  # of the standard: Cartesian, of no known place
+_WGS84 = (  # which every GeoPackage names
+    'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],'
+    'UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]'
+)
 _GPKG_TABLES = """
 CREATE TABLE gpkg_spatial_ref_sys (srs_name TEXT NOT NULL, srs_id INTEGER NOT NULL PRIMARY KEY,
   organization TEXT NOT NULL, organization_coordsys_id INTEGER NOT NULL, definition TEXT NOT NULL, description TEXT);
@@ -160,13 +164,17 @@ def _write_geopackage(path: Path, layer: _Layer, ground: Ground | None) -> None:
     systems: list[tuple[str, int, str, int, str]] = [
         ("Undefined Cartesian", _UNDEFINED_SRS, "NONE", _UNDEFINED_SRS, "undefined"),
         ("Undefined geographic", 0, "NONE", 0, "undefined"),
+        ("WGS 84", 4326, "EPSG", 4326, _WGS84),
     ]
     srs = _UNDEFINED_SRS
     geometries = [feature["geometry"] for feature in layer.features]
     if ground is not None:
         geometries = [_moved(geometry, lambda points: _on_ground(points, ground)) for geometry in geometries]
-        srs = ground.crs.to_epsg() or 100_000  # numbers from there are the writer's own
-        systems.append((f"EPSG:{srs}", srs, "EPSG", srs, ground.crs.to_wkt()))
+        code = ground.crs.to_epsg()
+        srs = code or 100_000  # numbers from there are the writer's own
+        named = (f"EPSG:{code}", srs, "EPSG") if code else ("the image's own", srs, "NONE")
+        if srs != 4326:
+            systems.append((*named, srs, ground.crs.to_wkt()))
     places = np.concatenate([np.empty((0, 2)), *(ring for geometry in geometries for ring in _rings(geometry))])
     extent = [*places.min(axis=0).tolist(), *places.max(axis=0).tolist()] if len(places) else [None] * 4
     columns = "".join(f", {name} {_COLUMN_TYPES.get(kind, 'DOUBLE')}" for name, kind in layer.columns.items())

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from vehanchor.anchors.attitude import attitude, plane_of_record, plane_with
 from vehanchor.anchors.camera import equivalent_lens, lens
 from vehanchor.anchors.evidence import ImageFacts
-from vehanchor.choices import number
+from vehanchor.choices import number, positive
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
 from vehanchor.estimate import analyse_raster, georeference_notice, image_notices, open_detector
@@ -129,7 +129,7 @@ def choose_scale(
 
     Args:
         gsd_m_per_px: a number that the caller knows.
-        scale: an earlier estimate of the same image, or its six fields.
+        scale: an earlier estimate of the same image, or its ``scale``.
         detector: opened where neither is given.
         options: every choice of the method.
         threads: CPU threads of the detector.
@@ -151,9 +151,7 @@ def choose_scale(
         return _as_known(scale)
     if gsd_m_per_px is None:
         return open_detector(detector, options, threads=threads, providers=providers)
-    if not (math.isfinite(gsd_m_per_px) and gsd_m_per_px > 0):
-        raise InvalidParameterError(f"gsd_m_per_px is {gsd_m_per_px}: use a finite number > 0")
-    return gsd_m_per_px
+    return positive("gsd_m_per_px", gsd_m_per_px)
 
 
 def _as_known(scale: KnownScale | GsdEstimate | Mapping[str, Any]) -> KnownScale:
@@ -170,6 +168,10 @@ def _as_known(scale: KnownScale | GsdEstimate | Mapping[str, Any]) -> KnownScale
             raise InvalidParameterError(
                 f"scale is not what an estimate gave as scale: {place}: {wrong['msg']}. Give it back unchanged"
             ) from None
+    if not isinstance(scale, KnownScale):
+        raise InvalidParameterError(
+            f"scale is a {type(scale).__name__}: give back an estimate or its scale; a number is gsd_m_per_px"
+        )
     if not scale.gsd_ci95_low_m_per_px <= scale.gsd_m_per_px <= scale.gsd_ci95_high_m_per_px:
         raise InvalidParameterError("scale is not what an estimate gave: its value lies outside its interval")
     return scale

@@ -213,10 +213,24 @@ def test_two_scales_are_one_too_many(estimate: vehanchor.GsdEstimate) -> None:
         vehanchor.measure_distance(_place(), [(1, 1), (9, 9)], scale=estimate, gsd_m_per_px=0.1)
 
 
+@pytest.mark.parametrize(
+    ("known", "words"),
+    [
+        ({"gsd_m_per_px": "0.1"}, "gsd_m_per_px"),
+        ({"gsd_m_per_px": True}, "gsd_m_per_px"),
+        ({"gsd_m_per_px": 0.0}, "use a finite number > 0"),
+        ({"scale": 0.15}, "scale is a float: .* a number is gsd_m_per_px"),
+    ],
+)
+def test_what_is_no_scale_is_told(known: dict[str, Any], words: str) -> None:
+    with pytest.raises(InvalidParameterError, match=words):
+        vehanchor.measure_distance(_place(), [(1, 1), (9, 9)], **known)
+
+
 def test_a_known_scale_leaves_no_line_unheard(estimate: vehanchor.GsdEstimate) -> None:
     for known in ({"scale": estimate}, {"gsd_m_per_px": 0.1}):
         with pytest.raises(InvalidParameterError, match=f"give {next(iter(known))} or lines of known length, not both"):
-            vehanchor.measure_distance(_place(), [(1, 1), (9, 9)], known_lengths=[(0, 0, 100, 0, 12.0)], **known)  # type: ignore[arg-type]
+            vehanchor.measure_distance(_place(), [(1, 1), (9, 9)], known_lengths=[(0, 0, 100, 0, 12.0)], **known)
 
 
 def test_an_image_is_itself_however_it_is_handed_over(tmp_path: Path, estimate: vehanchor.GsdEstimate) -> None:

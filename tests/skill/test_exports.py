@@ -78,7 +78,8 @@ def test_a_geopackage_has_the_tables_of_the_standard_and_polygons_in_the_files_s
         systems = dict(file.execute("SELECT srs_id, definition FROM gpkg_spatial_ref_sys"))
         rows = file.execute("SELECT geom, kept, score FROM vehicles ORDER BY fid").fetchall()
     assert rasterio.CRS.from_wkt(systems[32633]).to_epsg() == 32633
-    assert {-1, 0} <= set(systems)
+    assert set(systems) == {-1, 0, 4326, 32633}  # the first three are the standard's own
+    assert rasterio.CRS.from_wkt(systems[4326]).to_epsg() == 4326
     assert len(rows) == 12
     for (geometry, kept, _), corners in zip(rows, expected_corners(on_ground), strict=True):
         magic, _, _, srs, order, kind, rings, n = struct.unpack("<2sBBiBIII", geometry[:21])

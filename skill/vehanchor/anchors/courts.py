@@ -69,8 +69,14 @@ class Courts:
         raster, looked = view.raster, attitude(view.image, view.options)
         if looked is not None:
             plane = plane_with(looked, view.image, 1.0)
-            return evidence_of(find_courts_on(raster, plane, view.sighting, view.card, providers=view.providers))
-        proposed = propose_courts(raster, view.sighting, view.card, providers=view.providers)
+            return evidence_of(
+                find_courts_on(
+                    raster, plane, view.sighting, view.card, providers=view.providers, run_options=view.run_options
+                )
+            )
+        proposed = propose_courts(
+            raster, view.sighting, view.card, providers=view.providers, run_options=view.run_options
+        )
         found = find_courts(raster, view.sighting, view.card, proposed=proposed)
         sure = any(each.share >= _SURE_OF_A_COURT for each in proposed.proposals)
         if not found and sure and may_look_aside(view):
@@ -84,13 +90,21 @@ class Courts:
             try:
                 tried = GroundPlane(1.0, tilt_deg, focal.pixels, *size)
                 rough = rough_courts_on(
-                    raster, tried, view.sighting, view.card, most=_MOST_TRIED, providers=view.providers
+                    raster,
+                    tried,
+                    view.sighting,
+                    view.card,
+                    most=_MOST_TRIED,
+                    providers=view.providers,
+                    run_options=view.run_options,
                 )
                 leans = [find_lean([witness], focal) for witness in court_witnesses(rough, *size)]
                 followed = (each for each in leans if each is not None and each.tilt_deg >= _LEAST_TILT_DEG)
                 for leaned in followed:  # from there it has to be borne out
                     plane = GroundPlane(1.0, leaned.tilt_deg, leaned.focal_px, *size, leaned.roll_deg)
-                    found = find_courts_on(raster, plane, view.sighting, view.card, providers=view.providers)
+                    found = find_courts_on(
+                        raster, plane, view.sighting, view.card, providers=view.providers, run_options=view.run_options
+                    )
                     if found:
                         return found
             except TooObliqueError:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     import numpy as np
+    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.detection.card import DetectorCard
@@ -60,6 +61,7 @@ class View:
             resolution down to which there is detail (``vehanchor.imagery.detail``).
         raster: the open image, for a ruler that looks at pixels; None where only what a search has found is kept.
         providers: where a ruler's own model runs, as the detector's; None for the CPU.
+        run_options: ONNX Runtime's, for a caller that may have to end a running model.
     """
 
     image: ImageFacts
@@ -69,6 +71,7 @@ class View:
     resolved_share: Callable[[NDArray[np.float64], float], float]
     raster: Raster | None = None
     providers: tuple[str, ...] | None = None
+    run_options: onnxruntime.RunOptions | None = None
 
 
 class Mark(NamedTuple):

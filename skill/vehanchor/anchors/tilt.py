@@ -72,7 +72,8 @@ def on_the_plane(others: Sequence[Evidence], looked: Attitude, view: View) -> tu
     """What rulers say of the scale at the image's centre, where the camera looked aside.
 
     Args:
-        others: evidence of the rulers beside vehicles: courts, lines and heights are measured again, and the ground's
+        others: evidence of the rulers beside vehicles: courts, lines and heights, told or read from metadata, are
+            measured again, and the ground's
             own look is left out, whose network was never shown such a view.
         looked: where the camera looked.
         view: of the image.
@@ -83,7 +84,7 @@ def on_the_plane(others: Sequence[Evidence], looked: Attitude, view: View) -> tu
     for each in others:
         if isinstance(each, CourtsEvidence):
             found.append(each.on(plane))
-        elif each.kind == Camera.kind and camera is not None and camera.off_nadir_deg is not None:
+        elif each.kind == Camera.kind and camera is not None:
             aimed = image._replace(camera=replace(camera, off_nadir_deg=looked.tilt_deg))
             found.append(Camera().look(replace(view, image=aimed)))
         elif each.kind == GivenHeight.kind:

@@ -81,6 +81,7 @@ def rough_courts_on(
     *,
     most: int,
     providers: tuple[str, ...] | None = None,
+    run_options: onnxruntime.RunOptions | None = None,
 ) -> list[Court]:
     """Guess at the shapes of courts where nobody knows how far aside the camera looked.
 
@@ -91,13 +92,14 @@ def rough_courts_on(
         card: of the detector.
         most: proposals that are looked at, the surest.
         providers: as in ``find_courts``.
+        run_options: as in ``find_courts``.
 
     Returns:
         Courts in the image, each by itself to be borne out on the plane that its shape means.
     """
     level = LevelRaster(raster, plane)
     nothing = replace(sighting, others=Objects.joined(), scene=None)  # both are of the image as it is
-    proposed = propose_courts(level, nothing, card, providers=providers)
+    proposed = propose_courts(level, nothing, card, providers=providers, run_options=run_options)
     surest = sorted(proposed.proposals, key=lambda each: -each.share)[:most]
     rough = [court for each in surest if (court := rough_court(level, each)) is not None]
     return [replace(each, shape=None if each.shape is None else level.in_image(each.shape)) for each in rough]

@@ -331,7 +331,8 @@ def read_detector_card(
         "licence": None,
         **_stated(path, metadata, _DETECTOR_ENTRIES),
     }
-    regions = {name: values["reference_length_m"] * ratio for name, ratio in _REGION_RATIOS.items()}
+    lengths = {name: values["reference_length_m"] * ratio for name, ratio in _REGION_RATIOS.items()}
+    regions = {name: length for name, length in lengths.items() if LEAST_VEHICLE_M <= length <= LARGEST_VEHICLE_M}
     values["region_lengths_m"] = regions | values.get("region_lengths_m", {})
     for network, kind in ((fleet, "fleet network"), (second_look, "second look")):
         if network is not None and network.detector not in (values["name"], values.get("quantised_from")):

@@ -11,6 +11,7 @@ from vehanchor.detection.companion import Companion
 from vehanchor.detection.look import CHIP_SHAPE, MAX_CHIPS, FleetLook, vehicle_chips
 
 if TYPE_CHECKING:
+    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster
@@ -30,16 +31,19 @@ class FleetNetwork(Companion[FleetCard]):
     outputs = ("log_odds", "log_length")
     card_type = FleetCard
 
-    def look(self, raster: Raster, boxes: NDArray[np.float64]) -> FleetLook:
+    def look(
+        self, raster: Raster, boxes: NDArray[np.float64], run_options: onnxruntime.RunOptions | None = None
+    ) -> FleetLook:
         """What vehicles tell of their fleet by their look alone.
 
         Args:
             raster: the image.
             boxes: ``[n, 5]`` in image pixels, best first.
+            run_options: see ``Detector.detect_tile``.
 
         Returns:
             Of the first m = min(n, 100).
         """
         if len(boxes) == 0:
             return FleetLook(np.zeros(0), np.zeros(0))
-        return FleetLook(*self.answers(vehicle_chips(raster, boxes[:MAX_CHIPS])))
+        return FleetLook(*self.answers(vehicle_chips(raster, boxes[:MAX_CHIPS]), run_options))

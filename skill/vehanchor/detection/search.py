@@ -229,7 +229,7 @@ class _Work:
             len(parts),
             sum(part.ran_out for part in parts),
             np.concatenate([np.zeros(0), *scales])[kept] if self._search_scales else None,
-            fleet.look(self._raster, vehicles.boxes) if fleet else None,
+            fleet.look(self._raster, vehicles.boxes, self._run_options) if fleet else None,
             vehicles.classes,
             _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
             self._scene,

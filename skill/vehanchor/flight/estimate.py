@@ -183,7 +183,7 @@ def look_at_flight(
         known = journal.get(key) if journal is not None and key is not None else None
         try:
             own = with_lines_of(options, lines, image) if lines and isinstance(image, str | os.PathLike) else options
-            look, features = _look(image, detector, own, known, run_options, featured=featured)
+            look, features = _look(each, detector, own, known, run_options, featured=featured)
         except VehAnchorError as error:
             found.append(Failure(name, error))
             continue
@@ -200,7 +200,7 @@ def look_at_flight(
 
 
 def _look(
-    image: ImageSource,
+    taken: Taken,
     detector: Detector,
     options: ScaleOptions,
     known: Look | None,
@@ -211,7 +211,9 @@ def _look(
     """Look at one photograph; where that is known already, only at its features, which are quickly found again."""
     if known is not None and not featured:
         return known, None
-    with open_raster(image, bands=options.reading.bands, limits=options.reading.limits) as raster:
+    reading = options.reading
+    bgr = reading.bgr and taken.film is None  # a film's frames are RGB here, whatever the caller's arrays are
+    with open_raster(taken.image, bands=reading.bands, limits=reading.limits, bgr=bgr) as raster:
         features = find_features(raster) if featured else None
         if known is not None:
             return known, features

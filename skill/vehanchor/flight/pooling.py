@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.anchors.attitude import with_scale
+from vehanchor.anchors.attitude import known_plane, with_scale
 from vehanchor.anchors.evidence import Evidence
 from vehanchor.anchors.scene_scale import SceneScale
 from vehanchor.detection.look import FleetLook
@@ -85,7 +85,9 @@ def pool(
     if own.tilt is None:
         return pooled
     tilt = with_scale(own.tilt, own, pooled.estimate.gsd_m_per_px)
-    return replace(pooled, estimate=pooled.estimate.model_copy(update={"tilt": tilt}))
+    plane = known_plane(tilt.tilt_deg, tilt.roll_deg, tilt.focal_length_px)
+    scale = pooled.estimate.scale and pooled.estimate.scale.model_copy(update={"plane": plane})
+    return replace(pooled, estimate=pooled.estimate.model_copy(update={"tilt": tilt, "scale": scale}))
 
 
 def pooled_sighting(sightings: Sequence[Sighting], offsets: ArrayLike) -> Sighting:
@@ -192,7 +194,7 @@ def _pooled_evidence(kind: str, found: Sequence[tuple[Evidence, float]]) -> Evid
     if not said:
         return Evidence(kind, None, None, 0, 0.0, notices)
     if len(said) == 1 and said[0][1] == 0.0:
-        return said[0][0]
+        return replace(said[0][0], notices=notices)
     densities = [shifted(other.density, offset) for other, offset in said if other.density is not None]
     density = combined_density(densities, _GAINS.get(kind, _OTHER_GAIN))
     median = credible_interval(density, probability=0.0).low

@@ -41,7 +41,7 @@ def estimate_in_flight(flight: FlightEstimate, photograph: FlightPhotograph) -> 
             "confidence": photograph.confidence,
             "scale": photograph.scale,
             "p_within_20": pooled.p_within_20,
-            "reason": pooled.reason,
+            "reason": pooled.reason or ("imprecise" if photograph.status == "low_confidence" else None),
             "scale_source": pooled.scale_source,
             "rulers": tuple(_in_pixels(ruler, ratio) for ruler in pooled.rulers),
             "tilt": own_tilt and with_scale(own_tilt, photograph.own, photograph.gsd_m_per_px),

@@ -94,5 +94,5 @@ def sharpness(frame: NDArray[np.uint8]) -> float:
 
 def _taken(path: str, best: tuple[float, int, NDArray[np.uint8]], rate: float) -> Taken:
     _, number, frame = best
-    digits = max(0, 2 - math.floor(math.log10(max(rate, 1.0))) + 1)
+    digits = max(2, math.ceil(math.log10(max(rate, 1.0))))  # no two frames of one name
     return Taken(f"{path} at {number / rate:.{digits}f} s", np.ascontiguousarray(frame[:, :, ::-1]), path)

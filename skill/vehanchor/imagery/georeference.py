@@ -71,9 +71,9 @@ def geographic_gsd_m_per_px(transform: AffineCoefficients, latitude_deg: float) 
 def dataset_gsd_m_per_px(dataset: Any) -> float | None:
     """GSD at the centre of an open rasterio dataset, in metres per pixel.
 
-    Projected systems: the pixel's side times the linear unit in metres; in Mercator (EPSG:3857, 3395) also times
-    cos(latitude), since its metres are stretched by 1/cos. Other projections' grid scale, within 0.1 % in UTM and most
-    national grids, is left as it is. Geographic systems: see :func:`geographic_gsd_m_per_px`.
+    Projected systems: the pixel's side times the linear unit in metres; in Mercator (EPSG:3857, 3395), whose metres
+    are stretched by 1/cos(latitude), what it spans in degrees. Other projections' grid scale, within 0.1 % in UTM and
+    most national grids, is left as it is. Geographic systems: see :func:`geographic_gsd_m_per_px`.
 
     Args:
         dataset: a ``rasterio.DatasetReader``.
@@ -110,8 +110,8 @@ def _gsd_in_crs(transform: AffineCoefficients, crs: Any, column: float, row: flo
         return degrees * geographic_gsd_m_per_px(transform, y * degrees)
     if not crs.is_projected:
         return math.nan
-    gsd = gsd_units_per_px(transform) * float(crs.linear_units_factor[1])
-    if _MERCATOR_WKT.search(crs.to_wkt()):
-        _, (latitude_deg, *_) = reproject(crs, "EPSG:4326", [x], [y])
-        gsd *= math.cos(math.radians(latitude_deg))
-    return gsd
+    if _MERCATOR_WKT.search(crs.to_wkt()):  # stretched as its latitude, and the one where it is true, have it
+        east, north = reproject(crs, "EPSG:4326", [x, x + a, x + b], [y, y + d, y + e])
+        in_degrees = (east[1] - east[0], east[2] - east[0], 0.0, north[1] - north[0], north[2] - north[0], 0.0)
+        return geographic_gsd_m_per_px(in_degrees, north[0])
+    return gsd_units_per_px(transform) * float(crs.linear_units_factor[1])

@@ -111,6 +111,14 @@ def test_the_height_of_the_camera_is_measured_along_the_joint_tilt() -> None:
     assert moved.gsd_m_per_px > said.gsd_m_per_px
 
 
+def test_the_height_of_a_camera_that_does_not_say_where_it_looked_is_measured_along_what_courts_say() -> None:
+    view = _view(NOTHING, replace(CAMERA, off_nadir_deg=None, height_m=60.0))
+    said = Camera().look(view)
+    (moved,) = on_the_plane([said], Attitude(33.0, 0.0, FOCAL_PX, "courts"), view)
+    assert said.gsd_m_per_px == pytest.approx(60 / FOCAL_PX)
+    assert moved.gsd_m_per_px == pytest.approx(60 / GroundPlane(1.0, 33.0, FOCAL_PX, WIDTH, HEIGHT).height_m)
+
+
 def test_lines_and_heights_of_the_caller_are_measured_along_the_tilt() -> None:
     plane = GroundPlane(GSD, 35.0, FOCAL_PX, WIDTH, HEIGHT, 5.0)
     ends = (100.0, HEIGHT - 60.0), (700.0, HEIGHT - 160.0)  # near the camera: a third of the centre's metres a pixel

@@ -47,6 +47,13 @@ def test_a_foreign_model_gets_the_papers_values() -> None:
     assert (card.class_names, card.licence, card.fleet_lengths, card.fleet_sha256) == ({}, None, None, None)
 
 
+@pytest.mark.parametrize(("length", "regions"), [("19", {"europe"}), ("2.1", {"north_america"})])
+def test_regions_that_follow_from_a_models_length_are_left_out_where_no_vehicle_is_so_long(
+    length: str, regions: set[str]
+) -> None:
+    assert set(_card(vehanchor__reference_length_m=length).region_lengths_m) == regions
+
+
 def test_the_card_reads_our_metadata() -> None:
     card = _card(
         vehanchor__name="mine",

@@ -17,6 +17,7 @@ from vehanchor.flight import estimate as flight_estimate
 from vehanchor.flight.taken import Taken
 from vehanchor.flight.video import sample_video
 from vehanchor.imagery.raster import ImageSource
+from vehanchor.options import Reading, ScaleOptions
 
 FLEET = list(30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3))
 
@@ -141,3 +142,20 @@ def test_an_interrupted_flight_of_a_video_goes_on_where_it_stopped(
     again = vehanchor.estimate_flight(sample_video(str(film), 1.0), same_scale=True, detector=detector, journal=journal)
     assert len(searched) == 1
     assert len(again.photographs) == 3
+
+
+def test_arrays_of_opencv_are_read_as_they_are_and_films_frames_as_we_have_read_them(detector: Detector) -> None:
+    picture = car_park([50.0] * 8)
+    picture[:40] = (200, 90, 10)
+    swapped = np.ascontiguousarray(picture[:, :, ::-1])
+
+    def identity(taken: Taken, *, bgr: bool) -> str | None:
+        look, _ = flight_estimate._look(
+            taken, detector, ScaleOptions(reading=Reading(bgr=bgr)), None, None, featured=False
+        )
+        return look.image.image_id
+
+    whole = identity(Taken("a", picture), bgr=False)
+    assert identity(Taken("a", swapped), bgr=True) == whole
+    assert identity(Taken("a", picture, "film.mp4"), bgr=True) == whole
+    assert identity(Taken("a", swapped), bgr=False) != whole

@@ -9,8 +9,9 @@ from vehanchor.anchors.evidence import Evidence, ImageFacts
 from vehanchor.detection.look import FleetLook
 from vehanchor.detection.sighting import Sighting
 from vehanchor.flight.photograph import Look, Photograph
-from vehanchor.flight.pooling import combined_density, pool, pooled_sighting, shifted
+from vehanchor.flight.pooling import _pooled_evidence, combined_density, pool, pooled_sighting, shifted
 from vehanchor.options import ScaleOptions
+from vehanchor.records import Notice
 from vehanchor.scale.fusion import GRID, credible_interval, flat
 
 
@@ -95,6 +96,13 @@ def test_a_witness_stays_a_witness() -> None:
     extra = Evidence("positions", 0.17, None, 3, 0.0, (), _density(0.17, 0.05))
     others = pool(photographs, np.zeros(2), 0, [extra]).others
     assert [(other.kind, other.confidence) for other in others if other.gsd_m_per_px] == [("positions", 0.0)]
+
+
+def test_one_ruler_that_speaks_leaves_the_others_notices_in() -> None:
+    told = Notice(code="camera_cropped", message="a crop")
+    spoke = Evidence("camera", 0.1, None, 1, 0.5, (), _density(0.1, 0.1))
+    pooled = _pooled_evidence("camera", [(spoke, 0.0), (Evidence("camera", None, None, 0, 0.0, (told,)), 0.0)])
+    assert (pooled.gsd_m_per_px, pooled.notices) == (0.1, (told,))
 
 
 def test_the_detail_is_that_of_the_photographs_with_the_vehicles() -> None:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -50,6 +52,29 @@ def test_a_photograph_that_could_not_be_read_has_no_record() -> None:
     )
     with pytest.raises(ValueError, match="gone could not be read"):
         estimate_in_flight(flight, flight.photographs[1])
+
+
+def test_what_is_carried_too_far_to_be_used_says_why() -> None:
+    fleet = 50.0 * (1 + 0.05 * np.linspace(-1, 1, 12) ** 3)
+    looks = [
+        _photograph("cars", ImageFacts(500, 500), sighting_of(fleet)),
+        _photograph("far", ImageFacts(500, 400), NOTHING),
+    ]
+    island = replace(single_island([0, 1], 0), log_sds=np.array([0.0, 0.4]))
+    flight = conclude_flight(looks, [island], made_card(CAR_M), same_scale=False)
+    near, far = (estimate_in_flight(flight, each) for each in flight.photographs)
+    assert (near.status, near.reason) == ("ok", None)
+    assert (far.status, far.reason) == ("low_confidence", "imprecise")
+
+
+def test_the_scale_of_what_was_pooled_has_its_plane() -> None:
+    seen = FACTS._replace(image_id="0123456789abcdef")
+    flight = _flight(_photograph("one", seen, _cars(LOOKED)), _photograph("bare", seen, NOTHING))
+    pooled = flight.islands[0].pooled
+    assert pooled.tilt is not None
+    assert pooled.scale is not None
+    assert pooled.scale.plane is not None
+    assert pooled.scale.plane.tilt_deg == pooled.tilt.tilt_deg
 
 
 def test_a_flight_that_looked_aside_tells_its_tilt_at_its_own_scale() -> None:

@@ -58,7 +58,16 @@ def write(path: Path, crs: Any, transform: Affine | None) -> Path:
 
 
 DEGREE_PX = 0.25 / math.sqrt(math.prod(metres_per_degree(43.55)))
-COS_LATITUDE = 1 / math.cosh(5_396_000 / 6_378_137)  # Web Mercator: y = R atanh(sin(latitude))
+RADIUS_M = 6_378_137.0
+COS_LATITUDE = 1 / math.cosh(5_396_000 / RADIUS_M)  # Web Mercator: y = R atanh(sin(latitude)), x = R longitude
+WEB_PX = (
+    0.25
+    / RADIUS_M
+    * math.degrees(1)
+    * math.sqrt(COS_LATITUDE * math.prod(metres_per_degree(math.degrees(math.acos(COS_LATITUDE)))))
+)
+TRUE_AT_42 = "+proj=merc +lat_ts=42 +lon_0=0 +ellps=WGS84 +units=m"
+(_,), (NORTH_42,) = transform_coordinates("EPSG:4326", TRUE_AT_42, [7.0], [42.0])
 
 
 @pytest.mark.parametrize(
@@ -67,8 +76,9 @@ COS_LATITUDE = 1 / math.cosh(5_396_000 / 6_378_137)  # Web Mercator: y = R atanh
         ("EPSG:32631", Affine(0.25, 0, 5e5, 0, -0.25, 5e6), 0.25),
         ("EPSG:2154", Affine(0.2, 0, 1_020_000, 0, -0.2, 6_280_000), 0.2),
         ("EPSG:2263", Affine(0.5, 0, 980_000, 0, -0.5, 200_000), 0.5 * US_SURVEY_FOOT_M),
-        ("EPSG:3857", Affine(0.25, 0, 780_000, 0, -0.25, 5_396_012.5), 0.25 * COS_LATITUDE),
-        ("EPSG:3857", Affine(0.25, 0, 780_000, 0, -0.25, -5_395_987.5), 0.25 * COS_LATITUDE),
+        ("EPSG:3857", Affine(0.25, 0, 780_000, 0, -0.25, 5_396_012.5), WEB_PX),
+        ("EPSG:3857", Affine(0.25, 0, 780_000, 0, -0.25, -5_395_987.5), WEB_PX),
+        (TRUE_AT_42, Affine(0.25, 0, 580_000, 0, -0.25, NORTH_42 + 12.5), 0.25),
         ("EPSG:4326", Affine(DEGREE_PX, 0, 7.0, 0, -DEGREE_PX, 43.55 + 50 * DEGREE_PX), 0.25),
         ("EPSG:4807", Affine(DEGREE_PX / 0.9, 0, 5.0, 0, -DEGREE_PX / 0.9, (43.55 + 50 * DEGREE_PX) / 0.9), 0.25),
     ],
