@@ -28,13 +28,13 @@ from vehanchor.anchors.evidence import ImageFacts
 from vehanchor.batch.stored import from_json, to_json
 from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import open_detector
-from vehanchor.flight.concluding import Failure, chief_member, conclude_flight
+from vehanchor.flight.concluding import Failure, conclude_flight
 from vehanchor.flight.estimate import conclude, look_at_flight
 from vehanchor.flight.features import Features, find_features
 from vehanchor.flight.islands import single_island
 from vehanchor.flight.matching import match
 from vehanchor.flight.pairs import candidate_pairs
-from vehanchor.flight.photograph import Look, Photograph
+from vehanchor.flight.photograph import Look, Photograph, chief_member
 from vehanchor.flight.taken import Taken
 from vehanchor.flight.written import read_record
 from vehanchor.imagery.raster import open_raster

@@ -19,6 +19,7 @@ from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliq
 from vehanchor.estimate import analyse_raster, georeference_notice, image_notices, open_detector
 from vehanchor.imagery.identity import image_id
 from vehanchor.records import GsdEstimate, KnownScale
+from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 
@@ -43,8 +44,6 @@ _HEIGHT_LOG_SD = 0.12  # of a height that was told, above ground that may lie el
 
 ScaleInput: TypeAlias = Detector | float | KnownScale
 """What finds the scale, or what it is."""
-
-_Z95 = 1.959963984540054
 
 
 class CameraAbove(NamedTuple):
@@ -311,10 +310,10 @@ def raised(found: FoundScale, object_height_m: float, camera: CameraAbove) -> Fo
 
 
 def _log_sd(low: float | None, high: float | None) -> float:
-    return math.log(high / low) / (2 * _Z95) if low and high else 0.0
+    return math.log(high / low) / (2 * Z95) if low and high else 0.0
 
 
 def interval_around(value: float, log_sd: float) -> tuple[float, float]:
     """The 95 % interval of a quantity whose log is normal."""
-    reach = math.exp(_Z95 * log_sd)
+    reach = math.exp(Z95 * log_sd)
     return value / reach, value * reach

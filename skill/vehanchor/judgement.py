@@ -12,7 +12,7 @@ from vehanchor.detection.stopping import Standing
 from vehanchor.notices import FLEET_DOUBTS, NoticeCode
 from vehanchor.scale.fusion import USABLE_CHANCE, fuse, mass_within
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES, statistical_log_sds
-from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX, UNSURE_CONFIDENCE
+from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX, UNSURE_CONFIDENCE, WIDEST_USABLE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Judgement", "judge", "standing"]
 
-_WIDEST_USABLE = 2.0  # high over low of an interval: beyond it a scale is not to be used
 _WIDEST_OF_ANY = 3.0  # the same where no chance of being right is known, as with foreign detectors
 _LOST_WIDTH = 5.0  # high over low of the scene's own interval: it was never shown the like
 _SCENE_REACH, _SCENE_AGREES = 0.4, 0.1  # the ground bears a scale out where it holds a tenth within +-40 %
@@ -97,7 +96,7 @@ def standing(vehicles: VehicleEvidence, witnesses: Sequence[Evidence]) -> Standi
 
 def _of_all(fused: FusedScale, vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judgement:
     confidence, reason = fused.p_within_20, None
-    if fused.p_within_20 < USABLE_CHANCE or fused.interval.high > _WIDEST_USABLE * fused.interval.low:
+    if fused.p_within_20 < USABLE_CHANCE or fused.interval.high > WIDEST_USABLE * fused.interval.low:
         confidence = min(confidence, UNSURE_CONFIDENCE)
         able = {each.kind for each in anchors_among((vehicles, *others))}
         outvoted = any(not ruler.agrees for ruler in fused.rulers if ruler.kind in able)
@@ -119,7 +118,7 @@ def _of_vehicles(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Judge
     if gsd is not None and vehicles.density is not None:
         densities = [other.density for other in others if other.density is not None]
         interval, p_within_20 = fuse(gsd, vehicles.density, *densities, certainty=vehicles.certainty)
-        if p_within_20 < USABLE_CHANCE or interval.high > _WIDEST_USABLE * interval.low:
+        if p_within_20 < USABLE_CHANCE or interval.high > WIDEST_USABLE * interval.low:
             confidence = min(confidence, UNSURE_CONFIDENCE)
     if interval is not None and interval.high > _WIDEST_OF_ANY * interval.low:
         confidence = min(confidence, UNSURE_CONFIDENCE)

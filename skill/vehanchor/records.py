@@ -439,7 +439,7 @@ class FlightEstimate(_Record):
     gsd_m_per_px: float | None = Field(description="With same_scale that scale, metres per pixel; else null.")
     gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
     gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
-    confidence: float = Field(ge=0, le=1, description="Of that scale; else the least of the islands'.")
+    confidence: float = Field(ge=0, le=1, description="Of that scale; else the least of the photographs'.")
     n_vehicles: int = Field(ge=0, description="Vehicles that the scales were taken from.")
     photographs: tuple[FlightPhotograph, ...] = Field(description="In the order in which they were given.")
     islands: tuple[FlightIsland, ...] = Field(description="The largest first; one with same_scale.")

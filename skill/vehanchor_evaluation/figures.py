@@ -12,6 +12,7 @@ from vehanchor.imagery.raster import open_raster
 from vehanchor.pictures.plot import require_plots
 from vehanchor.pictures.scale import caption_panel, draw_vehicles, fit_for_eyes, read_reduced
 from vehanchor.scale.calibration import length_density
+from vehanchor.scale.lengths import Z95
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX
 from vehanchor_evaluation.gsd import HIGH_ERROR
 from vehanchor_evaluation.known_scale import DATASET_LIMITS
@@ -43,7 +44,6 @@ _INK, _GREY = "#222222", "0.6"
 _DPI = 150
 _BAND = 0.10  # paper: +-10 %
 _MAX_ERROR = 1.0
-_Z95 = 1.959963984540054
 _CONFIDENCE_BINS = np.linspace(0.0, 1.0, 6)
 _CELL_PX = 640
 _GAP_PX = 12
@@ -145,7 +145,7 @@ def interval_coverage(trials: Sequence[ScaleTrial], nominal: NDArray[np.float64]
     estimates = [trial.analysis.estimate for trial in trials]
     reach = np.array([np.log((e.gsd_ci95_high_m_per_px or np.nan) / (e.gsd_m_per_px or np.nan)) for e in estimates])
     error = np.abs(np.log1p([trial.signed_error for trial in trials]))
-    needed = error / reach * _Z95  # standard deviations off
+    needed = error / reach * Z95  # standard deviations off
     reached = norm.ppf((1 + np.asarray(nominal)) / 2)
     return np.asarray((needed[None, :] <= reached[:, None]).mean(axis=1))
 

@@ -12,6 +12,7 @@ from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.estimate import analyse_raster
 from vehanchor.imagery.raster import open_raster
 from vehanchor.ruler_options import RulerName
+from vehanchor.scale.lengths import Z95
 from vehanchor_evaluation.known_scale import (
     DATASET_LIMITS,
     FileIssue,
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 __all__ = ["survey_photographs"]
 
 _WITNESS = "scene_scale"
-_Z95 = 1.959963984540054
 
 
 def survey_photographs(
@@ -87,7 +87,7 @@ def survey_photographs(
             )
             issues.append(FileIssue(file, "camera_tilted", why))
             continue
-        log_sd = math.log(high / low) / (2 * _Z95)
+        log_sd = math.log(high / low) / (2 * Z95)
         images.append(KnownScaleImage(file, gsd, labels=labels_beside(file), gsd_log_sd=log_sd))
     source = str(paths[0]) if len(paths) == 1 else f"{len(paths)} photographs"
     return KnownScaleSet(source, tuple(images), tuple(issues))

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, taken_ratio
+from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, TILT_SD_DEG, taken_ratio
 from vehanchor.anchors.leaning import focal_of
 from vehanchor.records import KnownPlane, TiltEstimate
+from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
 
 if TYPE_CHECKING:
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from vehanchor.records import GsdEstimate
 
 __all__ = [
-    "TILT_SD_DEG",
     "Attitude",
     "attitude",
     "known_plane",
@@ -36,10 +36,8 @@ __all__ = [
     "with_scale",
 ]
 
-TILT_SD_DEG = 1.5  # of a gimbal's own angle, and of ground that is not quite level
 _BY_WIDTH = 0.25  # share of the width in the log of a length: 0.2 to 0.3 do alike at 30 and 45 degrees, train split
 _LENGTH_OVER_WIDTH = 2.21  # of the detector's boxes from above
-_Z95 = 1.959963984540054
 
 
 class Attitude(NamedTuple):
@@ -133,7 +131,7 @@ def plane_of_record(record: GsdEstimate) -> GroundPlane | None:
 def tilt_record(looked: Attitude, image: ImageFacts, gsd_m_per_px: float | None) -> TiltEstimate:
     """The tilt as records tell it."""
     least, largest = (None, None) if gsd_m_per_px is None else plane_with(looked, image, gsd_m_per_px).gsd_range
-    reach = _Z95 * TILT_SD_DEG
+    reach = Z95 * TILT_SD_DEG
     low, high = looked.interval_deg or (looked.tilt_deg - reach, looked.tilt_deg + reach)
     return TiltEstimate(
         tilt_deg=looked.tilt_deg,

@@ -38,7 +38,7 @@ _UNKNOWN_PITCH_LOG_SD = 0.10
 _CHANCE_WRONG, _CHANCE_WRONG_PITCH_UNKNOWN = 0.05, 0.25
 MAX_OFF_NADIR_DEG = 10.0  # up to which a picture counts as taken straight down
 _MAX_TILT_DEG = 85.0
-_TILT_SD = math.radians(1.5)  # of a gimbal's own angle, and of ground that is not quite level
+TILT_SD_DEG = 1.5  # of a gimbal's own angle, and of ground that is not quite level
 _MAX_DIGITAL_ZOOM = 1.01
 
 _FILM_DIAGONAL_MM = math.hypot(36.0, 24.0)
@@ -131,7 +131,7 @@ def looking_aside(tilt_deg: float) -> tuple[float, float]:
         By how much the scale is coarser than straight down, and the standard deviation of the log of that.
     """
     tilt = math.radians(tilt_deg)
-    return math.cos(tilt) ** -1.5, 1.5 * math.tan(tilt) * _TILT_SD
+    return math.cos(tilt) ** -1.5, 1.5 * math.tan(tilt) * math.radians(TILT_SD_DEG)
 
 
 def taken_ratio(image: ImageFacts, camera: CameraMetadata) -> float | None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vehanchor.scale.fusion import GRID, LOG_STEP, TOLERANCE, credible_interval, mass_within, product
-from vehanchor.scale.lengths import Interval
+from vehanchor.scale.lengths import Z95, Interval
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +22,6 @@ __all__ = ["FusedScale", "RulerShare", "anchors_among", "fuse_rulers", "ruler_de
 _BASIN = 0.25  # of log scale on either side of the highest cell: what belongs to one mode
 _WINDOW = 0.2  # the same, of what makes one mode stronger than another
 _AGREEMENT = 0.1  # a ruler agrees with a scale that its interval holds, or that is this near to its own
-_Z95 = 1.959963984540054
 
 
 class RulerShare(NamedTuple):
@@ -165,5 +164,5 @@ def _precision(one: Evidence, gsd_m_per_px: float) -> float:
     held = one.interval.low <= gsd_m_per_px <= one.interval.high
     if not held and abs(math.log(one.gsd_m_per_px / gsd_m_per_px)) > math.log1p(_AGREEMENT):
         return 0.0
-    spread = math.log(one.interval.high / one.interval.low) / (2 * _Z95)
+    spread = math.log(one.interval.high / one.interval.low) / (2 * Z95)
     return 1.0 / max(spread, 1e-3) ** 2

@@ -6,8 +6,7 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from vehanchor.anchors.attitude import TILT_SD_DEG
-from vehanchor.anchors.camera import cropped, equivalent_lens, lens, looking_aside, taken_ratio
+from vehanchor.anchors.camera import TILT_SD_DEG, cropped, equivalent_lens, lens, looking_aside, taken_ratio
 from vehanchor.anchors.evidence import Mark
 from vehanchor.anchors.stated import on_grid, says_nothing, stated
 from vehanchor.errors import KnownLengthError

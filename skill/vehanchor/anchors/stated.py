@@ -10,7 +10,7 @@ import numpy as np
 
 from vehanchor.anchors.evidence import Evidence
 from vehanchor.scale.fusion import GRID, LOG_STEP, TOLERANCE, floored, mass_within
-from vehanchor.scale.lengths import Interval
+from vehanchor.scale.lengths import Z95, Interval
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from vehanchor.records import Notice
 
 __all__ = ["StatedEvidence", "lognormal", "on_grid", "says_nothing", "stated"]
-
-_Z95 = 1.959963984540054
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +79,7 @@ def stated(
         notices: its doubts.
         marks: what it was measured on, for pictures.
     """
-    reach = math.exp(_Z95 * log_sd)
+    reach = math.exp(Z95 * log_sd)
     interval = Interval(gsd_m_per_px / reach, gsd_m_per_px * reach)
     words = f"{gsd_m_per_px:.4g} m/px ({interval.low:.3g} to {interval.high:.3g})"
     density = floored(lognormal(gsd_m_per_px, log_sd), chance_wrong)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from vehanchor.anchors.attitude import TILT_SD_DEG, Attitude, plane_with
-from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, Camera
+from vehanchor.anchors.attitude import Attitude, plane_with
+from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, TILT_SD_DEG, Camera
 from vehanchor.anchors.courts import CourtsEvidence
 from vehanchor.anchors.known_length import GivenHeight, KnownLengths
 from vehanchor.anchors.leaning import SURE, cars_witness, focal_of

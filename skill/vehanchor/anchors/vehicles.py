@@ -15,7 +15,7 @@ from vehanchor.notices import FLEET_DOUBTS, NoticeCode
 from vehanchor.records import Notice
 from vehanchor.scale.confidence import composite, confidence_terms, fleet_doubts, guard_length
 from vehanchor.scale.fusion import GRID, credible_interval, flat, floored, vehicle_density
-from vehanchor.scale.lengths import dominant_group, gsd_interval, inlier_mask, modal_length
+from vehanchor.scale.lengths import Z95, dominant_group, gsd_interval, inlier_mask, modal_length
 from vehanchor.scale.reference import reference_length
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 __all__ = ["Fleet", "VehicleEvidence", "Vehicles", "select"]
 
 _LEAST_SCORE = 1e-3  # below it a detection is no evidence, but still one
-_Z95 = 1.959963984540054
 _MODE_REACH, _MODE_SHARE = 0.25, 0.3  # of log scale, and of the density
 _DOUBTS: dict[NoticeCode, str] = {
     NoticeCode.LENGTHS_DISAGREE: "Vehicles of two sizes were found, and the evidence for the other size is not much "
@@ -167,7 +166,7 @@ class VehicleEvidence(Evidence):
         if self.density is not None:
             density = _recentred(self.density, self.gsd_m_per_px)
         else:
-            log_sd = math.log(self.interval.high / self.interval.low) / (2 * _Z95)
+            log_sd = math.log(self.interval.high / self.interval.low) / (2 * Z95)
             density = lognormal(self.gsd_m_per_px, log_sd) if on_grid(self.gsd_m_per_px) else flat()
         doubted = self.density is None or self.guarded or any(each.code in FLEET_DOUBTS for each in self.notices)
         return floored(density, 1.0 - self.confidence) if doubted else density

@@ -46,7 +46,6 @@ class Fit(NamedTuple):
         matrix: ``[3, 3]`` from metres on the court to pixels.
         coverage: 0..1, share of the lines' length that is seen where it should be.
         line_coverage: ``[lines]`` of each.
-        residual_px: root mean square of how far the seen pieces are from where they should be.
         log_sd: standard deviation of the log of the size, from the residuals.
         distortion: how far the court is from its rules' shape: log of the stretch, and the shear.
         corner_sd_px: standard deviation of its corners along either axis, from the residuals.
@@ -55,7 +54,6 @@ class Fit(NamedTuple):
     matrix: NDArray[np.float64]
     coverage: float
     line_coverage: NDArray[np.float64]
-    residual_px: float
     log_sd: float
     distortion: float
     corner_sd_px: float
@@ -152,7 +150,7 @@ def _judged(
             moved = _corner_motions(template, matrix, jacobian.shape[1])
             corner_sd = math.sqrt(float(np.einsum("ki,ij,kj->", moved, covariance, moved)) / len(moved))
     coverage = float(covered.sum() / total.sum())
-    return Fit(matrix, coverage, covered / total, residual, log_sd, _distortion(matrix), corner_sd)
+    return Fit(matrix, coverage, covered / total, log_sd, _distortion(matrix), corner_sd)
 
 
 def _corner_motions(template: Template, matrix: NDArray[np.float64], freedom: int) -> NDArray[np.float64]:

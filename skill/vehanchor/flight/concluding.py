@@ -14,7 +14,8 @@ from vehanchor.flight.heights import ground_below, heights_evidence
 from vehanchor.flight.pooling import pool
 from vehanchor.flight.positions import POSITIONS, places_of
 from vehanchor.records import FlightAnchor, FlightEstimate, FlightIsland, FlightPhotograph, KnownScale
-from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, UNSURE_CONFIDENCE
+from vehanchor.scale.lengths import Z95
+from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, UNSURE_CONFIDENCE, WIDEST_USABLE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,13 +27,11 @@ if TYPE_CHECKING:
     from vehanchor.estimate import ScaleAnalysis
     from vehanchor.flight.islands import Island
     from vehanchor.flight.photograph import Photograph
-    from vehanchor.records import FlightLink, GsdEstimate, Notice, Status
+    from vehanchor.records import FlightLink, GsdEstimate, Status
 
-__all__ = ["Failure", "chief_member", "conclude_flight"]
+__all__ = ["Failure", "conclude_flight"]
 
 _MOST_ANCHORS = 3  # of a photograph, that are named
-_WIDEST_USABLE = 2.0  # high over low of an interval, as vehanchor.judgement has it
-_Z95 = 1.959963984540054
 
 
 @dataclass(frozen=True)
@@ -56,11 +55,6 @@ class _Support(NamedTuple):
     strength: float
 
 
-def chief_member(members: Sequence[Photograph]) -> int:
-    """Index of the photograph with the most vehicles, the first of equals: what is measured in its pixels is sharp."""
-    return int(np.argmax([member.analysis.estimate.n_vehicles for member in members]))
-
-
 def conclude_flight(
     looks: Sequence[Photograph | Failure],
     islands: Sequence[Island],
@@ -68,7 +62,6 @@ def conclude_flight(
     *,
     same_scale: bool,
     links: Sequence[FlightLink] = (),
-    warnings: Sequence[Notice] = (),
 ) -> FlightEstimate:
     """Conclude from photographs in islands.
 
@@ -78,7 +71,6 @@ def conclude_flight(
         card: of the detector.
         same_scale: whether the caller said that all are of one scale.
         links: overlaps.
-        warnings: what else there is to tell of the flight.
 
     Returns:
         The record.
@@ -118,7 +110,7 @@ def conclude_flight(
         links=tuple(links),
         model=card.name,
         model_sha256=card.sha256,
-        warnings=(*warnings, *(whole.warnings if whole else ())),
+        warnings=whole.warnings if whole else (),
     )
 
 
@@ -204,12 +196,12 @@ def _photograph(
     status, confidence = pooled.status, pooled.confidence
     if pooled.gsd_m_per_px is not None:
         gsd = pooled.gsd_m_per_px * math.exp(island.offsets[place])
-        carried = _Z95 * float(island.log_sds[place])
+        carried = Z95 * float(island.log_sds[place])
         if pooled.gsd_ci95_low_m_per_px and pooled.gsd_ci95_high_m_per_px:
             down = math.log(pooled.gsd_m_per_px / pooled.gsd_ci95_low_m_per_px)
             up = math.log(pooled.gsd_ci95_high_m_per_px / pooled.gsd_m_per_px)
             low, high = gsd * math.exp(-math.hypot(down, carried)), gsd * math.exp(math.hypot(up, carried))
-            if high > _WIDEST_USABLE * low:
+            if high > WIDEST_USABLE * low:
                 confidence = min(confidence, UNSURE_CONFIDENCE)
         status = "ok" if status == "ok" and confidence >= FALLBACK_CONFIDENCE else "low_confidence"
     return FlightPhotograph(

@@ -16,10 +16,10 @@ from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.batch.stored import from_json, to_json
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
 from vehanchor.estimate import analyse_raster, image_facts, networks_sha256, open_detector
-from vehanchor.flight.concluding import Failure, chief_member, conclude_flight
+from vehanchor.flight.concluding import Failure, conclude_flight
 from vehanchor.flight.features import find_features
 from vehanchor.flight.islands import single_island
-from vehanchor.flight.photograph import Look, Photograph
+from vehanchor.flight.photograph import Look, Photograph, chief_member
 from vehanchor.flight.taken import Taken, named
 from vehanchor.flight.tying import tie
 from vehanchor.imagery.raster import open_raster

@@ -15,6 +15,7 @@ import numpy as np
 from vehanchor.anchors.camera import lens
 from vehanchor.anchors.stated import on_grid, stated
 from vehanchor.flight.positions import POSITIONS
+from vehanchor.scale.lengths import Z95
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,7 +33,6 @@ _ALTITUDE_SD_M = 3.0  # of one receiver between two places
 _CHANCE_WRONG = 0.05
 _LEAST_HEIGHT_M = 5.0
 _MOST_RATIO = 3.0  # of the heights of two photographs: beyond it is another place, or another zero of heights
-_Z95 = 1.959963984540054
 
 
 class Ground(NamedTuple):
@@ -88,7 +88,7 @@ def ground_below(members: Sequence[Photograph], offsets: NDArray[np.float64], po
         return None
     above = np.array([pooled.gsd_m_per_px * math.exp(offset) * each.focal_px for each, offset in stood])
     sea = np.array([each.sea_m for each, _ in stood])
-    spread = math.log(high / low) / (2 * _Z95)
+    spread = math.log(high / low) / (2 * Z95)
     return Ground(float(np.median(sea - above)), float(np.median(above)), spread, len(stood))
 
 

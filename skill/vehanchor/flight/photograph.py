@@ -5,18 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import analyse_sighting
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from vehanchor.anchors.evidence import Evidence
     from vehanchor.detection.card import DetectorCard
     from vehanchor.estimate import ScaleAnalysis
     from vehanchor.flight.features import Features
     from vehanchor.options import ScaleOptions
 
-__all__ = ["Look", "Photograph", "fixed_view"]
+__all__ = ["Look", "Photograph", "chief_member", "fixed_view"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,3 +80,8 @@ def fixed_view(
 ) -> View:
     """A view of which the detail is known already, so that no pixel is needed."""
     return View(image, sighting, card, options, lambda _centres, _scale: resolved)
+
+
+def chief_member(members: Sequence[Photograph]) -> int:
+    """Index of the photograph with the most vehicles, the first of equals: what is measured in its pixels is sharp."""
+    return int(np.argmax([member.analysis.estimate.n_vehicles for member in members]))

@@ -12,11 +12,13 @@ from vehanchor.flight.islands import Island
 from vehanchor.flight.layout import Seam, lay_out
 from vehanchor.flight.matching import match
 from vehanchor.flight.pairs import candidate_pairs
+from vehanchor.flight.photograph import chief_member
 from vehanchor.flight.positions import POSITIONS, baseline, places_of, positions_evidence
 from vehanchor.records import FlightLink
+from vehanchor.scale.lengths import Z95
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -27,7 +29,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Tied", "tie"]
 
-_Z95 = 1.959963984540054
 _LEAST_UNARY_SD = 0.06  # of a photograph's own evidence: what is common to a flight is not in it
 
 
@@ -37,26 +38,21 @@ class Tied(NamedTuple):
     Attributes:
         islands: with indices among the photographs, the largest first.
         links: every overlap.
-        n_pairs: pairs that were compared.
     """
 
     islands: tuple[Island, ...]
     links: tuple[FlightLink, ...]
-    n_pairs: int
 
 
 def tie(
     photographs: Sequence[Photograph],
     features: Sequence[Features],
-    *,
-    progress: Callable[[int, int], None] | None = None,
 ) -> Tied:
     """Tie photographs together by what they overlap.
 
     Args:
         photographs: in the order in which they were taken.
         features: of each.
-        progress: called with (pairs compared, pairs in all).
 
     Returns:
         Islands and overlaps.
@@ -65,9 +61,7 @@ def tie(
     places = places_of([each.view.image for each in photographs]) if rulers.uses(POSITIONS) else None
     pairs = candidate_pairs(features, places)
     found: list[tuple[int, int, Match]] = []
-    for done, (first, second) in enumerate(pairs):
-        if progress:
-            progress(done, len(pairs))
+    for first, second in pairs:
         matched = match(features[first], features[second])
         if matched is not None:
             found.append((first, second, matched))
@@ -97,7 +91,6 @@ def tie(
             )
             for (first, second, matched), used, residual in zip(found, solution.used, solution.residuals, strict=True)
         ),
-        len(pairs),
     )
 
 
@@ -113,7 +106,7 @@ def _unary(photograph: Photograph) -> Unary | None:
     low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
     if estimate.gsd_m_per_px is None or not low or not high:
         return None
-    return Unary(math.log(estimate.gsd_m_per_px), max(math.log(high / low) / (2 * _Z95), _LEAST_UNARY_SD))
+    return Unary(math.log(estimate.gsd_m_per_px), max(math.log(high / low) / (2 * Z95), _LEAST_UNARY_SD))
 
 
 def _island(
@@ -125,8 +118,7 @@ def _island(
 ) -> Island:
     members = component.members
     own = [photographs[place] for place in members]
-    vehicles = [each.analysis.estimate.n_vehicles for each in own]
-    reference = int(np.argmax(vehicles))
+    reference = chief_member(own)
     inside = set(members.tolist())
     at = {int(place): local for local, place in enumerate(members)}
     seams = [

@@ -25,7 +25,6 @@ degrees; fractions without a value are absent."""
 _NAMES = {
     0x010F: "Make",
     0x0110: "Model",
-    0x0112: "Orientation",
     0x02BC: "ApplicationNotes",  # XMP, in a TIFF
     0x920A: "FocalLength",
     0xA002: "PixelXDimension",

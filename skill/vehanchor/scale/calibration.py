@@ -23,7 +23,7 @@ from vehanchor.errors import (
 )
 from vehanchor.output import whole_file
 from vehanchor.scale.confidence import guard_length
-from vehanchor.scale.lengths import WEIGHTED_SMOOTHING, kde_density, kde_mode, scott_bandwidth, vehicle_weights
+from vehanchor.scale.lengths import WEIGHTED_SMOOTHING, Z95, kde_density, kde_mode, scott_bandwidth, vehicle_weights
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,7 +54,6 @@ _CELLS_PER_BANDWIDTH = 5
 _MAX_CELLS = 8192
 _MAX_FILE_BYTES = 1 << 20
 _SHORT_SHA = 12
-_Z95 = 1.959963984540054
 
 _VehicleLength = Annotated[float, Field(ge=LEAST_VEHICLE_M, le=LARGEST_VEHICLE_M)]
 
@@ -322,7 +321,7 @@ def _widened(length: ModalLength, log_sd: float) -> tuple[float, float]:
     if log_sd == 0:
         return length.low_m, length.high_m
     down, up = math.log(length.mode_m / length.low_m), math.log(length.high_m / length.mode_m)
-    reach = _Z95 * log_sd
+    reach = Z95 * log_sd
     return length.mode_m * math.exp(-math.hypot(down, reach)), length.mode_m * math.exp(math.hypot(up, reach))
 
 

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
+from vehanchor.scale.lengths import Z95
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -24,7 +26,6 @@ _STEP_DEG, _FINER = 3.0, 3  # of the lean's grid, and by how much each look afte
 _NEGLIGIBLE = 12.0  # nats below the best: what is less likely is looked at no finer
 _MOST_POINTS = 6000
 _LEVEL_SHARE, _LEVEL_SD_DEG = 0.7, 8.0  # of cameras whose horizon is level, and how level it is
-_Z95 = 1.959963984540054
 _NEAR_DEG = 10.0  # what lies further from the likeliest is another answer, not its spread
 _FOCAL_STEPS = np.linspace(-1.8, 1.8, 7)  # standard deviations of a focal length, at first
 _GROUND_SD_DEG = 0.7  # no ground is quite level: what a court says of itself need not hold beside it
@@ -168,8 +169,8 @@ def _summed_up(leans: NDArray[np.float64], weights: NDArray[np.float64], focals:
     low, high = np.interp([0.025, 0.975], below, tilts[order])
     tilt = float(np.hypot(*middle))
     low, high = (
-        tilt - math.hypot(tilt - low, _Z95 * _GROUND_SD_DEG),
-        tilt + math.hypot(high - tilt, _Z95 * _GROUND_SD_DEG),
+        tilt - math.hypot(tilt - low, Z95 * _GROUND_SD_DEG),
+        tilt + math.hypot(high - tilt, Z95 * _GROUND_SD_DEG),
     )
     pixels = math.exp(float(near / chances.clip(1e-300) @ weights @ np.log(focals)) / float(near.sum()))
     roll = math.degrees(math.atan2(-middle[0], middle[1])) if tilt > 0 else 0.0

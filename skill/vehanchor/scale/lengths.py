@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = [
     "MIN_KDE_VEHICLES",
     "WEIGHTED_SMOOTHING",
+    "Z95",
     "Interval",
     "LengthGroup",
     "dominant_group",
@@ -41,7 +42,7 @@ _LEAST_SCORE = 1e-3  # some models give scores of 0
 _BOOTSTRAP_REPLICATES = 400
 _BOOTSTRAP_SEED = 20260
 _FLEET_LOG_SD = 0.40  # error of an estimate from one car, false alarms included: fit_confidence.py, held-out tenth
-_Z95 = 1.959963984540054
+Z95 = 1.959963984540054  # standard deviations to either end of a 95 % interval
 
 
 class Interval(NamedTuple):
@@ -338,6 +339,6 @@ def gsd_interval(
     """
     resampling, fleet = statistical_log_sds(lengths, mode_px, scores=scores)
     region = reference_sd_m / reference_length_m
-    reach = np.exp(_Z95 * np.sqrt(resampling**2 + fleet**2 + region**2))
+    reach = np.exp(Z95 * np.sqrt(resampling**2 + fleet**2 + region**2))
     gsd = reference_length_m / mode_px
     return Interval(float(gsd / reach), float(gsd * reach))
