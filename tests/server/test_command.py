@@ -23,6 +23,7 @@ SAMPLES: dict[str, Any] = {
     "min_score": 0.25,
     "image_hosts": ("a.test", "b.test:8443"),
     "insecure": True,
+    "public_url": "https://a.test/mcp",
 }
 COMPANIONS = {"oidc_issuer": {"oidc_audience": "x"}, "oidc_audience": {"oidc_issuer": "https://a.test"}}
 
