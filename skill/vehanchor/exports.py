@@ -173,8 +173,7 @@ def _write_geopackage(path: Path, layer: _Layer, ground: Ground | None) -> None:
         code = ground.crs.to_epsg()
         srs = code or 100_000  # numbers from there are the writer's own
         named = (f"EPSG:{code}", srs, "EPSG") if code else ("the image's own", srs, "NONE")
-        if srs != 4326:
-            systems.append((*named, srs, ground.crs.to_wkt()))
+        systems.append((*named, srs, ground.crs.to_wkt()))  # in the place of WGS 84 if it is that
     places = np.concatenate([np.empty((0, 2)), *(ring for geometry in geometries for ring in _rings(geometry))])
     extent = [*places.min(axis=0).tolist(), *places.max(axis=0).tolist()] if len(places) else [None] * 4
     columns = "".join(f", {name} {_COLUMN_TYPES.get(kind, 'DOUBLE')}" for name, kind in layer.columns.items())
@@ -183,7 +182,7 @@ def _write_geopackage(path: Path, layer: _Layer, ground: Ground | None) -> None:
         file.execute(f"CREATE TABLE {layer.name} (fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, geom BLOB{columns})")
         file.execute(f"PRAGMA application_id = {_GPKG_ID}")
         file.execute(f"PRAGMA user_version = {_GPKG_VERSION}")
-        file.executemany("INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, NULL)", systems)
+        file.executemany("INSERT OR REPLACE INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, NULL)", systems)
         file.execute(
             "INSERT INTO gpkg_contents (table_name, data_type, identifier, min_x, min_y, max_x, max_y, srs_id) "
             "VALUES (?, 'features', ?, ?, ?, ?, ?, ?)",

@@ -73,8 +73,7 @@ def on_the_plane(others: Sequence[Evidence], looked: Attitude, view: View) -> tu
 
     Args:
         others: evidence of the rulers beside vehicles: courts, lines and heights, told or read from metadata, are
-            measured again, and the ground's
-            own look is left out, whose network was never shown such a view.
+            measured again, and the ground's own look is left out, whose network was never shown such a view.
         looked: where the camera looked.
         view: of the image.
     """

@@ -6,6 +6,8 @@ import os
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
+from vehanchor.imagery.addresses import is_address
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -21,7 +23,7 @@ def under_one_folder(names: Sequence[str]) -> tuple[str, list[str]]:
     Returns:
         The folder, empty where there is none but the current or where one is an address, and the names.
     """
-    if any("://" in name for name in names):
+    if any(map(is_address, names)):
         return "", list(names)
     try:
         folder = os.path.commonpath([PurePath(name).parent for name in names])
