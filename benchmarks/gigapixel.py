@@ -21,7 +21,7 @@ import rasterio
 from benchmarks.networks_time import networks_seconds
 from vehanchor.detection.detector import load_detector
 from vehanchor.estimate import analyse_raster
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 

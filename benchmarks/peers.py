@@ -29,7 +29,7 @@ import onnxruntime
 from benchmarks.speed import large_scene
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search

@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_segmenter
-from vehanchor.segmentation.segmenter import Prompt, Segmenter
+from vehanchor.segmentation.prompt import Prompt
+from vehanchor.segmentation.segmenter import Segmenter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -35,7 +35,7 @@ from benchmarks.server_process import (
     target,
 )
 from tests import bombs
-from vehanchor.output import whole_file
+from vehanchor.storage.atomic import whole_file
 from vehanchor_scenes import render_scene
 
 Question: TypeAlias = tuple[str, dict[str, Any]]

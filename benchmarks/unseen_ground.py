@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vehanchor.detection.boxes import boxes_from_corners
-from vehanchor.detection.scene import SceneScaleNetwork, load_scene_scale
-from vehanchor.imagery.raster import open_raster
+from vehanchor.detection.scene_scale import SceneScaleNetwork, load_scene_scale
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.scale.fusion import credible_interval
 from vehanchor_evaluation.dota import read_labels
 

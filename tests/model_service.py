@@ -18,8 +18,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Asked", "ModelService", "Refusal", "UseTool", "model_service", "red_rectangle"]
-
 
 @dataclass(frozen=True)
 class Asked:

@@ -30,33 +30,6 @@
 
 from __future__ import annotations
 
-__all__ = [
-    "CalibrationError",
-    "CalibrationFileError",
-    "CalibrationMismatchError",
-    "CalibrationRefusedError",
-    "FrameError",
-    "ImageDecodeError",
-    "ImageError",
-    "ImageFormatError",
-    "ImageNotFoundError",
-    "ImageTooLargeError",
-    "InvalidParameterError",
-    "KnownLengthError",
-    "MissingExtraError",
-    "ModelContractError",
-    "ModelError",
-    "ModelNotFoundError",
-    "OutOfMemoryError",
-    "OutputError",
-    "PromptError",
-    "ProviderUnavailableError",
-    "ScaleMismatchError",
-    "TooObliqueError",
-    "VehAnchorError",
-    "WorkerDiedError",
-]
-
 
 class VehAnchorError(Exception):
     """Base of all errors raised on purpose; ``code`` is a stable identifier."""

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detector import Detector
 
-__all__ = ["FolderCheck", "SelfTest", "check_images", "installed", "self_test"]
-
 _NEEDED = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pydantic", "mcp")
 _EXTRAS = {"rasterio": "geo", "matplotlib": "plots", "pyarrow": "parquet", "ray": "ray"}
 _SCENE_GSD_M, _SCENE_PX, _SCENE_SEED = 0.1, 800, 1

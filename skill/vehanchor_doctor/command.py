@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from vehanchor_doctor.checks import FolderCheck
 
-__all__ = ["doctor"]
-
 
 def doctor(
     inputs: Annotated[
@@ -80,7 +78,7 @@ def _counted(images: Sequence[str], detector: object, max_megapixels: float | No
 
 def _advice(check: FolderCheck) -> list[tuple[str, str]]:
     """How many have a usable scale, and for the others why not and what would help."""
-    from vehanchor.advice import ADVICE
+    from vehanchor.records.advice import ADVICE
 
     facts = [("usable", f"{check.n_ok} of {check.n} ({100 * check.n_ok / max(1, check.n):.0f} %)")]
     for reason, count in check.reasons.most_common():

@@ -13,8 +13,6 @@ from vehanchor_scenes.site import Site, jitter
 from vehanchor_scenes.sports import sports_ground
 from vehanchor_scenes.world import Material
 
-__all__ = ["FILLERS", "Filler"]
-
 Filler = Callable[[Site, float, float], None]
 """Fills (0, 0) to (width, depth) of the site's frame."""
 

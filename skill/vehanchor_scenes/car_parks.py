@@ -9,8 +9,6 @@ import numpy as np
 from vehanchor_scenes.site import Site, flat_roof_rgb, jitter
 from vehanchor_scenes.world import Material, Rect, Rgb
 
-__all__ = ["bays", "car_park", "halls"]
-
 
 def car_park(site: Site, width: float, depth: float) -> None:
     """A surface car park: rows of bays, aisles, islands with trees."""

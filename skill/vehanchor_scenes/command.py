@@ -14,8 +14,6 @@ import typer
 from vehanchor.cli.terminal import exit_on_error, printable
 from vehanchor.errors import OutputError
 
-__all__ = ["LayoutChoice", "scene"]
-
 
 class LayoutChoice(StrEnum):
     """The layouts, as Typer takes choices; the renderer's ``Layout`` lives where OpenCV is loaded."""

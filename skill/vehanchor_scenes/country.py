@@ -10,8 +10,6 @@ from vehanchor_scenes.homes import garden, house
 from vehanchor_scenes.site import Site, jitter
 from vehanchor_scenes.world import Material, Rgb
 
-__all__ = ["farm", "field", "meadow", "orchard", "vineyard", "wood"]
-
 
 def field(site: Site, width: float, depth: float) -> None:
     """Arable land with furrows or tramlines."""

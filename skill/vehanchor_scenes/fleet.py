@@ -8,8 +8,6 @@ import numpy as np
 
 from vehanchor_scenes.truth import VehicleKind
 
-__all__ = ["Fleet", "VehicleModel"]
-
 # (mean length in m, standard deviation, share, bodies) before scaling to the mean asked for. Together: mean 4.544 m,
 # standard deviation 8.7 % of it, mode 1.010 x the mean.
 _CLASSES: tuple[tuple[float, float, float, tuple[str, ...]], ...] = (

@@ -10,8 +10,6 @@ from vehanchor_scenes.car_parks import bays
 from vehanchor_scenes.site import Site, flat_roof_rgb, jitter
 from vehanchor_scenes.world import Material, Rect
 
-__all__ = ["flats", "garden", "house", "houses", "town"]
-
 
 def houses(site: Site, width: float, depth: float) -> None:
     """Two rows of lots back to back, or one."""

@@ -14,8 +14,6 @@ from vehanchor_scenes.streets import Block, StreetPlan, build_street, divide
 from vehanchor_scenes.truth import Layout
 from vehanchor_scenes.world import Frame, Material, World
 
-__all__ = ["lay_out"]
-
 
 @dataclass(frozen=True)
 class _Plan:

@@ -19,8 +19,6 @@ from vehanchor_scenes.sprites import CROWN_SPAN, VEHICLE_PAD, Sun, crown_sprite,
 from vehanchor_scenes.tile import SUBPIXEL_BITS, Tile
 from vehanchor_scenes.world import Box, Material, PlacedVehicle, Roof, Stain, Surface, Tree, World
 
-__all__ = ["Painter"]
-
 _F = NDArray[np.float32]
 _U8 = NDArray[np.uint8]
 

@@ -9,8 +9,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["clip_polygon", "noise_texture", "polygon_area", "polygon_mask", "sample_noise"]
-
 _SMOOTH_BELOW = 0.34
 
 

@@ -18,8 +18,6 @@ from vehanchor_scenes.sprites import Sun
 from vehanchor_scenes.truth import CATEGORIES, Category, Layout, Scene, SceneCourt, SceneObject, SceneVehicle
 from vehanchor_scenes.world import PlacedCourt, PlacedVehicle, Target, World
 
-__all__ = ["render_scene"]
-
 _TILE_PX = 1024
 _MIN_SIZE_PX, _MAX_SIZE_PX = 16, 16384
 _MIN_GSD, _MAX_GSD = 0.005, 2.0

@@ -12,8 +12,6 @@ from vehanchor_scenes.sprites import Sun
 from vehanchor_scenes.tile import Tile
 from vehanchor_scenes.world import Rect, Rgb, Roof
 
-__all__ = ["paint_roof"]
-
 _F = NDArray[np.float32]
 _COURSE_M = 0.36  # one course of tiles
 _PARAPET_M = 0.7

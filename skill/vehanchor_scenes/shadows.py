@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from vehanchor_scenes.sprites import CROWN_SPAN, Sun
 from vehanchor_scenes.world import PlacedVehicle, Roof, Tree
 
-__all__ = ["roof_shadows", "swept", "tree_reach", "vehicle_corners", "vehicle_outline", "vehicle_reach"]
-
 
 def swept(points: NDArray[np.float64], offset: tuple[float, float]) -> NDArray[np.float64]:
     """The convex hull of a convex outline and its shadow."""

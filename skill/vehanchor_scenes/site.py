@@ -27,8 +27,6 @@ from vehanchor_scenes.world import (
     World,
 )
 
-__all__ = ["Palette", "Site", "flat_roof_rgb", "jitter"]
-
 WHITE: Rgb = (222, 222, 216)
 
 

@@ -13,8 +13,6 @@ from vehanchor_scenes.site import WHITE, Site, jitter
 from vehanchor_scenes.truth import CourtKind
 from vehanchor_scenes.world import Material, PlacedCourt, Rgb
 
-__all__ = ["place_court", "sports_ground"]
-
 _TENNIS_M = (23.77, 10.97)  # ITF, outside the lines
 _SINGLES_HALF_M, _SERVICE_M = 8.23 / 2, 6.40
 _SURFACES: tuple[Rgb, ...] = (

@@ -14,8 +14,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CROWN_SPAN", "VEHICLE_PAD", "Sun", "crown_sprite", "vehicle_sprite"]
-
 CROWN_SPAN = 1.25
 VEHICLE_PAD = 0.03  # a transparent margin, as a share of the length, on every side of a vehicle's sprite
 

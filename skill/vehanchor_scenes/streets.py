@@ -10,8 +10,6 @@ import numpy as np
 from vehanchor_scenes.site import Site, jitter
 from vehanchor_scenes.world import Material, Rect
 
-__all__ = ["Block", "Street", "StreetPlan", "build_street", "divide"]
-
 
 @dataclass(frozen=True)
 class StreetPlan:

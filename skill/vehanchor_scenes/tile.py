@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from vehanchor_scenes.raster import clip_polygon
 from vehanchor_scenes.world import Rgb
 
-__all__ = ["SUBPIXEL_BITS", "Tile"]
-
 _F = NDArray[np.float32]
 _U8 = NDArray[np.uint8]
 

@@ -14,18 +14,6 @@ from numpy.typing import NDArray
 
 from vehanchor.errors import InvalidParameterError
 
-__all__ = [
-    "CATEGORIES",
-    "Category",
-    "CourtKind",
-    "Layout",
-    "Scene",
-    "SceneCourt",
-    "SceneObject",
-    "SceneVehicle",
-    "VehicleKind",
-]
-
 VehicleKind = Literal["small-vehicle", "large-vehicle"]
 Layout = Literal["urban", "parking", "countryside", "sports"]
 Category = Literal["swimming-pool", "building", "sports-court", "field", "parking-lot"]

@@ -12,22 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from vehanchor_scenes.fleet import VehicleModel
 from vehanchor_scenes.truth import Category, CourtKind
 
-__all__ = [
-    "Box",
-    "Frame",
-    "Material",
-    "PlacedCourt",
-    "PlacedVehicle",
-    "Rect",
-    "Rgb",
-    "Roof",
-    "Stain",
-    "Surface",
-    "Target",
-    "Tree",
-    "World",
-]
-
 Rgb = tuple[int, int, int]
 Rect = tuple[float, float, float, float]
 """x0, y0, x1, y1 in some frame."""

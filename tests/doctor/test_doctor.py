@@ -28,7 +28,7 @@ def test_the_bundled_model_passes_the_self_test() -> None:
     assert found.passed, found
 
 
-@pytest.mark.parametrize(("gsd", "status"), [(None, "no_anchor"), (0.1, "low_confidence"), (0.2, "ok")])
+@pytest.mark.parametrize(("gsd", "status"), [(None, "no_scale"), (0.1, "low_confidence"), (0.2, "ok")])
 def test_a_scale_that_is_wrong_or_not_to_be_used_fails_it(
     gsd: float | None, status: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

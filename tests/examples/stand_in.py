@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import Self
 
-__all__ = ["GIVEN_BACK", "KEY", "StandIn", "ToolCall"]
-
 KEY = "key-of-the-stand-in"
 GIVEN_BACK: dict[str, Any] = {"image_id": "as the tool said"}
 """An argument that is taken from an earlier result; what else it holds is added to that."""

@@ -21,8 +21,6 @@ from tests.faults import REFUSED, WRITTEN, limited
 from training.loop import Recipe, Schedule, load_average, train
 from training.onnx_file import write_metadata, write_onnx
 
-__all__ = ["Lines", "losses", "network", "recipe"]
-
 _LATE_IMPORTS = (torch._dynamo,)  # by the first optimiser: here, not in each child
 _KILLED_AT = 14  # two steps after a checkpoint
 

@@ -16,7 +16,7 @@ from training.courts.network import CourtNet  # noqa: E402
 from training.courts.train import export, losses  # noqa: E402
 from vehanchor.courts.proposals import CourtNetwork  # noqa: E402
 from vehanchor.courts.template import TENNIS  # noqa: E402
-from vehanchor.imagery.raster import open_raster  # noqa: E402
+from vehanchor.imagery.sources.opening import open_raster  # noqa: E402
 
 pytestmark = pytest.mark.slow
 

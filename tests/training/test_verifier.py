@@ -18,7 +18,7 @@ from training.verifier.combine import fitted, look, settled
 from training.verifier.data import STORED_PX, Candidates, ChipStream, load, middle, save, truth_of
 from training.verifier.network import VerifierNet
 from training.verifier.train import export, logits, report
-from vehanchor.detection.second_look import CHIP_PX, Weights, surroundings
+from vehanchor.detection.verifier import CHIP_PX, Weights, surroundings
 
 pytestmark = pytest.mark.slow
 

@@ -27,7 +27,7 @@ from training.detector.data import TrainImage, corrected, read_corrections
 from training.detector.places import Place, is_held_out, looked_at, places
 from training.detector.relabel import Consensus, search
 from vehanchor.detection.detector import Detector
-from vehanchor.output import whole_file
+from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.dota import read_labels
 
 SCENERY = Path(__file__).with_name("scenery.csv")

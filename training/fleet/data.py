@@ -13,8 +13,8 @@ import numpy as np
 from training.detector.data import group_of, read_corrections
 from training.detector.places import is_held_out, places
 from training.detector.scenery import SCENERY
+from vehanchor.detection.appearance import CHIP_LENGTH_PX, chip
 from vehanchor.detection.boxes import boxes_from_corners
-from vehanchor.detection.look import CHIP_LENGTH_PX, chip
 from vehanchor_evaluation.dota import read_labels
 
 if TYPE_CHECKING:

@@ -38,7 +38,7 @@ from training.fleet.data import (
 from training.fleet.network import FleetNet, Mean
 from training.loop import Recipe, Schedule, train
 from training.onnx_file import write_onnx
-from vehanchor.detection.look import CHIP_SHAPE
+from vehanchor.detection.appearance import CHIP_SHAPE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

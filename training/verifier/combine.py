@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from training.onnx_file import LICENCE, write_metadata
 from training.verifier.data import Candidates, load, middle
-from vehanchor.detection.second_look import Weights
+from vehanchor.detection.verifier import Weights
 
 _CHANCE = 0.65  # a missed car costs less than a false one
 _RIDGE = 1e-3

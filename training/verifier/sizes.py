@@ -1,7 +1,7 @@
 """What the ground's word on sizes is worth: ``python -m training.verifier.sizes``, for ``combine --size-weight``.
 
 Searches the held-out tenth of the labelled images and of the scenery with the bundled networks and prints, for each
-weight of ``SceneSighting.size_odds`` in a candidate's score, how many cars come before the so-manieth false alarm.
+weight of ``SceneScalePrior.size_odds`` in a candidate's score, how many cars come before the so-manieth false alarm.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from training.detector.data import load_train_images
 from training.detector.scenery import load_scenery
 from training.verifier.data import truth_of
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.scene import load_scene_scale
+from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import search
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
 

@@ -21,7 +21,7 @@ from training.loop import Recipe, Schedule, train
 from training.onnx_file import write_onnx
 from training.verifier.data import ChipStream, load, middle
 from training.verifier.network import VerifierNet
-from vehanchor.detection.second_look import CHIP_PX
+from vehanchor.detection.verifier import CHIP_PX
 
 _RATE = 2e-3
 _BATCH = 96

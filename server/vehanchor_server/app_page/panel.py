@@ -14,9 +14,7 @@ from pydantic import Field
 from vehanchor_server.frozen import FrozenModel
 
 if TYPE_CHECKING:
-    from vehanchor.findings import ScaleFindings
-
-__all__ = ["PANEL_KEY", "Drawing", "LengthHistogram", "PanelData", "drawing_of", "length_histogram", "panel_meta"]
+    from vehanchor.analysis.findings import ScaleFindings
 
 PANEL_KEY = "vehanchor/panel"
 

@@ -15,7 +15,7 @@ function rulersSection(scale) {
     const lead = ruler.kind === scale.scale_source ? ", leads" : "";
     const bounds = interval(ruler.gsd_ci95_low_m_per_px, ruler.gsd_ci95_high_m_per_px, "m/px");
     return html(
-      "li", { class: ruler.agrees ? "agrees" : "disagrees", title: ruler.says ?? undefined },
+      "li", { class: ruler.agrees ? "agrees" : "disagrees", title: ruler.explanation ?? undefined },
       html("span", { class: "name" }, name),
       html("span", { class: "number" }, `${number(ruler.gsd_m_per_px)} m/px`),
       html("span", { class: "note" }, bounds),

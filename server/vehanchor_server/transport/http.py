@@ -26,10 +26,8 @@ from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.auth import token_verifier
 from vehanchor_server.transport.connections import BACKLOG, MAX_HEAD_BYTES, ConnectionLimits, LimitedProtocol
-from vehanchor_server.transport.door import Door
+from vehanchor_server.transport.request_guard import RequestGuard
 from vehanchor_server.transport.supervisor import end_with_supervisor
-
-__all__ = ["MCP_PATH", "create_app", "serve_http"]
 
 MCP_PATH = "/mcp"
 _SETTINGS_OF_WORKERS = "VEHANCHOR_SETTINGS_OF_WORKERS"  # one variable: a list in several would need separators
@@ -76,7 +74,7 @@ def create_app(settings: Settings | None = None) -> Starlette:
         transport_security=security,
     )
     app.add_middleware(
-        Door,
+        RequestGuard,
         path=MCP_PATH,
         hosts=security.allowed_hosts,
         origins=security.allowed_origins,

@@ -6,13 +6,11 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict
 
+from vehanchor.options.rulers import RulerName
 from vehanchor.records import ConfidenceTerms, GsdEstimate, SceneScaleEstimate
-from vehanchor.ruler_options import RulerName
 
 if TYPE_CHECKING:
     from vehanchor.errors import VehAnchorError
-
-__all__ = ["COLUMNS", "BatchRow"]
 
 # The only fields of an estimate that are no single value.
 _NESTED = ("confidence_terms", "frame", "rulers", "scale", "scene_scale", "tilt", "warnings")

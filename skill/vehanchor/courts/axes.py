@@ -11,8 +11,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["axes"]
-
 _QUARTER = math.pi / 2
 _BINS = 45  # of a quarter turn: 2 degrees each
 _SMOOTH_PX = 1.2  # steps of a line as wide as a pixel have directions of their own

@@ -30,10 +30,8 @@ if TYPE_CHECKING:
     from vehanchor.courts.proposals import Proposal
     from vehanchor.courts.template import Template
     from vehanchor.detection.card import DetectorCard
-    from vehanchor.detection.sighting import Sighting
+    from vehanchor.detection.detections import Detections
     from vehanchor.imagery.raster import Raster
-
-__all__ = ["Proposed", "find_courts", "measure_court", "propose_courts", "rough_court"]
 
 _FAR = Reach(0.0, 1.0, 0.4, 0.04, 27, 3)  # proposals lie on a court's end as often as on its middle
 _NEAR = Reach(math.radians(4), math.radians(2), 0.045, 0.015, 3, 1)
@@ -105,17 +103,17 @@ class Proposed(NamedTuple):
 
 def propose_courts(
     raster: Raster,
-    sighting: Sighting,
+    detections: Detections,
     card: DetectorCard,
     *,
     providers: tuple[str, ...] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> Proposed:
     """Say where courts may be, by the network and by a detector that knows courts; as ``find_courts``."""
-    proposals = boxes_of_courts(sighting, card)
+    proposals = boxes_of_courts(detections, card)
     # one thread: it is small, and a worker of one thread shall not wake all cores for it
     network = load_court_network(threads=1, providers=providers or DEFAULT_PROVIDERS)
-    factors = [] if network is None else coarse_factors(raster, sighting)
+    factors = [] if network is None else coarse_factors(raster, detections)
     if network is not None:
         for factor in factors:
             proposals += network.propose(raster, factor, run_options=run_options)
@@ -124,7 +122,7 @@ def propose_courts(
 
 def find_courts(
     raster: Raster,
-    sighting: Sighting,
+    detections: Detections,
     card: DetectorCard,
     *,
     proposed: Proposed | None = None,
@@ -135,7 +133,7 @@ def find_courts(
 
     Args:
         raster: the image.
-        sighting: what the search has seen, and how large the ground says a pixel is.
+        detections: what the search has seen, and how large the ground says a pixel is.
         card: of the detector.
         proposed: where they may be; None has them looked for (``propose_courts``).
         providers: where the network runs that looks for them; None for the CPU.
@@ -145,7 +143,7 @@ def find_courts(
         At most four, the surest first. A court half hidden, or cut by the image's edge, is none.
     """
     proposals, n_sizes = proposed or propose_courts(
-        raster, sighting, card, providers=providers, run_options=run_options
+        raster, detections, card, providers=providers, run_options=run_options
     )
     surest = islice(_apart(proposals), _MOST_OF_ONE_SIZE if n_sizes == 1 else _MOST_LOOKED_AT)
     laid = [each for proposal in surest for each in _laid(raster, proposal)]

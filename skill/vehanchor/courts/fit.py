@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from vehanchor.courts.match import Pose
     from vehanchor.courts.template import Template
 
-__all__ = ["Fit", "fit", "pose_matrix", "project"]
-
 _PIECE_M = 2.4  # of a line, over which its profile is averaged: a player hides one, not all
 _STEP_PX = 0.25
 _FLANK_PX = 2.0

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from vehanchor.courts.template import Template
 
-__all__ = ["Pose", "Reach", "match", "ridges"]
-
 _HALF_LINE_PX = 2  # a line is brighter than what lies so far to either side of it
 _LEAST_CONTRAST = 3.0  # grey levels
 _CONTRAST_PER_TEXTURE = 1.5

@@ -14,9 +14,9 @@ import numpy as np
 
 from vehanchor.courts.match import Pose
 from vehanchor.courts.template import BASKETBALL, TENNIS
-from vehanchor.detection.stopping import ANYTIME_PIXELS
+from vehanchor.detection.convergence import ANYTIME_PIXELS
 from vehanchor.errors import ModelContractError
-from vehanchor.imagery.tiles import read_glance, read_reduced_window, tile_grid
+from vehanchor.imagery.tiles import read_preview, read_reduced_window, tile_grid
 from vehanchor.models.cache import file_cached
 from vehanchor.models.files import read_model
 from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
@@ -31,17 +31,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.card import DetectorCard
-    from vehanchor.detection.sighting import Sighting
+    from vehanchor.detection.detections import Detections
     from vehanchor.imagery.raster import Raster
-
-__all__ = [
-    "LENGTHS_M",
-    "CourtNetwork",
-    "Proposal",
-    "boxes_of_courts",
-    "coarse_factors",
-    "load_court_network",
-]
 
 _CELL_PX = 8  # side of the network's cells, and what its length is told in: training/courts/network.py
 _LENGTH_PX = 44.0
@@ -71,21 +62,21 @@ class Proposal(NamedTuple):
     factor: int
 
 
-def coarse_factors(raster: Raster, sighting: Sighting) -> list[int]:
+def coarse_factors(raster: Raster, detections: Detections) -> list[int]:
     """By what an image is reduced to look for courts: in a large one by what the ground says, where it was looked at.
 
     Args:
         raster: the image.
-        sighting: with the scene, if there is one.
+        detections: with the scene, if there is one.
 
     Returns:
         Factors, the finest first.
     """
     side = min(raster.width_px, raster.height_px)
     factors = [factor for factor in _FACTORS if side // factor >= _MIN_SIDE_PX]
-    if sighting.scene is None or raster.width_px * raster.height_px <= _MOST_PIXELS_UNASKED:
+    if detections.scene is None or raster.width_px * raster.height_px <= _MOST_PIXELS_UNASKED:
         return factors
-    median = credible_interval(sighting.scene.density, probability=0.0).low
+    median = credible_interval(detections.scene.density, probability=0.0).low
     return [min(factors, key=lambda factor: abs(math.log(median * factor / _SEEN_BEST_M)))] if factors else []
 
 
@@ -125,7 +116,7 @@ class CourtNetwork:
             What may be courts, in no order; one in the overlap of two tiles may come twice.
         """
         width, height = raster.width_px // factor, raster.height_px // factor
-        read = read_reduced_window if raster.width_px * raster.height_px < ANYTIME_PIXELS else read_glance
+        read = read_reduced_window if raster.width_px * raster.height_px < ANYTIME_PIXELS else read_preview
         found = []
         for window in tile_grid(width, height, tile_px=_TILE_PX, stride_px=_STRIDE_PX):
             pixels = read(raster, window, factor)
@@ -175,18 +166,20 @@ def _between(shares: NDArray[np.float32], at: int) -> float:
     return float(np.clip((before - after) / (2 * bend), -0.5, 0.5)) if bend < 0 else 0.0
 
 
-def boxes_of_courts(sighting: Sighting, card: DetectorCard) -> list[Proposal]:
+def boxes_of_courts(detections: Detections, card: DetectorCard) -> list[Proposal]:
     """Courts that the detector itself has seen: classes ``tennis court`` and ``basketball court``, as DOTA names them.
 
     Args:
-        sighting: its other objects.
+        detections: its other objects.
         card: its classes' names.
 
     Returns:
         One for each box.
     """
     found = []
-    for box, score, index in zip(sighting.others.boxes, sighting.others.scores, sighting.others.classes, strict=True):
+    for box, score, index in zip(
+        detections.others.boxes, detections.others.scores, detections.others.classes, strict=True
+    ):
         name = card.class_names.get(int(index), "").lower().replace("-", " ").replace("_", " ")
         which = _NAMES.get(name.removesuffix(" court")) if name.endswith(" court") else None
         if which is None:

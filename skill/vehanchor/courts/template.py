@@ -16,8 +16,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["BASKETBALL", "TENNIS", "Line", "Template"]
-
 _HALF_LINE_M = 0.025  # tennis: 2.5 to 5 cm, base lines up to 10 cm (ITF); basketball: 5 cm (FIBA)
 _ARC_STEPS = 16
 

@@ -13,7 +13,7 @@ from vehanchor.batch.run import BatchSummary, journal_path
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.errors import OutputError
 from vehanchor.flight.estimate import analyse_flight
-from vehanchor.flight.single import estimate_in_flight
+from vehanchor.flight.project import estimate_in_flight
 
 if TYPE_CHECKING:
     import os
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
     from vehanchor.records import FlightEstimate, FlightPhotograph
-
-__all__ = ["run_same_scale"]
 
 
 def run_same_scale(

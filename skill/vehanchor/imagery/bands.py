@@ -8,12 +8,10 @@ import cv2
 import numpy as np
 
 from vehanchor.errors import ImageFormatError, InvalidParameterError
-from vehanchor.imagery.windows import RasterNote
+from vehanchor.imagery.raster import RasterNote
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-__all__ = ["DTYPES", "BandChoice", "ChosenBands", "check_dtype", "check_finite", "choose_bands", "merge_bands"]
 
 DTYPES = (np.uint8, np.uint16, np.float32, np.float64)
 """What stored pixels are read as."""

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster
 
-__all__ = ["PATCH_PX", "resolved_share", "ring_spectrum", "spectrum_share"]
-
 PATCH_PX = 64
 _MAX_PATCHES = 16
 _LEAST_POWER = 1e-3  # of a cell of the spectrum, in grey levels squared: far below what rounding to 8 bits leaves

@@ -5,12 +5,10 @@ from __future__ import annotations
 import hashlib
 from typing import TYPE_CHECKING
 
-from vehanchor.imagery.windows import Window
+from vehanchor.imagery.raster import Window
 
 if TYPE_CHECKING:
-    from vehanchor.imagery.windows import Raster
-
-__all__ = ["image_id"]
+    from vehanchor.imagery.raster import Raster
 
 _WINDOWS_A_SIDE = 8
 _WINDOW_PX = 512  # 8 x 8 of them are all of an image of 4096 px a side

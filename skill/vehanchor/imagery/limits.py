@@ -5,21 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import ImageFormatError, ImageTooLargeError
-from vehanchor.imagery.header import ImageHeader, ReadAt, read_header
+from vehanchor.imagery.formats.header import ImageHeader, read_header
+from vehanchor.imagery.formats.ifd import ReadAt
 
 if TYPE_CHECKING:
     from vehanchor.options import ImageLimits
-
-__all__ = [
-    "MIN_SIDE_PX",
-    "UNPACKED_BYTES",
-    "check_block",
-    "check_bytes",
-    "check_header",
-    "check_side",
-    "check_windowed_size",
-    "read_checked_header",
-]
 
 MIN_SIDE_PX = 16
 """Smallest side of an image that can be measured: a car of 5 m is 17 px long at 0.3 m/px, the coarsest scale of use."""

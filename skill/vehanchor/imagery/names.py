@@ -6,12 +6,10 @@ import os
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
-from vehanchor.imagery.addresses import is_address
+from vehanchor.imagery.sources.addresses import is_address
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-__all__ = ["under_one_folder"]
 
 
 def under_one_folder(names: Sequence[str]) -> tuple[str, list[str]]:

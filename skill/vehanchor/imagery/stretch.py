@@ -12,8 +12,6 @@ from vehanchor.errors import ImageFormatError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["SAMPLE_PX", "STRETCH_PERCENTILES", "UNIT_RANGE", "Stretch", "choose_stretch", "to_uint8"]
-
 STRETCH_PERCENTILES = (2.0, 98.0)
 """Percentiles of the whole image shown as 0 and 255, the cut that GIS viewers use. One range for all three bands:
 colours keep their balance."""

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster
 
-__all__ = ["TILE_OVERLAP", "TILE_SIZE_PX", "read_glance", "read_reduced_window", "tile_grid"]
-
 TILE_SIZE_PX = 1024  # paper, section III-B
 TILE_OVERLAP = 0.25  # paper, section III-B: stride 768 px at 1024 px
 _BLOCK_PX = 1024  # side of what is read at once for a reduced window: 3 MiB
@@ -79,7 +77,7 @@ def read_reduced_window(raster: Raster, window: Window, factor: int) -> NDArray[
     return reduced
 
 
-def read_glance(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
+def read_preview(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
     """Read a window of a raster reduced by a whole factor, as fast as the file allows: where to look, not to measure.
 
     Args:

@@ -14,11 +14,9 @@ from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.findings import AreaFindings
+    from vehanchor.analysis.findings import AreaFindings
     from vehanchor.options import ImageLimits
     from vehanchor.records import AreaMeasurement
-
-__all__ = ["PROMPT_RGB", "draw_area", "full_mask"]
 
 PROMPT_RGB = (240, 228, 66)  # Okabe and Ito's yellow
 _BESIDE_RGB = (213, 94, 0)

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from vehanchor.advice import ADVICE
 from vehanchor.pictures.marks import draw_marks
 from vehanchor.pictures.scale import (
     caption_panel,
@@ -16,18 +15,17 @@ from vehanchor.pictures.scale import (
     with_interval,
     with_margins,
 )
+from vehanchor.records.advice import ADVICE
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.findings import AreaFindings, DistanceFindings, ScaleFindings
+    from vehanchor.analysis.findings import AreaFindings, DistanceFindings, ScaleFindings
     from vehanchor.pictures.scale import CaptionLine
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
 
     Measured: TypeAlias = AreaMeasurement | DistanceMeasurement
-
-__all__ = ["MEASURED_RGB", "Canvas", "finish", "open_canvas", "size_in_words"]
 
 MEASURED_RGB = (204, 121, 167)  # Okabe and Ito's reddish purple, beside the vehicles' sky blue and orange
 

@@ -18,10 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from vehanchor.findings import ScaleFindings
+    from vehanchor.analysis.findings import ScaleFindings
     from vehanchor.records import GsdEstimate
-
-__all__ = ["plot_scale", "require_plots", "write_plot"]
 
 _KEPT, _KEPT_DARK, _DROPPED = "#56B4E9", "#0072B2", "#E69F00"  # Okabe and Ito: blues, orange
 _GUARD, _INK = "#D55E00", "#222222"

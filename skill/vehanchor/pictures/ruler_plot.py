@@ -6,15 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.anchors.fused import ruler_densities
+from vehanchor.rulers.fused import ruler_densities
 from vehanchor.scale.fusion import GRID, product
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from vehanchor.findings import ScaleFindings
-
-__all__ = ["has_densities", "plot_rulers"]
+    from vehanchor.analysis.findings import ScaleFindings
 
 _COLOURS = {  # Okabe and Ito's; the vehicles' as in the histogram
     "vehicles": "#0072B2",

@@ -9,25 +9,23 @@ from typing import TYPE_CHECKING, TypeAlias
 import cv2
 import numpy as np
 
-from vehanchor.advice import ADVICE
 from vehanchor.detection.boxes import box_corners
 from vehanchor.errors import OutputError
 from vehanchor.imagery.raster import Window
-from vehanchor.output import whole_file
 from vehanchor.pictures.lettering import FONT, font_scale, stroke_px, text_px, text_width, write_on
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
+from vehanchor.records.advice import ADVICE
+from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.findings import ScaleFindings
+    from vehanchor.analysis.findings import ScaleFindings
     from vehanchor.imagery.raster import Raster
     from vehanchor.records import GsdEstimate
 
 CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
 """Texts of one line, each with the colour of the swatch before it."""
-
-__all__ = ["PICTURE_SUFFIXES", "check_picture_path", "draw_overlay", "read_reduced", "write_picture"]
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 KEPT_RGB = (86, 180, 233)  # Okabe and Ito's sky blue and orange: told apart with every kind of colour blindness

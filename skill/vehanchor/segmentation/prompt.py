@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from vehanchor.errors import PromptError
-from vehanchor.exchange import as_box
-from vehanchor.pointing import Pointing
+from vehanchor.measure.coordinates import CoordinateFrame
+from vehanchor.records.interop import as_box
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from vehanchor.options import Frame
-
-__all__ = ["MIN_BOX_PX", "Box", "Point", "Prompt", "prompt_in_image", "read_prompt"]
 
 Box: TypeAlias = tuple[float, float, float, float]
 """x1, y1, x2, y2."""
@@ -104,25 +102,27 @@ def prompt_in_image(given: Prompt, frame: Frame, width_px: int, height_px: int) 
     Raises:
         PromptError: it is outside, or the box is too small.
     """
-    pointing = Pointing(frame, width_px, height_px)
+    coordinates = CoordinateFrame(frame, width_px, height_px)
     if given.box is not None:
         x1, y1, x2, y2 = given.box
         ends = ((x1, y1), (x2, y2))
-        if not pointing.inside(ends):
-            meant = pointing.other_reading(ends) or ": clip it to what is visible"
-            raise PromptError(f"box {_numbers(given.box)} is not inside the {pointing.name}{meant}")
-        box = (*pointing.in_image(ends[0]), *pointing.in_image(ends[1]))
+        if not coordinates.inside(ends):
+            meant = coordinates.other_reading(ends) or ": clip it to what is visible"
+            raise PromptError(f"box {_numbers(given.box)} is not inside the {coordinates.name}{meant}")
+        box = (*coordinates.in_image(ends[0]), *coordinates.in_image(ends[1]))
         if min(box[2] - box[0], box[3] - box[1]) < MIN_BOX_PX:
             raise PromptError(
                 f"box {_numbers(given.box)} is {box[2] - box[0]:.3g} x {box[3] - box[1]:.3g} px of the full image: at "
-                f"least {MIN_BOX_PX:g} px a side are needed{pointing.other_reading(ends)}"
+                f"least {MIN_BOX_PX:g} px a side are needed{coordinates.other_reading(ends)}"
             )
         return Prompt(box=box)
     places = [(x, y) for x, y, _ in given.points]
     for x, y in places:
-        if not (0 <= x < pointing.extent[0] and 0 <= y < pointing.extent[1]):
-            raise PromptError(f"point {x:g}, {y:g} is not inside the {pointing.name}{pointing.other_reading(places)}")
-    return Prompt(points=tuple((*pointing.in_image((x, y)), include) for x, y, include in given.points))
+        if not (0 <= x < coordinates.extent[0] and 0 <= y < coordinates.extent[1]):
+            raise PromptError(
+                f"point {x:g}, {y:g} is not inside the {coordinates.name}{coordinates.other_reading(places)}"
+            )
+    return Prompt(points=tuple((*coordinates.in_image((x, y)), include) for x, y, include in given.points))
 
 
 def _coordinate(value: float, what: str) -> float:

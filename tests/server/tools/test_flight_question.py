@@ -13,7 +13,7 @@ from tests.models import paint_vehicles
 from tests.server.conftest import LENGTH_PX, paint_scene, write_image
 from tests.server.conversation import by_path, error_of, picture_of, text_of
 from tests.skill.flight.ground import ground, photograph_of
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_server.app import create_server
 from vehanchor_server.images.fetch import Fetcher
 from vehanchor_server.services import create_services
@@ -113,7 +113,7 @@ async def test_no_image_is_opened_again_where_no_picture_is_wanted(
         opened.append(arguments)
         return open_raster(*arguments, **options)
 
-    monkeypatch.setattr("vehanchor.imagery.raster.open_raster", counted)
+    monkeypatch.setattr("vehanchor.imagery.sources.opening.open_raster", counted)
     monkeypatch.setattr("vehanchor.flight.estimate.open_raster", counted)
     arguments = _among(images / "two.png", images / "more.png", same_scale=True)
     async with Client(server) as client:

@@ -100,7 +100,7 @@ async def test_a_given_scale_needs_neither_cars_nor_a_detector(settings: Setting
 async def test_no_vehicle_is_a_result_without_an_area(server: MCPServer[object], images: Path) -> None:
     result = await asked(server, pool_in(images / "pool_alone.png"))
     record = record_of(result)
-    assert (record["status"], record["area_m2"], record["confidence"]) == ("no_anchor", None, 0)
+    assert (record["status"], record["area_m2"], record["confidence"]) == ("no_scale", None, 0)
     assert text_of(result).startswith(
         f"No area: the object covers {record['mask_area_px']} px, but nothing of known size was found, confidence 0: "
         "no metric scale; "

@@ -52,7 +52,7 @@ def test_json_is_the_record_and_nothing_else(run: Any, tmp_path: Path) -> None:
 def test_photographs_of_unknown_ratio_each_have_a_line(run: Any) -> None:
     done = run("flight", "0.png", "2.png")
     assert "vehicles of its own" in done.stdout
-    assert "no_anchor" in done.stdout
+    assert "no_scale" in done.stdout
 
 
 @pytest.mark.parametrize("out", ["flight.txt", "nowhere/flight.json"])

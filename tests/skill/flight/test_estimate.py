@@ -14,9 +14,9 @@ from vehanchor.detection.detector import Detector
 from vehanchor.errors import ImageDecodeError, ImageError, InvalidParameterError
 from vehanchor.estimate import analyse_raster
 from vehanchor.flight import estimate as flight_estimate
-from vehanchor.flight.taken import Taken
+from vehanchor.flight.inputs import InputPhotograph
 from vehanchor.flight.video import sample_video
-from vehanchor.imagery.raster import ImageSource
+from vehanchor.imagery.sources.opening import ImageSource
 from vehanchor.options import Reading, ScaleOptions
 
 FLEET = list(30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3))
@@ -38,9 +38,9 @@ def test_photographs_of_one_scale_share_it(flight: list[str], detector: Detector
     assert record.gsd_m_per_px == pytest.approx(5.045 / 30, rel=0.01)
     assert {each.gsd_m_per_px for each in record.photographs} == {record.gsd_m_per_px}
     assert record.n_vehicles == 9
-    assert [each.own and each.own.status for each in record.photographs][2] == "no_anchor"
-    (island,) = record.islands
-    assert (island.n_photographs, island.pooled.n_vehicles) == (4, 9)
+    assert [each.own and each.own.status for each in record.photographs][2] == "no_scale"
+    (component,) = record.components
+    assert (component.n_photographs, component.pooled.n_vehicles) == (4, 9)
     assert record.confidence > max(each.own.confidence for each in record.photographs if each.own)
 
 
@@ -69,7 +69,10 @@ def test_a_flight_of_nothing_readable_is_an_error(tmp_path: Path, detector: Dete
 
 
 def test_arrays_have_numbers_and_may_have_names(detector: Detector) -> None:
-    images: list[ImageSource | Taken] = [car_park(FLEET[::2]), Taken("frame at 3 s", car_park(FLEET[1::2]))]
+    images: list[ImageSource | InputPhotograph] = [
+        car_park(FLEET[::2]),
+        InputPhotograph("frame at 3 s", car_park(FLEET[1::2])),
+    ]
     record = vehanchor.estimate_flight(images, same_scale=True, detector=detector)
     assert [each.photograph for each in record.photographs] == ["#1", "frame at 3 s"]
     with pytest.raises(InvalidParameterError, match="given twice"):
@@ -149,13 +152,13 @@ def test_arrays_of_opencv_are_read_as_they_are_and_films_frames_as_we_have_read_
     picture[:40] = (200, 90, 10)
     swapped = np.ascontiguousarray(picture[:, :, ::-1])
 
-    def identity(taken: Taken, *, bgr: bool) -> str | None:
+    def identity(taken: InputPhotograph, *, bgr: bool) -> str | None:
         look, _ = flight_estimate._look(
             taken, detector, ScaleOptions(reading=Reading(bgr=bgr)), None, None, featured=False
         )
         return look.image.image_id
 
-    whole = identity(Taken("a", picture), bgr=False)
-    assert identity(Taken("a", swapped), bgr=True) == whole
-    assert identity(Taken("a", picture, "film.mp4"), bgr=True) == whole
-    assert identity(Taken("a", swapped), bgr=False) != whole
+    whole = identity(InputPhotograph("a", picture), bgr=False)
+    assert identity(InputPhotograph("a", swapped), bgr=True) == whole
+    assert identity(InputPhotograph("a", picture, "film.mp4"), bgr=True) == whole
+    assert identity(InputPhotograph("a", swapped), bgr=False) != whole

@@ -11,10 +11,10 @@ import pytest
 from tests import bombs
 from tests.skill.imagery.files import NOISE, encoded, read_all, tiff_header, webp
 from vehanchor.errors import ImageDecodeError, ImageError, ImageTooLargeError
-from vehanchor.imagery.header import read_header
-from vehanchor.imagery.jpeg import MAX_SCANS, MAX_SEGMENTS
-from vehanchor.imagery.raster import open_raster
-from vehanchor.imagery.windows import Window
+from vehanchor.imagery.formats.header import read_header
+from vehanchor.imagery.formats.jpeg import MAX_SCANS, MAX_SEGMENTS
+from vehanchor.imagery.raster import Window
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ImageLimits
 
 _MIB = 1 << 20

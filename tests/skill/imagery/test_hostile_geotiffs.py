@@ -10,10 +10,10 @@ from rasterio.errors import CRSError
 
 from tests.skill.imagery.files import NOISE, encoded, geotiff
 from vehanchor.errors import ImageDecodeError, OutOfMemoryError, VehAnchorError
-from vehanchor.imagery import decoding
-from vehanchor.imagery.datasets import gdal
-from vehanchor.imagery.georeference import dataset_gsd_m_per_px
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.formats import decoding
+from vehanchor.imagery.metadata.georeference import dataset_gsd_m_per_px
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.imagery.sources.rasterio_file import gdal
 
 
 @pytest.mark.parametrize(

@@ -36,9 +36,9 @@ from vehanchor.errors import (
     InvalidParameterError,
     MissingExtraError,
 )
-from vehanchor.imagery.header import ImageHeader, read_header
-from vehanchor.imagery.limits import check_header
-from vehanchor.imagery.raster import MIN_SIDE_PX, open_raster
+from vehanchor.imagery.formats.header import ImageHeader, read_header
+from vehanchor.imagery.limits import MIN_SIDE_PX, check_header
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ImageLimits
 
 

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from tests.conftest import ROOT
-from vehanchor.defaults import REGIONS
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.estimate import estimate_gsd
-from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, fleet_beside, resolve_model, second_look_beside
+from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, fleet_beside, resolve_model, verifier_beside
 from vehanchor.records import GsdEstimate
-from vehanchor_evaluation.gsd import read_table, run_trials, summarise
+from vehanchor.scale.defaults import REGIONS
+from vehanchor_evaluation.gsd import run_trials, summarise
+from vehanchor_evaluation.table import read_table
 from vehanchor_scenes import Scene, render_scene
 
 _FLEET_M = 4.6
@@ -90,7 +91,7 @@ def test_the_networks_beside_a_detector_are_no_detectors_of_their_own() -> None:
 
 def test_the_file_in_eight_bits_is_the_one_that_was_measured() -> None:
     path = resolve_model(None, "int8")
-    look = second_look_beside(path)
+    look = verifier_beside(path)
     assert look is not None
     card = path.with_suffix(".md").read_text(encoding="utf-8")
     results = (ROOT / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")
@@ -113,7 +114,7 @@ def test_eight_bits_say_nearly_what_float32_says_and_the_record_names_them(scene
     cards = detector.card, load_detector(resolve_model("vehicles-int8")).card
     assert cards[1].quantised_from == cards[0].name
     assert cards[1].fleet_sha256 == cards[0].fleet_sha256
-    assert cards[1].second_look_sha256 not in (None, cards[0].second_look_sha256)
+    assert cards[1].verifier_sha256 not in (None, cards[0].verifier_sha256)
 
 
 def test_the_shipped_file_carries_its_calibration(detector: Detector) -> None:

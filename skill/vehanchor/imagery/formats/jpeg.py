@@ -1,0 +1,139 @@
+"""The markers of a JPEG, walked once from the first byte to its end mark, in time proportional to its bytes.
+
+A marker costs an attacker two bytes and a scan over the whole image four: both are counted, and too many are refused.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from typing import NamedTuple
+
+from vehanchor.errors import ImageDecodeError, ImageTooLargeError
+from vehanchor.imagery.formats.ifd import ReadAt, exif_orientation
+
+MAX_SCANS = 100
+"""More are refused: each is decoded over the whole image. Progressive JPEGs of libjpeg have 10, of mozjpeg up to 25."""
+
+MAX_SEGMENTS = 10_000
+"""More are refused. 512 MiB of metadata in the largest segments there are, 64 KiB, would be 8,192."""
+
+EXIF_PREFIX = b"Exif\0\0"
+_CHUNK_BYTES = 1 << 16
+_SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # DHT, JPG and DAC share the range
+_SOF_ONE_PASS = frozenset({0xC0, 0xC1, 0xC3, 0xC9, 0xCB})  # sequential and lossless; all others refine what they hold
+_STANDALONE = frozenset({0x01, *range(0xD0, 0xD8)})  # TEM and RSTn carry no length
+_SOS, _EOI, _APP1, _STUFFING = 0xDA, 0xD9, 0xE1, 0x00
+# In entropy-coded data 0xFF is followed by 0 (stuffing), a restart marker, or a fill byte; all else is a marker.
+_MARKER_IN_SCAN = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
+_AFTER_FILL = re.compile(rb"\xff[^\xff]")
+
+
+class JpegMarkers(NamedTuple):
+    """What a JPEG's markers say.
+
+    Attributes:
+        width_px: declared width as stored.
+        height_px: declared height as stored.
+        components: colour components.
+        n_scans: scans, each decoded over the whole image.
+        held: whether the coefficients of the whole image are held while it is decoded.
+        orientation: EXIF orientation, 1 to 8.
+        complete: whether the end mark is there.
+    """
+
+    width_px: int
+    height_px: int
+    components: int
+    n_scans: int
+    held: bool
+    orientation: int
+    complete: bool
+
+
+class Reader:
+    """A file's bytes by position, read in chunks, so that many small reads one after the other cost little.
+
+    Args:
+        read_at: gives the bytes.
+    """
+
+    def __init__(self, read_at: ReadAt) -> None:
+        self._read_at = read_at
+        self._start = 0
+        self._chunk = b""
+
+    def get(self, position: int, count: int) -> bytes:
+        """Up to ``count`` bytes from a position on, fewer only where the file ends."""
+        offset = position - self._start
+        if offset >= 0 and offset + count <= len(self._chunk):
+            return self._chunk[offset : offset + count]
+        if count > _CHUNK_BYTES:
+            return self._read_at(position, count)
+        self._start, self._chunk = position, self._read_at(position, _CHUNK_BYTES)
+        return self._chunk[:count]
+
+    def find(self, pair: re.Pattern[bytes], position: int) -> int:
+        """Where the first match of a pattern of two bytes begins, from a position on; the file's end without any."""
+        while True:
+            if len(self.get(position, 2)) < 2:
+                return position + len(self._chunk[position - self._start :])
+            found = pair.search(self._chunk, position - self._start)
+            if found:
+                return self._start + found.start()
+            position = self._start + len(self._chunk) - 1  # a match may straddle two chunks
+
+
+def read_jpeg_markers(read_at: ReadAt) -> JpegMarkers:
+    """Walk a JPEG's markers.
+
+    Raises:
+        ImageDecodeError: there is no frame header, or more than one.
+        ImageTooLargeError: more segments or scans than a picture needs.
+        struct.error: the file ends within the frame header.
+    """
+    reader = Reader(read_at)
+    frame: tuple[int, int, int, int] | None = None
+    orientation, complete = 1, False
+    n_segments = n_scans = 0
+    position = 2
+    while True:
+        start = reader.get(position, 2)
+        if len(start) < 2 or start[0] != 0xFF:
+            break
+        marker = start[1]
+        if marker == 0xFF:  # fill bytes
+            position = reader.find(_AFTER_FILL, position)
+            continue
+        if marker in (_EOI, _STUFFING):  # decoders pass over stuffing byte by byte, others take it for a segment
+            complete = marker == _EOI
+            break
+        n_segments += 1
+        if n_segments > MAX_SEGMENTS:
+            raise ImageTooLargeError(f"the JPEG has more than {MAX_SEGMENTS} segments; save it again without metadata")
+        position += 2
+        if marker in _STANDALONE:
+            continue
+        head = reader.get(position, 8)
+        length = int.from_bytes(head[:2], "big")
+        if len(head) < 2 or length < 2:
+            break
+        if marker in _SOF:
+            if frame is not None:
+                raise ImageDecodeError("the JPEG has two frame headers: damaged")
+            frame = (marker, *struct.unpack_from(">HHB", head, 3))
+        elif marker == _APP1 and head[2:8] == EXIF_PREFIX:
+            orientation = exif_orientation(reader.get(position + 8, length - 8))
+        position += length
+        if marker == _SOS:
+            n_scans += 1
+            if n_scans > MAX_SCANS:
+                raise ImageTooLargeError(
+                    f"the JPEG has more than {MAX_SCANS} scans, each decoded over the whole image; save it again"
+                )
+            position = reader.find(_MARKER_IN_SCAN, position)
+    if frame is None:
+        raise ImageDecodeError("the JPEG has no frame header: truncated or damaged")
+    kind, height, width, components = frame
+    held = kind not in _SOF_ONE_PASS or n_scans > 1
+    return JpegMarkers(width, height, components, n_scans, held, orientation, complete)

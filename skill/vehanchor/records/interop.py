@@ -1,0 +1,110 @@
+"""Records in the forms that other programs take: flat rows, HTML, GeoJSON geometries in the image's pixels."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from vehanchor.errors import MissingExtraError, PromptError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+_SHOWN_FLOAT_DIGITS = 4
+
+
+def as_box(box: Any) -> Any:
+    """Take a box from objects that have one, without importing what they are of; anything else is left as it is.
+
+    Args:
+        box: a geometry of shapely, whose ``bounds`` are taken, or supervision's ``Detections`` of one object.
+
+    Raises:
+        PromptError: detections of none or of several objects.
+    """
+    found = getattr(box, "xyxy", None)
+    if found is not None:
+        if len(found) != 1:
+            raise PromptError(f"the detections are of {len(found)} objects: give one, as detections[i : i + 1]")
+        return tuple(float(value) for value in found[0])
+    return getattr(box, "bounds", box)
+
+
+def places_of(path: Any) -> Any:
+    """Take the points of a line of shapely; anything else is left as it is.
+
+    Raises:
+        PromptError: a geometry that is no line.
+    """
+    try:
+        return getattr(path, "coords", path)
+    except NotImplementedError:  # of shapely's polygons and collections
+        raise PromptError(f"the path is a {type(path).__name__}: give a line, or points") from None
+
+
+def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """One level of single values: nested fields as ``outer_inner``, codes of notices joined, other lists counted.
+
+    Args:
+        values: a record's, as ``model_dump`` gives them.
+        prefix: of all names.
+    """
+    row: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, dict):
+            row |= flat(value, f"{prefix}{name}_")
+        elif isinstance(value, list | tuple):
+            coded = [item["code"] for item in value if isinstance(item, dict) and "code" in item]
+            row[prefix + name] = " ".join(coded) if name == "warnings" else len(value)
+        else:
+            row[prefix + name] = value
+    return row
+
+
+def as_frame(rows: Sequence[Mapping[str, Any]]) -> Any:
+    """Make a pandas table, a record a row.
+
+    Raises:
+        MissingExtraError: there is no pandas.
+    """
+    try:
+        import pandas as pd
+    except ImportError:
+        raise MissingExtraError("to_frame needs pandas: pip install pandas") from None
+    return pd.DataFrame([flat(row) for row in rows])
+
+
+def as_html(values: Mapping[str, Any]) -> str:
+    """Make the table that notebooks show: single values only, empty ones left out."""
+    rows = []
+    for name, value in values.items():
+        if value is None or isinstance(value, dict | list | tuple):
+            continue
+        shown = f"{value:.{_SHOWN_FLOAT_DIGITS}g}" if isinstance(value, float) else str(value)
+        rows.append(f"<tr><th style='text-align:left'>{escape(name)}</th><td>{escape(shown)}</td></tr>")
+    notices = "".join(
+        f"<tr><th style='text-align:left'>{escape(note['code'])}</th><td>{escape(note['message'])}</td></tr>"
+        for note in values.get("warnings") or ()
+    )
+    return f"<table>{''.join(rows)}{notices}</table>"
+
+
+def outline_geometry(outline: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Make a GeoJSON MultiPolygon of an outline; x to the right and y down, pixels of the full image."""
+    return {
+        "type": "MultiPolygon",
+        "coordinates": [
+            [_ring(piece["exterior"]["points"]), *(_ring(hole["points"]) for hole in piece["holes"])]
+            for piece in outline
+        ],
+    }
+
+
+def line_geometry(path: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+    """Make a GeoJSON LineString of a path; x to the right and y down, pixels of the full image."""
+    return {"type": "LineString", "coordinates": [[point["x_px"], point["y_px"]] for point in path]}
+
+
+def _ring(points: Sequence[Mapping[str, float]]) -> list[list[float]]:
+    corners = [[point["x_px"], point["y_px"]] for point in points]
+    return [*corners, corners[0]]
