@@ -18,6 +18,7 @@ from vehanchor.options.fields import number, positive
 from vehanchor.records import GsdEstimate, KnownScale
 from vehanchor.rulers.camera import equivalent_lens, lens
 from vehanchor.rulers.evidence import ImageFacts
+from vehanchor.scale.defaults import LARGEST_GSD_M_PER_PX, LEAST_GSD_M_PER_PX
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from vehanchor.rulers.camera import Lens
 
 _HIGHEST_OBJECT_M = 1000.0
+_WIDEST_M_PER_PX = 1e9  # of a scale that is given back: whatever an estimate gives lies below, and its square is finite
 _HEIGHT_LOG_SD = 0.12  # of a height that was told, above ground that may lie elsewhere than the take-off
 
 ScaleInput: TypeAlias = Detector | float | KnownScale
@@ -148,7 +150,12 @@ def choose_scale(
         return _as_known(scale)
     if gsd_m_per_px is None:
         return open_detector(detector, options, threads=threads, providers=providers)
-    return positive("gsd_m_per_px", gsd_m_per_px)
+    given = positive("gsd_m_per_px", gsd_m_per_px)
+    if not LEAST_GSD_M_PER_PX <= given <= LARGEST_GSD_M_PER_PX:
+        raise InvalidParameterError(
+            f"gsd_m_per_px is {given:g}: use {LEAST_GSD_M_PER_PX:g} to {LARGEST_GSD_M_PER_PX:g} metres per pixel"
+        )
+    return given
 
 
 def _as_known(scale: KnownScale | GsdEstimate | Mapping[str, Any]) -> KnownScale:
@@ -157,8 +164,11 @@ def _as_known(scale: KnownScale | GsdEstimate | Mapping[str, Any]) -> KnownScale
             raise InvalidParameterError("scale is an estimate without an anchor: there is no scale in it to give back")
         scale = scale.scale
     if isinstance(scale, Mapping):
+        found = scale.get("scale", scale)  # of a whole estimate its scale
+        if found is None:
+            raise InvalidParameterError("scale is an estimate without a scale: there is none in it to give back")
         try:
-            scale = KnownScale.model_validate(dict(scale))
+            scale = KnownScale.model_validate(found)
         except ValidationError as error:
             wrong = error.errors()[0]
             place = ".".join(map(str, wrong["loc"])) or "scale"
@@ -171,6 +181,8 @@ def _as_known(scale: KnownScale | GsdEstimate | Mapping[str, Any]) -> KnownScale
         )
     if not scale.gsd_ci95_low_m_per_px <= scale.gsd_m_per_px <= scale.gsd_ci95_high_m_per_px:
         raise InvalidParameterError("scale is not what an estimate gave: its value lies outside its interval")
+    if not 1 / _WIDEST_M_PER_PX <= scale.gsd_ci95_low_m_per_px <= scale.gsd_ci95_high_m_per_px <= _WIDEST_M_PER_PX:
+        raise InvalidParameterError(f"scale is not what an estimate gave: {scale.gsd_m_per_px:g} m/px is no image's")
     return scale
 
 

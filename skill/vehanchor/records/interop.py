@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -37,9 +38,12 @@ def places_of(path: Any) -> Any:
         PromptError: a geometry that is no line.
     """
     try:
-        return getattr(path, "coords", path)
+        places = getattr(path, "coords", path)
     except NotImplementedError:  # of shapely's polygons and collections
         raise PromptError(f"the path is a {type(path).__name__}: give a line, or points") from None
+    if isinstance(places, str) or not isinstance(places, Iterable):
+        raise PromptError(f"the path is {path!r}: give a line, or points as x, y")
+    return places
 
 
 def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
