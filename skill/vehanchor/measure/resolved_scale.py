@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import onnxruntime
     from numpy.typing import NDArray
 
-    from vehanchor.analysis.exhibits import ScaleAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
     from vehanchor.records import Notice, ScaleSource, Status
@@ -69,7 +69,8 @@ class ResolvedScale:
         source: where it comes from.
         analysis: of the vehicles behind it; None where none was searched.
         notices: doubts about the image and the scale.
-        plane: the ground, where the camera looked aside: the scale is that of its centre; None where one scale holds.
+        plane: the ground plane of a tilted camera, whose scale holds at the image's centre; None if one scale holds.
+        known: the scale of the ground, to give back; None for a number, and without a scale.
     """
 
     gsd_m_per_px: float | None
@@ -79,6 +80,7 @@ class ResolvedScale:
     analysis: ScaleAnalysis | None
     notices: tuple[Notice, ...]
     plane: GroundPlane | None = None
+    known: KnownScale | None = None
 
     def gsd_over(self, mask: NDArray[np.bool_], left: int, top: int) -> float | None:
         """Metres per pixel over a mask: root of the mean area that its pixels show; None without a scale or a mask.
@@ -231,7 +233,9 @@ def _on_the_ground(
         found = analysis.estimate
         log_sd = _log_sd(found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px)
         plane = plane_of_record(found)
-        return ResolvedScale(found.gsd_m_per_px, log_sd, found.confidence, "estimated", analysis, found.warnings, plane)
+        return ResolvedScale(
+            found.gsd_m_per_px, log_sd, found.confidence, "estimated", analysis, found.warnings, plane, found.scale
+        )
     told = image_notices(raster)
     own = raster.georeference_gsd_m_per_px
     if isinstance(scale, KnownScale):
@@ -244,7 +248,7 @@ def _on_the_ground(
         log_sd = _log_sd(scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)
         notices = (*told, *georeference_notice(own, scale.gsd_m_per_px, "the one given back is"))
         plane = _given_plane(raster, scale) or _plane(raster, options, scale.gsd_m_per_px)
-        return ResolvedScale(scale.gsd_m_per_px, log_sd, scale.confidence, "reused", None, notices, plane)
+        return ResolvedScale(scale.gsd_m_per_px, log_sd, scale.confidence, "reused", None, notices, plane, scale)
     notices = (*told, *georeference_notice(own, scale, "the one given is"))
     return ResolvedScale(scale, 0.0, None, "given", None, notices, _plane(raster, options, scale))
 

@@ -54,7 +54,7 @@ def test_a_distance_is_the_paths_pixels_times_the_scale_of_the_vehicles(detector
     assert record.distance_ci95_low_m is not None
     assert record.distance_ci95_low_m < 700 * estimate.gsd_ci95_low_m_per_px * 1.02
     assert (record.status, record.confidence, record.n_vehicles) == ("ok", estimate.confidence, 30)
-    assert (record.scale, record.scale_source) == (estimate, "estimated")
+    assert (record.estimate, record.scale, record.scale_source) == (estimate, estimate.scale, "estimated")
 
 
 def test_a_known_scale_leaves_the_pointing_as_the_only_doubt() -> None:
@@ -168,7 +168,8 @@ def test_a_scale_given_back_needs_no_detector_and_keeps_interval_and_confidence(
     path = [(100.0, 500.0), (400.0, 500.0)]
     searched = vehanchor.measure_distance(_place(), path, detector=detector)
     reused = vehanchor.measure_distance(_place(), path, scale=known[form], detector=nowhere)
-    assert (reused.scale_source, reused.scale, reused.n_vehicles) == ("reused", None, None)
+    assert (reused.scale_source, reused.estimate, reused.n_vehicles) == ("reused", None, None)
+    assert reused.scale == estimate.scale
     same = ("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "confidence", "status", "gsd_m_per_px")
     assert [getattr(reused, name) for name in same] == [getattr(searched, name) for name in same]
     area = vehanchor.measure_area(_place(), box=BOX, segmenter=segmenter, detector=detector)
