@@ -5,7 +5,7 @@ Writes what ``export.py --calibration`` puts into the file:
 * ``length_correction``: factors on the boxes' lengths by length in pixels, which make them unbiased against labels on
   train images made coarser; they enter the graph;
 * ``min_score``: of a few thresholds the one with the smallest mean error on the held-out tenth of train;
-* ``aggregation``: ``weighted_kde``, see ``research/results/RESULTS.md``;
+* ``aggregation``: ``weighted_kde``, see ``research/results/scale.json``;
 * ``region_lengths_m``: per region the median over its train images of ``P_mode * GSD``, estimated as a user's image is
   (the paper's calibration with detections for labels, every place counting once: car parks hold most of the cars);
 * ``reference_length_m``: the middle one of them, each region counting once, however many images it has;

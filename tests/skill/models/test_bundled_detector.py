@@ -76,7 +76,7 @@ def test_one_and_two_threads_give_the_same_bytes(scene: Scene) -> None:
 def test_the_shipped_file_is_the_one_that_was_measured() -> None:
     path = resolve_model(DEFAULT_DETECTOR)
     sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
-    assert sha256 in (ROOT / "research/results/RESULTS.md").read_text(encoding="utf-8")
+    assert sha256 in (ROOT / "research/results/scale.json").read_text(encoding="utf-8")
     assert sha256 in path.with_suffix(".md").read_text(encoding="utf-8")
     assert path.stat().st_size <= 8_000_000
     fleet = fleet_beside(path)
@@ -93,7 +93,7 @@ def test_the_file_in_eight_bits_is_the_one_that_was_measured() -> None:
     look = second_look_beside(path)
     assert look is not None
     card = path.with_suffix(".md").read_text(encoding="utf-8")
-    results = (ROOT / "research/results/RESULTS.md").read_text(encoding="utf-8")
+    results = (ROOT / "research/results/detection.json").read_text(encoding="utf-8")
     for file in (path, look):
         sha256 = hashlib.sha256(file.read_bytes()).hexdigest()
         assert sha256 in results
