@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 import uvicorn
 
-from benchmarks.server_process import SERVE
+from tests.server_process import SERVE
 from vehanchor_server.transport.connections import BACKLOG, ConnectionLimits, LimitedProtocol
 
 LIMITS = ConnectionLimits(total=8, per_address=6, head_s=0.5, body_s=0.8)

@@ -77,7 +77,7 @@ def test_one_and_two_threads_give_the_same_bytes(scene: Scene) -> None:
 def test_the_shipped_file_is_the_one_that_was_measured() -> None:
     path = resolve_model(DEFAULT_DETECTOR)
     sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
-    assert sha256 in (ROOT / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")
+    assert sha256 in (ROOT / "research/results/scale.json").read_text(encoding="utf-8")
     assert sha256 in path.with_suffix(".md").read_text(encoding="utf-8")
     assert path.stat().st_size <= 8_000_000
     fleet = fleet_beside(path)
@@ -94,7 +94,7 @@ def test_the_file_in_eight_bits_is_the_one_that_was_measured() -> None:
     look = verifier_beside(path)
     assert look is not None
     card = path.with_suffix(".md").read_text(encoding="utf-8")
-    results = (ROOT / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")
+    results = (ROOT / "research/results/detection.json").read_text(encoding="utf-8")
     for file in (path, look):
         sha256 = hashlib.sha256(file.read_bytes()).hexdigest()
         assert sha256 in results
@@ -134,7 +134,7 @@ def test_real_photographs_of_known_scale(real_data: Path, detector: Detector) ->
         for image in read_table(real_data / "gsd" / "table.csv")
         if image.split == "val" and (image.labelled_vehicles or 0) >= 5
     ]
-    summary = summarise(run_trials(images[::3], detector))  # benchmarks/detector.py takes all
+    summary = summarise(run_trials(images[::3], detector))  # research/benchmarks/detector.py takes all
     assert summary.images == 35
     assert summary.median <= 0.08
     assert summary.coverage >= 0.9
