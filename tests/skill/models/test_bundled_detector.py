@@ -37,27 +37,35 @@ def _estimate(image: np.ndarray, detector: Detector) -> GsdEstimate:
     return estimate_gsd(image, detector=detector, reference_length_m=_FLEET_M)
 
 
-def test_a_rendered_scene_gives_its_scale(scene: Scene, detector: Detector) -> None:
-    estimate = _estimate(scene.image, detector)
+@pytest.fixture(scope="module")
+def estimate(scene: Scene, detector: Detector) -> GsdEstimate:
+    return _estimate(scene.image, detector)
+
+
+def test_a_rendered_scene_gives_its_scale(scene: Scene, estimate: GsdEstimate) -> None:
     assert estimate.status == "ok"
     assert estimate.gsd_m_per_px == pytest.approx(_GSD, rel=0.10)
     assert estimate.n_vehicles > 0.5 * sum(v.kind == "small-vehicle" for v in scene.vehicles)
 
 
-def test_a_quarter_turn_changes_the_scale_by_less_than_3_percent(scene: Scene, detector: Detector) -> None:
-    upright = _estimate(scene.image, detector).gsd_m_per_px
+def test_a_quarter_turn_changes_the_scale_by_less_than_3_percent(
+    scene: Scene, estimate: GsdEstimate, detector: Detector
+) -> None:
+    upright = estimate.gsd_m_per_px
     for turns in (1, 2, 3):
         turned = _estimate(np.ascontiguousarray(np.rot90(scene.image, turns)), detector).gsd_m_per_px
         assert turned == pytest.approx(upright, rel=0.03)
 
 
 @pytest.mark.parametrize("factor", [0.75, 1.25])
-def test_resampling_scales_the_answer_within_3_percent(scene: Scene, detector: Detector, factor: float) -> None:
+def test_resampling_scales_the_answer_within_3_percent(
+    scene: Scene, estimate: GsdEstimate, detector: Detector, factor: float
+) -> None:
     way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
     resampled = np.asarray(cv2.resize(scene.image, None, fx=factor, fy=factor, interpolation=way), dtype=np.uint8)
-    before, after = (_estimate(image, detector).gsd_m_per_px for image in (scene.image, resampled))
-    assert before is not None
-    assert after == pytest.approx(before / factor, rel=0.03)
+    assert estimate.gsd_m_per_px is not None
+    after = _estimate(resampled, detector).gsd_m_per_px
+    assert after == pytest.approx(estimate.gsd_m_per_px / factor, rel=0.03)
 
 
 def test_a_scene_without_vehicles_never_gets_a_confident_answer(detector: Detector) -> None:
@@ -128,6 +136,7 @@ def test_the_shipped_file_carries_its_calibration(detector: Detector) -> None:
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_real_photographs_of_known_scale(real_data: Path, detector: Detector) -> None:
     images = [
         image
@@ -141,6 +150,7 @@ def test_real_photographs_of_known_scale(real_data: Path, detector: Detector) ->
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_photographs_without_vehicles_rarely_get_a_confident_answer(real_data: Path, detector: Detector) -> None:
     images = [i for i in read_table(real_data / "gsd" / "table.csv") if i.set == "empty" and i.split == "val"]
     confident = [t for t in run_trials(images, detector) if t.analysis.estimate.confidence >= 0.5]
