@@ -38,14 +38,14 @@ SETTINGS = {"min_score": "min_score", "effort": "effort", "max_tiles": "max_tile
 JSON_NAMES = {"ge": "minimum", "le": "maximum", "gt": "exclusiveMinimum"}
 
 
-def _beyond(limits: Limits) -> list[float]:
+def _beyond(limits: Limits) -> list[Any]:
     """Numbers that the limits refuse."""
     found = [limits.above] if limits.above is not None else []
     found += [limits.least - 1] if limits.least is not None else []
     return found + ([limits.most + 1] if limits.most is not None else [])
 
 
-def _within(limits: Limits) -> list[float]:
+def _within(limits: Limits) -> list[Any]:
     """The outermost numbers that the limits take."""
     return [each for each in (limits.least, limits.most) if each is not None] or [(limits.above or 0) + 1]
 
@@ -105,7 +105,7 @@ def test_the_command_line_has_every_option_with_its_help_and_default() -> None:
         default = None if each.field.default in ((), None) else each.field.default
         assert parameter.default == (str(default) if keyword == "alpha" else default), keyword
         if isinstance(each.declared.takes, Words):
-            first = typing.get_args(kind)[0]  # of a Literal its words, of an optional enumeration that
+            first = typing.get_args(kind)[0]
             words = typing.get_args(kind) if isinstance(first, str) else [word.value for word in first]
             assert set(each.declared.takes.words) == set(words)
     assert typing.get_args(parameters["frame"].annotation)[1].help == FRAME.help
