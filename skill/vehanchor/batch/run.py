@@ -23,6 +23,7 @@ from vehanchor.estimate import networks_sha256, open_detector
 from vehanchor.models.session import DEFAULT_PROVIDERS
 from vehanchor.models.zoo import bundled_models, resolve_model
 from vehanchor.options import ScaleOptions
+from vehanchor.records import SCHEMA_VERSION
 from vehanchor.storage.journal import Journal
 
 if TYPE_CHECKING:
@@ -142,6 +143,7 @@ def _settings(job: BatchJob) -> dict[str, Any]:
         options["lines_of"] = job.known_lengths
     return {
         "vehanchor": version("vehanchor"),
+        "schema_version": SCHEMA_VERSION,
         "networks_sha256": job.networks_sha256,
         "classes": job.classes,
         **options,
