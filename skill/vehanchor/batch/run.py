@@ -23,6 +23,7 @@ from vehanchor.estimate import networks_sha256, open_detector
 from vehanchor.models.session import DEFAULT_PROVIDERS
 from vehanchor.models.zoo import bundled_models, resolve_model
 from vehanchor.options import ScaleOptions
+from vehanchor.options.option import Limits
 from vehanchor.records import SCHEMA_VERSION
 from vehanchor.storage.journal import Journal
 
@@ -172,8 +173,8 @@ def _check(engine: str, address: str | None, workers: int | None, options: Scale
         require_ray()
     elif address is not None:
         raise InvalidParameterError("an address is that of a Ray cluster: add --engine ray")
-    if workers is not None and workers < 1:
-        raise InvalidParameterError(f"workers is {workers}: use a whole number >= 1")
+    if workers is not None:
+        Limits(least=1, whole=True).check("workers", workers)
     if options.frame.size is not None:
         raise InvalidParameterError("a frame belongs to one image: a batch has none")
 

@@ -9,7 +9,7 @@ import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
-from vehanchor.cli.spaced import SpacedCommand
+from vehanchor.cli.spaced import SpacedCommand, parse_point
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
     Strict,
@@ -22,12 +22,10 @@ from vehanchor.cli.terminal import (
     print_warnings,
     tile_progress,
 )
-from vehanchor.errors import PromptError, VehAnchorError
+from vehanchor.errors import VehAnchorError
 from vehanchor.storage.atomic import check_apart
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from vehanchor.analysis.measured import DistanceAnalysis
     from vehanchor.records import DistanceMeasurement
 
@@ -60,7 +58,8 @@ def _distance(
     """Measure the distance (metres) between two points, or along a line, by the scale of the cars in the image."""
     with exit_on_error():
         try:
-            path, options, known = _path(point or ()), chosen.options(), read_scale(scale, image)
+            path, known = [parse_point("--point", text) for text in point or ()], read_scale(scale, image)
+            options = chosen.options()
             _check_outputs(image, line, overlay)
             from vehanchor.measure.distance import analyse_distance
 
@@ -91,17 +90,6 @@ def _distance(
 
 distance = typer.Typer(add_completion=False)
 distance.command("distance", cls=SpacedCommand)(_distance)
-
-
-def _path(texts: Sequence[str]) -> list[tuple[float, float]]:
-    places = []
-    for text in texts:
-        try:
-            x, y = (float(part) for part in text.split())
-        except ValueError:
-            raise PromptError(f"--point is {text!r}: use two numbers, X Y") from None
-        places.append((x, y))
-    return places
 
 
 def _check_outputs(image: str, line: Path | None, overlay: Path | None) -> None:

@@ -54,9 +54,7 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
     """
     if path is None:
         return None
-    from pydantic import ValidationError
-
-    from vehanchor.records import KnownScale
+    from vehanchor.records.known_scale import known_scale
 
     try:
         record: Any = json.loads(path.read_text(encoding="utf-8"))
@@ -68,11 +66,9 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
         from vehanchor.flight.io import photograph_in, read_record
 
         return photograph_in(read_record(path), image).scale
-    found = record.get("scale", record) if isinstance(record, dict) else record
     try:
-        return KnownScale.model_validate(found)
-    except ValidationError:
+        return known_scale(record)
+    except InvalidParameterError as error:
         raise InvalidParameterError(
-            f"--scale {str(path)!r} holds no scale: give what 'vehanchor estimate IMAGE --json' prints of an image "
-            "with an anchor"
+            f"--scale {str(path)!r} holds no scale ({error}): give what 'vehanchor estimate IMAGE --json' prints"
         ) from None

@@ -9,7 +9,7 @@ import typer
 
 from vehanchor.cli.cli_options import DetectorChoice, ParsedOptions, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
-from vehanchor.cli.spaced import SpacedCommand
+from vehanchor.cli.spaced import SpacedCommand, parse_point
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
     Strict,
@@ -23,7 +23,7 @@ from vehanchor.cli.terminal import (
     scale_text,
     tile_progress,
 )
-from vehanchor.errors import InvalidParameterError, OutputError, PromptError, VehAnchorError
+from vehanchor.errors import InvalidParameterError, OutputError, VehAnchorError
 from vehanchor.options.models import SEGMENTER
 
 if TYPE_CHECKING:
@@ -117,15 +117,8 @@ measure.command("measure", cls=SpacedCommand)(_measure)
 
 def _points(on: Sequence[str] | None, beside: Sequence[str] | None) -> list[tuple[float, float, bool]] | None:
     """The points of both options; None without any."""
-    points = []
-    for option, texts, include in (("--point", on, True), ("--negative", beside, False)):
-        for text in texts or ():
-            try:
-                x, y = (float(part) for part in text.split())
-            except ValueError:
-                raise PromptError(f"{option} is {text!r}: use two numbers, X Y") from None
-            points.append((x, y, include))
-    return points or None
+    given = (("--point", on, True), ("--negative", beside, False))
+    return [(*parse_point(option, text), kind) for option, texts, kind in given for text in texts or ()] or None
 
 
 def _outputs(

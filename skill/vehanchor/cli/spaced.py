@@ -6,7 +6,22 @@ from typing import Any
 
 from typer.core import TyperCommand
 
+from vehanchor.errors import PromptError
+
 _VALUES = {"--known-length": 5, "--point": 2, "--negative": 2}
+
+
+def parse_point(option: str, text: str) -> tuple[float, float]:
+    """Read a point, X Y.
+
+    Raises:
+        PromptError: the text is no two numbers.
+    """
+    try:
+        x, y = (float(part) for part in text.split())
+    except ValueError:
+        raise PromptError(f"{option} is {text!r}: use two numbers, X Y") from None
+    return x, y
 
 
 class SpacedCommand(TyperCommand):

@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-from pydantic import ValidationError
-
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
 from vehanchor.estimate import analyse_raster, georeference_notice, image_notices, open_detector
 from vehanchor.imagery.identity import image_id
 from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT_M
-from vehanchor.records import GsdEstimate, KnownScale
+from vehanchor.records import KnownScale
+from vehanchor.records.known_scale import known_scale
 from vehanchor.rulers.camera import equivalent_lens, lens
 from vehanchor.rulers.evidence import ImageFacts
 from vehanchor.scale.lengths import Z95
@@ -34,10 +33,9 @@ if TYPE_CHECKING:
     from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import Notice, ScaleSource, Status
+    from vehanchor.records import GsdEstimate, Notice, ScaleSource, Status
     from vehanchor.rulers.camera import Lens
 
-_WIDEST_M_PER_PX = 1e9  # of a scale that is given back: whatever an estimate gives lies below, and its square is finite
 _HEIGHT_LOG_SD = 0.12  # of a height that was told, above ground that may lie elsewhere than the take-off
 
 ScaleInput: TypeAlias = Detector | float | KnownScale
@@ -147,38 +145,10 @@ def choose_scale(
             f"{known[0]} out to have it measured with the lines"
         )
     if scale is not None:
-        return _as_known(scale)
+        return known_scale(scale)
     if gsd_m_per_px is None:
         return open_detector(detector, options, threads=threads, providers=providers)
     return GSD_M_PER_PX.check("gsd_m_per_px", gsd_m_per_px)
-
-
-def _as_known(scale: KnownScale | GsdEstimate | Mapping[str, Any]) -> KnownScale:
-    if isinstance(scale, GsdEstimate):
-        if scale.scale is None:
-            raise InvalidParameterError("scale is an estimate without an anchor: there is no scale in it to give back")
-        scale = scale.scale
-    if isinstance(scale, Mapping):
-        found = scale.get("scale", scale)  # of a whole estimate its scale
-        if found is None:
-            raise InvalidParameterError("scale is an estimate without a scale: there is none in it to give back")
-        try:
-            scale = KnownScale.model_validate(found)
-        except ValidationError as error:
-            wrong = error.errors()[0]
-            place = ".".join(map(str, wrong["loc"])) or "scale"
-            raise InvalidParameterError(
-                f"scale is not what an estimate gave as scale: {place}: {wrong['msg']}. Give it back unchanged"
-            ) from None
-    if not isinstance(scale, KnownScale):
-        raise InvalidParameterError(
-            f"scale is a {type(scale).__name__}: give back an estimate or its scale; a number is gsd_m_per_px"
-        )
-    if not scale.gsd_ci95_low_m_per_px <= scale.gsd_m_per_px <= scale.gsd_ci95_high_m_per_px:
-        raise InvalidParameterError("scale is not what an estimate gave: its value lies outside its interval")
-    if not 1 / _WIDEST_M_PER_PX <= scale.gsd_ci95_low_m_per_px <= scale.gsd_ci95_high_m_per_px <= _WIDEST_M_PER_PX:
-        raise InvalidParameterError(f"scale is not what an estimate gave: {scale.gsd_m_per_px:g} m/px is no image's")
-    return scale
 
 
 def resolve_scale(

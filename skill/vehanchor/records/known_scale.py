@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from collections.abc import Mapping
+from typing import Any
 
+from pydantic import Field, ValidationError
+
+from vehanchor.errors import InvalidParameterError
 from vehanchor.records.record import Record
+
+_WIDEST_M_PER_PX = 1e9  # every estimate lies below, and its square is finite
 
 
 class KnownPlane(Record, strict=True):
@@ -31,3 +37,40 @@ class KnownScale(Record, strict=True):  # it comes back from callers: true is no
         exclude_if=lambda plane: plane is None,
         description="Tilt of the camera; absent for a camera that points straight down.",
     )
+
+
+def known_scale(given: Any) -> KnownScale:
+    """Take a scale that a caller gives back.
+
+    Args:
+        given: a ``KnownScale``, a record that has one as its ``scale``, or either as a mapping.
+
+    Raises:
+        InvalidParameterError: it is none of these, has no scale, or is not what an estimate gave.
+    """
+    found = given
+    if isinstance(given, Mapping):
+        found = given.get("scale", given)
+    elif isinstance(given, Record) and "scale" in type(given).model_fields:
+        found = getattr(given, "scale", None)
+    if found is None:
+        raise InvalidParameterError("scale is a record without a scale: there is none in it to give back")
+    if isinstance(found, Mapping):
+        try:
+            found = KnownScale.model_validate(found)
+        except ValidationError as error:
+            wrong = error.errors()[0]
+            place = ".".join(map(str, wrong["loc"])) or "scale"
+            raise InvalidParameterError(
+                f"scale is not what an estimate gave as scale: {place}: {wrong['msg']}. Give it back unchanged"
+            ) from None
+    if not isinstance(found, KnownScale):
+        raise InvalidParameterError(
+            f"scale is a {type(found).__name__}: give back an estimate or its scale; a number is gsd_m_per_px"
+        )
+    low, high = found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px
+    if not low <= found.gsd_m_per_px <= high:
+        raise InvalidParameterError("scale is not what an estimate gave: its value lies outside its interval")
+    if not 1 / _WIDEST_M_PER_PX <= low <= high <= _WIDEST_M_PER_PX:
+        raise InvalidParameterError(f"scale is not what an estimate gave: {found.gsd_m_per_px:g} m/px is no image's")
+    return found

@@ -207,7 +207,7 @@ def test_six_fields_without_meaning_are_refused(estimate: vehanchor.GsdEstimate,
 def test_an_estimate_without_an_anchor_has_no_scale_to_give_back(detector: Detector) -> None:
     nothing = vehanchor.estimate_gsd(_place(0), detector=detector)
     assert nothing.scale is None
-    with pytest.raises(InvalidParameterError, match="without an anchor"):
+    with pytest.raises(InvalidParameterError, match="without a scale"):
         vehanchor.measure_distance(_place(0), [(1, 1), (9, 9)], scale=nothing)
 
 
@@ -216,6 +216,8 @@ def test_a_dumped_estimate_is_the_estimate(estimate: vehanchor.GsdEstimate, dete
     expected = given(_place(), path, scale=estimate)
     assert given(_place(), path, scale=estimate.model_dump()) == expected
     assert given(_place(), path, scale=estimate.model_dump(mode="json")) == expected
+    measured: Any = expected  # a measurement has the scale to give back, too
+    assert given(_place(), path, scale=measured) == given(_place(), path, scale=expected.model_dump()) == expected
     nothing = vehanchor.estimate_gsd(_place(0), detector=detector)
     with pytest.raises(InvalidParameterError, match="without a scale"):
         given(_place(0), path, scale=nothing.model_dump())
@@ -240,8 +242,8 @@ def test_two_scales_are_one_too_many(estimate: vehanchor.GsdEstimate) -> None:
     [
         ({"gsd_m_per_px": "0.1"}, "gsd_m_per_px"),
         ({"gsd_m_per_px": True}, "gsd_m_per_px"),
-        ({"gsd_m_per_px": 0.0}, "use a finite number > 0"),
-        ({"gsd_m_per_px": 1e308}, "use 0.0001 to 1000 metres per pixel"),
+        ({"gsd_m_per_px": 0.0}, "use a finite number from 0.0001 to 1000"),
+        ({"gsd_m_per_px": 1e308}, "use a finite number from 0.0001 to 1000"),
         ({"scale": 0.15}, "scale is a float: .* a number is gsd_m_per_px"),
     ],
 )
