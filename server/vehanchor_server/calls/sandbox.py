@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import vehanchor
 import vehanchor_server
+from vehanchor_server.calls.worker_environment import absolute_folders
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -85,7 +86,7 @@ _SYSTEM_FILES = (
 def _needed_files() -> Iterator[Path]:
     """Files of the system, of Python and of packages: modules are imported and libraries loaded when first needed."""
     yield from map(Path, _SYSTEM_FILES)
-    yield from map(Path, os.environ.get("LD_LIBRARY_PATH", "").split(":"))
+    yield from map(Path, absolute_folders(os.environ.get("LD_LIBRARY_PATH", "")))
     yield from map(Path, {sys.prefix, sys.base_prefix, sys.exec_prefix, *sysconfig.get_paths().values()})
     yield from (Path(folder) for package in (vehanchor, vehanchor_server) for folder in package.__path__)
     working, home = Path.cwd(), Path.home()

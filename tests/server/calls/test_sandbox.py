@@ -5,32 +5,28 @@ from __future__ import annotations
 import ctypes
 import errno
 import json
-import multiprocessing
 import os
-import pickle
 import signal
 import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.server.calls.working import TESTS, done, number, ready
+from tests.server.calls.working import Value, answered, done
+from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.job import Job
-from vehanchor_server.calls.reading import receive
-from vehanchor_server.errors import CallError
-from vehanchor_server.images.path_access import Sandbox
-from vehanchor_server.services import Services, create_services
-from vehanchor_server.settings import Settings
+from vehanchor_server.calls.task import work
+from vehanchor_server.services import Services
 
 CONFINE = """
 import json, platform, sys
-from vehanchor_server.calls import confinement
+from vehanchor_server.calls import sandbox as confinement
 {before}
 found = confinement.confine([])
 print(json.dumps([found.landlock, found.seccomp, found.lacks]))
@@ -51,18 +47,18 @@ def held() -> tuple[int, bool, str]:
     return confined()
 
 
-@pytest.fixture(scope="module")
-def running(detector_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Services]:
-    root = tmp_path_factory.mktemp("root")
-    settings = Settings(roots=(root, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
-    services = ready(create_services(settings))
-    yield services
-    services.close()
+@dataclass(frozen=True)
+class Targets:
+    """What a work tries to reach: a file outside the roots, and the server's process."""
+
+    secret: str
+    server: int
 
 
-def attempts(services: Services, job: Job, source: Any, secret: str, server: int) -> dict[str, str]:
+@work(Targets, Value)
+def attempts(services: Services, job: Job, source: Any, targets: Targets) -> Answer[Value]:
     """Everything that a worker should be kept from, and some things that it needs; in a worker."""
-    root = services.settings.roots[0]
+    root, secret, server = services.settings.roots[0], targets.secret, targets.server
     libc = ctypes.CDLL(None, use_errno=True)
 
     def checked(result: int) -> None:
@@ -112,7 +108,7 @@ def attempts(services: Services, job: Job, source: Any, secret: str, server: int
             found[name] = "done"
         except OSError as error:
             found[name] = errno.errorcode[error.errno or 0]
-    return found
+    return answered(found)
 
 
 def by_descriptor(path: Path) -> None:
@@ -135,7 +131,7 @@ def test_a_worker_can_do_its_work_and_nothing_else(
     secret.write_text("hunter2")
     (root / "cars.png").write_bytes(b"pixels")
     (root / "to_secret").symlink_to(secret)
-    outcomes = done(running, partial(attempts, secret=str(secret), server=os.getpid()))
+    outcomes = done(running, attempts, Targets(str(secret), os.getpid()))
     needed = ["read an image", "read it by its descriptor", "list the root", "import what was not", "start a thread"]
     assert {name for name, outcome in outcomes.items() if outcome == "done"} == {*needed, "signal itself"}
     assert set(outcomes.values()) == {"done", "EACCES", "EPERM"}
@@ -159,34 +155,3 @@ def test_what_a_system_lacks_is_told_and_the_rest_is_done(
     assert words in found[2]
     assert bool(found[0]) == (landlock and bool(held[0]))
     assert found[1] == (seccomp and held[1])
-
-
-@pytest.mark.parametrize(
-    "sent", [("value", os.system), ("value", subprocess.run), ("value", Sandbox((), ())), "value", ()]
-)
-def test_a_server_takes_nothing_but_values_from_its_workers(sent: Any) -> None:
-    ours, theirs = multiprocessing.Pipe()
-    with ours, theirs:
-        theirs.send(sent)
-        with pytest.raises(pickle.UnpicklingError):
-            receive(ours)
-
-
-class _Call:
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return os.mkdir, (str(self.path),)
-
-
-def message_that_acts(services: Services, job: Job, source: Any, path: Path) -> Any:
-    return _Call(path)
-
-
-@pytest.mark.slow
-def test_what_a_worker_sends_cannot_act_in_the_server(running: Services, tmp_path: Path) -> None:
-    with pytest.raises(CallError, match="worker_killed"):
-        done(running, partial(message_that_acts, path=tmp_path / "made"))
-    assert not (tmp_path / "made").exists()
-    assert done(running, number) > 0
