@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-_KEPT = frozenset(
+KEPT = frozenset(
     {
         *("LANG", "LC_ALL", "LC_CTYPE", "TZ", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
         *("ORT_DISABLE_TELEMETRY", "PYTHONHASHSEED", "PYTHONWARNINGS"),
         *("SYSTEMROOT", "TEMP", "TMP", "NUMBER_OF_PROCESSORS"),  # Windows starts no process without the first
     }
 )
-_SEARCH_PATHS = ("LD_LIBRARY_PATH", "PYTHONPATH")
+SEARCH_PATHS = ("LD_LIBRARY_PATH", "PYTHONPATH")
 _one_at_a_time = threading.Lock()
 
 
@@ -30,8 +30,8 @@ def minimal_environment() -> Iterator[None]:
     """
     with _one_at_a_time:
         whole = dict(os.environ)
-        kept = {name: value for name, value in whole.items() if name in _KEPT}
-        for name in _SEARCH_PATHS:
+        kept = {name: value for name, value in whole.items() if name in KEPT}
+        for name in SEARCH_PATHS:
             if folders := absolute_folders(whole.get(name, "")):
                 kept[name] = os.pathsep.join(folders)
         try:

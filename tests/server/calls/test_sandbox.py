@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import fcntl
 import json
 import os
 import signal
 import socket
 import subprocess
 import sys
+import termios
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,6 +24,7 @@ from tests.server.calls.working import Value, answered, done
 from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.task import work
+from vehanchor_server.calls.worker_environment import KEPT, SEARCH_PATHS
 from vehanchor_server.services import Services
 
 CONFINE = """
@@ -100,6 +103,19 @@ def attempts(services: Services, job: Job, source: Any, targets: Targets) -> Ans
         "limit the server": lambda: checked(libc.prlimit(server, 7, None, ctypes.create_string_buffer(16))),
         "enter a namespace": lambda: checked(libc.unshare(0x10000000)),
         "ask for io_uring": lambda: checked(libc.syscall(425, 4, ctypes.create_string_buffer(120))),
+        "list its working directory": lambda: list(Path.cwd().iterdir()),
+        "read its environment": Path("/proc/self/environ").read_bytes,
+        "read the network's state": Path("/proc/self/net/tcp").read_bytes,
+        "type into a terminal": lambda: fcntl.ioctl(2, termios.TIOCSTI, b"x"),
+        "have a signal sent to the server": lambda: fcntl.fcntl(0, fcntl.F_SETOWN, server),
+        "choose the signal": lambda: fcntl.fcntl(0, 10, signal.SIGKILL),
+        "cut a file off while it is opened": lambda: os.open(root / "cars.png", os.O_RDONLY | os.O_TRUNC),
+        "set its own priority": lambda: checked(libc.setpriority(0, 0, 19)),
+        "set the server's priority": lambda: checked(libc.setpriority(0, server, 19)),
+        "bind the server to a processor": lambda: os.sched_setaffinity(server, {0}),
+        "open a queue of messages": lambda: checked(libc.msgget(0, 0o1600)),
+        "open shared memory": lambda: checked(libc.shmget(0, 4096, 0o1600)),
+        "name the host": lambda: checked(libc.sethostname(b"mine", 4)),
     }
     found = {}
     for name, attempt in tries.items():
@@ -134,6 +150,7 @@ def test_a_worker_can_do_its_work_and_nothing_else(
     outcomes = done(running, attempts, Targets(str(secret), os.getpid()))
     needed = ["read an image", "read it by its descriptor", "list the root", "import what was not", "start a thread"]
     assert {name for name, outcome in outcomes.items() if outcome == "done"} == {*needed, "signal itself"}
+    assert outcomes.pop("ask for io_uring") == "ENOSYS"  # as on a kernel that is older than the call
     assert set(outcomes.values()) == {"done", "EACCES", "EPERM"}
     assert outcomes["read /etc/passwd"] == outcomes["read it by a link"] == "EACCES"
     assert outcomes["open a TCP socket"] == outcomes["run a program"] == outcomes["fork"] == "EPERM"
@@ -143,7 +160,12 @@ def test_a_worker_can_do_its_work_and_nothing_else(
 @pytest.mark.parametrize(
     ("before", "words", "landlock", "seccomp"),
     [
-        ("confinement._CREATE_RULESET = 4095", "Landlock: Function not implemented", False, True),
+        (
+            "confinement._CREATE_RULESET = 4095",
+            "Landlock: Function not implemented, so that a worker may read",
+            False,
+            True,
+        ),
         ("platform.machine = lambda: 'pdp11'", "seccomp: its calls are not known here for pdp11", True, False),
         ("sys.platform = 'darwin'", "darwin has neither Landlock nor seccomp", False, False),
     ],
@@ -155,3 +177,24 @@ def test_what_a_system_lacks_is_told_and_the_rest_is_done(
     assert words in found[2]
     assert bool(found[0]) == (landlock and bool(held[0]))
     assert found[1] == (seccomp and held[1])
+
+
+@work(None, Value)
+def inherited(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+    """The descriptors and the environment variables of a worker."""
+    folder = Path("/proc/self/fd")
+    names = {int(each.name): str(each.readlink()) for each in folder.iterdir() if each.is_symlink()}
+    return answered({"descriptors": names, "variables": dict(os.environ)})
+
+
+@pytest.mark.slow
+def test_a_worker_inherits_its_socket_and_its_log_and_no_secret(running: Services) -> None:
+    found = done(running, inherited)
+    assert set(found["variables"]) - {"LINES", "COLUMNS"} <= KEPT | set(SEARCH_PATHS)  # of the C library for terminals
+    opened = {int(number): target for number, target in found["descriptors"].items()}
+    assert opened[0] == os.devnull
+    assert opened[1] == opened[2]
+    assert opened[1].startswith("pipe:")
+    assert sum(target.startswith("socket:") for target in opened.values()) == 1
+    rest = [target for number, target in opened.items() if number > 2 and not target.startswith("socket:")]
+    assert all(target.startswith(("/proc/", "anon_inode:", "pipe:")) for target in rest), rest
