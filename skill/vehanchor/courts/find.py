@@ -18,12 +18,11 @@ from vehanchor.courts.proposals import LENGTHS_M, boxes_of_courts, coarse_factor
 from vehanchor.courts.template import BASKETBALL, TENNIS
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
-from vehanchor.models.session import DEFAULT_PROVIDERS
+from vehanchor.models.runtime import Runtime
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.courts.fit import Fit
@@ -105,18 +104,16 @@ def propose_courts(
     raster: Raster,
     detections: Detections,
     card: DetectorCard,
-    *,
-    providers: tuple[str, ...] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
+    runtime: Runtime | None = None,
 ) -> Proposed:
     """Say where courts may be, by the network and by a detector that knows courts; as ``find_courts``."""
     proposals = boxes_of_courts(detections, card)
     # one thread: it is small, and a worker of one thread shall not wake all cores for it
-    network = load_court_network(threads=1, providers=providers or DEFAULT_PROVIDERS)
+    network = load_court_network(replace(runtime or Runtime(), threads=1))
     factors = [] if network is None else coarse_factors(raster, detections)
     if network is not None:
         for factor in factors:
-            proposals += network.propose(raster, factor, run_options=run_options)
+            proposals += network.propose(raster, factor)
     return Proposed(proposals, len(factors))
 
 
@@ -126,8 +123,7 @@ def find_courts(
     card: DetectorCard,
     *,
     proposed: Proposed | None = None,
-    providers: tuple[str, ...] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
+    runtime: Runtime | None = None,
 ) -> tuple[Court, ...]:
     """Find and measure the courts that lie whole in an image.
 
@@ -136,15 +132,12 @@ def find_courts(
         detections: what the search has seen, and how large the ground says a pixel is.
         card: of the detector.
         proposed: where they may be; None has them looked for (``propose_courts``).
-        providers: where the network runs that looks for them; None for the CPU.
-        run_options: ONNX Runtime's, for a caller that may have to end a run.
+        runtime: of the network that proposes courts; None for the defaults.
 
     Returns:
         At most four, the surest first. A court half hidden, or cut by the image's edge, is none.
     """
-    proposals, n_sizes = proposed or propose_courts(
-        raster, detections, card, providers=providers, run_options=run_options
-    )
+    proposals, n_sizes = proposed or propose_courts(raster, detections, card, runtime)
     surest = islice(_apart(proposals), _MOST_OF_ONE_SIZE if n_sizes == 1 else _MOST_LOOKED_AT)
     laid = [each for proposal in surest for each in _laid(raster, proposal)]
     found: list[Court] = []

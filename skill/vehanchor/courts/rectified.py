@@ -14,12 +14,12 @@ from vehanchor.detection.detections import Objects
 from vehanchor.imagery.raster import Raster, StoredPixels, Window
 
 if TYPE_CHECKING:
-    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.courts.court import Court
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detections import Detections
+    from vehanchor.models.runtime import Runtime
     from vehanchor.scale.plane import GroundPlane
 
 _FARTHEST = 1.2  # of the image's size, from its centre: what lies further off shows too little of a court
@@ -78,8 +78,7 @@ def rough_courts_on(
     card: DetectorCard,
     *,
     most: int,
-    providers: tuple[str, ...] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
+    runtime: Runtime | None = None,
 ) -> list[Court]:
     """Guess at the shapes of courts where nobody knows how far aside the camera looked.
 
@@ -89,15 +88,14 @@ def rough_courts_on(
         detections: what the search has seen.
         card: of the detector.
         most: proposals that are looked at, the surest.
-        providers: as in ``find_courts``.
-        run_options: as in ``find_courts``.
+        runtime: as in ``find_courts``.
 
     Returns:
         Courts in the image, each by itself to be borne out on the plane that its shape means.
     """
     level = RectifiedRaster(raster, plane)
     nothing = replace(detections, others=Objects.joined(), scene=None)  # both are of the image as it is
-    proposed = propose_courts(level, nothing, card, providers=providers, run_options=run_options)
+    proposed = propose_courts(level, nothing, card, runtime)
     surest = sorted(proposed.proposals, key=lambda each: -each.share)[:most]
     rough = [court for each in surest if (court := rough_court(level, each)) is not None]
     return [replace(each, shape=None if each.shape is None else level.in_image(each.shape)) for each in rough]
@@ -109,8 +107,7 @@ def find_courts_on(
     detections: Detections,
     card: DetectorCard,
     *,
-    providers: tuple[str, ...] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
+    runtime: Runtime | None = None,
 ) -> tuple[Court, ...]:
     """As ``find_courts``, of a camera that looked aside.
 
@@ -119,15 +116,14 @@ def find_courts_on(
         plane: the ground in it, right to some five degrees; its scale does not matter.
         detections: what the search has seen.
         card: of the detector.
-        providers: as in ``find_courts``.
-        run_options: ONNX Runtime's.
+        runtime: as in ``find_courts``.
 
     Returns:
         Courts with their corners in the image; their scales are those of its centre, if the plane is the right one.
     """
     level = RectifiedRaster(raster, plane)
     nothing = replace(detections, others=Objects.joined(), scene=None)  # both are of the image as it is
-    courts = find_courts(level, nothing, card, providers=providers, run_options=run_options)
+    courts = find_courts(level, nothing, card, runtime=runtime)
     size = raster.width_px, raster.height_px
     found = [
         replace(
