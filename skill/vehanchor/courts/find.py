@@ -46,8 +46,8 @@ _MATCHED_PX = 72.0  # least length of a court whose lines are looked for, where 
 _MARGIN = 1.5  # of the patch that is read, over the court's half diagonal
 
 _WORTH_A_FIT = 0.3
-_LEAST_NEAR = 0.45  # of the score before the fit: every court had 0.57 or more (RESULTS.md)
-_LEAST_SCORE = 0.55  # 0.50 is the most that came of 232 training images without a court (RESULTS.md)
+_LEAST_NEAR = 0.45  # of the score before the fit: every court had 0.57 or more
+_LEAST_SCORE = 0.55  # 0.50 is the most that came of 232 training images without a court
 _ROUGH_COVERAGE = 0.5
 _LEAST_COVERAGE = 0.64  # roofs with grids came to 0.63
 _LEAST_COVERAGE_WITH_ARCS, _SEEN_ARCS = 0.68, 0.5  # straight lines alone make grids on yards and car parks, too

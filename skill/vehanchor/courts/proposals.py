@@ -33,9 +33,18 @@ if TYPE_CHECKING:
     from vehanchor.detection.detections import Detections
     from vehanchor.imagery.raster import Raster
 
-_CELL_PX = 8  # side of the network's cells, and what its length is told in: training/courts/network.py
+__all__ = [
+    "LENGTHS_M",
+    "CourtNetwork",
+    "Proposal",
+    "boxes_of_courts",
+    "coarse_factors",
+    "load_court_network",
+]
+
+_CELL_PX = 8  # side of the network's cells, and what its length is told in: research/training/courts/network.py
 _LENGTH_PX = 44.0
-_SEEN_BEST_M = 0.58  # metres per pixel, in the middle of what it was trained on: training/courts/data.py
+_SEEN_BEST_M = 0.58  # metres per pixel, in the middle of what it was trained on: research/training/courts/data.py
 _FACTORS = (2, 4, 8, 16)  # an octave of scales each: images of 0.02 to 0.44 m/px
 _MOST_PIXELS_UNASKED = 1_500_000  # of an image in which all factors are searched, whatever the ground says
 _TILE_PX, _STRIDE_PX = 1088, 960  # of the reduced image: they overlap by two courts

@@ -593,7 +593,7 @@ def test_lines_of_one_image_scale_all_where_all_are_of_one_scale(folder: Path, d
 def test_images_may_be_addresses(folder: Path, detector: Path, table: Path) -> None:
     handler = partial(SimpleHTTPRequestHandler, directory=str(folder))
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
+        threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
         base = f"http://127.0.0.1:{server.server_port}"
         lines = table.with_name("lines.csv")
         lines.write_text(f"file,x1,y1,x2,y2,metres\n{base}/empty.png,100,50,500,50,48\n")
