@@ -1,4 +1,4 @@
-"""The methods of ``Engine`` as functions: each calls one engine with the bundled models."""
+"""The methods of ``Engine`` as functions, for the bundled models: all engines share the loaded models of the process."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from vehanchor.options import ScaleOptions
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate
 
-_DEFAULT = Engine()  # loads nothing before the first call
-
 
 @overload
 def estimate_gsd(
@@ -40,7 +38,7 @@ def estimate_gsd(
     image: Any, options: ScaleOptions | None = None, **keywords: Unpack[EstimateKeywords]
 ) -> GsdEstimate | list[GsdEstimate]:
     """Estimate the scale of an image, or of each image of a list; see ``Engine.estimate``."""
-    records: GsdEstimate | list[GsdEstimate] = _DEFAULT.estimate(image, options, **keywords)
+    records: GsdEstimate | list[GsdEstimate] = Engine().estimate(image, options, **keywords)
     return records
 
 
@@ -48,21 +46,21 @@ def analyse_scale(
     image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[EstimateKeywords]
 ) -> ScaleAnalysis:
     """As ``estimate_gsd`` with the evidence; see ``Engine.analyse_scale``."""
-    return _DEFAULT.analyse_scale(image, options, **keywords)
+    return Engine().analyse_scale(image, options, **keywords)
 
 
 def measure_area(
     image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[AreaKeywords]
 ) -> AreaMeasurement:
     """Measure the area of an object; see ``Engine.measure_area``."""
-    return _DEFAULT.measure_area(image, options, **keywords)
+    return Engine().measure_area(image, options, **keywords)
 
 
 def analyse_area(
     image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[AreaKeywords]
 ) -> AreaAnalysis:
     """As ``measure_area`` with the mask; see ``Engine.analyse_area``."""
-    return _DEFAULT.analyse_area(image, options, **keywords)
+    return Engine().analyse_area(image, options, **keywords)
 
 
 def measure_distance(
@@ -72,7 +70,7 @@ def measure_distance(
     **keywords: Unpack[MeasureKeywords],
 ) -> DistanceMeasurement:
     """Measure the length of a line on the ground; see ``Engine.measure_distance``."""
-    return _DEFAULT.measure_distance(image, path, options, **keywords)
+    return Engine().measure_distance(image, path, options, **keywords)
 
 
 def analyse_distance(
@@ -82,7 +80,7 @@ def analyse_distance(
     **keywords: Unpack[MeasureKeywords],
 ) -> DistanceAnalysis:
     """As ``measure_distance`` with the analysis of the scale; see ``Engine.analyse_distance``."""
-    return _DEFAULT.analyse_distance(image, path, options, **keywords)
+    return Engine().analyse_distance(image, path, options, **keywords)
 
 
 def estimate_flight(
@@ -91,4 +89,4 @@ def estimate_flight(
     **keywords: Unpack[FlightKeywords],
 ) -> FlightEstimate:
     """Estimate the scales of the photographs of one flight; see ``Engine.flight``."""
-    return _DEFAULT.flight(images, options, **keywords)
+    return Engine().flight(images, options, **keywords)

@@ -107,15 +107,15 @@ def _installed(providers: Sequence[str]) -> list[str]:
     """Full names of those that this build of ONNX Runtime has.
 
     Raises:
-        ProviderUnavailableError: one is missing, and the CPU is not named beside it; or none is named.
+        ProviderUnavailableError: one is missing, and the CPU is not named beside it.
     """
     available = onnxruntime.get_available_providers()
     wanted = [_SHORT_NAMES.get(name.strip().lower(), name.strip()) for name in providers]
     missing = [name for name in wanted if name not in available]
-    if not wanted or (missing and "CPUExecutionProvider" not in wanted):
+    if missing and "CPUExecutionProvider" not in wanted:
         raise ProviderUnavailableError(
-            f"ONNX Runtime has no {missing[0] if missing else 'provider of no name'} here; it has "
-            f"{', '.join(available)}. Install the matching onnxruntime build, or name cpu beside it to fall back"
+            f"ONNX Runtime has no {missing[0]} here; it has {', '.join(available)}. Install the matching onnxruntime "
+            "build, or name cpu beside it to fall back"
         )
     if missing:
         _tell_once(f"ONNX Runtime has no {', '.join(missing)} here: models run without")
