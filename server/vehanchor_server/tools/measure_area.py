@@ -159,8 +159,8 @@ def _measure(
     from vehanchor_server.calls.overlay import draw_pictures
 
     prompts = [_prompt(target) for target in question.targets]  # what has no meaning is told before the work
-    segmenter = services.models.segmenter()
-    options, scale = question.by.resolve(services)
+    segmenter = services.models.segmenter(job.runtime)
+    options, scale = question.by.resolve(services, job)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         job.segmenting()
@@ -171,8 +171,6 @@ def _measure(
             scale,
             options,
             object_height_m=question.by.object_height_m,
-            progress=job.searched,
-            run_options=job.run_options,
         )
         first = found[0]
         pictures = draw_pictures(raster, job, wanted, lambda seen: draw_area(seen, first))

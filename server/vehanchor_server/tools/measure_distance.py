@@ -131,7 +131,7 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
     from vehanchor_server.app_page.panel import length_histogram
 
     paths = [read_path([(point.x, point.y) for point in line.points]) for line in question.lines]
-    options, scale = question.by.resolve(services)
+    options, scale = question.by.resolve(services, job)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         found = analyse_paths(
@@ -140,8 +140,6 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
             scale,
             options,
             object_height_m=question.by.object_height_m,
-            progress=job.searched,
-            run_options=job.run_options,
         )
     histogram = None if found[0].scale is None else length_histogram(found[0].scale)
     return Answer(tuple(each.measurement for each in found), None, histogram)
