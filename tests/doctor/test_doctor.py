@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 
 from tests.conftest import ROOT
 from vehanchor.cli.app import app
-from vehanchor.detection.detector import load_detector
-from vehanchor.models.zoo import resolve_model
+from vehanchor.engine import Engine
 from vehanchor_doctor import checks
 
 SCENES = ROOT / "examples" / "scenes"
@@ -24,7 +23,7 @@ def run(*arguments: object) -> tuple[int, str, str]:
 
 
 def test_the_bundled_model_passes_the_self_test() -> None:
-    found = checks.self_test(load_detector(resolve_model(None)))
+    found = checks.self_test(Engine())
     assert found.passed, found
 
 
@@ -53,7 +52,7 @@ def test_what_is_installed_is_told_and_what_is_missing_by_its_extra(monkeypatch:
     assert code == 0
     assert re.search(r"vehanchor\s+0\.", out)
     assert "CPUExecutionProvider" in out
-    assert re.search(r"rasterio\s+not there: pip install 'vehanchor\[geo\]'", out)
+    assert re.search(r"rasterio\s+missing: pip install 'vehanchor\[geo\]'", out)
 
 
 def test_it_says_of_a_folder_how_many_will_do_and_what_helps_the_others(tmp_path: Path) -> None:

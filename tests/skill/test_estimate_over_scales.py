@@ -17,10 +17,11 @@ from tests.yards import YARDS, Yard, paint_yard
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
-from vehanchor.estimate import estimate_gsd
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.scale.lengths import dominant_group
+from vehanchor.verbs import estimate_gsd
 from vehanchor_evaluation.table import read_table
 from vehanchor_scenes import Scene, render_scene
 
@@ -40,7 +41,7 @@ def searching(tmp_path_factory: pytest.TempPathFactory) -> Detector:
 
 @pytest.fixture(scope="module")
 def bundled() -> Detector:
-    return Detector(resolve_model(), threads=2)
+    return Detector(resolve_model(), runtime=Runtime(threads=2))
 
 
 def _fleet(mean: float, n: int = 30) -> list[float]:
@@ -241,6 +242,7 @@ def test_a_yard_of_things_shaped_like_cars_is_never_a_confident_scale(
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_searching_photographs_without_vehicles_finds_next_to_nothing(real_data: Path, bundled: Detector) -> None:
     images = [i for i in read_table(real_data / "gsd" / "table.csv") if i.set == "empty" and i.split == "val"]
     assert len(images) == 30
@@ -250,6 +252,7 @@ def test_searching_photographs_without_vehicles_finds_next_to_nothing(real_data:
 
 
 @pytest.mark.data
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [cv2.INTER_LINEAR, cv2.INTER_CUBIC, cv2.INTER_LANCZOS4])
 def test_photographs_too_coarse_to_measure_are_not_trusted_after_enlarging(
     real_data: Path, bundled: Detector, way: int

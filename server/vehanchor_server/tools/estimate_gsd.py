@@ -143,15 +143,15 @@ def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Questio
         CallError: a model cannot be loaded.
         CallStoppedError: the call was asked to end.
     """
-    from vehanchor.estimate import analyse_raster, open_detector
+    from vehanchor.estimate import analyse_raster, check_region
     from vehanchor.imagery.sources.opening import open_raster
 
-    detector = services.models.detector()
+    detector = services.models.detector(job.runtime)
     options = asked.scale.options(services.settings, services.models)
-    open_detector(detector, options)  # an unknown region is told before the work
+    check_region(detector, options)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
-        analysis = analyse_raster(raster, detector, options, progress=job.searched, run_options=job.run_options)
+        analysis = analyse_raster(raster, detector, options)
         return scale_answer(raster, analysis, asked.wanted, job)
 
 

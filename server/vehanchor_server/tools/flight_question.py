@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import Field
@@ -78,32 +79,31 @@ def estimate_among(
         CallError: it refused another one, or a model cannot be loaded.
         CallStoppedError: the call was asked to end.
     """
-    from vehanchor.estimate import open_detector
+    from vehanchor.estimate import check_region
     from vehanchor.flight.estimate import conclude, search_flight
     from vehanchor.imagery.sources.opening import open_raster
 
-    detector = services.models.detector()
+    told = partial(_tell_photograph, job, 1 + len(more))
+    detector = services.models.detector(replace(job.runtime, progress=told))
     asked = question.scale.options(services.settings, services.models)
     options = replace(asked, frame=Frame())
-    open_detector(detector, options)  # an unknown region is told before the work
+    check_region(detector, options)
     job.enter("decode")
     for _ in _taken(services, source, more, []):  # a path that is refused is told before the work
         job.stop.check()
     opened: list[OpenedImage] = []
-    looks = search_flight(
-        _taken(services, source, more, opened),
-        detector,
-        options,
-        featured=not question.same_scale,
-        progress=lambda done, _: job.searched(done, 1 + len(more)),
-        run_options=job.run_options,
-    )
+    looks = search_flight(_taken(services, source, more, opened), detector, options, featured=not question.same_scale)
     members = [_readable(look, each) for look, each in zip(looks, opened, strict=True)]
     _refuse_twice(members)
     flight = conclude(looks, detector.card, same_scale=question.same_scale)
     analysis = replace(members[0].analysis, estimate=_answered(flight, asked))
     with open_raster(source, limits=asked.reading.limits) if any(question.wanted) else nullcontext() as raster:
         return scale_answer(raster, analysis, question.wanted, job)
+
+
+def _tell_photograph(job: Job, total: int, done: int, _: int) -> None:
+    """Report a photograph; the iterator does not know how many there are."""
+    job.searched(done, total)
 
 
 def _taken(

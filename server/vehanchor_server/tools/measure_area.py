@@ -160,8 +160,8 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
     from vehanchor_server.calls.overlay import draw_pictures
 
     prompts = [_prompt(target) for target in question.targets]  # what has no meaning is told before the work
-    segmenter = services.models.segmenter()
-    options, scale = question.by.resolve(services)
+    segmenter = services.models.segmenter(job.runtime)
+    options, scale = question.by.resolve(services, job)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         job.segmenting()
@@ -172,8 +172,6 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
             scale,
             options,
             object_height_m=question.by.object_height_m,
-            progress=job.searched,
-            run_options=job.run_options,
         )
         first = found[0]
         pictures = draw_pictures(raster, job, question.wanted, lambda seen: draw_area(seen, first))
@@ -213,8 +211,8 @@ def _area_in_words(area: AreaMeasurement) -> str:
         return "No object found there: no area. Draw a box tightly around one that can be seen."
     if area.area_m2 is None:
         return (
-            f"No area: the object covers {area.mask_area_px} px, but {nothing_found(area.scale)}, and give its scale "
-            "as gsd_m_per_px."
+            f"No area: the object covers {area.mask_area_px} px, but {nothing_found(area.estimate)}, and give its "
+            "scale as gsd_m_per_px."
         )
     size = f"{rounded(area.area_m2)} m2{interval(area.area_ci95_low_m2, area.area_ci95_high_m2)}"
     if area.length_m is not None and area.width_m is not None and area.inscribed_diameter_m is not None:
@@ -224,5 +222,5 @@ def _area_in_words(area: AreaMeasurement) -> str:
     if area.status == "ok":
         return size + ("as good as the given scale." if area.scale_source == "given" else "safe to use.")
     if area.confidence is not None and area.confidence < FALLBACK_CONFIDENCE:
-        return size + not_to_be_used(area.scale)
+        return size + not_to_be_used(area.estimate)
     return size + "do not rely on it (the segmenter doubts its mask); look at the overlay, or draw another box."

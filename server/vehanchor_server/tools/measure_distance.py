@@ -132,7 +132,7 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
     from vehanchor_server.app_page.panel import length_histogram
 
     paths = [read_path([(point.x, point.y) for point in line.points]) for line in question.lines]
-    options, scale = question.by.resolve(services)
+    options, scale = question.by.resolve(services, job)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         found = analyse_paths(
@@ -141,8 +141,6 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
             scale,
             options,
             object_height_m=question.by.object_height_m,
-            progress=job.searched,
-            run_options=job.run_options,
         )
     histogram = None if found[0].scale is None else length_histogram(found[0].scale)
     return Answer(tuple(each.measurement for each in found), None, histogram)
@@ -156,11 +154,11 @@ def describe_distance(record: DistanceMeasurement, detail: Detail = "full") -> s
 def _distance_in_words(record: DistanceMeasurement) -> str:
     if record.distance_m is None:
         return (
-            f"No distance: the line is {record.length_px:.0f} px long, but {nothing_found(record.scale)}, and give its "
-            "scale as gsd_m_per_px."
+            f"No distance: the line is {record.length_px:.0f} px long, but {nothing_found(record.estimate)}, and "
+            "give its scale as gsd_m_per_px."
         )
     said = f"{rounded(record.distance_m)} m{interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
     said += f"; {scale_origin(record)}: "
     if record.status == "ok":
         return said + ("as good as the given scale." if record.scale_source == "given" else "safe to use.")
-    return said + not_to_be_used(record.scale)
+    return said + not_to_be_used(record.estimate)

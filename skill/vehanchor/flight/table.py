@@ -12,12 +12,13 @@ from vehanchor.batch.row import BatchRow
 from vehanchor.batch.run import BatchSummary, journal_path
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.errors import OutputError
-from vehanchor.flight.estimate import analyse_flight
+from vehanchor.flight.estimate import check_options, conclude, journal_key, open_journal, search_flight
+from vehanchor.flight.inputs import named
 from vehanchor.flight.project import estimate_in_flight
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
@@ -32,7 +33,6 @@ def run_same_scale(
     options: ScaleOptions,
     known_lengths: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
-    progress: Callable[[int, int], None] | None = None,
 ) -> BatchSummary:
     """Estimate the one scale of many images, and write a table with a row for each.
 
@@ -41,14 +41,13 @@ def run_same_scale(
     Args:
         inputs: directories, patterns and files.
         output: ``.parquet``, ``.csv`` or ``.jsonl``.
-        detector: finds the vehicles.
+        detector: finds the vehicles; images are reported to the progress of its runtime.
         options: every choice of the method, without a frame.
         known_lengths: a CSV of lines of known length in single images; see ``read_known_lengths``.
         overwrite: start anew; a complete table there is replaced once the new one is complete.
-        progress: called with (images done, images in all).
 
     Raises:
-        VehAnchorError: as ``run_batch`` and ``estimate_flight``.
+        VehAnchorError: as ``run_batch`` and ``Engine.flight``.
     """
     table = check_table_path(Path(output))
     journal = journal_path(table)
@@ -58,11 +57,14 @@ def run_same_scale(
     lines = lines_in(known_lengths, images)
     if overwrite:
         journal.unlink(missing_ok=True)
-    record = analyse_flight(
-        images, options, same_scale=True, detector=detector, journal=journal, progress=progress, lines=lines
-    )
+    check_options(options)
+    kept, photographs = open_journal(journal, detector, options, lines), list(named(images))
+    n_resumed = sum(journal_key(each) in kept for each in photographs)
+    looks = search_flight(photographs, detector, options, journal=kept, lines=lines)
+    record = conclude(looks, detector.card, same_scale=True)
     write_table(table, (_row(record, each) for each in record.photographs))
-    return BatchSummary(table, len(images), 0, Counter(each.status for each in record.photographs))
+    kept.remove()
+    return BatchSummary(table, len(images), n_resumed, Counter(each.status for each in record.photographs))
 
 
 def _row(flight: FlightEstimate, photograph: FlightPhotograph) -> BatchRow:

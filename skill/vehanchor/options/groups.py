@@ -138,6 +138,8 @@ class Reference:
                     f"reference_length_m is {length:g}: a vehicle has {LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m"
                 )
             set_frozen(self, "reference_length_m", length)
+        if self.region is not None and not isinstance(self.region, str):
+            raise InvalidParameterError(f"region is {self.region!r}: give one name, such as {REGIONS[0]}")
         if self.calibration is not None:
             from vehanchor.scale.calibration import as_calibration
 
@@ -244,6 +246,8 @@ class Reading:
             except (TypeError, ValueError):
                 raise InvalidParameterError(f"bands is {self.bands!r}: give three, from 1") from None
             set_frozen(self, "bands", tuple(whole("bands", band) for band in (first, second, third)))
+        if not isinstance(self.limits, ImageLimits):
+            raise InvalidParameterError(f"limits is {self.limits!r}: give vehanchor.ImageLimits(...)")
         if not isinstance(self.bgr, bool):
             raise InvalidParameterError(f"bgr is {self.bgr!r}: use True or False")
         if self.max_megapixels is not None:
@@ -339,22 +343,20 @@ class ScaleOptions:
         Raises:
             InvalidParameterError: a value has no meaning, or there is no such option.
         """
-        rest = dict(keywords)
-        groups: dict[str, Any] = {}
-        for name, group in _GROUPS.items():
+        return cls().with_keywords(keywords)
+
+    def with_keywords(self, keywords: Mapping[str, Any]) -> ScaleOptions:
+        """The same options with other values of single fields (``OptionKeywords``).
+
+        Raises:
+            InvalidParameterError: a value is invalid, or there is no such option.
+        """
+        rest, groups = dict(keywords), {each.name: getattr(self, each.name) for each in fields(self)}
+        for name, group in groups.items():
             known = {each.name: each.metadata.get("keyword", each.name) for each in fields(group)}
-            groups[name] = group(**{key: rest.pop(word) for key, word in known.items() if word in rest})
+            changes = {key: rest.pop(word) for key, word in known.items() if word in rest}
+            groups[name] = replace(group, **changes) if changes else group
         if rest:
             names = ", ".join(sorted(OptionKeywords.__annotations__))
             raise InvalidParameterError(f"there is no option {next(iter(rest))!r}: the options are {names}")
-        return cls(**groups)
-
-
-_GROUPS: dict[str, type[Any]] = {
-    "search": Search,
-    "lengths": Lengths,
-    "reference": Reference,
-    "frame": Frame,
-    "reading": Reading,
-    "rulers": Rulers,
-}
+        return ScaleOptions(**groups)
