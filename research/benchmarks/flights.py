@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from research.results.record import add_record_option, recording, values_table
 from vehanchor.anchors.evidence import ImageFacts
 from vehanchor.batch.stored import from_json, to_json
 from vehanchor.detection.sighting import Sighting
@@ -276,7 +277,7 @@ def cost(number: int) -> None:
             n_features = len(find_features(raster))
         looking.append(time.process_time() - begun)
     print(f"features of 12 Mpx: {np.median(looking):.2f} CPU s a photograph ({n_features})")
-    print("| photographs | pairs | overlaps | islands | pairs, matches, graph, record: CPU s each | peak MiB |")
+    print("| photographs | pairs | overlaps | islands | pairs, matches, graph, record: CPU s a photograph | peak MiB |")
     print("|---|---|---|---|---|---|")
     for n in (number // 4, number // 2, number):
         photographs = _made_up(n, detector)
@@ -335,24 +336,24 @@ def real(data: Path, written: Path) -> None:
     ]
     sizes = ", ".join(str(island.n_photographs) for island in record.islands)
     dropped = sum(each.dropped is not None for each in record.links)
-    print(f"{len(record.photographs)} photographs, islands of {sizes}, {len(record.links)} overlaps, {dropped} dropped")
-    rulers = [
-        f"{each.kind} {each.gsd_m_per_px:.4f} ({'agrees' if each.agrees else 'does not'})"
-        for each in record.islands[0].pooled.rulers
-    ]
     pooled = record.islands[0].pooled
-    print(
-        f"{pooled.gsd_m_per_px:.4f} m/px, {pooled.gsd_ci95_low_m_per_px:.4f} to {pooled.gsd_ci95_high_m_per_px:.4f}: "
-    )
-    print("; ".join(rulers))
+    values: dict[str, float | str] = {
+        "islands, overlaps, dropped": f"{sizes}; {len(record.links)}; {dropped}",
+        "scale in the pixels of the reference": f"{pooled.gsd_m_per_px:.4f} m/px "
+        f"({pooled.gsd_ci95_low_m_per_px:.4f} to {pooled.gsd_ci95_high_m_per_px:.4f})",
+    }
+    for each in pooled.rulers:
+        values[f"{each.kind}, m/px ({'agrees' if each.agrees else 'does not agree'})"] = f"{each.gsd_m_per_px:.4f}"
     for name, errors in (("matches by themselves", by_match), ("solved scales", solved)):
-        share = np.mean(np.array(errors) <= _NEAR)
-        print(f"{name} against the heights: {100 * share:.1f} % within 10 %, median {100 * np.median(errors):.1f} %")
+        values[f"{name} against the heights: within 10 %, %"] = 100 * float(np.mean(np.array(errors) <= _NEAR))
+        values[f"{name} against the heights: median, %"] = 100 * float(np.median(errors))
     off = np.array(_off_track(record, [each for each in links if each.dropped is None]))
-    print(
-        f"scales against the track, {len(off)} pairs of {_LEAST_APART_M:.0f} m and more: median of the ratios", end=" "
-    )
-    print(f"{np.exp(np.median(off)):.3f}, {100 * np.mean(np.abs(np.expm1(off)) <= _PAIR):.0f} % within a fifth")
+    values |= {
+        f"pairs of {_LEAST_APART_M:.0f} m and more on the track": len(off),
+        "scales against the track: median ratio": np.exp(np.median(off)),
+        "scales against the track: within a fifth, %": 100 * np.mean(np.abs(np.expm1(off)) <= _PAIR),
+    }
+    print(*values_table(values), sep="\n")
 
 
 def _ground_height(seas_m: NDArray[np.float64], logs: NDArray[np.float64]) -> float:
@@ -411,16 +412,18 @@ def main() -> None:
     parser.add_argument("--split", default="val")
     parser.add_argument("--flights", type=int, help="a set (pooled: 4), over each world (matched, 1)")
     parser.add_argument("--cache", type=Path, help="folder that keeps what was found in each image")
-    parser.add_argument("--record", type=Path, default=Path("flight.json"), help="real: what 'vehanchor flight' wrote")
-    arguments = parser.parse_args()
-    if arguments.what == "pooled":
-        pooled(arguments.data, arguments.split, arguments.flights or _FLIGHTS, arguments.cache)
-    elif arguments.what == "cost":
-        cost(arguments.photographs)
-    elif arguments.what == "real":
-        real(arguments.data, arguments.record)
-    else:
-        matched(arguments.data, arguments.flights or 1, arguments.cache)
+    parser.add_argument("--flight", type=Path, default=Path("flight.json"), help="real: what 'vehanchor flight' wrote")
+    arguments = add_record_option(parser).parse_args()
+    key = {"real": "garfield"}.get(arguments.what, arguments.what)
+    with recording("flights", [key], arguments.record):
+        if arguments.what == "pooled":
+            pooled(arguments.data, arguments.split, arguments.flights or _FLIGHTS, arguments.cache)
+        elif arguments.what == "cost":
+            cost(arguments.photographs)
+        elif arguments.what == "real":
+            real(arguments.data, arguments.flight)
+        else:
+            matched(arguments.data, arguments.flights or 1, arguments.cache)
 
 
 if __name__ == "__main__":

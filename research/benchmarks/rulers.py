@@ -1,6 +1,6 @@
 """Rulers fused.
 
-``python -m research.benchmarks.rulers [--images N] [--scenes N]``. Prints Markdown, kept in RESULTS.md.
+``python -m research.benchmarks.rulers [--images N] [--scenes N]``. Prints Markdown; ``--record`` keeps it.
 
 Cars and ground are seen by the bundled models on val images of known scale and on rendered scenes of 3 to 10 cars;
 what a camera, a given height and a line of known length say is drawn, with the spreads that those rulers state. A liar
@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from research.results.record import add_record_option, recording, values_table
 from vehanchor.anchors.evidence import Evidence
 from vehanchor.anchors.fused import fuse_rulers
 from vehanchor.anchors.stated import stated
@@ -163,16 +164,21 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--images", type=int, default=90)
     parser.add_argument("--scenes", type=int, default=50)
-    options = parser.parse_args()
+    options = add_record_option(parser).parse_args()
     seen = see(options.data, options.images, options.scenes)
     cars = np.array([abs((each.cars.gsd_m_per_px or 0) / each.true_gsd - 1) for each in seen])
-    near = 100 * np.mean(cars < 0.1)
-    print(f"Cars alone, n {len(cars)}: median {100 * np.median(cars):.1f} %, within 10 % {near:.1f} %")
-    print(f"Of them usable with {_LEAST_CARS} cars or more: {sum(each.usable for each in seen)}\n")
-    print("| who speaks | n | median | 90 % are below | within 10 % | within 20 % | said | cover | liar named |")
-    print("|---|---|---|---|---|---|---|---|---|")
-    for case in CASES:
-        print(row(case, seen), flush=True)
+    values = {
+        "cars alone: images": len(cars),
+        "cars alone: median error, %": 100 * np.median(cars),
+        "cars alone: within 10 %, %": 100 * np.mean(cars < 0.1),
+        f"usable with {_LEAST_CARS} cars or more": sum(each.usable for each in seen),
+    }
+    with recording("rulers", ["fused", "fused_cars"], options.record):
+        print("| who speaks | n | median | 90 % are below | within 10 % | within 20 % | said | cover | liar named |")
+        print("|---|---|---|---|---|---|---|---|---|")
+        for case in CASES:
+            print(row(case, seen), flush=True)
+        print("", *values_table(values), sep="\n")
 
 
 if __name__ == "__main__":

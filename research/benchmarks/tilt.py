@@ -23,6 +23,7 @@ import cv2
 import numpy as np
 
 from research.benchmarks.flights import read, spoiled
+from research.results.record import add_record_option, recording
 from vehanchor.anchors.attitude import plane_of_record
 from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, equivalent_lens
 from vehanchor.anchors.evidence import ImageFacts, View
@@ -405,17 +406,19 @@ def main() -> None:
     parser.add_argument("--images", type=int, default=12, help="grounds that are seen from aside")
     parser.add_argument("--labelled", type=int, default=1, help="nadir: least labelled cars of an image")
     parser.add_argument("--cpu-seconds", type=float, default=900.0, help="courts: then no other ground is begun")
-    chosen = parser.parse_args()
+    chosen = add_record_option(parser).parse_args()
     detector = open_detector(None, ScaleOptions(), threads=1)
-    if chosen.what == "warped":
-        tilts = chosen.tilts or _TILTS_DEG
-        warped(chosen.data, chosen.split, chosen.images, tilts, detector, chosen.cache)
-    elif chosen.what == "courts":
-        courts(chosen.images, chosen.tilts or _COURT_TILTS_DEG, chosen.cpu_seconds, detector)
-    elif chosen.what == "real":
-        real(chosen.data, detector, chosen.cache)
-    else:
-        nadir(chosen.data, chosen.split, chosen.labelled, detector, chosen.cache)
+    keys = {"warped": ["angles", "areas"], "courts": ["courts", "court_areas"], "real": ["photographs"]}
+    with recording("tilt", keys.get(chosen.what, [chosen.what]), chosen.record):
+        if chosen.what == "warped":
+            tilts = chosen.tilts or _TILTS_DEG
+            warped(chosen.data, chosen.split, chosen.images, tilts, detector, chosen.cache)
+        elif chosen.what == "courts":
+            courts(chosen.images, chosen.tilts or _COURT_TILTS_DEG, chosen.cpu_seconds, detector)
+        elif chosen.what == "real":
+            real(chosen.data, detector, chosen.cache)
+        else:
+            nadir(chosen.data, chosen.split, chosen.labelled, detector, chosen.cache)
 
 
 if __name__ == "__main__":
