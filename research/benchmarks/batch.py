@@ -1,4 +1,4 @@
-"""Throughput of ``vehanchor batch``: ``python -m research.benchmarks.batch``. Prints Markdown; ``--record`` keeps it.
+"""Measure ``vehanchor batch``: ``python -m research.benchmarks.batch``. Prints Markdown; ``--record`` keeps it.
 
 The same rendered scenes through each engine and number of workers, as whole commands (starting Ray is part of what a
 user waits for) and without the start: the difference between all the images and half of them.

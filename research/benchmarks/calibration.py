@@ -1,4 +1,4 @@
-"""Reference lengths of rendered fleets, recovered: ``python -m research.benchmarks.calibration [--detector FILE]``.
+"""Recover the reference lengths of rendered fleets: ``python -m research.benchmarks.calibration [--detector FILE]``.
 
 Scenes of three fleets, none of them the renderer's default, are written as a split of DOTA. From labels the aim is
 1 %; what the detector's own boxes give is shown beside it. Prints Markdown; ``--record`` keeps it.

@@ -1,9 +1,11 @@
-"""Courts as a ruler: ``python -m research.benchmarks.courts [PART ...]``. Prints Markdown; ``--record`` keeps it.
+"""Measure courts as a ruler.
+
+``python -m research.benchmarks.courts [PART ...]``. Prints Markdown; ``--record`` keeps it.
 
 ``tiles``: 70 real tiles with tennis courts at 0.3048 m/px, the held-out tenth apart; ``scenes``: rendered sports
 grounds, by scale, where a whole court is in sight; ``fused``: such grounds with 3 to 10 cars, by cars, by courts and by
 both; ``val``: images of the validation splits, with next to no courts in them; ``time``: what looking for courts adds
-to an estimate of 4096 x 4096 without any; ``cpu``: what it takes in small images, views from aside included.
+to an estimate of 4096 x 4096 without any; ``cpu``: its cost on small images, tilted views included.
 """
 
 from __future__ import annotations
@@ -58,7 +60,7 @@ _HEAD = (
 
 
 class Case(NamedTuple):
-    """An image's true scale, and what its courts say of it; None for nothing."""
+    """The true scale of an image and the scale by its courts, None without a court."""
 
     gsd_m_per_px: float
     said: float | None
@@ -66,7 +68,7 @@ class Case(NamedTuple):
 
 
 def look(image: ImageSource, card: DetectorCard) -> tuple[float | None, int]:
-    """What the courts of an image say, and how many they are; nothing is asked of a detector."""
+    """Scale by the courts of an image and their number, without a detector."""
     with open_raster(image) as raster:
         evidence = evidence_of(find_courts(raster, NOTHING, card))
     return evidence.gsd_m_per_px, evidence.n
@@ -87,7 +89,7 @@ def row(name: str, cases: Sequence[Case]) -> str:
 
 
 def tiles(card: DetectorCard) -> list[str]:
-    """The real tiles."""
+    """Measure the real tiles."""
     held: list[Case] = []
     seen: list[Case] = []
     for place in places(DATA):
@@ -98,7 +100,7 @@ def tiles(card: DetectorCard) -> list[str]:
 
 
 def scenes(card: DetectorCard, scales: Sequence[float], number: int) -> list[str]:
-    """Rendered sports grounds with a whole court in sight, by scale and game."""
+    """Measure rendered sports grounds with a whole court, by scale."""
     lines, total = [], []
     for gsd in scales:
         cases: list[Case] = []
@@ -138,7 +140,7 @@ def fused(number: int) -> list[str]:
 
 
 def val(card: DetectorCard) -> list[str]:
-    """Images of all validation splits; what is found is named, to be looked at."""
+    """Find courts in the images of all validation splits, and name the images."""
     unique = val_paths()
     found = [(path, *look(str(path), card)) for path in unique]
     hits = [f"{path.name} ({n}, {gsd:.4f} m/px)" for path, gsd, n in found if gsd is not None]
@@ -158,7 +160,7 @@ def val_paths() -> list[Path]:
 
 
 def processor_time(card: DetectorCard, rounds: int) -> list[str]:
-    """Seconds of small images in which nothing else was seen: medians of rounds, by kind of image."""
+    """Time the ruler alone on small images: median and largest seconds, by kind of image."""
     park = render_scene(0.15, width_px=1024, height_px=1024, seed=5).image
     sports = [
         render_scene(gsd, width_px=side, height_px=side, seed=5001, layout="sports").image for gsd, side in _SPORTS
@@ -181,7 +183,7 @@ def _seconds(view: View) -> float:
 
 
 def added_time(rounds: int) -> list[str]:
-    """Of an estimate of 4096 x 4096 px, with and without courts among the rulers, in turns."""
+    """Time that courts add to an estimate of 4096 x 4096 px, in alternating runs."""
     scene = render_scene(0.15, width_px=1024, height_px=1024, seed=5, layout="parking")
     image = np.ascontiguousarray(np.tile(scene.image, (4, 4, 1)))
     detector = Detector(resolve_model())

@@ -1,4 +1,4 @@
-"""Accuracy of a detector on images of known scale.
+"""Measure a detector on images of known scale.
 
 ``python -m research.benchmarks.detector [--split val] [--detector FILE]``.
 

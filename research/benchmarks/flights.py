@@ -1,4 +1,4 @@
-"""Flights of known scale, made from real pixels.
+"""Measure flights of known scale, made from real pixels.
 
 ``python -m research.benchmarks.flights {pooled,matched,cost,real} DATA``.
 
@@ -7,7 +7,7 @@ all of them with the truth, with the region unknown and given. ``matched`` cuts 
 out of mosaics; two thirds of them lose their vehicles. ``cost`` measures what comes
 beyond the detection for 200 photographs of 12 Mpx: features, pairs, matches, the graph. ``real`` holds the scales of
 DATA/flights/garfield, which ``vehanchor flight --out`` wrote, against the heights and positions of its metadata.
-Cameras that look aside: ``research/benchmarks/tilt.py``.
+Tilted cameras: ``research/benchmarks/tilt.py``.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def read(path: Path) -> NDArray[np.uint8]:
 
 
 def spoiled(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Another exposure, noise and JPEG."""
+    """Change exposure, add noise and JPEG artefacts."""
     seen = image.astype(np.float64) * rng.uniform(0.75, 1.25) + rng.uniform(-12, 12)
     seen += rng.normal(0, rng.uniform(0, 4), image.shape)
     quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(70, 96))]
@@ -95,7 +95,7 @@ def turned(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uin
 def looked_at(
     taken: Sequence[Taken], detector: Detector, *, featured: bool = False, cache: Path | None = None
 ) -> list[Photograph]:
-    """Photographs that were looked at, each only once: what was found is kept in a folder, by model and pixels."""
+    """Search photographs, each only once: a folder keeps the detections by model and pixels."""
     members = []
     for name, image, _ in taken:
         pixels = np.ascontiguousarray(image)
@@ -210,7 +210,7 @@ def cut_flight(
 def matched(data: Path, flights: int, cache: Path | None) -> None:
     """Print a table: so many flights over each world."""
     detector = open_detector(None, ScaleOptions(), threads=1)
-    print("| world | in islands | median | 95th percentile | ratios alone, median | inside the interval | dropped |")
+    print("| world | in components | median | 95th percentile | ratios alone, median | inside the interval | dropped |")
     print("|---|---|---|---|---|---|---|")
     every: list[float] = []
     inside = total = 0
@@ -253,7 +253,7 @@ def matched(data: Path, flights: int, cache: Path | None) -> None:
 
 
 def _islands_held(record: FlightEstimate, truth: NDArray[np.float64]) -> list[bool]:
-    """Of each island with a scale, whether its reference's interval holds the true one."""
+    """For each component with a scale: whether its interval contains the true scale."""
     held = []
     for island in record.islands:
         low, high = island.pooled.gsd_ci95_low_m_per_px, island.pooled.gsd_ci95_high_m_per_px
@@ -277,7 +277,9 @@ def cost(number: int) -> None:
             n_features = len(find_features(raster))
         looking.append(time.process_time() - begun)
     print(f"features of 12 Mpx: {np.median(looking):.2f} CPU s a photograph ({n_features})")
-    print("| photographs | pairs | overlaps | islands | pairs, matches, graph, record: CPU s a photograph | peak MiB |")
+    print(
+        "| photographs | pairs | overlaps | components | pairs, matches, graph, record: CPU s a photograph | peak MiB |"
+    )
     print("|---|---|---|---|---|---|")
     for n in (number // 4, number // 2, number):
         photographs = _made_up(n, detector)
@@ -315,7 +317,7 @@ def _made_up(n: int, detector: Detector) -> list[Photograph]:
 
 
 def real(data: Path, written: Path) -> None:
-    """Print how the scales of a flight go with the heights above the sea and the track in its metadata.
+    """Compare the scales of a flight with the heights above the sea and the track in its metadata.
 
     Args:
         data: with ``flights/table.csv``.
@@ -338,7 +340,7 @@ def real(data: Path, written: Path) -> None:
     dropped = sum(each.dropped is not None for each in record.links)
     pooled = record.islands[0].pooled
     values: dict[str, float | str] = {
-        "islands, overlaps, dropped": f"{sizes}; {len(record.links)}; {dropped}",
+        "components, overlaps, dropped": f"{sizes}; {len(record.links)}; {dropped}",
         "scale in the pixels of the reference": f"{pooled.gsd_m_per_px:.4f} m/px "
         f"({pooled.gsd_ci95_low_m_per_px:.4f} to {pooled.gsd_ci95_high_m_per_px:.4f})",
     }
@@ -357,7 +359,7 @@ def real(data: Path, written: Path) -> None:
 
 
 def _ground_height(seas_m: NDArray[np.float64], logs: NDArray[np.float64]) -> float:
-    """Height of the ground above the sea under which scales go best with heights, metres."""
+    """Height of the ground above the sea that fits scales to heights best, metres."""
     tried = seas_m.min() - np.geomspace(5.0, 500.0, 400)
     spreads = []
     for ground in tried:
@@ -367,7 +369,7 @@ def _ground_height(seas_m: NDArray[np.float64], logs: NDArray[np.float64]) -> fl
 
 
 def _off_track(record: FlightEstimate, links: Sequence[FlightLink]) -> list[float]:
-    """Logs of each pair's scale over that by the way between its two positions and the shift that was matched."""
+    """Log ratio of each pair's scale to the scale by its positions and its matched shift."""
     members = {each.photograph: each for each in record.photographs if each.placed_by == "positions"}
     features, centres = {}, {}
     for name in members:
@@ -389,7 +391,7 @@ def _off_track(record: FlightEstimate, links: Sequence[FlightLink]) -> list[floa
 
 
 def without_vehicles(look: Photograph) -> Photograph:
-    """The photograph as if no vehicle had been there."""
+    """Remove the vehicles of a photograph."""
     seen = look.view.sighting
     bare = replace(
         seen,

@@ -1,4 +1,4 @@
-"""Large images.
+"""Measure large images.
 
 ``python -m research.benchmarks.gigapixel make|search``. Prints Markdown; ``--record`` keeps it.
 
@@ -59,7 +59,7 @@ def _resized(image: NDArray[np.uint8], ratio: float, how: int) -> NDArray[np.uin
 
 
 def layout(cells: int, share: float, rng: np.random.Generator) -> NDArray[Any]:
-    """Where towns are: ``[cells, cells]`` bool."""
+    """Draw where towns are: ``[cells, cells]`` bool."""
     noise = cv2.GaussianBlur(rng.normal(size=(cells, cells)).astype(np.float32), (0, 0), _TOWN_CELLS)
     return np.asarray(noise > np.quantile(noise, 1 - share))
 

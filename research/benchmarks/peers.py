@@ -1,4 +1,4 @@
-"""The search for vehicles beside other tools.
+"""Compare the search for vehicles with other tools.
 
 ``python -m research.benchmarks.peers``. Prints Markdown; ``--record`` keeps it.
 

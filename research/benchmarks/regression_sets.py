@@ -1,4 +1,4 @@
-"""What a detector takes for a car, place by place: ``python -m research.benchmarks.regression_sets [--detector FILE]``.
+"""Count true and false cars by place: ``python -m research.benchmarks.regression_sets [--detector FILE]``.
 
 Prints Markdown; ``--record`` keeps it. ``--part`` chooses:
 
@@ -65,7 +65,7 @@ _GARFIELD_M_PER_PX = 0.047  # from the GPS track and matched features: ../shared
 
 
 class Sighted(NamedTuple):
-    """One image: the detector's boxes at a low threshold, and what is known of its ground.
+    """One image: the detector's boxes at a low threshold, and what is known about the place.
 
     Attributes:
         boxes: ``[n, 5]`` in image pixels, best first.
@@ -133,7 +133,7 @@ def false_boxes(image: Sighted) -> int:
 
 
 def sighted(image: Path | NDArray[np.uint8], detector: Detector) -> Sighted:
-    """Search an image as a user's is searched, at a low threshold."""
+    """Search an image with the default options, at a low threshold."""
     ground = load_scene_scale()
     with open_raster(image) as raster:
         scene = None if ground is None else ground.look(raster)
@@ -172,7 +172,7 @@ def labelled_images(data: Path, name: str, detector: Detector) -> Iterator[Sight
 
 
 def with_known_cars(place: Place, detector: Detector) -> Sighted:
-    """A place that nobody labelled, cars seen on contact sheets spared."""
+    """Search an unlabelled place; cars known from contact sheets are excused."""
     cars = [(x, y) for x, y, kind in looked_at().get(place.path.name, []) if kind in ("car", "ignore")]
     reach = _NEARCAR_LENGTH_M / place.gsd_m_per_px
     return sighted(place.path, detector)._replace(spared=np.array(cars).reshape(-1, 2), spared_px=reach)

@@ -1,4 +1,4 @@
-"""Calls from many clients while workers are killed: ``python -m research.benchmarks.server_chaos --calls 10000``.
+"""Send calls from many clients while workers are killed: ``python -m research.benchmarks.server_chaos --calls 10000``.
 
 Four cheap scenes and seven bombs. Aim: every call is answered, right or with a code that says to try again; none later
 than half a second after the deadline; ``/healthz`` below 200 ms at the 99th percentile; the whole server below
@@ -74,7 +74,7 @@ class Tally:
 
     @classmethod
     def read(cls, path: Path | None) -> Tally:
-        """What an earlier run saw; nothing without one."""
+        """Read the counts of an earlier run, if there is one."""
         if path is None or not path.exists():
             return cls()
         kept = json.loads(path.read_text())
@@ -99,7 +99,7 @@ class Tally:
 
 
 async def chaos(n_calls: int, n_clients: int, period_s: float, minutes: float, state: Path | None) -> Tally:
-    """Ask until so many calls are answered, or the time is up."""
+    """Send calls until enough are answered or the time is up."""
     tally = Tally.read(state)
     with tempfile.TemporaryDirectory() as directory:
         asked = questions(Path(directory).resolve())

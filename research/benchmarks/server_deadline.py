@@ -1,9 +1,10 @@
-"""Whether hostile images are answered by the deadline: ``python -m research.benchmarks.server_deadline``. Linux only.
+"""Check that hostile images are answered by the deadline.
 
-Each family of ``door_costs`` at its larger size, and a large photograph that is no bomb, is sent to a server whose
-deadline is one second; meanwhile another process asks for ``/healthz`` all the time. Aims: an answer within half a
-second after the deadline, the longest ``/healthz`` below 200 ms. Prints Markdown; ``--record`` keeps it. Exit status 1
-if one is late.
+``python -m research.benchmarks.server_deadline``. Linux only.
+
+Each family of ``tests.image_costs`` at its larger size, and a large photograph, is sent to a server whose deadline is
+one second. Another process asks for ``/healthz`` all the time. Aims: an answer within half a second after the deadline,
+the longest ``/healthz`` below 200 ms. Prints Markdown; ``--record`` keeps it. Exit status 1 if one is late.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ async def ask(server: HttpServer, path: Path) -> tuple[float, str]:
 
 
 def measure(deadline_s: float) -> list[str]:
-    """Print the answer to each image; those that come late."""
+    """Print the answer to each image; return those that come late."""
     late = []
     print("| image | file, MiB | reply after, s | answer | `/healthz` median, longest, ms |\n|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as directory:

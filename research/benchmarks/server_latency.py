@@ -1,4 +1,4 @@
-"""Whether the event loop stays free, and how fast a call is stopped: ``python -m research.benchmarks.server_latency``.
+"""Measure the event loop's latency and how fast a call stops: ``python -m research.benchmarks.server_latency``.
 
 ``tools/list`` over HTTP while a call computes on 4096 x 4096 pixels; aim: < 100 ms at the 95th percentile. And how soon
 after a caller has hung up its place is free for the next one; aim: < 300 ms.
@@ -23,7 +23,7 @@ COMPUTING = 10  # per cent of progress: the image is read, and a model runs
 
 
 async def compute(url: str, tool: str, arguments: dict[str, Any], running: anyio.Event, done: anyio.Event) -> None:
-    """Make a call, and tell when it computes and when it has ended."""
+    """Make a call; signal when it computes and when it has ended."""
 
     async def on_progress(progress: float, total: float | None, message: str | None) -> None:
         del total, message

@@ -1,4 +1,4 @@
-"""Many callers at once: ``python -m research.benchmarks.server_load``. Linux only.
+"""Send calls from many clients at once: ``python -m research.benchmarks.server_load``. Linux only.
 
 1,000 mixed calls of both tools from 16 clients against two workers: none lost, each answer the library's for that
 image, memory of the workers within 10 % after warming up. Then one of the workers is killed under load: the other keeps
@@ -80,7 +80,7 @@ def mixed_calls(images: list[Path]) -> list[MixedCall]:
 
 
 async def answered(url: str, call: MixedCall, tally: Counter[str]) -> Any:
-    """The answer to a call, after as many refusals for want of a place as it takes."""
+    """The answer to a call; a ``busy`` server is asked again."""
     while True:
         try:
             async with Client(url, read_timeout_seconds=120) as client:

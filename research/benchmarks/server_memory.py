@@ -1,4 +1,4 @@
-"""Memory of a whole server after its tools were called: ``python -m research.benchmarks.server_memory [--in-process]``.
+"""Measure the memory of a whole server after calls: ``python -m research.benchmarks.server_memory [--in-process]``.
 
 Aim: with worker processes at most 1.3 times that of one process, and a warm call at most 10 ms slower.
 """
@@ -58,7 +58,7 @@ async def measure(*flags: str, n_rounds: int, n_calls: int) -> None:
 
 
 def main() -> None:
-    """Command line; what it does not know is passed on to the server."""
+    """Command line; unknown options are passed on to the server."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=2, help="of both tools, before memory is looked at")
     parser.add_argument("--calls", type=int, default=20, help="that are timed")

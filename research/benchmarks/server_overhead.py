@@ -1,4 +1,4 @@
-"""What a call over stdio costs beyond the library's.
+"""Measure what a call over stdio costs beyond the library.
 
 ``python -m research.benchmarks.server_overhead``. Aim: < 15 ms, median.
 

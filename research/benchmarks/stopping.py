@@ -1,4 +1,6 @@
-"""Optional stopping: ``python -m research.benchmarks.stopping --data FOLDER``. Prints Markdown; ``--record`` keeps it.
+"""Measure optional stopping.
+
+``python -m research.benchmarks.stopping --data FOLDER``. Prints Markdown; ``--record`` keeps it.
 
 Each val image is searched once; mosaics of 0.2 m/px are then laid out of what was found in them, towns with fields
 between, and searched by the real order and rule. Fleets differ from mosaic to mosaic as much as the reference length
@@ -109,7 +111,7 @@ class Mosaic:
         self.side = side
 
     def sighting(self, found: NDArray[Any]) -> Sighting:
-        """What a search that has found these boxes has to say."""
+        """Detections of a search that has found these boxes."""
         kept = np.flatnonzero(found)
         kept = kept[np.argsort(-self.scores[kept], kind="stable")]
         look = FleetLook(self.odds[kept[:_LOOKS]], self.lengths[kept[:_LOOKS]])

@@ -1,10 +1,10 @@
-"""The scale that the ground alone tells where no network of ours has learned.
+"""Measure the scene-scale prior alone where no network has learned.
 
-``python -m research.benchmarks.unseen_ground``.
+``python -m research.benchmarks.scene_scale``.
 
-Photographs of the sets that are kept for evaluation. Nobody knows their scale but their cars: it is a car's usual
-length in that country over the median length of the cars that people drew, right within a tenth or so, while what is
-asked is whether the ground is right within a factor of 1.5. ``--network FILE`` takes another network than the bundled
+The photographs are of the sets kept for evaluation. Their scale is a car's usual length in that country over the median
+length of the cars that people drew, right within a tenth or so; the question is whether the prior is right within a
+factor of 1.5. ``--network FILE`` takes another network than the bundled
 one. Prints Markdown; ``--record`` keeps it.
 """
 

@@ -1,6 +1,6 @@
-"""Costs of hostile images against their size.
+"""Measure what hostile images cost against their size.
 
-``python -m research.benchmarks.door_costs``. Prints Markdown; ``--record`` keeps it.
+``python -m research.benchmarks.image_costs``. Prints Markdown; ``--record`` keeps it.
 
 Each image is opened and a window of it read in a process of its own, at a size and at four times that size. Time and
 memory may grow in proportion to what was sent, or to what the limits allow to be decoded, never faster.
@@ -21,7 +21,7 @@ _MIB = 1 << 20
 
 
 def measure(families: list[str], folder: Path) -> list[str]:
-    """Print what each family costs; those that grow too fast."""
+    """Print what each family costs; return those that grow too fast."""
     print("| image | size | file, MiB | s | MiB | answer |\n|---|---|---|---|---|---|")
     failed = []
     for name in families:
