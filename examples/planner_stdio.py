@@ -71,7 +71,7 @@ class Zone:
 
 
 @dataclass(frozen=True)
-class Anchor:
+class Ruler:
     """A source of scale: the vehicles in the image, or a scale known from elsewhere and how wrong it may be."""
 
     name: str
@@ -93,13 +93,13 @@ class Decision:
     center_y_px: float | None = None
 
 
-def judge(record: dict[str, Any], anchor: Anchor, zone: Zone, craft: Craft) -> Decision:
+def judge(record: dict[str, Any], anchor: Ruler, zone: Zone, craft: Craft) -> Decision:
     """Decide on one zone by one record of ``measure_area``; HOLD_ALTITUDE where the anchor cannot be trusted."""
-    if record["status"] == "no_anchor":
+    if record["status"] == "no_scale":
         return Decision(Action.HOLD_ALTITUDE, f"no scale from {anchor.name}: nothing to measure by", anchor.name, zone)
     confidence = record["confidence"]  # null for a scale that was given
     if confidence is not None and confidence < FALLBACK_CONFIDENCE:
-        reason_code = record["scale"]["reason"]
+        reason_code = record["estimate"]["reason"]
         why = f"{reason_code}; {WHAT_HELPS[reason_code]}"
         reason = f"confidence {confidence:.2f} of the scale from {anchor.name} is below {FALLBACK_CONFIDENCE}: {why}"
         return Decision(Action.HOLD_ALTITUDE, reason, anchor.name, zone)
@@ -119,7 +119,7 @@ async def decide(
     client: Client,
     image: Path,
     zones: Sequence[Zone],
-    anchors: Sequence[Anchor],
+    anchors: Sequence[Ruler],
     craft: Craft,
     region: str | None = None,
 ) -> Decision:
@@ -170,9 +170,9 @@ async def main() -> None:
     options = _arguments()
     logging.basicConfig(level=logging.WARNING, format="%(name)s: %(message)s", stream=sys.stderr)
     log.setLevel(logging.INFO)
-    anchors = [Anchor("vehicles in the image")]
+    anchors = [Ruler("vehicles in the image")]
     if options.altitude is not None and options.focal is not None:
-        anchors.append(Anchor("barometer", options.altitude / options.focal, ALTITUDE_ERROR))
+        anchors.append(Ruler("barometer", options.altitude / options.focal, ALTITUDE_ERROR))
     zones = [Zone(*corners) for corners in options.zone]
     craft = Craft(options.diameter, options.margin)
     server = StdioServerParameters(

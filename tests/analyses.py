@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vehanchor.anchors.evidence import ImageFacts, View
-from vehanchor.defaults import Aggregation
+from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.card import DetectorCard
-from vehanchor.detection.sighting import Sighting
-from vehanchor.estimate import ScaleAnalysis, analyse_sighting
+from vehanchor.detection.detections import Detections
+from vehanchor.estimate import analyse_detections
 from vehanchor.options import ScaleOptions
-
-__all__ = ["analyse_found", "made_card", "make_analysis"]
+from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.scale.defaults import Aggregation
 
 
 def made_card(reference_length_m: float = 5.045, min_length_px: float = 0.0) -> DetectorCard:
@@ -42,7 +41,7 @@ def make_analysis(
 ) -> ScaleAnalysis:
     """The analysis of an image in which a detector found ``boxes``, all with score 0.8."""
     return analyse_found(
-        Sighting(boxes, np.full(len(boxes), 0.8)),
+        Detections(boxes, np.full(len(boxes), 0.8)),
         made_card(reference_length_m, min_length_px),
         ScaleOptions.of({"aggregation": aggregation}),
         image_width_px=width_px,
@@ -51,7 +50,7 @@ def make_analysis(
 
 
 def analyse_found(
-    found: Sighting,
+    found: Detections,
     card: DetectorCard,
     options: ScaleOptions | None = None,
     *,
@@ -61,4 +60,4 @@ def analyse_found(
 ) -> ScaleAnalysis:
     """The second half of the skill, on vehicles that a test has made up."""
     image = ImageFacts(image_width_px, image_height_px)
-    return analyse_sighting(View(image, found, card, options or ScaleOptions(), lambda *_: resolved))
+    return analyse_detections(View(image, found, card, options or ScaleOptions(), lambda *_: resolved))

@@ -12,16 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-__all__ = [
-    "HEADER_BOMBS",
-    "jpeg_of_scans",
-    "one_strip_tiff",
-    "png_of_text",
-    "tiff_of_directory",
-    "tiff_with_two_sizes",
-    "zero_tiff",
-]
-
 _SOF = b"\xff\xc0" + struct.pack(">HBHHB", 17, 8, 64, 64, 3) + bytes(9)
 
 

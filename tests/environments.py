@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["environment"]
-
 _FOLDER = Path(__file__).parent.parent / ".venv-environments"
 
 

@@ -11,8 +11,6 @@ import signal
 import sys
 from collections.abc import Callable
 
-__all__ = ["REFUSED", "WRITTEN", "limited"]
-
 WRITTEN, REFUSED = 0, 1
 
 

@@ -23,8 +23,8 @@ MIB = 1 << 20
 _WORK = """
 import json, sys, time
 from vehanchor.errors import ImageError
-from vehanchor.imagery.raster import open_raster
-from vehanchor.imagery.windows import Window
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.imagery.raster import Window
 
 def peak_kib():  # not getrusage: a child inherits its parent's ru_maxrss
     return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))

@@ -11,8 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["COLOURS", "write_coco", "write_dota_image", "write_isaid_pictures"]
-
 COLOURS = {  # of the development kit's helpers/labels.py
     "swimming-pool": (0, 0, 255),
     "tennis-court": (0, 63, 127),

@@ -13,8 +13,6 @@ from rasterio.transform import Affine
 from tests.models import blank_image, paint_vehicles
 from vehanchor.detection.boxes import box_corners
 
-__all__ = ["REFERENCE_M", "cars", "dota_lines", "paint", "write_dota_split", "write_geotiff"]
-
 REFERENCE_M = 5.045
 
 

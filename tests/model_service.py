@@ -18,8 +18,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Asked", "ModelService", "Refusal", "UseTool", "model_service", "red_rectangle"]
-
 
 @dataclass(frozen=True)
 class Asked:
@@ -119,7 +117,7 @@ def model_service(service: ModelService) -> Iterator[ModelService]:
 
     with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
         service.url = f"http://127.0.0.1:{server.server_port}"
-        thread = threading.Thread(target=server.serve_forever)
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         try:
             yield service

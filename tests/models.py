@@ -25,25 +25,13 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
+from vehanchor.detection.appearance import CHIP_SHAPE, FleetLengths
 from vehanchor.detection.boxes import box_corners, canonical_boxes
-from vehanchor.detection.look import CHIP_SHAPE, FleetLengths
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
-
-__all__ = [
-    "BEACON_PX",
-    "Graph",
-    "blank_image",
-    "paint_vehicle",
-    "paint_vehicles",
-    "save_model",
-    "write_detector",
-    "write_fleet_network",
-    "write_other_model",
-]
 
 BEACON_PX = 5
 _MARK = (255, 0, 255)

@@ -10,8 +10,6 @@ from typing import Any
 
 import pytest
 
-__all__ = ["needed_module", "needed_program"]
-
 
 def needed_program(name: str, advice: str, *, candidates: Iterable[str | None] = ()) -> str:
     """The path of a program.

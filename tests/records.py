@@ -11,8 +11,6 @@ from typing import Any
 
 from vehanchor import estimate_gsd, measure_area
 
-__all__ = ["KEPT", "SCENES", "records_of"]
-
 _ROOT = Path(__file__).parent.parent
 KEPT = Path(__file__).with_suffix(".json")
 SCENES = sorted((_ROOT / "examples").glob("**/*.jpg"))

@@ -28,18 +28,6 @@ from tests.models import Graph, save_model
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = [
-    "EMPTY",
-    "FULL",
-    "OBJECT",
-    "SamFiles",
-    "keep_weights_beside",
-    "write_efficient_sam",
-    "write_sam",
-    "write_sam2",
-    "write_transformers",
-]
-
 SamFiles = tuple[Path, Path]
 Content = Literal["object", "empty", "full"]
 OBJECT: Content = "object"

@@ -19,22 +19,6 @@ import numpy as np
 
 from vehanchor_scenes import render_scene
 
-__all__ = [
-    "IDLE_S",
-    "SERVE",
-    "HttpServer",
-    "child_processes",
-    "health_times_ms",
-    "http_server",
-    "memory_mib",
-    "middle_box",
-    "processor_s",
-    "resident_mib",
-    "target",
-    "write_images",
-    "write_large_image",
-]
-
 SERVE = [sys.executable, "-c", "import typer; from vehanchor_server.command import serve; typer.run(serve)"]
 START_S = 120
 IDLE_S = 2.0  # by then an idle worker has given back what it does not need

@@ -14,8 +14,6 @@ from vehanchor_scenes.painter import Painter
 from vehanchor_scenes.sprites import Sun
 from vehanchor_scenes.world import Box, Frame, Material, PlacedVehicle, Rgb, Surface, World
 
-__all__ = ["YARDS", "Yard", "paint_yard"]
-
 Yard = Literal["lorries", "buses", "caravans", "containers", "boats", "roof units"]
 YARDS: dict[Yard, tuple[float, float]] = {  # length and width of one, metres
     "lorries": (16.0, 2.55),

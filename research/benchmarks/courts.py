@@ -24,24 +24,24 @@ import numpy as np
 
 from research.results.record import add_record_option, recording, values_table
 from research.training.detector.places import is_held_out, places
-from vehanchor.anchors.courts import Courts, evidence_of
-from vehanchor.anchors.evidence import View
 from vehanchor.courts.find import find_courts
+from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.scene import load_scene_scale
-from vehanchor.detection.sighting import Sighting
+from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.estimate import analyse_scale, image_facts
 from vehanchor.imagery.detail import resolved_share
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
+from vehanchor.rulers.courts import Courts, evidence_of
+from vehanchor.rulers.evidence import View
 from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from vehanchor.detection.card import DetectorCard
-    from vehanchor.imagery.raster import ImageSource
+    from vehanchor.imagery.sources.opening import ImageSource
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
 _SCALES = (0.05, 0.1, 0.15, 0.2, 0.3)
@@ -51,7 +51,7 @@ _FIRST_SEED = 5000  # training has other ones
 _TOLERANCE = 0.1
 _EVERY = 15  # image of val is timed
 _SPORTS = ((0.15, 600), (0.2, 450))
-NOTHING = Sighting(np.zeros((0, 5)), np.zeros(0))
+NOTHING = Detections(np.zeros((0, 5)), np.zeros(0))
 _PARTS = ("tiles", "scenes", "fused", "val", "time", "cpu")
 _HEAD = (
     "| images | n | measured | median error | 90th percentile | worse than 10 % |",
@@ -202,9 +202,9 @@ def added_time(rounds: int) -> list[str]:
     assert network is not None
     for _ in range(rounds):
         with open_raster(image) as raster:
-            sighting = Sighting(np.zeros((0, 5)), np.zeros(0), scene=network.look(raster))
+            detections = Detections(np.zeros((0, 5)), np.zeros(0), scene=network.look(raster))
             started = time.process_time()
-            find_courts(raster, sighting, detector.card)
+            find_courts(raster, detections, detector.card)
             apart.append(time.process_time() - started)
     return values_table(
         {

@@ -23,17 +23,18 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from research.results.record import add_record_option, recording, values_table
-from vehanchor.anchors.evidence import ImageFacts, View
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search as search_image
-from vehanchor.estimate import analyse_scale, analyse_sighting
-from vehanchor.imagery.raster import open_raster
+from vehanchor.estimate import analyse_detections, analyse_scale
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
+from vehanchor.rulers.evidence import ImageFacts, View
 from vehanchor_evaluation.detections import MatchedDetections, average_precision, length_errors, match_detections
 from vehanchor_evaluation.dota import read_labels
-from vehanchor_evaluation.gsd import ScaleTrial, read_table, run_trials, summarise
+from vehanchor_evaluation.gsd import ScaleTrial, run_trials, summarise
+from vehanchor_evaluation.table import read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.card import DetectorCard
-    from vehanchor_evaluation.gsd import KnownScaleImage
+    from vehanchor_evaluation.known_scale import KnownScaleImage
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
 _LABELLED = 5
@@ -80,7 +81,7 @@ def _with_region(trial: ScaleTrial, card: DetectorCard, options: ScaleOptions) -
     facts = ImageFacts(estimate.image_width_px, estimate.image_height_px)
     regional = _in_region(options, trial.image, card)
     return ScaleTrial(
-        trial.image, analyse_sighting(View(facts, before.detections, card, regional, lambda *_: before.resolved))
+        trial.image, analyse_detections(View(facts, before.detections, card, regional, lambda *_: before.resolved))
     )
 
 

@@ -27,21 +27,21 @@ import cv2
 import numpy as np
 
 from research.results.record import add_record_option, recording, values_table
-from vehanchor.anchors.evidence import ImageFacts
-from vehanchor.batch.stored import from_json, to_json
-from vehanchor.detection.sighting import Sighting
+from vehanchor.detection.detections import Detections
 from vehanchor.estimate import open_detector
-from vehanchor.flight.concluding import Failure, conclude_flight
-from vehanchor.flight.estimate import conclude, look_at_flight
+from vehanchor.flight.components import single_component
+from vehanchor.flight.estimate import conclude, search_flight
 from vehanchor.flight.features import Features, find_features
-from vehanchor.flight.islands import single_island
+from vehanchor.flight.inputs import InputPhotograph
+from vehanchor.flight.io import read_record
 from vehanchor.flight.matching import match
 from vehanchor.flight.pairs import candidate_pairs
 from vehanchor.flight.photograph import Look, Photograph, chief_member
-from vehanchor.flight.taken import Taken
-from vehanchor.flight.written import read_record
-from vehanchor.imagery.raster import open_raster
+from vehanchor.flight.record import Failure, conclude_flight
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
+from vehanchor.rulers.evidence import ImageFacts
+from vehanchor.storage.stored import from_json, to_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -93,7 +93,7 @@ def turned(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uin
 
 
 def looked_at(
-    taken: Sequence[Taken], detector: Detector, *, featured: bool = False, cache: Path | None = None
+    taken: Sequence[InputPhotograph], detector: Detector, *, featured: bool = False, cache: Path | None = None
 ) -> list[Photograph]:
     """Search photographs, each only once: a folder keeps the detections by model and pixels."""
     members = []
@@ -105,10 +105,10 @@ def looked_at(
             cache.mkdir(parents=True, exist_ok=True)
             known = cache / f"{key.hexdigest()[:24]}.json"
         if known is None or not known.exists():
-            (seen,) = look_at_flight([Taken(name, pixels)], detector, ScaleOptions())
+            (seen,) = search_flight([InputPhotograph(name, pixels)], detector, ScaleOptions())
             if isinstance(seen, Failure):
                 raise seen.error
-            look = Look.of(seen.view.image, seen.view.sighting, seen.analysis)
+            look = Look.of(seen.view.image, seen.view.detections, seen.analysis)
             if known is not None:
                 known.write_text(json.dumps(to_json(look)))
         else:
@@ -121,8 +121,8 @@ def looked_at(
 
 def pooled_flight(looks: Sequence[Photograph], detector: Detector) -> FlightEstimate:
     """The record of photographs of one scale."""
-    island = single_island(range(len(looks)), chief_member(looks))
-    return conclude_flight(looks, [island], detector.card, same_scale=True)
+    component = single_component(range(len(looks)), chief_member(looks))
+    return conclude_flight(looks, [component], detector.card, same_scale=True)
 
 
 def pooled(data: Path, split: str, flights: int, cache: Path | None) -> None:
@@ -137,7 +137,7 @@ def pooled(data: Path, split: str, flights: int, cache: Path | None) -> None:
         for seed in range(flights):
             rng = np.random.default_rng([seed, 20261121])
             chosen = rng.choice(len(files), min(_PHOTOGRAPHS, len(files)), replace=False)
-            taken = [Taken(str(k), spoiled(turned(read(files[k][0]), rng), rng)[:, :, ::-1]) for k in chosen]
+            taken = [InputPhotograph(str(k), spoiled(turned(read(files[k][0]), rng), rng)[:, :, ::-1]) for k in chosen]
             looks = looked_at(taken, detector, cache=cache)
             rows["unknown"].append(pooled_flight(looks, detector))
             if _REGIONS[name] in detector.card.region_lengths_m:
@@ -145,7 +145,7 @@ def pooled(data: Path, split: str, flights: int, cache: Path | None) -> None:
                 again = [
                     Photograph.of(
                         each.name,
-                        Look.of(each.view.image, each.view.sighting, each.analysis),
+                        Look.of(each.view.image, each.view.detections, each.analysis),
                         detector.card,
                         given,
                     )
@@ -219,12 +219,12 @@ def matched(data: Path, flights: int, cache: Path | None) -> None:
     for number, seed, (name, world) in ((k, seed, each) for k, each in enumerate(mosaics) for seed in range(flights)):
         rng = np.random.default_rng([number, seed, 20261121] if seed else [number, 20261121])
         images, factors = cut_flight(world, rng, _PHOTOGRAPHS)
-        taken = [Taken(str(place), image) for place, image in enumerate(images)]
+        taken = [InputPhotograph(str(place), image) for place, image in enumerate(images)]
         looks = looked_at(taken, detector, featured=True, cache=cache)
         looks = [each if place % 3 == 0 else without_vehicles(each) for place, each in enumerate(looks)]
         record = conclude(looks, detector.card, same_scale=False)
         errors, relative, held = [], [], 0
-        main = [each for each in record.photographs if each.island == 0]
+        main = [each for each in record.photographs if each.component == 0]
         offset = np.median(
             [math.log((each.gsd_m_per_px or math.nan) / (0.2 * factors[int(each.photograph)])) for each in main]
         )
@@ -234,12 +234,12 @@ def matched(data: Path, flights: int, cache: Path | None) -> None:
             truth = 0.2 * factors[int(each.photograph)]
             errors.append(abs(each.gsd_m_per_px / truth - 1))
             held += each.gsd_ci95_low_m_per_px <= truth <= each.gsd_ci95_high_m_per_px
-            if each.island == 0:
+            if each.component == 0:
                 relative.append(abs(math.log(each.gsd_m_per_px / truth) - offset))
         every += errors
         inside, total = inside + held, total + len(errors)
         whole += _islands_held(record, 0.2 * factors)
-        sizes = ", ".join(str(island.n_photographs) for island in record.islands)
+        sizes = ", ".join(str(component.n_photographs) for component in record.components)
         dropped = sum(link.dropped is not None for link in record.links)
         print(
             f"| {name} | {sizes} | {100 * np.median(errors):.1f} % | {100 * np.percentile(errors, 95):.1f} % | "
@@ -255,10 +255,10 @@ def matched(data: Path, flights: int, cache: Path | None) -> None:
 def _islands_held(record: FlightEstimate, truth: NDArray[np.float64]) -> list[bool]:
     """For each component with a scale: whether its interval contains the true scale."""
     held = []
-    for island in record.islands:
-        low, high = island.pooled.gsd_ci95_low_m_per_px, island.pooled.gsd_ci95_high_m_per_px
+    for component in record.components:
+        low, high = component.pooled.gsd_ci95_low_m_per_px, component.pooled.gsd_ci95_high_m_per_px
         if low is not None and high is not None:
-            held.append(low <= float(truth[int(island.reference)]) <= high)
+            held.append(low <= float(truth[int(component.reference)]) <= high)
     return held
 
 
@@ -288,8 +288,8 @@ def cost(number: int) -> None:
         spent = (time.process_time() - begun) / n
         pairs = len(candidate_pairs([each.features for each in photographs if each.features is not None]))
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        islands = ", ".join(str(island.n_photographs) for island in record.islands)
-        print(f"| {n} | {pairs} | {len(record.links)} | {islands} | {spent:.3f} | {peak:.0f} |", flush=True)
+        components = ", ".join(str(component.n_photographs) for component in record.components)
+        print(f"| {n} | {pairs} | {len(record.links)} | {components} | {spent:.3f} | {peak:.0f} |", flush=True)
 
 
 def _made_up(n: int, detector: Detector) -> list[Photograph]:
@@ -310,7 +310,7 @@ def _made_up(n: int, detector: Detector) -> list[Photograph]:
         features = Features(points, descriptors.astype(np.uint8), 4.0)
         boxes = rng.uniform((200, 200), (3800, 2800), (10 if place % 3 == 0 else 0, 2))
         sizes = np.column_stack([rng.normal(90, 8, len(boxes)), np.full(len(boxes), 36.0), np.zeros(len(boxes))])
-        found = Sighting(np.column_stack([boxes, sizes]), np.full(len(boxes), 0.9))
+        found = Detections(np.column_stack([boxes, sizes]), np.full(len(boxes), 0.9))
         look = Look(ImageFacts(4000, 3000), found, 1.0, ())
         photographs.append(Photograph.of(str(place), look, detector.card, ScaleOptions(), features))
     return photographs
@@ -326,7 +326,7 @@ def real(data: Path, written: Path) -> None:
     record = read_record(written)
     with (data / "flights" / "table.csv").open() as file:
         seas = {Path(row["file"]).name: float(row["altitude_above_sea_m"]) for row in csv.DictReader(file)}
-    members = [each for each in record.photographs if each.gsd_m_per_px and each.island == 0]
+    members = [each for each in record.photographs if each.gsd_m_per_px and each.component == 0]
     sea = {each.photograph: seas[Path(each.photograph).name] for each in members}
     scale = {each.photograph: math.log(each.gsd_m_per_px or 1.0) for each in members}
     ground = _ground_height(np.array(list(sea.values())), np.array(list(scale.values())))
@@ -336,9 +336,9 @@ def real(data: Path, written: Path) -> None:
     solved = [
         abs(math.expm1(scale[each.first] - scale[each.second] - up[each.first] + up[each.second])) for each in links
     ]
-    sizes = ", ".join(str(island.n_photographs) for island in record.islands)
+    sizes = ", ".join(str(component.n_photographs) for component in record.components)
     dropped = sum(each.dropped is not None for each in record.links)
-    pooled = record.islands[0].pooled
+    pooled = record.components[0].pooled
     values: dict[str, float | str] = {
         "components, overlaps, dropped": f"{sizes}; {len(record.links)}; {dropped}",
         "scale in the pixels of the reference": f"{pooled.gsd_m_per_px:.4f} m/px "
@@ -392,7 +392,7 @@ def _off_track(record: FlightEstimate, links: Sequence[FlightLink]) -> list[floa
 
 def without_vehicles(look: Photograph) -> Photograph:
     """Remove the vehicles of a photograph."""
-    seen = look.view.sighting
+    seen = look.view.detections
     bare = replace(
         seen,
         boxes=seen.boxes[:0],

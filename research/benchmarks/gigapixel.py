@@ -25,7 +25,7 @@ from research.benchmarks.networks_time import networks_seconds
 from research.results.record import add_record_option, header, recording
 from vehanchor.detection.detector import load_detector
 from vehanchor.estimate import analyse_raster
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 

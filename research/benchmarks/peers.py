@@ -32,7 +32,7 @@ from research.benchmarks.speed import large_scene
 from research.results.record import add_record_option, recording
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search

@@ -31,18 +31,18 @@ import numpy as np
 from research.results.record import add_record_option, recording
 from research.training.detector.distractors import KINDS, draw_distractors
 from research.training.detector.places import Place, is_held_out, looked_at, places
-from vehanchor.anchors.camera import equivalent_lens
-from vehanchor.defaults import CAR_LENGTH_M
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.scene import load_scene_scale
+from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import search
 from vehanchor.estimate import analyse_scale
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Rulers, ScaleOptions, Search
+from vehanchor.rulers.camera import equivalent_lens
+from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor_evaluation.dota import read_labels
-from vehanchor_evaluation.gsd import read_table
+from vehanchor_evaluation.table import read_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

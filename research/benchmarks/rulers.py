@@ -19,14 +19,14 @@ from typing import NamedTuple
 import numpy as np
 
 from research.results.record import add_record_option, recording, values_table
-from vehanchor.anchors.evidence import Evidence
-from vehanchor.anchors.fused import fuse_rulers
-from vehanchor.anchors.stated import stated
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ImageError
 from vehanchor.estimate import analyse_scale
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
+from vehanchor.rulers.evidence import Evidence
+from vehanchor.rulers.fused import fuse_rulers
+from vehanchor.rulers.lognormal import lognormal_evidence
 from vehanchor_evaluation.table import read_table
 from vehanchor_scenes import render_scene
 
@@ -103,7 +103,7 @@ def drawn(rng: np.random.Generator, seen: Seen, case: Case) -> tuple[list[Eviden
         spread, chance_wrong = _STATED[kind]
         lies = kind == case.liar or (case.wrong_at_times and rng.random() < chance_wrong)
         gsd = _lie(rng, truth) if lies else truth * math.exp(rng.normal(0, spread))
-        told.append(stated(kind, gsd, spread, chance_wrong, "{}"))
+        told.append(lognormal_evidence(kind, gsd, spread, chance_wrong, "{}"))
     return told, truth
 
 

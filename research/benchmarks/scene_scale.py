@@ -20,8 +20,8 @@ import numpy as np
 
 from research.results.record import add_record_option, recording
 from vehanchor.detection.boxes import boxes_from_corners
-from vehanchor.detection.scene import SceneScaleNetwork, load_scene_scale
-from vehanchor.imagery.raster import open_raster
+from vehanchor.detection.scene_scale import SceneScaleNetwork, load_scene_scale
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.scale.fusion import credible_interval
 from vehanchor_evaluation.dota import read_labels
 

@@ -17,9 +17,10 @@ import numpy as np
 
 from research.results.record import add_record_option, recording
 from research.training.segmenter.trials import Box, Target, Trial, read_targets, report, run_trial
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_segmenter
-from vehanchor.segmentation.segmenter import Prompt, Segmenter
+from vehanchor.segmentation.prompt import Prompt
+from vehanchor.segmentation.segmenter import Segmenter
 
 if TYPE_CHECKING:
     from collections.abc import Callable

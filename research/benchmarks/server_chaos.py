@@ -36,7 +36,7 @@ from tests.server_process import (
     middle_box,
     target,
 )
-from vehanchor.output import whole_file
+from vehanchor.storage.atomic import whole_file
 from vehanchor_scenes import render_scene
 
 Question: TypeAlias = tuple[str, dict[str, Any]]

@@ -20,21 +20,21 @@ import numpy as np
 
 from research.benchmarks.gigapixel import CELL_PX, GSD_M, SETS, layout, pictures
 from research.results.record import add_record_option, header, recording
-from vehanchor.anchors.evidence import ImageFacts, View
-from vehanchor.anchors.vehicles import Vehicles
+from vehanchor.detection.appearance import FleetAppearance
+from vehanchor.detection.convergence import ANYTIME_PIXELS, next_check, settled, stop_rule
+from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import load_detector
 from vehanchor.detection.levels import search_levels
-from vehanchor.detection.look import FleetLook
-from vehanchor.detection.order import TileOrder, TilePlace, level_shares
-from vehanchor.detection.promise import car_promise, promise_of
+from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_shares
 from vehanchor.detection.search import search
-from vehanchor.detection.sighting import Sighting
-from vehanchor.detection.stopping import ANYTIME_PIXELS, next_check, settled, stop_rule
-from vehanchor.imagery.raster import open_raster
+from vehanchor.detection.tile_prior import car_prior, tile_prior_of
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
-from vehanchor.judgement import judge, standing
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions, Search
+from vehanchor.rulers.decision import convergence, decide
+from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.fusion import GRID
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class Cell(NamedTuple):
     scores: NDArray[Any]
     odds: NDArray[Any]
     lengths: NDArray[Any]
-    promise: float
+    tile_prior: float
 
 
 def searched(images: list[NDArray[Any]], detector: Detector) -> list[Cell]:
@@ -68,10 +68,10 @@ def searched(images: list[NDArray[Any]], detector: Detector) -> list[Cell]:
             if len(found.boxes) and detector.fleet is not None:
                 look = detector.fleet.look(raster, found.boxes)
             else:
-                look = FleetLook(np.zeros(0), np.zeros(0))
+                look = FleetAppearance(np.zeros(0), np.zeros(0))
         assert len(look.log_odds) == len(found.boxes) <= _LOOKS
         coarse = np.asarray(cv2.resize(image, (CELL_PX // 8,) * 2, interpolation=cv2.INTER_AREA), np.uint8)
-        cells.append(Cell(found.boxes, found.scores, look.log_odds, look.log_lengths, car_promise(coarse).item()))
+        cells.append(Cell(found.boxes, found.scores, look.log_odds, look.log_lengths, car_prior(coarse).item()))
     return cells
 
 
@@ -95,7 +95,7 @@ class Mosaic:
         chosen = [
             [among[rng.integers(len(among))] for among in (towns if town else fields for town in row)] for row in where
         ]
-        self.promise = np.array([[cell.promise for cell in row] for row in chosen])
+        self.tile_prior = np.array([[cell.tile_prior for cell in row] for row in chosen])
         self.boxes = np.concatenate(
             [
                 cell.boxes * [1, 1, factor, factor, 1] + [column * CELL_PX, row * CELL_PX, 0, 0, 0]
@@ -110,12 +110,12 @@ class Mosaic:
         )
         self.side = side
 
-    def sighting(self, found: NDArray[Any]) -> Sighting:
+    def detections(self, found: NDArray[Any]) -> Detections:
         """Detections of a search that has found these boxes."""
         kept = np.flatnonzero(found)
         kept = kept[np.argsort(-self.scores[kept], kind="stable")]
-        look = FleetLook(self.odds[kept[:_LOOKS]], self.lengths[kept[:_LOOKS]])
-        return Sighting(self.boxes[kept], self.scores[kept], scales=np.ones(len(kept)), fleet=look)
+        look = FleetAppearance(self.odds[kept[:_LOOKS]], self.lengths[kept[:_LOOKS]])
+        return Detections(self.boxes[kept], self.scores[kept], scales=np.ones(len(kept)), fleet=look)
 
 
 class Outcome(NamedTuple):
@@ -135,8 +135,8 @@ def outcome(mosaic: Mosaic, detector: Detector, options: ScaleOptions) -> Outcom
     places = [TilePlace(level.factor, tile) for level in levels for tile in tile_grid(level.width_px, level.height_px)]
     density = np.exp(-0.5 * ((GRID - math.log(GSD_M)) / _SCENE_LOG_SD) ** 2)
     ranges = {each.factor: (max(card.length_range_px[0], each.shortest_px), each.longest_px) for each in levels}
-    promises = np.array([promise_of(mosaic.promise, place.window, place.factor) for place in places])
-    order = TileOrder(places, promises, level_shares(ranges, density / density.sum()))
+    promises = np.array([tile_prior_of(mosaic.tile_prior, place.window, place.factor) for place in places])
+    order = TileScheduler(places, promises, level_shares(ranges, density / density.sum()))
     rule = stop_rule(options.search, max(side * side, ANYTIME_PIXELS), len(places))
     view = partial(View, ImageFacts(side, side), card=card, options=options, resolved_share=lambda *_: 1.0)
     found, visited, due, checks = np.zeros(len(mosaic.boxes), bool), 0, next_check(0), []
@@ -154,14 +154,16 @@ def outcome(mosaic: Mosaic, detector: Detector, options: ScaleOptions) -> Outcom
             visited += 1
         if rule.share is not None and due <= visited < most:
             due = next_check(visited)
-            checks.append(standing(Vehicles().look(view(sighting=mosaic.sighting(found))), ()))
+            checks.append(convergence(Vehicles().look(view(detections=mosaic.detections(found))), ()))
             done = settled(checks, rule)
-    evidence = Vehicles().look(view(sighting=mosaic.sighting(found)))
-    told = judge(evidence, ())
+    evidence = Vehicles().look(view(detections=mosaic.detections(found)))
+    told = decide(evidence, ())
     if told.gsd_m_per_px is None or told.interval is None:
         return Outcome(visited / len(places), math.nan, False, math.inf, done)
     covered = told.interval.low <= GSD_M <= told.interval.high
-    return Outcome(visited / len(places), told.gsd_m_per_px, covered, standing(evidence, ()).statistical_log_sd, done)
+    return Outcome(
+        visited / len(places), told.gsd_m_per_px, covered, convergence(evidence, ()).statistical_log_sd, done
+    )
 
 
 def main() -> None:

@@ -24,22 +24,22 @@ import numpy as np
 
 from research.benchmarks.flights import read, spoiled
 from research.results.record import add_record_option, recording
-from vehanchor.anchors.attitude import plane_of_record
-from vehanchor.anchors.camera import MAX_OFF_NADIR_DEG, equivalent_lens
-from vehanchor.anchors.evidence import ImageFacts, View
-from vehanchor.anchors.leaning import LEAST_CARS, SURE, lean
-from vehanchor.batch.stored import from_json, to_json
-from vehanchor.detection.scene import load_scene_scale
+from vehanchor.detection.detections import Detections
+from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import search
-from vehanchor.detection.sighting import Sighting
 from vehanchor.errors import TooObliqueError
-from vehanchor.estimate import analyse_sighting, image_facts, open_detector
-from vehanchor.imagery.camera_metadata import CameraMetadata
+from vehanchor.estimate import analyse_detections, image_facts, open_detector
 from vehanchor.imagery.detail import resolved_share
-from vehanchor.imagery.raster import open_raster
-from vehanchor.notices import NoticeCode
+from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
+from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.camera import MAX_OFF_NADIR_DEG, equivalent_lens
+from vehanchor.rulers.evidence import ImageFacts, View
 from vehanchor.scale.plane import GroundPlane
+from vehanchor.storage.stored import from_json, to_json
+from vehanchor.tilt.camera_tilt import plane_of_record
+from vehanchor.tilt.vehicle_cue import LEAST_CARS, SURE, tilt_from_vehicles
 from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.detection.detector import Detector
-    from vehanchor.imagery.raster import ImageSource
+    from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.records import GsdEstimate
 
 _TILTS_DEG = (0.0, 10.0, 15.0, 20.0, 30.0, 40.0, 45.0)
@@ -67,14 +67,14 @@ _CANNES_COLUMNS = 49
 
 
 class Aside(NamedTuple):
-    """A tilted view with its truth; ``sighting`` holds the detections."""
+    """A tilted view with its truth; ``detections`` holds the detections."""
 
     image: NDArray[np.uint8]
     plane: GroundPlane
-    sighting: Sighting
+    detections: Detections
 
 
-def looked_at(image: ImageSource, detector: Detector, cache: Path | None) -> tuple[ImageFacts, Sighting]:
+def looked_at(image: ImageSource, detector: Detector, cache: Path | None) -> tuple[ImageFacts, Detections]:
     """Facts and detections of an image, from the cache if it was searched before."""
     with open_raster(image) as raster:
         facts = image_facts(raster)
@@ -85,11 +85,11 @@ def looked_at(image: ImageSource, detector: Detector, cache: Path | None) -> tup
             return facts, found
         network = load_scene_scale(providers=detector.providers)
         scene = None if network is None else network.look(raster)
-        sighting = search(raster, detector, ScaleOptions().search, scene=scene)
+        detections = search(raster, detector, ScaleOptions().search, scene=scene)
     if known is not None:
         known.parent.mkdir(parents=True, exist_ok=True)
-        known.write_text(json.dumps(to_json(sighting)))
-    return facts, sighting
+        known.write_text(json.dumps(to_json(detections)))
+    return facts, detections
 
 
 def seen_aside(ground: NDArray[np.uint8], plane: GroundPlane, aim: ArrayLike | None = None) -> NDArray[np.uint8]:
@@ -144,9 +144,9 @@ def estimated(
     with open_raster(aside.image) as raster:
         facts = ImageFacts(raster.width_px, raster.height_px, camera=camera)
         share = partial(resolved_share, raster)
-        view = View(facts, aside.sighting, detector.card, options or ScaleOptions(), share, raster)
+        view = View(facts, aside.detections, detector.card, options or ScaleOptions(), share, raster)
         try:
-            return analyse_sighting(view).estimate
+            return analyse_detections(view).estimate
         except TooObliqueError:
             return None
 
@@ -213,7 +213,7 @@ def _row(
     image = np.ascontiguousarray(spoiled(seen_aside(ground, plane), rng)[:, :, ::-1])
     aside = Aside(image, plane, looked_at(image, detector, cache)[1])
     found: dict[str, float] = {}
-    known, unknown = (lean(aside.sighting, *_SIZE, each) for each in (focal, None))
+    known, unknown = (tilt_from_vehicles(aside.detections, *_SIZE, each) for each in (focal, None))
     if known is not None and unknown is not None:
         found |= {"known": abs(known.tilt_deg - tilt), "unknown": abs(unknown.tilt_deg - tilt)}
         found["warned"] = float(unknown.chance_above(MAX_OFF_NADIR_DEG) >= SURE)
@@ -288,7 +288,7 @@ def _court_row(
     plane = GroundPlane(0.1, tilt, focal, *_SIZE, float(rng.uniform(-10, 10)))
     aim = _aim(plane, whole[int(rng.integers(len(whole)))], rng)
     image = np.ascontiguousarray(spoiled(seen_aside(ground, plane, aim), rng)[:, :, ::-1])
-    aside = Aside(image, plane, Sighting(np.zeros((0, 5)), np.zeros(0)))
+    aside = Aside(image, plane, Detections(np.zeros((0, 5)), np.zeros(0)))
     lens = CameraMetadata(focal_px=focal, taken_width_px=_SIZE[0], taken_height_px=_SIZE[1])
     begun = time.process_time()
     record, blind = estimated(aside, lens, detector), estimated(aside, None, detector)
@@ -324,13 +324,13 @@ def real(data: Path, detector: Detector, cache: Path | None) -> None:
     print("|---|---|---|---|---|---|---|---|")
     for row in listed:
         pitch, path = float(row["camera_pitch_deg"]), data / "tilt" / row["file"]
-        facts, sighting = looked_at(path, detector, cache)
-        alone = lean(sighting, facts.width_px, facts.height_px)
+        facts, detections = looked_at(path, detector, cache)
+        alone = tilt_from_vehicles(detections, facts.width_px, facts.height_px)
         said = "-" if alone is None else f"{alone.tilt_deg:.0f} ({alone.low_deg:.0f} to {alone.high_deg:.0f})"
         with open_raster(path) as raster:
-            view = View(facts, sighting, detector.card, ScaleOptions(), partial(resolved_share, raster), raster)
+            view = View(facts, detections, detector.card, ScaleOptions(), partial(resolved_share, raster), raster)
             try:
-                analysis = analyse_sighting(view)
+                analysis = analyse_detections(view)
             except TooObliqueError:
                 print(f"| {pitch} | refused | | {said} | | | | |", flush=True)
                 continue
@@ -351,8 +351,8 @@ def nadir(data: Path, split: str, least: int, detector: Detector, cache: Path | 
     print("|---|---|---|---|---|---|---|---|")
     rows: dict[str, list[dict[str, float]]] = {}
     for name, image in from_above(data, split, least):
-        facts, sighting = looked_at(image, detector, cache)
-        seen = Aside(image, GroundPlane(1.0, 0.0, 1.0, facts.width_px, facts.height_px), sighting)
+        facts, detections = looked_at(image, detector, cache)
+        seen = Aside(image, GroundPlane(1.0, 0.0, 1.0, facts.width_px, facts.height_px), detections)
         lens = equivalent_lens(facts.width_px, facts.height_px, _FOCALS_35MM[1]).pixels
         known = CameraMetadata(focal_px=lens, taken_width_px=facts.width_px, taken_height_px=facts.height_px)
         found: dict[str, float] = {}
@@ -362,7 +362,7 @@ def nadir(data: Path, split: str, least: int, detector: Detector, cache: Path | 
             found[key + "tilt"] = float(record is None or (tilt is not None and tilt.tilt_deg > _TAKEN_FOR_TILTED_DEG))
             codes = [] if record is None else [each.code for each in record.warnings]
             found[key + "warned"] = float(NoticeCode.TILT_SUSPECTED in codes)
-        alone = lean(sighting, facts.width_px, facts.height_px)
+        alone = tilt_from_vehicles(detections, facts.width_px, facts.height_px)
         rows.setdefault(name, []).append(found | ({} if alone is None else {"alone": alone.tilt_deg}))
     rows["all"] = [each for found in rows.values() for each in found]
     for name, images in rows.items():

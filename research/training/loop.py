@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from vehanchor.output import whole_file
+from vehanchor.storage.atomic import whole_file
 
 _CLIP_NORM = 5.0
 _CHECKPOINT = "checkpoint.pt"

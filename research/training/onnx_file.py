@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import onnx
 import torch
 
-from vehanchor.output import whole_file
+from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

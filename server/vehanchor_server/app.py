@@ -22,8 +22,6 @@ from vehanchor_server.settings import Settings
 from vehanchor_server.tools.registry import create_tools
 from vehanchor_server.tools.strict_tool import StrictTool
 
-__all__ = ["create_server"]
-
 _FIXED: tuple[CacheableMethod, ...] = ("tools/list", "resources/list", "resources/read")
 _LIST_TTL_MS = 3_600_000  # they change with the server's version only
 

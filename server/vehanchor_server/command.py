@@ -14,9 +14,7 @@ import typer
 from vehanchor_server.settings import Settings, SettingsError
 
 if TYPE_CHECKING:
-    from vehanchor.choices import Choice
-
-__all__ = ["schemas", "serve", "skill", "view"]
+    from vehanchor.options.fields import Choice
 
 _VIEWED_WITH = (  # settings that are options of ``view``, too
     "detector",

@@ -24,8 +24,6 @@ from __future__ import annotations
 
 from mcp.server.mcpserver.exceptions import ToolError
 
-__all__ = ["CallError", "shortened"]
-
 _SHOWN_CHARS = 80
 
 

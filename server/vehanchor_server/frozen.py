@@ -6,8 +6,6 @@ from typing import Annotated, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Strict
 
-__all__ = ["Flag", "FrozenModel", "Number", "WholeNumber"]
-
 Number: TypeAlias = Annotated[float, Strict()]
 """A number, and nothing that might be read as one: ``true`` is no metre."""
 

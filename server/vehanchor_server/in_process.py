@@ -12,7 +12,7 @@ from mcp import Client
 from mcp.types import TextContent
 
 from vehanchor_server.app import create_server
-from vehanchor_server.calls.short import GIVE_BACK
+from vehanchor_server.calls.compact import GIVE_BACK
 from vehanchor_server.schemas import anthropic_definition, openai_definition
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mcp.types import CallToolResult
-
-__all__ = ["InProcessTools", "open_tools"]
 
 _FOR_DRAWING = ("outline",)  # hundreds of numbers that tell a model nothing
 

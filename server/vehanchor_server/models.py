@@ -15,7 +15,7 @@ from vehanchor.models.zoo import (
     fleet_beside,
     resolve_model,
     resolve_segmenter,
-    second_look_beside,
+    verifier_beside,
 )
 from vehanchor_server.errors import CallError
 
@@ -29,14 +29,12 @@ if TYPE_CHECKING:
     from vehanchor.segmentation.segmenter import Segmenter
     from vehanchor_server.settings import Settings
 
-__all__ = ["SLOW_IMPORTS", "Models"]
-
 T = TypeVar("T")
 
 SLOW_IMPORTS = (
     "vehanchor_server.tools.registry",
     "vehanchor_server.calls.overlay",
-    "vehanchor.measure",
+    "vehanchor.measure.area",
     "vehanchor.pictures.area",
     "vehanchor.detection.detector",
     "vehanchor.segmentation.segmenter",
@@ -123,7 +121,7 @@ class Models:
         for resolve in (lambda: (self._detector_file(),), lambda: resolve_segmenter(settings.segmenter)):
             with contextlib.suppress(VehAnchorError):  # loading will say what is missing
                 found += resolve()
-        beside = [other for path in found[:1] for other in (fleet_beside(path), second_look_beside(path)) if other]
+        beside = [other for path in found[:1] for other in (fleet_beside(path), verifier_beside(path)) if other]
         found += [*beside, *([settings.calibration] if settings.calibration is not None else [])]
         for path in [path for path in found if path.suffix == ".onnx"]:
             with contextlib.suppress(VehAnchorError):

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["JsonFormatter", "RepeatLimit", "configure_logging", "log_call"]
-
 _logger = logging.getLogger("vehanchor_server.calls")
 
 

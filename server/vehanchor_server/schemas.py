@@ -18,8 +18,6 @@ from vehanchor_server.tools.portable_schema import portable_schema
 from vehanchor_server.tools.registry import create_tools
 from vehanchor_server.tools.strict_tool import StrictTool
 
-__all__ = ["anthropic_definition", "openai_definition", "schema_files", "write_schemas"]
-
 _NOT_IN_STRICT_MODE = ("default", "minLength", "maxLength", "minProperties", "maxProperties")
 
 

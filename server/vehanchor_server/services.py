@@ -11,12 +11,10 @@ from vehanchor_server.calls.capacity import Capacity
 from vehanchor_server.calls.worker_process import WorkerLimits
 from vehanchor_server.calls.workers import WorkerPool
 from vehanchor_server.images.fetch import Fetcher
-from vehanchor_server.images.sandbox import Sandbox
+from vehanchor_server.images.path_access import Sandbox
 from vehanchor_server.images.source import ImageSources
 from vehanchor_server.models import Models
 from vehanchor_server.settings import Settings
-
-__all__ = ["Services", "create_services"]
 
 
 @dataclass(frozen=True)

@@ -17,14 +17,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import urlsplit
 
-from vehanchor.choices import choice
 from vehanchor.models.precision import Precision
 from vehanchor.options import DECODED_BYTES_PER_PIXEL, Effort, ImageLimits
+from vehanchor.options.fields import choice
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-__all__ = ["Settings", "SettingsError", "variable_name"]
 
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _EVERYWHERE = ("0.0.0.0", "::")

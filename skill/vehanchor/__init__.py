@@ -17,12 +17,14 @@ from typing import TYPE_CHECKING, Any
 from vehanchor.errors import VehAnchorError
 
 if TYPE_CHECKING:
+    from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.batch.files import find_images
     from vehanchor.detection.detector import Detector
-    from vehanchor.distance import DistanceAnalysis, analyse_distance, measure_distance
-    from vehanchor.estimate import ScaleAnalysis, analyse_scale, estimate_gsd
+    from vehanchor.estimate import analyse_scale, estimate_gsd
     from vehanchor.flight.estimate import estimate_flight
-    from vehanchor.measure import AreaAnalysis, analyse_area, measure_area
+    from vehanchor.measure.area import analyse_area, measure_area
+    from vehanchor.measure.distance import analyse_distance, measure_distance
     from vehanchor.options import Frame, ImageLimits, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, KnownScale
     from vehanchor.scale.calibration import Calibration, load_calibration
@@ -33,10 +35,10 @@ if TYPE_CHECKING:
 _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
     "batch.files": ("find_images",),
     "detection.detector": ("Detector",),
-    "distance": ("DistanceAnalysis", "analyse_distance", "measure_distance"),
+    "measure.distance": ("DistanceAnalysis", "analyse_distance", "measure_distance"),
     "estimate": ("ScaleAnalysis", "analyse_scale", "estimate_gsd"),
     "flight.estimate": ("estimate_flight",),
-    "measure": ("AreaAnalysis", "analyse_area", "measure_area"),
+    "measure.area": ("AreaAnalysis", "analyse_area", "measure_area"),
     "options": ("Frame", "ImageLimits", "Lengths", "Reading", "Reference", "Rulers", "ScaleOptions", "Search"),
     "records": ("AreaMeasurement", "DistanceMeasurement", "FlightEstimate", "GsdEstimate", "KnownScale"),
     "scale.calibration": ("Calibration", "load_calibration"),

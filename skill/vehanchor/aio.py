@@ -12,15 +12,17 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import anyio
 import anyio.to_thread
 
-from vehanchor import distance, estimate, measure
+from vehanchor import estimate
+from vehanchor.measure import area, distance
 from vehanchor.models.session import stoppable
 from vehanchor.options import ScaleOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from vehanchor.imagery.raster import ImageSource
-    from vehanchor.pointing import Place
+    from vehanchor.analysis.measured import DistanceAnalysis
+    from vehanchor.imagery.sources.opening import ImageSource
+    from vehanchor.measure.coordinates import Place
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 
 __all__ = ["estimate_gsd", "measure_area", "measure_distance"]
@@ -40,13 +42,13 @@ async def estimate_gsd(image: ImageSource, **keywords: Any) -> GsdEstimate:
 
 async def measure_area(image: ImageSource, **keywords: Any) -> AreaMeasurement:
     """Measure an area; the keywords, the record and the errors are those of ``vehanchor.measure_area``."""
-    return (await _ended_with_its_caller(measure.analyse_area, image, keywords)).measurement
+    return (await _ended_with_its_caller(area.analyse_area, image, keywords)).measurement
 
 
 async def measure_distance(image: ImageSource, path: Sequence[Place], **keywords: Any) -> DistanceMeasurement:
     """Measure a distance; the keywords, the record and the errors are those of ``vehanchor.measure_distance``."""
 
-    def analyse(image: ImageSource, options: ScaleOptions, **apart: Any) -> distance.DistanceAnalysis:
+    def analyse(image: ImageSource, options: ScaleOptions, **apart: Any) -> DistanceAnalysis:
         return distance.analyse_distance(image, path, options, **apart)
 
     return (await _ended_with_its_caller(analyse, image, keywords)).measurement

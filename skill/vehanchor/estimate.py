@@ -15,30 +15,30 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from vehanchor.anchors.agreement import disagreements
-from vehanchor.anchors.attitude import attitude, known_plane, levelled, tilt_record
-from vehanchor.anchors.evidence import ImageFacts, View
-from vehanchor.anchors.leaning import leaning_notice
-from vehanchor.anchors.registry import OTHER_ANCHORS
-from vehanchor.anchors.scene_scale import SceneScale
-from vehanchor.anchors.tilt import expected_scale, joint_attitude, on_the_plane
-from vehanchor.anchors.vehicles import Vehicles
+from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector, load_detector
-from vehanchor.detection.scene import load_scene_scale
+from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import search
-from vehanchor.detection.sighting import Sighting
-from vehanchor.exhibits import ScaleAnalysis
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.identity import image_id
-from vehanchor.imagery.raster import can_be_read_again, open_raster
-from vehanchor.judgement import judge, standing
+from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
 from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.session import named_providers
 from vehanchor.models.zoo import bundled_courts, bundled_scene_scale, resolve_model
-from vehanchor.notices import NoticeCode
 from vehanchor.options import ScaleOptions
 from vehanchor.records import FrameScale, GsdEstimate, KnownScale, Notice, RulerScale, SceneScaleEstimate
-from vehanchor.scale.reference import reference_length
+from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.agreement import disagreements
+from vehanchor.rulers.decision import convergence, decide
+from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.reference import reference_length
+from vehanchor.rulers.registry import OTHER_RULERS
+from vehanchor.rulers.scene_scale import SceneScale
+from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.tilt.camera_tilt import known_plane, metadata_tilt, rectified, tilt_record
+from vehanchor.tilt.estimate import estimate_tilt, expected_scale, on_the_plane
+from vehanchor.tilt.vehicle_cue import tilt_notice
 
 if TYPE_CHECKING:
     import os
@@ -48,31 +48,17 @@ if TYPE_CHECKING:
 
     import onnxruntime
 
-    from vehanchor.anchors.attitude import Attitude
-    from vehanchor.anchors.evidence import Evidence
-    from vehanchor.anchors.fused import RulerShare
-    from vehanchor.anchors.vehicles import VehicleEvidence
     from vehanchor.detection.card import DetectorCard
-    from vehanchor.detection.stopping import Standing
-    from vehanchor.imagery.raster import ImageSource, Raster
+    from vehanchor.detection.convergence import Convergence
+    from vehanchor.imagery.raster import Raster
+    from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import Frame, OptionKeywords
+    from vehanchor.rulers.evidence import Evidence
+    from vehanchor.rulers.fused import RulerShare
+    from vehanchor.rulers.vehicles import VehicleEvidence
+    from vehanchor.tilt.camera_tilt import CameraTilt
 
-__all__ = [
-    "ScaleAnalysis",
-    "analyse_raster",
-    "analyse_scale",
-    "analyse_sighting",
-    "conclude",
-    "estimate_gsd",
-    "frame_scale",
-    "georeference_notice",
-    "image_facts",
-    "image_notices",
-    "networks_sha256",
-    "open_detector",
-]
-
-_NOT_SEARCHED = Sighting(np.zeros((0, 5)), np.zeros(0), 0, n_tiles_total=0)
+_NOT_SEARCHED = Detections(np.zeros((0, 5)), np.zeros(0), 0, n_tiles_total=0)
 _MODEL_DIGITS = 12
 GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale may differ by this from another before a warning
 
@@ -208,7 +194,7 @@ def analyse_raster(
     options.frame.check(raster.width_px, raster.height_px)
     options = options.in_pixels(raster.width_px, raster.height_px)
     facts = image_facts(raster)
-    aside = attitude(facts, options)  # a horizon in sight is refused before the work
+    aside = metadata_tilt(facts, options)  # a horizon in sight is refused before the work
     weighed = detector.card.votes or not options.rulers.uses(Vehicles.kind)  # else there is nothing to weigh it against
     looks = weighed and options.rulers.uses(SceneScale.kind)
     network = load_scene_scale(threads=detector.threads, providers=detector.providers) if looks else None
@@ -216,23 +202,23 @@ def analyse_raster(
     nothing_yet, resolved = replace(_NOT_SEARCHED, scene=scene), partial(resolved_share, raster)
     view = View(facts, nothing_yet, detector.card, options, resolved, raster, detector.providers, run_options)
     if options.rulers.searches:
-        sighting = search(
+        detections = search(
             raster,
             detector,
             options.search,
             scene=scene,
-            standing=None if aside else partial(_standing, view),  # lengths differ over a view that is not level
+            convergence=None if aside else partial(_convergence, view),  # lengths differ over a view that is not level
             progress=progress,
             run_options=run_options,
         )
-        view = replace(view, sighting=sighting)
-    return analyse_sighting(view)
+        view = replace(view, detections=detections)
+    return analyse_detections(view)
 
 
-def _standing(view: View, sighting: Sighting) -> Standing:
+def _convergence(view: View, detections: Detections) -> Convergence:
     """Say whether what was found so far would do."""
-    view = replace(view, sighting=sighting)
-    return standing(Vehicles().look(view), (SceneScale().look(view),))
+    view = replace(view, detections=detections)
+    return convergence(Vehicles().look(view), (SceneScale().look(view),))
 
 
 def image_facts(raster: Raster) -> ImageFacts:
@@ -252,7 +238,7 @@ def image_notices(raster: Raster) -> tuple[Notice, ...]:
     return tuple(Notice(code=note.code, message=note.message) for note in raster.warnings)
 
 
-def analyse_sighting(view: View, others: Sequence[Evidence] | None = None, *, level: bool = True) -> ScaleAnalysis:
+def analyse_detections(view: View, others: Sequence[Evidence] | None = None, *, level: bool = True) -> ScaleAnalysis:
     """As ``analyse_raster``, of an image that has been searched: one search can serve several options.
 
     Args:
@@ -265,21 +251,21 @@ def analyse_sighting(view: View, others: Sequence[Evidence] | None = None, *, le
         CalibrationMismatchError: the calibration was made for another model.
         TooObliqueError: the horizon is in sight, or nearly so.
     """
-    rulers, aside = view.options.rulers, attitude(view.image, view.options)
+    rulers, aside = view.options.rulers, metadata_tilt(view.image, view.options)
     said = aside if level else None
     if said is not None:  # the network of the ground was never shown such a view
-        view = replace(view, sighting=replace(view.sighting, scene=None))
+        view = replace(view, detections=replace(view.detections, scene=None))
     if others is None:
-        others = tuple(ruler.look(view) for ruler in OTHER_ANCHORS if rulers.uses(ruler.kind))
-    looked, seen = joint_attitude(said, view, others) if level else None, view
+        others = tuple(ruler.look(view) for ruler in OTHER_RULERS if rulers.uses(ruler.kind))
+    looked, seen = estimate_tilt(said, view, others) if level else None, view
     if looked is not None:
         others = on_the_plane(others, looked, view)
-        seen = replace(view, sighting=levelled(view.sighting, looked, view.image))
+        seen = replace(view, detections=rectified(view.detections, looked, view.image))
     expected = None if looked is None and aside is None else expected_scale(others)
     used = rulers.uses(Vehicles.kind)
-    vehicles = Vehicles(expected).look(seen if used else replace(view, sighting=_NOT_SEARCHED))
+    vehicles = Vehicles(expected).look(seen if used else replace(view, detections=_NOT_SEARCHED))
     estimate = conclude(vehicles, others, view, looked, placed=level)
-    in_image = view.sighting if looked is not None and used else None
+    in_image = view.detections if looked is not None and used else None
     return ScaleAnalysis(estimate, vehicles, tuple(others), in_image)
 
 
@@ -287,7 +273,7 @@ def conclude(
     vehicles: VehicleEvidence,
     others: Sequence[Evidence],
     view: View,
-    looked: Attitude | None = None,
+    looked: CameraTilt | None = None,
     *,
     placed: bool = True,
 ) -> GsdEstimate:
@@ -300,32 +286,32 @@ def conclude(
         looked: where the camera looked aside; None where it looked down, or nobody knows.
         placed: whether vehicles are where they were seen: those of many photographs put together are not.
     """
-    image, judgement = view.image, judge(vehicles, others)
-    gsd, interval = judgement.gsd_m_per_px, judgement.interval
+    image, decision = view.image, decide(vehicles, others)
+    gsd, interval = decision.gsd_m_per_px, decision.interval
     warnings = [*image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
-    warnings += leaning_notice(view) if placed and looked is None and vehicles.n else []
-    warnings += disagreements((vehicles, *others), [ruler.kind for ruler in judgement.rulers if not ruler.agrees])
+    warnings += tilt_notice(view) if placed and looked is None and vehicles.n else []
+    warnings += disagreements((vehicles, *others), [ruler.kind for ruler in decision.rulers if not ruler.agrees])
     if gsd is not None:
         who_says = "the vehicles say" if gsd == vehicles.gsd_m_per_px else "the rulers say"
         warnings += georeference_notice(image.georeference_gsd_m_per_px, gsd, who_says)
     return GsdEstimate(
-        status="no_anchor" if gsd is None else "low_confidence" if judgement.reason else "ok",
+        status="no_scale" if gsd is None else "low_confidence" if decision.reason else "ok",
         gsd_m_per_px=gsd,
-        confidence=judgement.confidence,
+        confidence=decision.confidence,
         n_vehicles=vehicles.n,
         mode_length_px=vehicles.mode_length_px,
         gsd_ci95_low_m_per_px=interval and interval.low,
         gsd_ci95_high_m_per_px=interval and interval.high,
-        p_within_20=judgement.p_within_20,
-        reason=judgement.reason,
+        p_within_20=decision.p_within_20,
+        reason=decision.reason,
         scene_scale=next((_scene_scale(other) for other in others if other.kind == SceneScale.kind), None),
-        scale_source=judgement.source,
-        rulers=tuple(_ruler_scale(share) for share in judgement.rulers),
-        n_detections=len(vehicles.fleet.sighting.boxes),
+        leading_ruler=decision.source,
+        rulers=tuple(_ruler_scale(share) for share in decision.rulers),
+        n_detections=len(vehicles.fleet.detections.boxes),
         working_scale=vehicles.fleet.working_scale,
-        tiles_searched=view.sighting.n_tiles,
-        tiles_total=view.sighting.n_tiles_total or view.sighting.n_tiles,
-        stopped_because=view.sighting.stopped_because,
+        tiles_searched=view.detections.n_tiles,
+        tiles_total=view.detections.n_tiles_total or view.detections.n_tiles,
+        stopped_because=view.detections.stopped_because,
         aggregation=vehicles.aggregation,
         reference_length_m=vehicles.reference.length_m,
         reference_source=vehicles.reference.source,
@@ -336,7 +322,7 @@ def conclude(
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
         tilt=None if looked is None else tilt_record(looked, image, gsd),
         frame=frame_scale(view.options.frame, image.width_px, gsd, interval),
-        scale=_known_scale(view, gsd, interval, judgement.confidence, looked),
+        scale=_known_scale(view, gsd, interval, decision.confidence, looked),
         model=view.card.name,
         model_sha256=view.card.sha256,
         warnings=tuple(warnings),
@@ -353,7 +339,7 @@ def _ruler_scale(share: RulerShare) -> RulerScale:
             "n": share.n,
             "weight": share.weight,
             "agrees": share.agrees,
-            "says": share.says,
+            "explanation": share.explanation,
         }
     )
 
@@ -369,7 +355,7 @@ def networks_sha256(card: DetectorCard) -> str:
     What was found with some of them replaced is not the same any more.
     """
     digest = hashlib.sha256()
-    for checksum in (card.sha256, card.fleet_sha256, card.second_look_sha256):
+    for checksum in (card.sha256, card.fleet_sha256, card.verifier_sha256):
         digest.update(f"{checksum}\n".encode())
     for path in (bundled_scene_scale(), bundled_courts()):
         digest.update(models_sha256(read_model(path)).encode() if path else b"\n")
@@ -377,7 +363,7 @@ def networks_sha256(card: DetectorCard) -> str:
 
 
 def _known_scale(
-    view: View, gsd: float | None, interval: tuple[float, float] | None, confidence: float, looked: Attitude | None
+    view: View, gsd: float | None, interval: tuple[float, float] | None, confidence: float, looked: CameraTilt | None
 ) -> KnownScale | None:
     """The scale as it can be given back; None where there is none, or where nobody looked at the image's pixels."""
     if gsd is None or interval is None or not view.image.image_id:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from vehanchor.defaults import Aggregation
 from vehanchor.detection.card import REFERENCE_LENGTH_M
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options import Reference
+from vehanchor.scale.defaults import Aggregation
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES
 from vehanchor_evaluation.gsd import ErrorRow, ScaleTrial
 from vehanchor_evaluation.search import ABLATION_ALPHAS
@@ -19,12 +19,10 @@ from vehanchor_evaluation.search import ABLATION_ALPHAS
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.options import ScaleOptions
     from vehanchor_evaluation.gsd import ScaleBenchmark
     from vehanchor_evaluation.known_scale import KnownScaleImage
-
-__all__ = ["AblationReport", "AblationRow", "ablate"]
 
 Boxes = Literal["detector", "labels"]
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
     from pathlib import Path
 
-__all__ = ["GROUP", "ToolCaller", "ToolsFactory", "open_agent_tools"]
-
 GROUP = "vehanchor.agent_tools"
 
 

@@ -20,13 +20,13 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from vehanchor.batch.journal import Journal, Key, Source
 from vehanchor.batch.pool import finished_in_threads
 from vehanchor.errors import VehAnchorError
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ImageLimits
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
-from vehanchor.segmentation.segmenter import Prompt
+from vehanchor.segmentation.prompt import Prompt
+from vehanchor.storage.journal import Journal, Key, Source
 from vehanchor_evaluation.area_errors import AreaErrors, area_errors
 from vehanchor_evaluation.known_scale import FileIssue
 
@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from vehanchor.records import GsdEstimate
     from vehanchor.segmentation.segmenter import Segmentation, Segmenter
     from vehanchor_evaluation.rs_gsd import Benchmark, BenchmarkEntry
-
-__all__ = ["AreaTrial", "MaskLog", "MaskTrial", "area_trials", "open_mask_log", "segment_entries", "summarise_area"]
 
 
 class MaskTrial(BaseModel):

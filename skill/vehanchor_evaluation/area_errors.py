@@ -11,8 +11,6 @@ from pydantic import BaseModel, ConfigDict, Field
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["AreaErrors", "CategoryErrors", "area_errors", "relative_error"]
-
 NO_ANSWER = 1.0  # no scale, no mask or no number counts as an error of 100 %
 
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.known_scale import FileIssue
     from vehanchor_evaluation.rs_gsd import Benchmark
 
-__all__ = ["AreaReport", "area_markdown", "area_report", "write_area_report"]
-
 
 class AreaReport(BaseModel):
     """The findings of a run, and what they depend on."""

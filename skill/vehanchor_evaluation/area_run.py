@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.rs_gsd import BenchmarkEntry
     from vehanchor_evaluation.search import SearchedImage
 
-__all__ = ["AreaRun", "measure_benchmark"]
-
 
 @dataclass(frozen=True)
 class AreaRun:

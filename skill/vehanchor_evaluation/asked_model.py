@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import cv2
 import numpy as np
 
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.pictures.scale import read_reduced
 from vehanchor_evaluation.known_scale import DATASET_LIMITS
 from vehanchor_evaluation.questions import Outcome, judge_answer
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.agent_tools import ToolCaller
     from vehanchor_evaluation.questions import Question
     from vehanchor_evaluation.vlm_api import ModelApi
-
-__all__ = ["ModelAnswers", "ask_model", "read_answer"]
 
 SYSTEM = (
     "You answer questions about overhead images. If there is no answer that one could act on, say so instead of "

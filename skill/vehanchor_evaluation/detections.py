@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["LengthError", "MatchedDetections", "average_precision", "length_errors", "match_detections"]
-
 HIT_IOU = 0.5
 IGNORED_SHARE = 0.5  # a detection with so much of its area on a box to ignore is neither hit nor false alarm
 

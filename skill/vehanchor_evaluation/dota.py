@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["SMALL_VEHICLE", "DotaLabels", "labelled_boxes", "parse_labels", "read_labels", "survey_dota"]
-
 SMALL_VEHICLE = "small-vehicle"
 _HORIZONTAL = re.compile(r"hbb|task2|reclabel", re.IGNORECASE)  # folders of upright boxes: their lengths are not cars'
 _SHOWN_PROBLEMS = 3

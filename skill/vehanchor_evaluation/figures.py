@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.pictures.plot import require_plots
 from vehanchor.pictures.scale import caption_panel, draw_vehicles, fit_for_eyes, read_reduced
 from vehanchor.scale.calibration import length_density
@@ -26,18 +26,6 @@ if TYPE_CHECKING:
 
     from vehanchor.scale.calibration import Calibration, SurveyedImage
     from vehanchor_evaluation.gsd import ScaleTrial
-
-__all__ = [
-    "SheetCell",
-    "draw_sheet",
-    "interval_coverage",
-    "plot_calibration",
-    "plot_cumulative_error",
-    "plot_predicted",
-    "plot_reference_length",
-    "sheet_cell",
-    "sheet_trials",
-]
 
 _BLUE, _ORANGE, _GREEN, _RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"  # Okabe and Ito
 _INK, _GREY = "#222222", "0.6"

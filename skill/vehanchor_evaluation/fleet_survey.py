@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.known_scale import KnownScaleSet
     from vehanchor_evaluation.search import SearchedImage
 
-__all__ = ["FleetSurvey", "calibrate_found", "calibrate_labelled", "found_vehicles", "labelled_vehicles"]
-
 
 class FleetSurvey(NamedTuple):
     """Vehicles of known scale, and the files that could not be used."""

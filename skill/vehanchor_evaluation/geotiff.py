@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import VehAnchorError
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_evaluation.known_scale import (
     DATASET_LIMITS,
     FileIssue,
@@ -19,14 +19,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-__all__ = ["survey_geotiffs"]
-
 
 def survey_geotiffs(paths: Sequence[Path]) -> KnownScaleSet:
     """Read the true scale of orthophotos from their georeference, at their centre.
 
     Pixels in degrees are taken at their latitude, and Mercator's stretched metres by its cosine: see
-    ``vehanchor.imagery.georeference``.
+    ``vehanchor.imagery.metadata.georeference``.
 
     Args:
         paths: files, and folders to search for images.

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from vehanchor.anchors.evidence import ImageFacts
-from vehanchor.detection.sighting import Sighting
-from vehanchor.estimate import ScaleAnalysis, analyse_scale, open_detector
+from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.detection.detections import Detections
+from vehanchor.estimate import analyse_scale, open_detector
 from vehanchor.options import Reference, ScaleOptions
+from vehanchor.rulers.evidence import ImageFacts
 from vehanchor.scale.lengths import kde_mode
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor_evaluation.dota import SMALL_VEHICLE, labelled_boxes
 from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet, naming
 from vehanchor_evaluation.search import SearchedImage
-from vehanchor_evaluation.table import read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -29,24 +29,6 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
-
-__all__ = [
-    "HIGH_ERROR",
-    "ErrorRow",
-    "ErrorSummary",
-    "KnownScaleImage",
-    "ScaleBenchmark",
-    "ScaleReport",
-    "ScaleTrial",
-    "benchmark_scale",
-    "check_options",
-    "read_table",
-    "report_scale",
-    "run_trials",
-    "summarise",
-    "summarise_errors",
-    "with_regions",
-]
 
 HIGH_ERROR = 0.20  # paper: 51 of 306 "high-error images" is what an error above 20 % gives
 
@@ -236,7 +218,7 @@ def benchmark_scale(
             issues.append(FileIssue(image.labels, "unreadable_labels", str(error), skipped=False))
             continue
         facts = ImageFacts(found.image.width_px, found.image.height_px)
-        labelled = SearchedImage(Sighting(boxes, np.ones(len(boxes))), facts)
+        labelled = SearchedImage(Detections(boxes, np.ones(len(boxes))), facts)
         with naming(image.labels):
             baseline.append(ScaleTrial(image, labelled.analysis(detector, label_options_of(image)), labelled))
     return ScaleBenchmark(data, detector, tuple(trials), tuple(baseline), tuple(issues), options_of, label_options_of)

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["AnnotatedImage", "InstanceMask", "decode_segmentation", "read_pixels", "split_instances"]
-
 
 @dataclass(frozen=True, eq=False)
 class InstanceMask:

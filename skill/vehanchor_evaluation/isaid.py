@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 
     from vehanchor_evaluation.known_scale import KnownScaleSet
 
-__all__ = ["CATEGORY_RGB", "find_annotated_images", "instance_numbers", "read_instances"]
-
 ID_SUFFIX, COLOUR_SUFFIX = "_instance_id_RGB.png", "_instance_color_RGB.png"
 UNLABELLED = "unlabelled"
 CATEGORY_RGB = {  # helpers/labels.py of the development kit

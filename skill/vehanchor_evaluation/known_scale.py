@@ -13,18 +13,6 @@ from vehanchor.options import ImageLimits
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = [
-    "DATASET_LIMITS",
-    "IMAGE_SUFFIXES",
-    "FileIssue",
-    "KnownScaleImage",
-    "KnownScaleSet",
-    "files_of",
-    "image_files",
-    "labels_beside",
-    "naming",
-]
-
 DATASET_LIMITS = ImageLimits(max_bytes=2 << 30, max_pixels=500_000_000)
 """Benchmark images are the user's own, not a stranger's: DOTA's largest have 20,000 x 20,000 px."""
 

@@ -6,12 +6,12 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, get_args
 
-from vehanchor.anchors.vehicles import Vehicles
 from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.estimate import analyse_raster
-from vehanchor.imagery.raster import open_raster
-from vehanchor.ruler_options import RulerName
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.options.rulers import RulerName
+from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.lengths import Z95
 from vehanchor_evaluation.known_scale import (
     DATASET_LIMITS,
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from vehanchor.batch.known_lengths import KnownLengthTable
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
-
-__all__ = ["survey_photographs"]
 
 _WITNESS = "scene_scale"
 

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_evaluation.known_scale import DATASET_LIMITS
 
 if TYPE_CHECKING:
@@ -27,18 +27,6 @@ if TYPE_CHECKING:
 
     from vehanchor_evaluation.agent_tools import ToolCaller
     from vehanchor_evaluation.known_scale import KnownScaleImage
-
-__all__ = [
-    "Outcome",
-    "PlannerScore",
-    "Question",
-    "ask_blindly",
-    "ask_with_tools",
-    "judge_answer",
-    "questions_of_photographs",
-    "read_questions",
-    "score",
-]
 
 Kind: TypeAlias = Literal["distance", "area", "fit"]
 Verdict: TypeAlias = Literal["right", "wrong", "no answer"]

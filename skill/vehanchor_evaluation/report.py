@@ -7,7 +7,7 @@ import io
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import OutputError
-from vehanchor.output import whole_file
+from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -18,17 +18,6 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.ablation import AblationReport
     from vehanchor_evaluation.gsd import ScaleBenchmark, ScaleReport, ScaleTrial
     from vehanchor_evaluation.known_scale import FileIssue
-
-__all__ = [
-    "ablation_markdown",
-    "markdown_table",
-    "percent",
-    "scale_markdown",
-    "write_issues",
-    "write_results",
-    "write_table",
-    "write_trials",
-]
 
 _SHORT_SHA = 12
 _LISTED_LENGTHS = 5  # more reference lengths are given as their range

@@ -21,8 +21,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from vehanchor.errors import InvalidParameterError, OutputError
-from vehanchor.output import whole_file
 from vehanchor.records import BoundingBox
+from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation import isaid, segments
 from vehanchor_evaluation.dota import survey_dota
 from vehanchor_evaluation.instance_masks import read_pixels
@@ -34,18 +34,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor_evaluation.instance_masks import AnnotatedImage
-
-__all__ = [
-    "CATEGORIES",
-    "DEFAULT_ENTRIES",
-    "Benchmark",
-    "BenchmarkEntry",
-    "Recipe",
-    "build_benchmark",
-    "load_benchmark",
-    "open_benchmark",
-    "quotas",
-]
 
 DEFAULT_ENTRIES = 100
 CATEGORIES = (

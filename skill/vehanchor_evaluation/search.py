@@ -11,18 +11,19 @@ from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from vehanchor.anchors.evidence import ImageFacts, View
-from vehanchor.anchors.vehicles import select
-from vehanchor.batch.journal import Journal, Source
+from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.batch.pool import finished_in_threads
-from vehanchor.batch.stored import from_json, to_json
-from vehanchor.defaults import OUTLIER_ALPHA
-from vehanchor.detection.sighting import Sighting
+from vehanchor.detection.detections import Detections
 from vehanchor.errors import InvalidParameterError, VehAnchorError
-from vehanchor.estimate import ScaleAnalysis, analyse_raster, analyse_sighting, image_facts, networks_sha256
+from vehanchor.estimate import analyse_detections, analyse_raster, image_facts, networks_sha256
 from vehanchor.imagery.detail import resolved_share
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Lengths, ScaleOptions, Search
+from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.vehicles import select
+from vehanchor.scale.defaults import OUTLIER_ALPHA
+from vehanchor.storage.journal import Journal, Source
+from vehanchor.storage.stored import from_json, to_json
 from vehanchor_evaluation.known_scale import DATASET_LIMITS, FileIssue
 
 if TYPE_CHECKING:
@@ -33,17 +34,6 @@ if TYPE_CHECKING:
     from vehanchor.detection.detector import Detector
     from vehanchor.imagery.raster import Raster
     from vehanchor_evaluation.known_scale import KnownScaleSet
-
-__all__ = [
-    "ABLATION_ALPHAS",
-    "MAX_WORKERS",
-    "DetectionLog",
-    "SearchedImage",
-    "default_workers",
-    "open_detection_log",
-    "search_images",
-    "search_known_scale",
-]
 
 ABLATION_ALPHAS = (1.0, OUTLIER_ALPHA, None)  # paper, Table III
 MAX_WORKERS = 4  # by default: each holds an image in memory
@@ -60,7 +50,7 @@ class SearchedImage:
             keeps, by its factor; vehicles that nobody has looked for, as labels, need none.
     """
 
-    detections: Sighting
+    detections: Detections
     image: ImageFacts
     resolved: Mapping[float | None, float] = field(default_factory=dict)
 
@@ -75,7 +65,7 @@ class SearchedImage:
         share = self.resolved.get(options.lengths.alpha) if self.resolved else 1.0
         if share is None:
             raise InvalidParameterError(f"searched without alpha {options.lengths.alpha}: search with these options")
-        return analyse_sighting(View(self.image, self.detections, card, options, lambda *_: share))
+        return analyse_detections(View(self.image, self.detections, card, options, lambda *_: share))
 
 
 DetectionLog: TypeAlias = Journal[SearchedImage]
@@ -233,7 +223,7 @@ def _search(
         return FileIssue(file, error.code, str(error))
 
 
-def _resolved(raster: Raster, found: Sighting, alpha: float | None) -> float:
+def _resolved(raster: Raster, found: Detections, alpha: float | None) -> float:
     """The share of the resolution with detail around the vehicles that a factor of the outlier filter keeps."""
     fleet = select(found, Lengths(alpha=alpha))
     return resolved_share(raster, fleet.centres, fleet.working_scale or 1.0)

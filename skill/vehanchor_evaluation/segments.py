@@ -19,8 +19,6 @@ from vehanchor_evaluation.known_scale import FileIssue
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["find_annotated_images", "read_numbered_masks"]
-
 _COLUMNS = ("image", "mask", "category", "gsd_m_per_px")
 
 

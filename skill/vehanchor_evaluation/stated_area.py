@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from typing import Literal, NamedTuple
 
-__all__ = ["StatedArea", "read_area"]
-
 Problem = Literal["no_area_line", "no_number", "ambiguous_number", "unknown_unit"]
 
 _LINE = re.compile(r"\bAREA[ *_`]*=([^\r\n]*)", re.IGNORECASE)

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from vehanchor_evaluation.known_scale import KnownScaleSet
 
-__all__ = ["survey_known_scale"]
-
 
 def survey_known_scale(
     *,

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-__all__ = ["read_table", "survey_table"]
-
 
 def read_table(path: Path) -> list[KnownScaleImage]:
     """Read a CSV with the columns ``file`` (relative to the table) and ``gsd_m_per_px``; ``set``, ``split`` and

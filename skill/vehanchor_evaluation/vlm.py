@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.batch.pool import finished_in_threads
 from vehanchor.errors import VehAnchorError
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.pictures.scale import read_reduced
 from vehanchor_evaluation.area_errors import AreaErrors, area_errors
 from vehanchor_evaluation.known_scale import FileIssue
@@ -36,18 +36,6 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.agent_tools import ToolCaller
     from vehanchor_evaluation.rs_gsd import BenchmarkEntry
     from vehanchor_evaluation.vlm_api import ModelApi
-
-__all__ = [
-    "HINT",
-    "QUESTION",
-    "SYSTEM",
-    "Query",
-    "VlmRun",
-    "VlmTrial",
-    "draw_question",
-    "run_vlm_trials",
-    "summarise_vlm",
-]
 
 SYSTEM = "You are a remote sensing image analysis expert."
 QUESTION = (

@@ -17,30 +17,14 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 from urllib.parse import urlsplit
 
-from vehanchor.batch.journal import Journal, Key
 from vehanchor.errors import InvalidParameterError, MissingExtraError
+from vehanchor.storage.journal import Journal, Key
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
     from vehanchor_evaluation.agent_tools import ToolCaller
-
-__all__ = [
-    "PROVIDERS",
-    "AnthropicApi",
-    "ApiRefusedError",
-    "Budget",
-    "BudgetSpentError",
-    "ModelApi",
-    "OpenAiApi",
-    "Reply",
-    "RequestFailedError",
-    "ToolCall",
-    "ToolResult",
-    "open_api",
-    "reply_journal",
-]
 
 Provider: TypeAlias = Literal["anthropic", "openai", "openai-compatible"]
 PROVIDERS: tuple[Provider, ...] = ("anthropic", "openai", "openai-compatible")

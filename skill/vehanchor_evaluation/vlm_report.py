@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.vlm import Query, VlmRun, VlmTrial
     from vehanchor_evaluation.vlm_api import ModelApi
 
-__all__ = ["report_stem", "vlm_report"]
-
 
 def report_stem(query: Query) -> str:
     """Stem of the names of a report's files: each setting has its own."""

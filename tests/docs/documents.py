@@ -8,8 +8,6 @@ from pathlib import Path
 
 from tests.conftest import ROOT
 
-__all__ = ["DOCUMENTS", "REASONS", "Block", "blocks"]
-
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 REASONS = {  # why a block is not run here, told to readers in its title

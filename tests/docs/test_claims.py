@@ -20,7 +20,7 @@ from tests.conftest import ROOT
 from tests.docs.documents import DOCUMENTS
 from tests.packaging.dockerfile import read_dockerfile
 from vehanchor.estimate import open_detector
-from vehanchor.measure import measure_area
+from vehanchor.measure.area import measure_area
 from vehanchor.options import Frame, Lengths, Reading, Reference, ScaleOptions, Search
 from vehanchor.records import AreaMeasurement, GsdEstimate
 from vehanchor_server.settings import Settings

@@ -10,10 +10,11 @@ import pytest
 from tests.analyses import made_card
 from tests.conftest import ROOT
 from tests.docs.documents import blocks
-from vehanchor.anchors.evidence import ImageFacts, View
-from vehanchor.detection.sighting import Objects, Sighting
-from vehanchor.estimate import ScaleAnalysis, analyse_sighting
+from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.detection.detections import Detections, Objects
+from vehanchor.estimate import analyse_detections
 from vehanchor.options import ScaleOptions
+from vehanchor.rulers.evidence import ImageFacts, View
 
 LENGTH_PX, GSD = 800.0, 176.91 / 800.0
 
@@ -27,23 +28,23 @@ def track(monkeypatch: pytest.MonkeyPatch) -> Any:
     ruler = defined["Track"]()
     assert ruler.kind == "track"
     ruler.kind = "courts"
-    monkeypatch.setattr("vehanchor.estimate.OTHER_ANCHORS", (ruler,))
+    monkeypatch.setattr("vehanchor.estimate.OTHER_RULERS", (ruler,))
     return ruler
 
 
 def _analysed(width_px: float, name: str = "ground-track-field", score: float = 0.9) -> ScaleAnalysis:
     seen = Objects(np.array([[500.0, 400.0, LENGTH_PX, width_px, 0.3]]), np.array([score]), np.array([1]))
-    found = Sighting(np.zeros((0, 5)), np.zeros(0), others=seen)
+    found = Detections(np.zeros((0, 5)), np.zeros(0), others=seen)
     card = made_card().model_copy(update={"class_names": {0: "small-vehicle", 1: name}})
-    return analyse_sighting(View(ImageFacts(1000, 800), found, card, ScaleOptions(), lambda *_: 1.0))
+    return analyse_detections(View(ImageFacts(1000, 800), found, card, ScaleOptions(), lambda *_: 1.0))
 
 
 def test_a_running_track_makes_the_scale_of_an_image_without_cars(track: Any) -> None:
     record = _analysed(LENGTH_PX * 92.52 / 176.91).estimate
     assert record.gsd_m_per_px == pytest.approx(GSD, rel=0.005)
-    assert (record.scale_source, record.n_vehicles) == (track.kind, 0)
-    assert record.rulers[0].says is not None
-    assert record.rulers[0].says.startswith("A running track of 800 px says 0.2211 m/px")
+    assert (record.leading_ruler, record.n_vehicles) == (track.kind, 0)
+    assert record.rulers[0].explanation is not None
+    assert record.rulers[0].explanation.startswith("A running track of 800 px says 0.2211 m/px")
 
 
 def test_its_outline_is_there_to_be_drawn(track: Any) -> None:
@@ -57,4 +58,4 @@ def test_its_outline_is_there_to_be_drawn(track: Any) -> None:
 @pytest.mark.parametrize("other", [{"width_px": 300.0}, {"name": "soccer-ball-field"}, {"score": 0.3}])
 def test_another_field_is_no_ruler(other: dict[str, Any]) -> None:
     record = _analysed(**{"width_px": LENGTH_PX * 92.52 / 176.91, **other}).estimate
-    assert (record.status, record.gsd_m_per_px) == ("no_anchor", None)
+    assert (record.status, record.gsd_m_per_px) == ("no_scale", None)

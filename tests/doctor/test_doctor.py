@@ -28,7 +28,7 @@ def test_the_bundled_model_passes_the_self_test() -> None:
     assert found.passed, found
 
 
-@pytest.mark.parametrize(("gsd", "status"), [(None, "no_anchor"), (0.1, "low_confidence"), (0.2, "ok")])
+@pytest.mark.parametrize(("gsd", "status"), [(None, "no_scale"), (0.1, "low_confidence"), (0.2, "ok")])
 def test_a_scale_that_is_wrong_or_not_to_be_used_fails_it(
     gsd: float | None, status: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -53,7 +53,7 @@ def test_what_is_installed_is_told_and_what_is_missing_by_its_extra(monkeypatch:
     assert code == 0
     assert re.search(r"vehanchor\s+0\.", out)
     assert "CPUExecutionProvider" in out
-    assert re.search(r"rasterio\s+not there: pip install 'vehanchor\[geo\]'", out)
+    assert re.search(r"rasterio\s+missing: pip install 'vehanchor\[geo\]'", out)
 
 
 def test_it_says_of_a_folder_how_many_will_do_and_what_helps_the_others(tmp_path: Path) -> None:

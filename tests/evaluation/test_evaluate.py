@@ -10,7 +10,9 @@ from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor_evaluation.dota import parse_labels, read_labels
-from vehanchor_evaluation.gsd import KnownScaleImage, read_table, run_trials, summarise
+from vehanchor_evaluation.gsd import run_trials, summarise
+from vehanchor_evaluation.known_scale import KnownScaleImage
+from vehanchor_evaluation.table import read_table
 
 
 def test_dota_labels_are_read_with_their_header() -> None:

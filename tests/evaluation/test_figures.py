@@ -20,7 +20,8 @@ from vehanchor_evaluation.figures import (
     plot_predicted,
     sheet_trials,
 )
-from vehanchor_evaluation.gsd import KnownScaleImage, ScaleTrial
+from vehanchor_evaluation.gsd import ScaleTrial
+from vehanchor_evaluation.known_scale import KnownScaleImage
 
 
 def _trial(length_px: float, truth: float, n: int = 12) -> ScaleTrial:

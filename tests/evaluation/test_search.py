@@ -9,13 +9,13 @@ import pytest
 
 from tests.known_scale_data import cars, paint
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network
+from vehanchor.detection.appearance import FleetLengths
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.look import FleetLengths
-from vehanchor.detection.scene import SceneCalibration, SceneLevel, SceneSighting
+from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.detection.search import search
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.estimate import analyse_scale, image_facts
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
 from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet
 from vehanchor_evaluation.search import (
@@ -160,7 +160,7 @@ def test_a_log_keeps_all_that_was_seen(tmp_path: Path) -> None:
     paint_vehicles(image, [[50 + 70 * k, 50, 30, 12, 0.4] for k in range(4)], classes=[0, 0, 1, 0])
     with open_raster(image) as raster:
         found, facts = search(raster, telling), image_facts(raster)
-    ground = SceneSighting((SceneLevel(1, 9, np.log([0.25, 0.5, 0.25])),), SceneCalibration(-2.0, 0.1, doubt=0.1))
+    ground = SceneScalePrior((SceneLevel(1, 9, np.log([0.25, 0.5, 0.25])),), SceneCalibration(-2.0, 0.1, doubt=0.1))
     found = replace(found, scene=ground)
     _log(tmp_path / "log.jsonl", telling).add(("a.png",), SearchedImage(found, facts))
     again = _log(tmp_path / "log.jsonl", telling).get(("a.png",))

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import Self
 
-__all__ = ["GIVEN_BACK", "KEY", "StandIn", "ToolCall"]
-
 KEY = "key-of-the-stand-in"
 GIVEN_BACK: dict[str, Any] = {"image_id": "as the tool said"}
 """An argument that is taken from an earlier result; what else it holds is added to that."""
@@ -98,7 +96,7 @@ class StandIn:
                 pass
 
         self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self._thread = threading.Thread(target=self._server.serve_forever)
+        self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.01})
         self._thread.start()
         return self
 

@@ -31,7 +31,7 @@ def _record(**changes: Any) -> dict[str, Any]:
         "inscribed_diameter_m": 10.0,
         "inscribed_diameter_ci95_low_m": 8.5,
         "inscribed_center": {"x_px": 40.5, "y_px": 30.5},
-        "scale": {"resolution_guard": False},
+        "estimate": {"resolution_guard": False},
     }
     return record | changes
 
@@ -41,7 +41,7 @@ def judge(example: Callable[[str], Any]) -> Callable[..., Any]:
     planner = example("planner_stdio")
 
     def judged(record: dict[str, Any], *, error: float = 0.0) -> Any:
-        anchor = planner.Anchor("the anchor", relative_error=error)
+        anchor = planner.Ruler("the anchor", relative_error=error)
         return planner.judge(record, anchor, planner.Zone(0, 0, 80, 60), planner.Craft(4.0, 2.0))
 
     return judged
@@ -79,7 +79,7 @@ def test_below_the_limit_of_confidence_it_holds_whatever_the_size_and_says_what_
 
 
 def test_without_an_anchor_it_holds(judge: Callable[..., Any]) -> None:
-    decision = judge(_record(status="no_anchor", confidence=0.0, inscribed_diameter_ci95_low_m=None))
+    decision = judge(_record(status="no_scale", confidence=0.0, inscribed_diameter_ci95_low_m=None))
     assert decision.action == "hold_altitude"
     assert decision.reason == "no scale from the anchor: nothing to measure by"
 

@@ -46,6 +46,6 @@ def test_the_algorithms_give_the_commands_scale_and_layers_that_qgis_reads(tmp_p
     with rasterio.open(seen["raster"]["RASTER"]) as raster:
         assert raster.transform.a == pytest.approx(estimate.gsd_m_per_px)
         assert (raster.width, raster.height) == (estimate.image_width_px, estimate.image_height_px)
-    assert seen["by height"]["STATUS"] == "no_anchor"  # no focal length is known: nothing is guessed
+    assert seen["by height"]["STATUS"] == "no_scale"  # no focal length is known: nothing is guessed
     assert "the scale is not to be used" in seen["refused"]
     assert seen["cancelled"] == "cancelled"

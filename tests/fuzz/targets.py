@@ -28,16 +28,16 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 
 from tests import bombs
-from tests.skill.imagery import metadata as blocks
-from vehanchor.detection.card import FleetCard, SecondLookCard, read_companion_card, read_detector_card
+from tests.skill.imagery import metadata_bytes as blocks
+from vehanchor.detection.card import FleetCard, VerifierCard, read_auxiliary_card, read_detector_card
 from vehanchor.errors import VehAnchorError
-from vehanchor.imagery.camera_metadata import read_camera
-from vehanchor.imagery.exif import read_exif
-from vehanchor.imagery.header import read_header
-from vehanchor.imagery.metadata_blocks import MAX_XMP_BYTES
-from vehanchor.imagery.raster import open_raster
-from vehanchor.imagery.windows import Window
-from vehanchor.imagery.xmp import read_xmp
+from vehanchor.imagery.formats.header import read_header
+from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES
+from vehanchor.imagery.metadata.camera import read_camera
+from vehanchor.imagery.metadata.exif import read_exif
+from vehanchor.imagery.metadata.xmp import read_xmp
+from vehanchor.imagery.raster import Window
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.files import external_locations
 from vehanchor.options import ImageLimits
 from vehanchor.scale.calibration import Calibration, load_calibration
@@ -46,8 +46,6 @@ from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.registry import create_tools
 from vehanchor_server.tools.strict_tool import StrictTool
-
-__all__ = ["CORPUS", "FUZZ_LIMITS", "TARGETS"]
 
 FUZZ_LIMITS = ImageLimits(
     max_bytes=1 << 20, max_pixels=1 << 20, max_windowed_pixels=1 << 22, max_decoded_bytes=64 << 20
@@ -102,9 +100,9 @@ def card(data: bytes) -> None:
     file = Path("fuzzed.onnx"), "0" * 64
     with contextlib.suppress(VehAnchorError):
         read_detector_card(*file, metadata)
-    for kind in (FleetCard, SecondLookCard):
+    for kind in (FleetCard, VerifierCard):
         with contextlib.suppress(VehAnchorError):
-            read_companion_card(kind, *file, metadata)
+            read_auxiliary_card(kind, *file, metadata)
 
 
 def metadata(data: bytes) -> None:

@@ -8,8 +8,6 @@ import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 
-__all__ = ["Instruction", "Stage", "read_dockerfile"]
-
 
 @dataclass(frozen=True)
 class Instruction:

@@ -10,8 +10,6 @@ import urllib.error
 import urllib.request
 from typing import Any
 
-__all__ = ["free_port", "stdio_answers", "tools_over_http", "wait_until_ready"]
-
 _CLIENT = {
     "io.modelcontextprotocol/protocolVersion": "2026-07-28",
     "io.modelcontextprotocol/clientCapabilities": {},

@@ -12,8 +12,6 @@ from mcp.types import CallToolResult, ImageContent, TextContent
 
 from vehanchor_server.calls.overlay import MAX_PICTURE_BYTES
 
-__all__ = ["ERAS", "by_path", "error_of", "picture_of", "text_of"]
-
 ERAS = ("auto", "legacy")  # auto finds the stateless 2026-07-28 protocol
 
 

@@ -14,8 +14,6 @@ import uvicorn
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
-__all__ = ["listening", "serving"]
-
 
 @contextlib.contextmanager
 def listening() -> Iterator[socket.socket]:

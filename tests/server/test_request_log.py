@@ -37,7 +37,7 @@ async def test_every_call_is_a_line_with_its_outcome_and_nothing_of_the_image(
     lines = lines_of(caplog)
     assert [line["status"] for line in lines] == [
         "ok",
-        "no_anchor",
+        "no_scale",
         "base64_invalid",
         "invalid_arguments",
         "path_not_allowed",

@@ -13,7 +13,7 @@ from mcp.types import CallToolResult, TextContent
 
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path, text_of
-from vehanchor_server.calls.short import GIVE_BACK
+from vehanchor_server.calls.compact import GIVE_BACK
 
 pytestmark = pytest.mark.anyio
 
@@ -113,7 +113,7 @@ async def test_a_model_that_is_shown_words_alone_can_give_the_scale_back(
 async def test_a_short_answer_never_rounds_a_confidence_over_the_limit() -> None:
     from tests.analyses import make_analysis
     from tests.server.app_page.test_app_page import boxes_of
-    from vehanchor_server.calls.short import short_answer
+    from vehanchor_server.calls.compact import short_answer
 
     estimate = make_analysis(boxes_of(30, 31, 32), 1000, 1000).estimate
     short = short_answer([estimate.model_copy(update={"confidence": 0.49996, "gsd_m_per_px": 0.123456})])

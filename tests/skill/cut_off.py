@@ -18,14 +18,12 @@ import numpy as np
 import pyarrow.parquet
 
 from tests.faults import REFUSED, WRITTEN, limited
-from vehanchor.batch.journal import Journal
 from vehanchor.batch.row import BatchRow
 from vehanchor.batch.table import write_table
 from vehanchor.pictures.scale import write_picture
 from vehanchor.scale.calibration import Calibration, save_calibration
+from vehanchor.storage.journal import Journal
 from vehanchor_evaluation.report import write_results
-
-__all__ = ["CALIBRATION"]
 
 _LATE_IMPORTS = (cv2, pyarrow.parquet)  # here, not in each of hundreds of children
 

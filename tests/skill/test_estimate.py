@@ -59,7 +59,7 @@ def test_the_record_follows_the_papers_equations(detector: Detector) -> None:
 
 def test_no_vehicles_mean_no_scale_and_no_confidence(detector: Detector) -> None:
     e = estimate_gsd(blank_image(200, 100), detector=detector)
-    assert (e.status, e.gsd_m_per_px, e.mode_length_px, e.confidence) == ("no_anchor", None, None, 0.0)
+    assert (e.status, e.gsd_m_per_px, e.mode_length_px, e.confidence) == ("no_scale", None, None, 0.0)
     assert (e.gsd_ci95_low_m_per_px, e.gsd_ci95_high_m_per_px, e.n_vehicles) == (None, None, 0)
     assert "NaN" not in e.model_dump_json()
 

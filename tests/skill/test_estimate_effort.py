@@ -30,7 +30,7 @@ def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
 
 @pytest.fixture(autouse=True)
 def _large(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("stopping", "search"):
+    for module in ("convergence", "search"):
         monkeypatch.setattr(f"vehanchor.detection.{module}.ANYTIME_PIXELS", 1_000_000)
 
 
@@ -65,7 +65,7 @@ def test_auto_goes_on_while_a_doubt_is_open(detector: Detector) -> None:
     assert "lengths_alike" in {notice.code for notice in alike.warnings}
     assert (alike.stopped_because, alike.tiles_searched) == ("all_searched", alike.tiles_total)
     nothing = estimate_gsd(blank_image(1200, 1000), detector=detector, **_TILES)
-    assert (nothing.status, nothing.stopped_because) == ("no_anchor", "all_searched")
+    assert (nothing.status, nothing.stopped_because) == ("no_scale", "all_searched")
 
 
 def test_a_search_that_no_ruler_needs_counts_no_tiles(detector: Detector) -> None:

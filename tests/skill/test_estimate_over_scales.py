@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 from tests.analyses import analyse_found
 from tests.models import write_detector
 from tests.yards import YARDS, Yard, paint_yard
+from vehanchor.detection.appearance import FleetAppearance
+from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.look import FleetLook
-from vehanchor.detection.sighting import Sighting
 from vehanchor.estimate import estimate_gsd
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.scale.lengths import dominant_group
-from vehanchor_evaluation.gsd import read_table
+from vehanchor_evaluation.table import read_table
 from vehanchor_scenes import Scene, render_scene
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def _analysis(detector: Detector, groups: list[tuple[float, int, float, float]],
     scores = np.concatenate([np.full(n, score) for _, n, score, _ in groups])
     scales = np.concatenate([np.full(n, scale) for _, n, _, scale in groups])
     return analyse_found(
-        Sighting(boxes, scores, scales=scales),
+        Detections(boxes, scores, scales=scales),
         detector.card,
         ScaleOptions.of(options),
         image_width_px=4000,
@@ -119,7 +119,7 @@ def test_a_yard_of_equal_things_is_no_fleet(searching: Detector, n: int, spread:
     boxes = np.column_stack([np.arange(n) * 99, lengths * 0, lengths, lengths / 2.2, lengths * 0])
 
     def estimate(scales: NDArray[np.float64] | None) -> Any:
-        found = Sighting(boxes, np.full(n, 0.9), scales=scales)
+        found = Detections(boxes, np.full(n, 0.9), scales=scales)
         return analyse_found(found, searching.card, ScaleOptions(), image_width_px=4000, image_height_px=40).estimate
 
     searched = estimate(np.ones(n))
@@ -147,7 +147,7 @@ def test_things_that_do_not_look_like_a_fleet_of_cars_are_never_sure(
     boxes = np.column_stack([np.arange(n) * 99, lengths * 0, lengths, lengths / 2.2, lengths * 0])
 
     def estimate(scales: NDArray[np.float64] | None) -> Any:
-        found = Sighting(boxes, np.full(n, 0.9), scales=scales, fleet=FleetLook(odds, np.zeros(n)))
+        found = Detections(boxes, np.full(n, 0.9), scales=scales, fleet=FleetAppearance(odds, np.zeros(n)))
         return analyse_found(found, searching.card, ScaleOptions(), image_width_px=4000, image_height_px=40).estimate
 
     searched = estimate(np.ones(n))
@@ -183,7 +183,7 @@ def test_without_the_search_the_papers_filter_stays_as_it_is(tmp_path: Path) -> 
     plain = Detector(write_detector(tmp_path / "m.onnx"))
     boxes = np.array([[99.0 * k, 0, 30 if k < 20 else 12, 8, 0] for k in range(36)])
     e = analyse_found(
-        Sighting(boxes, np.full(36, 0.9)), plain.card, ScaleOptions(), image_width_px=4000, image_height_px=40
+        Detections(boxes, np.full(36, 0.9)), plain.card, ScaleOptions(), image_width_px=4000, image_height_px=40
     ).estimate
     assert (e.n_vehicles, e.warnings) == (36, ())
 
@@ -198,7 +198,7 @@ def test_vehicles_without_the_detail_of_their_pixels_are_guarded(
     lengths = np.array(_fleet(30.0, 40))
     boxes = np.column_stack([np.arange(40) * 99, lengths * 0, lengths, lengths / 2, lengths * 0])
     e = analyse_found(
-        Sighting(boxes, np.full(40, 0.9)),
+        Detections(boxes, np.full(40, 0.9)),
         searching.card,
         ScaleOptions(),
         image_width_px=4000,
@@ -241,6 +241,7 @@ def test_a_yard_of_things_shaped_like_cars_is_never_a_confident_scale(
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_searching_photographs_without_vehicles_finds_next_to_nothing(real_data: Path, bundled: Detector) -> None:
     images = [i for i in read_table(real_data / "gsd" / "table.csv") if i.set == "empty" and i.split == "val"]
     assert len(images) == 30
@@ -250,6 +251,7 @@ def test_searching_photographs_without_vehicles_finds_next_to_nothing(real_data:
 
 
 @pytest.mark.data
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [cv2.INTER_LINEAR, cv2.INTER_CUBIC, cv2.INTER_LANCZOS4])
 def test_photographs_too_coarse_to_measure_are_not_trusted_after_enlarging(
     real_data: Path, bundled: Detector, way: int

@@ -148,7 +148,7 @@ for module in modules:
 import numpy as np
 import vehanchor
 
-assert vehanchor.estimate_gsd(np.zeros((64, 64, 3), dtype=np.uint8)).status == "no_anchor"
+assert vehanchor.estimate_gsd(np.zeros((64, 64, 3), dtype=np.uint8)).status == "no_scale"
 if away != "vehanchor_scenes":
     from vehanchor_scenes import render_scene
 

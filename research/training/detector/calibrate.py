@@ -31,18 +31,20 @@ from numpy.typing import NDArray
 
 from research.training.detector.data import LENGTH_RANGE_PX, is_dev
 from research.training.detector.export import export
-from vehanchor.defaults import Aggregation
+from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.boxes import boxes_from_corners
+from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
-from vehanchor.detection.sighting import Sighting
-from vehanchor.estimate import ScaleAnalysis, analyse_scale
-from vehanchor.imagery.raster import open_raster
+from vehanchor.estimate import analyse_scale
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Search
-from vehanchor.output import whole_file
+from vehanchor.scale.defaults import Aggregation
 from vehanchor.scale.lengths import inlier_mask, modal_length
+from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.dota import read_labels
-from vehanchor_evaluation.gsd import KnownScaleImage, read_table
+from vehanchor_evaluation.known_scale import KnownScaleImage
+from vehanchor_evaluation.table import read_table
 
 NAME = "vehicles"
 REGION_OF_SET = {
@@ -68,7 +70,7 @@ class Found(NamedTuple):
     """Detections, at a low threshold, on one image of known scale."""
 
     image: KnownScaleImage
-    detections: Sighting
+    detections: Detections
 
 
 def region_lengths(lengths_m: list[tuple[str, float]]) -> dict[str, float]:

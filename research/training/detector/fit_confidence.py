@@ -21,10 +21,10 @@ from research.training.detector.calibrate import REGION_OF_SET
 from research.training.detector.data import is_dev
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Search
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES, inlier_mask, modal_length
-from vehanchor_evaluation.gsd import read_table
+from vehanchor_evaluation.table import read_table
 
 _FACTORS = (0.5, 0.7, 0.85, 1.0, 1.3, 1.8)
 _SAMPLE_SCALES = (4.0, 6.0, 8.0, 12.0)

@@ -21,9 +21,9 @@ from research.training.detector.data import is_dev
 from vehanchor.detection.boxes import boxes_from_corners, canonical_boxes
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.nms import oriented_nms
-from vehanchor.output import whole_file
+from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.dota import read_labels
-from vehanchor_evaluation.gsd import read_table
+from vehanchor_evaluation.table import read_table
 
 _SEARCH_SCORE = 0.15
 _CAR_PX, _CAR_M = 26.0, 4.5

@@ -27,7 +27,7 @@ from research.training.detector.data import TrainImage, corrected, read_correcti
 from research.training.detector.places import Place, is_held_out, looked_at, places
 from research.training.detector.relabel import Consensus, search
 from vehanchor.detection.detector import Detector
-from vehanchor.output import whole_file
+from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.dota import read_labels
 
 SCENERY = Path(__file__).with_name("scenery.csv")

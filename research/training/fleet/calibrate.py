@@ -22,12 +22,13 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from research.training.fleet.data import MEASURED, N_FOLDS, fold_of
+from vehanchor.detection.appearance import MAX_CHIPS, FleetLengths, vehicle_chips
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.look import MAX_CHIPS, FleetLengths, vehicle_chips
 from vehanchor.estimate import analyse_scale
-from vehanchor.imagery.raster import open_raster
-from vehanchor.output import whole_file
-from vehanchor_evaluation.gsd import KnownScaleImage, read_table
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.storage.atomic import whole_file
+from vehanchor_evaluation.known_scale import KnownScaleImage
+from vehanchor_evaluation.table import read_table
 
 _LABELLED = 5  # cars of an image that counts
 _RANGE_M = (3.6, 5.3)  # of fleets' modal lengths

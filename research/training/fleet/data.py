@@ -13,8 +13,9 @@ import numpy as np
 from research.training.detector.data import group_of, read_corrections
 from research.training.detector.places import is_held_out, places
 from research.training.detector.scenery import SCENERY
+from vehanchor.detection.appearance import chip
 from vehanchor.detection.boxes import boxes_from_corners
-from vehanchor.detection.look import CHIP_LENGTH_PX, chip
+from vehanchor.detection.verifier import CHIP_LENGTH_PX
 from vehanchor_evaluation.dota import read_labels
 
 if TYPE_CHECKING:

@@ -40,7 +40,7 @@ from research.training.fleet.data import (
 from research.training.fleet.network import FleetNet, Mean
 from research.training.loop import Recipe, Schedule, train
 from research.training.onnx_file import write_onnx
-from vehanchor.detection.look import CHIP_SHAPE
+from vehanchor.detection.appearance import CHIP_SHAPE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -21,15 +21,14 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from research.training.detector.data import is_dev
-from vehanchor.anchors.evidence import View
-from vehanchor.anchors.vehicles import Vehicles
 from vehanchor.detection.detector import Detector, load_detector
-from vehanchor.detection.scene import SceneScaleNetwork, load_scene_scale
+from vehanchor.detection.scene_scale import SceneScaleNetwork, load_scene_scale
 from vehanchor.detection.search import search
 from vehanchor.estimate import image_facts
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions, Search
-from vehanchor.output import whole_file
+from vehanchor.rulers.evidence import View
+from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.fusion import (
     GRID,
     LOG_STEP,
@@ -38,9 +37,10 @@ from vehanchor.scale.fusion import (
     credible_interval,
     mass_within,
     product,
-    settled_chance,
+    recalibrated,
     vehicle_density,
 )
+from vehanchor.storage.atomic import whole_file
 
 _CAR_M = (3.0, 6.3)  # between these a box of known scale is taken for a car
 _COVER = 0.95
@@ -77,14 +77,14 @@ def look(path: Path, set_name: str, gsd: float, detector: Detector, ground: Scen
     """Lead an image through the skill; None where nothing is found."""
     options = ScaleOptions()
     with open_raster(path) as raster:
-        sighting = search(raster, detector, Search(), scene=ground.look(raster))
-        evidence = Vehicles().look(View(image_facts(raster), sighting, detector.card, options, lambda *_: 1.0))
-    if evidence.gsd_m_per_px is None or sighting.scene is None:
+        detections = search(raster, detector, Search(), scene=ground.look(raster))
+        evidence = Vehicles().look(View(image_facts(raster), detections, detector.card, options, lambda *_: 1.0))
+    if evidence.gsd_m_per_px is None or detections.scene is None:
         return None
-    lengths, reference = sighting.boxes[:, 2], evidence.reference
-    density = sighting.scene.density
+    lengths, reference = detections.boxes[:, 2], evidence.reference
+    density = detections.scene.density
     return Case(
-        set_name, gsd, lengths, sighting.scores, reference.length_m, reference.sd_m, density, evidence.gsd_m_per_px
+        set_name, gsd, lengths, detections.scores, reference.length_m, reference.sd_m, density, evidence.gsd_m_per_px
     )
 
 
@@ -124,14 +124,14 @@ def judged(cases: list[Case], votes: Votes) -> tuple[Verdict, NDArray[np.float64
         chances.append(mass_within(density, case.estimate_m_per_px, TOLERANCE))
         right.append(abs(case.estimate_m_per_px / case.gsd_m_per_px - 1) < TOLERANCE)
     verdict = Verdict(float(np.mean(logs)), float(np.mean(held)), float(np.median(widths)))
-    return verdict, settled_chance(chances, votes.certainty), np.array(right)
+    return verdict, recalibrated(chances, votes.sharpness), np.array(right)
 
 
 def best_certainty(chances: NDArray[np.float64], right: NDArray[np.bool_]) -> float:
     """The exponent on the odds under which what happened is likeliest."""
 
-    def likelihood(certainty: float) -> float:
-        said = settled_chance(chances, certainty)
+    def likelihood(sharpness: float) -> float:
+        said = recalibrated(chances, sharpness)
         return float(np.sum(np.log(np.where(right, said, 1 - said))))
 
     return max(_CERTAINTIES, key=likelihood)
@@ -147,7 +147,7 @@ def best_votes(cases: list[Case]) -> Votes:
     enough = [trial for trial in trials if trial[0].cover >= _COVER]
     votes = max(enough or trials, key=lambda trial: trial[0].log_density if enough else trial[0].cover)[1]
     _, chances, right = judged(cases, votes)
-    return votes._replace(certainty=best_certainty(chances, right))
+    return votes._replace(sharpness=best_certainty(chances, right))
 
 
 def tell(name: str, cases: list[Case], votes: Votes) -> None:
@@ -162,8 +162,8 @@ def tell(name: str, cases: list[Case], votes: Votes) -> None:
 def write(path: Path, votes: Votes) -> None:
     """Put the votes into the detector's file; its graph stays as it is."""
     model = onnx.load(path)
-    stated = {entry.key: entry.value for entry in model.metadata_props}
-    onnx.helper.set_model_props(model, stated | {"vehanchor.votes": json.dumps(votes._asdict())})
+    lognormal_evidence = {entry.key: entry.value for entry in model.metadata_props}
+    onnx.helper.set_model_props(model, lognormal_evidence | {"vehanchor.votes": json.dumps(votes._asdict())})
     with whole_file(path) as partial:
         onnx.save(model, partial)
 

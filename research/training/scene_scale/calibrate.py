@@ -27,7 +27,7 @@ from research.training.scene_scale.density import (
     quantiles,
     scene_density,
 )
-from vehanchor.output import whole_file
+from vehanchor.storage.atomic import whole_file
 
 BINS = SceneBins(FIRST_LOG_GSD, LOG_STEP)
 _CHOICES: dict[str, Sequence[float]] = {

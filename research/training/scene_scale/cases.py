@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from research.training.scene_scale.data import SETS, ScaledImage, load_images, load_val_images
 from research.training.scene_scale.density import TILE_PX, cut_tiles, tile_places
-from vehanchor.output import whole_file
+from vehanchor.storage.atomic import whole_file
 
 _REDUCED = 2  # random reductions beside each image as it is
 _SMALLEST_PX = 1.25 * TILE_PX  # shorter side of a reduced image

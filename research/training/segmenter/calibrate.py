@@ -28,19 +28,19 @@ import torch
 from research.training.segmenter.data import group_of, is_dev
 from research.training.segmenter.export import INPUT_PX, export, smoothed
 from research.training.segmenter.trials import Target, Trial, read_targets, report, run_trial
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.session import open_session
-from vehanchor.output import whole_file
 from vehanchor.segmentation.contracts import recognise_contract
 from vehanchor.segmentation.crop import crop_side, crop_window, place_mask, read_resized
 from vehanchor.segmentation.prompt import Prompt
+from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from vehanchor.imagery.windows import Window
+    from vehanchor.imagery.raster import Window
     from vehanchor.segmentation.contracts import MaskLogits, SamContract
 
 _GOOD_IOU = 0.7

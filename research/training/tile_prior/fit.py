@@ -3,7 +3,7 @@
 ``python -m research.training.tile_prior.fit ../shared/data``.
 
 A logistic regression of "somebody labelled a car here" on the log of the mean gradient at 1/8 of the resolution, on the
-train split of the sets of known scale; prints the two numbers of ``vehanchor.detection.promise``, and the area under
+train split of the sets of known scale; prints the two numbers of ``vehanchor.detection.tile_prior``, and the area under
 the curve on train and val.
 """
 
@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from scipy.stats import rankdata
 
-from vehanchor.detection.promise import FLAT, gradient
+from vehanchor.detection.tile_prior import FLAT, gradient
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

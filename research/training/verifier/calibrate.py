@@ -18,11 +18,11 @@ import numpy as np
 
 from research.training.detector.calibrate import clear_score
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.second_look import Weights
+from vehanchor.detection.verifier import Weights
 from vehanchor.estimate import analyse_scale
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
-from vehanchor_evaluation.gsd import read_table
+from vehanchor_evaluation.table import read_table
 
 _MANY_CARS = 20
 _FEW = (5, 8, 12, 20)
@@ -45,7 +45,7 @@ def main() -> None:
     ]
     clear = clear_score(analyses)
     print(f"{clear - 0.005:.2f} by looks alone, from {len(analyses)} images")
-    look = detector.second_look
+    look = detector.verifier
     size = Weights(*look.card.weights).size if look else 0.0
     lost = Weights(1.0, 0.0, 0.0, size).score(clear, 0.0, _LOST_GROUND)
     print(f"{lost - 0.005:.2f} where the ground is lost: the clear score")

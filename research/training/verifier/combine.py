@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from research.training.onnx_file import LICENCE, write_metadata
 from research.training.verifier.data import Candidates, load, middle
-from vehanchor.detection.second_look import Weights
+from vehanchor.detection.verifier import Weights
 
 _CHANCE = 0.65  # a missed car costs less than a false one
 _RIDGE = 1e-3
@@ -38,7 +38,7 @@ def fitted(logits: NDArray[np.float64], found: Candidates) -> Weights:
     """Logistic regression by Newton's method: the score is the chance of a car.
 
     Args:
-        logits: ``[n]`` of the second look.
+        logits: ``[n]`` of the verifier.
         found: the candidates.
     """
     design = np.column_stack([_logit(found.scores), logits, np.ones(len(logits))])
@@ -94,7 +94,7 @@ def main() -> None:
     options.out.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(options.run / "verifier.onnx", options.out)
     metadata = {
-        "description": "VehAnchor network that takes a second look at a detector's candidates",
+        "description": "VehAnchor network that verifies a detector's candidates",
         "author": "VehAnchor",
         "license": LICENCE,
         "vehanchor.detector": options.detector,

@@ -16,8 +16,8 @@ from research.training.detector.data import TrainImage, photometric
 from research.training.detector.shade import shaded
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.nms import oriented_nms
-from vehanchor.detection.second_look import CHIP_LENGTH_PX, CHIP_PX, surroundings
-from vehanchor.output import whole_file
+from vehanchor.detection.verifier import CHIP_LENGTH_PX, CHIP_PX, surroundings
+from vehanchor.storage.atomic import whole_file
 
 STORED_PX = 72  # room for jitter and turns around a chip of 48
 _CAR_PX = (

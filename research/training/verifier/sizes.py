@@ -3,7 +3,7 @@
 ``python -m research.training.verifier.sizes``, for ``combine --size-weight``.
 
 Searches the held-out tenth of the labelled images and of the scenery with the bundled networks and prints, for each
-weight of ``SceneSighting.size_odds`` in a candidate's score, how many cars come before the so-manieth false alarm.
+weight of ``SceneScalePrior.size_odds`` in a candidate's score, how many cars come before the so-manieth false alarm.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from research.training.detector.data import load_train_images
 from research.training.detector.scenery import load_scenery
 from research.training.verifier.data import truth_of
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.scene import load_scene_scale
+from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import search
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
 

@@ -21,7 +21,7 @@ from research.training.loop import Recipe, Schedule, train
 from research.training.onnx_file import write_onnx
 from research.training.verifier.data import ChipStream, load, middle
 from research.training.verifier.network import VerifierNet
-from vehanchor.detection.second_look import CHIP_PX
+from vehanchor.detection.verifier import CHIP_PX
 
 _RATE = 2e-3
 _BATCH = 96
@@ -83,7 +83,7 @@ def main() -> None:
     export(trained, options.run / "verifier.onnx")
     seen = logits(trained, held_out.chips)
     detector = np.log(held_out.scores / (1 - held_out.scores))
-    for name, scores in (("detector", detector), ("second look", seen), ("sum", detector + seen)):
+    for name, scores in (("detector", detector), ("verifier", seen), ("sum", detector + seen)):
         print(name)
         print("\n".join(report(held_out.car, held_out.sets, scores)), flush=True)
 

@@ -46,7 +46,7 @@ const interval = (low, high, unit) =>
 const STATUS = {
   ok: { words: "Safe to use", mark: "M2.5 8.5 6 12 13.5 4" },
   low_confidence: { words: "Low confidence: fall back", mark: "M8 2 15 14H1ZM8 6.5v4M8 12v.6" },
-  no_anchor: { words: "No metric scale", mark: "M3 3l10 10M13 3 3 13" },
+  no_scale: { words: "No metric scale", mark: "M3 3l10 10M13 3 3 13" },
   failed: { words: "No result", mark: "M3 3l10 10M13 3 3 13" },
 };
 

@@ -13,9 +13,7 @@ from typing import Any
 
 from mcp.server.apps import Apps, ResourceCsp
 
-from vehanchor.defaults import REGIONS
-
-__all__ = ["APP_META", "APP_URI", "app_extension", "page_html", "view_html"]
+from vehanchor.scale.defaults import REGIONS
 
 APP_URI = "ui://vehanchor/panel.html"
 APP_META: dict[str, Any] = {"ui": {"resourceUri": APP_URI}}

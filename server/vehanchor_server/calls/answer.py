@@ -10,12 +10,10 @@ from mcp.types import Annotations, CallToolResult, TextContent
 from pydantic import BaseModel
 
 from vehanchor_server.app_page import panel_meta
-from vehanchor_server.calls.short import scale_in_words, short_answer
+from vehanchor_server.calls.compact import scale_in_words, short_answer
 
 if TYPE_CHECKING:
     from vehanchor_server.app_page.panel import Drawing, LengthHistogram
-
-__all__ = ["Answer", "Detail", "WantedPictures"]
 
 Record = TypeVar("Record", bound=BaseModel, covariant=True)
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from vehanchor_server.images.argument import AnyImage
     from vehanchor_server.services import Services
 
-__all__ = ["run_call"]
-
 Result = TypeVar("Result")
 
 

@@ -17,8 +17,6 @@ import anyio.to_thread
 
 from vehanchor_server.errors import CallError
 
-__all__ = ["CallStoppedError", "Capacity", "Stop"]
-
 T = TypeVar("T")
 
 

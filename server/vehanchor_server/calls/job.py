@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from vehanchor_server.calls.capacity import Stop
 
-__all__ = ["PERCENT_DONE", "PERCENT_READ", "PERCENT_SEARCHED", "Job", "Stages"]
-
 PERCENT_READ, PERCENT_SEARCHED, PERCENT_DONE = 10, 95, 100
 _tracer = trace.get_tracer("vehanchor_server")
 

@@ -19,16 +19,6 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.capacity import Stop
     from vehanchor_server.calls.job import Job
 
-__all__ = [
-    "MAX_PAGE_BYTES",
-    "MAX_PICTURE_BYTES",
-    "MAX_SIDE_PX",
-    "Pictures",
-    "draw_pictures",
-    "small_jpeg",
-    "stoppable",
-]
-
 MAX_PICTURE_BYTES = 400_000  # hosts cap a result at about 0.75 MB: this and the page's picture, and base64 adds a third
 MAX_PAGE_BYTES = 120_000  # on every result of a host that shows pages, whether anyone looks or not
 MAX_SIDE_PX = 1568  # what vision models see at most; more would only cost

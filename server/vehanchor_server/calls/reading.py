@@ -20,8 +20,6 @@ from vehanchor_server.errors import CallError
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
-__all__ = ["receive"]
-
 _MAX_BYTES = 64 << 20
 """Of a message: more than every picture and outline of an answer."""
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from vehanchor_server.images.source import ImageSources
     from vehanchor_server.models import Models
 
-__all__ = ["Parts", "Task", "perform"]
-
 Result = TypeVar("Result")
 
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vehanchor_server.calls.capacity import Stop
-from vehanchor_server.calls.confinement import Confinement, confine
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.sandbox import Confinement, confine
 from vehanchor_server.calls.task import perform
 from vehanchor_server.errors import CallError
 
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
     from vehanchor_server.calls.task import Parts, Task
-
-__all__ = ["WorkerLimits", "serve_tasks"]
 
 _IDLE_S = 0.5  # then memory is given back; after each call the next one would wait for its pages
 _OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")  # OpenCV's, C++'s, ONNX's

@@ -34,11 +34,9 @@ if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
 
     from vehanchor_server.calls.capacity import Stop
-    from vehanchor_server.calls.confinement import Confinement
+    from vehanchor_server.calls.sandbox import Confinement
     from vehanchor_server.calls.task import Parts, Task
     from vehanchor_server.calls.worker_process import WorkerLimits
-
-__all__ = ["WorkerFailedError", "WorkerPool"]
 
 Result = TypeVar("Result")
 

@@ -8,16 +8,6 @@ from pydantic import Field
 
 from vehanchor_server.frozen import FrozenModel
 
-__all__ = [
-    "MAX_PATH_CHARS",
-    "MAX_URL_CHARS",
-    "AnyImage",
-    "Base64Image",
-    "ImageArgument",
-    "PathImage",
-    "UrlImage",
-]
-
 MAX_PATH_CHARS = 4096  # Linux's PATH_MAX
 MAX_URL_CHARS = 2048
 

@@ -22,8 +22,6 @@ from vehanchor_server.errors import CallError, shortened
 if TYPE_CHECKING:
     import ssl
 
-__all__ = ["Fetcher", "is_public_address", "resolve_host"]
-
 MAX_REDIRECTS = 3
 _REDIRECTS = (301, 302, 303, 307, 308)
 _HTTPS_PORT = 443

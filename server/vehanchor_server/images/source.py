@@ -17,12 +17,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from vehanchor_server.images.fetch import Fetcher
-    from vehanchor_server.images.sandbox import Sandbox
-
-__all__ = ["ImageSources", "OpenedImage", "library_errors"]
+    from vehanchor_server.images.path_access import Sandbox
 
 OpenedImage: TypeAlias = str | bytes | BinaryIO
-"""A descriptor's name, bytes, or a file object: what ``vehanchor.imagery.raster.open_raster`` takes."""
+"""A descriptor's name, bytes, or a file object: what ``vehanchor.imagery.sources.opening.open_raster`` takes."""
 
 _DATA_URI = re.compile(r"data:[\w.+/-]*(;[\w=.+-]+)*,", re.ASCII | re.IGNORECASE)
 _MAX_URI_HEAD = 256

@@ -22,12 +22,22 @@ from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
-from vehanchor_server.tools.asking import ask_for_help, with_the_persons_answer
+from vehanchor_server.tools.elicitation import ask_for_help, with_the_persons_answer
 from vehanchor_server.tools.flight_question import (
     MoreImagesArgument,
     SameScaleArgument,
     check_flight_question,
     estimate_among,
+)
+from vehanchor_server.tools.messages import (
+    POLICY,
+    interval,
+    not_to_be_used,
+    nothing_found,
+    rounded,
+    sources,
+    warnings,
+    what_rulers_say,
 )
 from vehanchor_server.tools.scale_answer import scale_answer
 from vehanchor_server.tools.scale_question import (
@@ -45,19 +55,7 @@ from vehanchor_server.tools.scale_question import (
     RegionArgument,
     ScaleQuestion,
 )
-from vehanchor_server.tools.sentences import (
-    POLICY,
-    interval,
-    not_to_be_used,
-    nothing_found,
-    rounded,
-    sources,
-    warnings,
-    what_rulers_say,
-)
 from vehanchor_server.tools.strict_tool import StrictTool
-
-__all__ = ["describe_estimate", "estimate_gsd_tool"]
 
 _DESCRIPTION = (
     "Measures the metric scale (metres per pixel) of a near-nadir aerial or satellite image from the cars in it; a "
@@ -136,7 +134,7 @@ def _estimate(
         CallStoppedError: the call was asked to end.
     """
     from vehanchor.estimate import analyse_raster, open_detector
-    from vehanchor.imagery.raster import open_raster
+    from vehanchor.imagery.sources.opening import open_raster
 
     detector = services.models.detector()
     options = question.options(services.settings, services.models)

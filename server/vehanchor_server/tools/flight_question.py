@@ -17,9 +17,9 @@ from vehanchor_server.images.source import library_errors
 from vehanchor_server.tools.scale_answer import scale_answer
 
 if TYPE_CHECKING:
-    from vehanchor.flight.concluding import Failure
+    from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.flight.photograph import Photograph
-    from vehanchor.flight.taken import Taken
+    from vehanchor.flight.record import Failure
     from vehanchor.options import ScaleOptions
     from vehanchor.records import FlightEstimate, GsdEstimate
     from vehanchor_server.calls.answer import Answer, WantedPictures
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from vehanchor_server.images.source import OpenedImage
     from vehanchor_server.services import Services
     from vehanchor_server.tools.scale_question import ScaleQuestion
-
-__all__ = ["MAX_MORE_IMAGES", "MoreImagesArgument", "SameScaleArgument", "check_flight_question", "estimate_among"]
 
 MAX_MORE_IMAGES = 32
 
@@ -70,8 +68,8 @@ def estimate_among(
         CallStoppedError: the call was asked to end.
     """
     from vehanchor.estimate import open_detector
-    from vehanchor.flight.estimate import conclude, look_at_flight
-    from vehanchor.imagery.raster import open_raster
+    from vehanchor.flight.estimate import conclude, search_flight
+    from vehanchor.imagery.sources.opening import open_raster
 
     detector = services.models.detector()
     asked = question.options(services.settings, services.models)
@@ -81,7 +79,7 @@ def estimate_among(
     for _ in _taken(services, source, more, []):  # a path that is refused is told before the work
         job.stop.check()
     opened: list[OpenedImage] = []
-    looks = look_at_flight(
+    looks = search_flight(
         _taken(services, source, more, opened),
         detector,
         options,
@@ -99,17 +97,17 @@ def estimate_among(
 
 def _taken(
     services: Services, source: OpenedImage, more: Sequence[tuple[AnyImage, bytes | None]], opened: list[OpenedImage]
-) -> Iterator[Taken]:
+) -> Iterator[InputPhotograph]:
     """The image and the others, each open for as long as it is looked at."""
-    from vehanchor.flight.taken import Taken
+    from vehanchor.flight.inputs import InputPhotograph
 
     opened.append(source)
-    yield Taken("image", source)
+    yield InputPhotograph("image", source)
     for number, (image, fetched) in enumerate(more):
         try:
             with services.sources.open(image, fetched) as other:
                 opened.append(other)
-                yield Taken(f"more_images.{number}", other)
+                yield InputPhotograph(f"more_images.{number}", other)
         except CallError as error:
             raise CallError(error.code, f"more_images.{number}: {error.told}") from error
 
@@ -121,7 +119,7 @@ def _readable(look: Photograph | Failure, source: OpenedImage) -> Photograph:
         CallError: it is none of an image that the caller has named among the others; which one is said.
         VehAnchorError: it is none of the image itself.
     """
-    from vehanchor.flight.concluding import Failure
+    from vehanchor.flight.record import Failure
 
     if not isinstance(look, Failure):
         return look
@@ -145,9 +143,9 @@ def _refuse_twice(members: Sequence[Photograph]) -> None:
 def _answered(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstimate:
     """The record of the image, with what it says in the caller's copy, and a warning where nothing ties it."""
     from vehanchor.estimate import frame_scale
-    from vehanchor.flight.single import estimate_in_flight
-    from vehanchor.notices import NoticeCode
+    from vehanchor.flight.project import estimate_in_flight
     from vehanchor.records import Notice
+    from vehanchor.records.notices import NoticeCode
 
     first = flight.photographs[0]
     record = estimate_in_flight(flight, first)
@@ -156,11 +154,11 @@ def _answered(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstimate:
     if record.gsd_ci95_low_m_per_px is not None and record.gsd_ci95_high_m_per_px is not None:
         interval = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
     warnings = record.warnings
-    if first.island is not None and flight.islands[first.island].n_photographs == 1:
+    if first.component is not None and flight.components[first.component].n_photographs == 1:
         message = (
             "None of the other images overlaps this one enough to be tied to it: the scale is its own, or that of "
         )
         message += "its height above the sea."
-        warnings = (*warnings, Notice(code=NoticeCode.NOT_TIED, message=message))
+        warnings = (*warnings, Notice(code=NoticeCode.NOT_LINKED, message=message))
     frame = frame_scale(asked.frame, record.image_width_px, record.gsd_m_per_px, interval)
     return record.model_copy(update={"frame": frame, "warnings": warnings})

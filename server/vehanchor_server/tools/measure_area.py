@@ -24,6 +24,16 @@ from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.measuring import MeasuredBy, copy_hint
+from vehanchor_server.tools.messages import (
+    OBEY,
+    interval,
+    not_to_be_used,
+    nothing_found,
+    numbered,
+    rounded,
+    scale_origin,
+    warnings,
+)
 from vehanchor_server.tools.scale_question import (
     UNLISTED_ARGUMENTS,
     CoordinatesArgument,
@@ -39,23 +49,11 @@ from vehanchor_server.tools.scale_question import (
     RegionArgument,
     ScaleQuestion,
 )
-from vehanchor_server.tools.sentences import (
-    OBEY,
-    interval,
-    not_to_be_used,
-    nothing_found,
-    numbered,
-    rounded,
-    scale_origin,
-    warnings,
-)
 from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import MAX_TARGETS, Target
 
 if TYPE_CHECKING:
-    from vehanchor.segmentation.segmenter import Prompt
-
-__all__ = ["describe_area", "measure_area_tool"]
+    from vehanchor.segmentation.prompt import Prompt
 
 _DESCRIPTION = (
     "Measures the real area (square metres) and size of objects in a near-nadir aerial or satellite image: roof, pool, "
@@ -154,8 +152,8 @@ def _measure(
         CallError: a model cannot be loaded.
         CallStoppedError: the call was asked to end.
     """
-    from vehanchor.imagery.raster import open_raster
-    from vehanchor.measure import analyse_objects
+    from vehanchor.imagery.sources.opening import open_raster
+    from vehanchor.measure.area import analyse_objects
     from vehanchor.pictures.area import draw_area
     from vehanchor_server.app_page.panel import drawing_of, length_histogram
     from vehanchor_server.calls.overlay import draw_pictures
@@ -214,8 +212,8 @@ def _area_in_words(area: AreaMeasurement) -> str:
         return "No object found there: no area. Draw a box tightly around one that can be seen."
     if area.area_m2 is None:
         return (
-            f"No area: the object covers {area.mask_area_px} px, but {nothing_found(area.scale)}, and give its scale "
-            "as gsd_m_per_px."
+            f"No area: the object covers {area.mask_area_px} px, but {nothing_found(area.estimate)}, and give its "
+            "scale as gsd_m_per_px."
         )
     size = f"{rounded(area.area_m2)} m2{interval(area.area_ci95_low_m2, area.area_ci95_high_m2)}"
     if area.length_m is not None and area.width_m is not None and area.inscribed_diameter_m is not None:
@@ -225,5 +223,5 @@ def _area_in_words(area: AreaMeasurement) -> str:
     if area.status == "ok":
         return size + ("as good as the given scale." if area.scale_source == "given" else "safe to use.")
     if area.confidence is not None and area.confidence < FALLBACK_CONFIDENCE:
-        return size + not_to_be_used(area.scale)
+        return size + not_to_be_used(area.estimate)
     return size + "do not rely on it (the segmenter doubts its mask); look at the overlay, or draw another box."

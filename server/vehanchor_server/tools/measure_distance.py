@@ -19,6 +19,16 @@ from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.measuring import MeasuredBy, copy_hint
+from vehanchor_server.tools.messages import (
+    OBEY,
+    interval,
+    not_to_be_used,
+    nothing_found,
+    numbered,
+    rounded,
+    scale_origin,
+    warnings,
+)
 from vehanchor_server.tools.scale_question import (
     UNLISTED_ARGUMENTS,
     CoordinatesArgument,
@@ -34,20 +44,8 @@ from vehanchor_server.tools.scale_question import (
     RegionArgument,
     ScaleQuestion,
 )
-from vehanchor_server.tools.sentences import (
-    OBEY,
-    interval,
-    not_to_be_used,
-    nothing_found,
-    numbered,
-    rounded,
-    scale_origin,
-    warnings,
-)
 from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import MAX_POINTS, MAX_TARGETS
-
-__all__ = ["describe_distance", "measure_distance_tool"]
 
 _DESCRIPTION = (
     "Measures distances on the ground (metres) in a near-nadir aerial or satellite image: how wide, how long, how far. "
@@ -128,8 +126,8 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
         CallError: a model cannot be loaded.
         CallStoppedError: the call was asked to end.
     """
-    from vehanchor.distance import analyse_paths, read_path
-    from vehanchor.imagery.raster import open_raster
+    from vehanchor.imagery.sources.opening import open_raster
+    from vehanchor.measure.distance import analyse_paths, read_path
     from vehanchor_server.app_page.panel import length_histogram
 
     paths = [read_path([(point.x, point.y) for point in line.points]) for line in question.lines]
@@ -157,11 +155,11 @@ def describe_distance(record: DistanceMeasurement, detail: Detail = "full") -> s
 def _distance_in_words(record: DistanceMeasurement) -> str:
     if record.distance_m is None:
         return (
-            f"No distance: the line is {record.length_px:.0f} px long, but {nothing_found(record.scale)}, and give its "
-            "scale as gsd_m_per_px."
+            f"No distance: the line is {record.length_px:.0f} px long, but {nothing_found(record.estimate)}, and "
+            "give its scale as gsd_m_per_px."
         )
     said = f"{rounded(record.distance_m)} m{interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
     said += f"; {scale_origin(record)}: "
     if record.status == "ok":
         return said + ("as good as the given scale." if record.scale_source == "given" else "safe to use.")
-    return said + not_to_be_used(record.scale)
+    return said + not_to_be_used(record.estimate)

@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from vehanchor.found_scale import ScaleInput
+    from vehanchor.measure.resolved_scale import ScaleInput
     from vehanchor.options import ScaleOptions
     from vehanchor.records import KnownScale
     from vehanchor_server.services import Services
     from vehanchor_server.tools.scale_question import ScaleQuestion
-
-__all__ = ["MeasuredBy", "copy_hint"]
 
 _SEEN_SIDE_PX = 1568  # hosts reduce larger images for their models
 
@@ -42,7 +40,7 @@ class MeasuredBy:
             CallError: a model cannot be loaded.
             VehAnchorError: the arguments contradict each other.
         """
-        from vehanchor.found_scale import choose_scale
+        from vehanchor.measure.resolved_scale import choose_scale
 
         searched = self.gsd_m_per_px is None and self.scale is None
         options = self.question.options(services.settings, services.models if searched else None)

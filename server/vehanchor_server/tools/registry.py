@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from vehanchor_server.services import Services
     from vehanchor_server.tools.strict_tool import StrictTool
 
-__all__ = ["TOOLS", "create_tools"]
-
 TOOLS: tuple[Callable[[Services], StrictTool], ...] = (
     estimate_gsd_tool,
     measure_area_tool,

@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING
 from vehanchor_server.calls.answer import Answer
 
 if TYPE_CHECKING:
-    from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.imagery.raster import Raster
     from vehanchor.records import GsdEstimate
     from vehanchor_server.calls.answer import WantedPictures
     from vehanchor_server.calls.job import Job
-
-__all__ = ["scale_answer"]
 
 
 def scale_answer(

@@ -7,37 +7,15 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeVar, cast
 
 from pydantic import Field
 
-from vehanchor.defaults import REGIONS
 from vehanchor.options import Coordinates, Effort, Frame, KnownLength, Reading, Reference, Rulers, ScaleOptions, Search
 from vehanchor.records import KnownScale
+from vehanchor.scale.defaults import REGIONS
 from vehanchor_server.calls.answer import Detail
 from vehanchor_server.frozen import FrozenModel, Number, WholeNumber
 
 if TYPE_CHECKING:
     from vehanchor_server.models import Models
     from vehanchor_server.settings import Settings
-
-__all__ = [
-    "EFFORT_ARGUMENTS",
-    "UNLISTED_ARGUMENTS",
-    "CoordinatesArgument",
-    "DetailArgument",
-    "EffortArgument",
-    "FocalLengthArgument",
-    "FrameArgument",
-    "FrameSize",
-    "GsdArgument",
-    "HeightArgument",
-    "KnownLengthsArgument",
-    "KnownLine",
-    "KnownScaleArgument",
-    "MaxSecondsArgument",
-    "MaxTilesArgument",
-    "ObjectHeightArgument",
-    "ReferenceLengthArgument",
-    "RegionArgument",
-    "ScaleQuestion",
-]
 
 
 class FrameSize(FrozenModel):

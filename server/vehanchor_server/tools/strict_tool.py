@@ -17,8 +17,6 @@ from vehanchor_server.errors import CallError, shortened
 from vehanchor_server.request_log import log_call
 from vehanchor_server.tools.portable_schema import listed_schema, portable_schema
 
-__all__ = ["StrictTool"]
-
 _IN_WORDS = {  # pydantic's own words for these help a programmer, not a model
     "extra_forbidden": "there is no such argument",
     "missing": "it is required",

@@ -9,8 +9,6 @@ from pydantic_core import PydanticCustomError
 
 from vehanchor_server.frozen import FrozenModel, Number
 
-__all__ = ["MAX_POINTS", "MAX_TARGETS", "Box", "Point", "Target"]
-
 MAX_POINTS = 32  # more than anyone clicks
 MAX_TARGETS = 16  # of one call
 

@@ -23,8 +23,6 @@ from vehanchor_server.tools.scale_question import CoordinatesArgument
 from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import Box
 
-__all__ = ["view_image_tool"]
-
 _DESCRIPTION = (
     "Shows an image, or a part of it, under a light grid numbered in the image's pixels: look before you point, and "
     "again at a part where you must be exact. Without image it lists those that can be named by path. It measures "
@@ -110,9 +108,10 @@ def _view(services: Services, job: Job, source: OpenedImage, look: _Look) -> tup
     """
     import cv2
 
-    from vehanchor.imagery.raster import Window, open_raster
+    from vehanchor.imagery.raster import Window
+    from vehanchor.imagery.sources.opening import open_raster
+    from vehanchor.measure.coordinates import CoordinateFrame
     from vehanchor.pictures.grid import draw_grid
-    from vehanchor.pointing import Pointing
     from vehanchor_server.calls.overlay import small_jpeg, stoppable
 
     job.enter("decode")
@@ -120,8 +119,8 @@ def _view(services: Services, job: Job, source: OpenedImage, look: _Look) -> tup
     with open_raster(source, limits=reading.limits) as raster:
         window = Window(0, 0, raster.width_px, raster.height_px)
         if look.part is not None:
-            pointing = Pointing(Frame(coordinates=look.coordinates), raster.width_px, raster.height_px)
-            window = Window(*_inside(look.part, pointing))
+            coordinates = CoordinateFrame(Frame(coordinates=look.coordinates), raster.width_px, raster.height_px)
+            window = Window(*_inside(look.part, coordinates))
         job.enter("overlay")
         picture = draw_grid(stoppable(raster, job.stop), window, look.long_side_px, lines=look.grid)
         jpeg = small_jpeg(picture.rgb)
@@ -150,23 +149,23 @@ def _bytes(jpeg: bytes) -> Any:
     return np.frombuffer(jpeg, np.uint8)
 
 
-def _inside(part: Box, pointing: Any) -> tuple[int, int, int, int]:
+def _inside(part: Box, coordinates: Any) -> tuple[int, int, int, int]:
     """The part's first column and row, width and height, in whole pixels.
 
     Raises:
         PromptError: it is outside, or too small to be seen.
     """
     ends = ((part.x_min, part.y_min), (part.x_max, part.y_max))
-    if not pointing.inside(ends):
+    if not coordinates.inside(ends):
         numbers = ", ".join(f"{value:g}" for end in ends for value in end)
-        raise PromptError(f"part {numbers} is not inside the {pointing.name}{pointing.other_reading(ends)}")
-    (left, top), (right, bottom) = (pointing.in_image(end) for end in ends)
+        raise PromptError(f"part {numbers} is not inside the {coordinates.name}{coordinates.other_reading(ends)}")
+    (left, top), (right, bottom) = (coordinates.in_image(end) for end in ends)
     x, y = int(left), int(top)
     width, height = round(right) - x, round(bottom) - y
     if min(width, height) < _LEAST_PART_PX:
         raise PromptError(
             f"the part is {width} x {height} px of the full image: at least {_LEAST_PART_PX} px a side are needed"
-            f"{pointing.other_reading(ends)}"
+            f"{coordinates.other_reading(ends)}"
         )
     return x, y, width, height
 

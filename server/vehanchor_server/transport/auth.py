@@ -19,8 +19,6 @@ from vehanchor_server.settings import Settings, SettingsError
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["OidcVerifier", "StaticTokenVerifier", "read_tokens", "token_verifier"]
-
 MIN_TOKEN_CHARS = 16  # shorter ones can be guessed
 KEYS_AGE_S = 3600.0  # keys are fetched anew after this long
 KEYS_RETRY_S = 30.0  # and at most this often, whatever key a token asks for

@@ -13,8 +13,6 @@ from typing import Any
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-__all__ = ["BACKLOG", "MAX_HEAD_BYTES", "ConnectionLimits", "LimitedProtocol"]
-
 BACKLOG = (
     128  # accepted at a stroke, before any can be refused: the process must be able to open as many beside its limit
 )

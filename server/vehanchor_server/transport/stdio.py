@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from vehanchor_server.services import Services
     from vehanchor_server.settings import Settings
 
-__all__ = ["serve_stdio"]
-
 PRELOAD_DELAY_S = 1.0  # the first question comes at once, and loading the models would make its answer wait
 _GRACE_S = 1.0  # what stopped calls may take to end
 

@@ -8,8 +8,6 @@ import signal
 import threading
 import time
 
-__all__ = ["end_with_supervisor"]
-
 _GRACE_S = 5.0
 
 

@@ -46,8 +46,6 @@ if TYPE_CHECKING:
 
     from vehanchor_server.settings import Settings
 
-__all__ = ["Address", "create_viewer", "serve_viewer"]
-
 _LOOPBACK = "127.0.0.1"
 _TOKEN_BYTES = 24
 _MAX_CALL_BYTES = 64 << 10  # the largest that means anything, a box for each of 16 objects, is far below

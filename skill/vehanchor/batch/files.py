@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import ImageNotFoundError
-from vehanchor.imagery.addresses import is_address
+from vehanchor.imagery.sources.addresses import is_address
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-
-__all__ = ["SUFFIXES", "find_images", "where_it_is"]
 
 _SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
 SUFFIXES = frozenset(

@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from vehanchor.batch.files import where_it_is
 from vehanchor.errors import KnownLengthError
-from vehanchor.imagery.addresses import is_address
-from vehanchor.ruler_options import KnownLength, Rulers
+from vehanchor.imagery.sources.addresses import is_address
+from vehanchor.options.rulers import KnownLength, Rulers
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Iterable, Mapping
 
     from vehanchor.options import ScaleOptions
-
-__all__ = ["KnownLengthTable", "lines_in", "read_known_lengths", "with_lines_of"]
 
 KnownLengthTable: TypeAlias = "Mapping[str, tuple[KnownLength, ...]]"
 """Lines by the absolute path, or the address, of the image that they lie in."""

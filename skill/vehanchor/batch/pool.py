@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, TypeVar
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable
 
-__all__ = ["finished", "finished_in_threads"]
-
 _QUEUED_PER_WORKER = 2  # enough that none waits; a million futures at once would fill the memory
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from vehanchor.batch.engines.local import local_rows, local_workers
 from vehanchor.batch.engines.ray import ray_rows, require_ray
 from vehanchor.batch.files import find_images
-from vehanchor.batch.journal import Journal
 from vehanchor.batch.known_lengths import lines_in
 from vehanchor.batch.row import BatchRow
 from vehanchor.batch.table import check_table_path, write_table
@@ -24,12 +23,11 @@ from vehanchor.estimate import networks_sha256, open_detector
 from vehanchor.models.session import DEFAULT_PROVIDERS
 from vehanchor.models.zoo import bundled_models, resolve_model
 from vehanchor.options import ScaleOptions
+from vehanchor.storage.journal import Journal
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-
-__all__ = ["BatchSummary", "Engine", "run_batch"]
 
 Engine = Literal["local", "ray"]
 

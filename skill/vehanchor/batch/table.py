@@ -10,14 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from vehanchor.batch.row import COLUMNS
 from vehanchor.errors import MissingExtraError, OutputError
-from vehanchor.output import whole_file
+from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from vehanchor.batch.row import BatchRow
-
-__all__ = ["check_table_path", "write_table"]
 
 _CHUNK_ROWS = 4096  # what a Parquet writer holds in memory
 

@@ -8,23 +8,21 @@ from typing import TYPE_CHECKING
 
 import cv2
 
-from vehanchor.batch.journal import Key, Source
 from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.batch.row import BatchRow
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
 from vehanchor.estimate import analyse_scale, networks_sha256, open_detector
-from vehanchor.imagery.addresses import is_address
+from vehanchor.imagery.sources.addresses import is_address
 from vehanchor.models.session import DEFAULT_PROVIDERS
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
+from vehanchor.storage.journal import Key, Source
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from vehanchor.batch.known_lengths import KnownLengthTable
-
-__all__ = ["BatchJob", "Task", "Worker"]
 
 
 @dataclass(frozen=True)

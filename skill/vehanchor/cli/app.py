@@ -25,8 +25,6 @@ from vehanchor.cli.terminal import BAD_INPUT, INTERRUPTED, UNFORESEEN
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = ["app", "main"]
-
 _GROUP = "vehanchor.commands"
 _PANELS = {
     **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "scalebar", "view"), "Measure"),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.declared import Chosen, scale_command
+from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.cli.given_scale import KnownLengthsFile
 from vehanchor.cli.terminal import INTERRUPTED, exit_on_error, image_progress, printable
 from vehanchor.errors import InvalidParameterError
@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 
     from vehanchor.batch import BatchSummary
 
-__all__ = ["batch"]
-
-_STATUSES = ("ok", "low_confidence", "no_anchor", "error")
+_STATUSES = ("ok", "low_confidence", "no_scale", "error")
 
 
 class _Engine(StrEnum):
@@ -64,7 +62,7 @@ def batch(
     ] = False,
     known_lengths: KnownLengthsFile = None,
     *,
-    chosen: Chosen,
+    chosen: ParsedOptions,
 ) -> None:
     """Estimate the scale of many images: a table with one row an image, also where an image has an error.
 
@@ -85,7 +83,7 @@ def batch(
 def _run(
     inputs: list[str],
     output: Path,
-    chosen: Chosen,
+    chosen: ParsedOptions,
     progress: Callable[[int, int], None],
     workers: int | None,
     engine: _Engine,
@@ -122,7 +120,7 @@ def _of_one_scale(
     output: Path,
     engine: _Engine,
     workers: int | None,
-    chosen: Chosen,
+    chosen: ParsedOptions,
     progress: Callable[[int, int], None],
     known_lengths: Path | None,
     *,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.declared import Chosen, Photograph, scale_command
+from vehanchor.cli.cli_options import ParsedOptions, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
 from vehanchor.cli.spaced import SpacedCommand
 from vehanchor.cli.terminal import (
@@ -23,15 +23,13 @@ from vehanchor.cli.terminal import (
     tile_progress,
 )
 from vehanchor.errors import PromptError, VehAnchorError
-from vehanchor.output import check_apart
+from vehanchor.storage.atomic import check_apart
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from vehanchor.exhibits import DistanceAnalysis
+    from vehanchor.analysis.measured import DistanceAnalysis
     from vehanchor.records import DistanceMeasurement
-
-__all__ = ["distance"]
 
 
 @scale_command()
@@ -57,14 +55,14 @@ def _distance(
     ] = None,
     strict: Strict = False,
     *,
-    chosen: Chosen,
+    chosen: ParsedOptions,
 ) -> None:
     """Measure the distance (metres) between two points, or along a line, by the scale of the cars in the image."""
     with exit_on_error():
         try:
             path, options, known = _path(point or ()), chosen.options(), read_scale(scale, image)
             _check_outputs(image, line, overlay)
-            from vehanchor.distance import analyse_distance
+            from vehanchor.measure.distance import analyse_distance
 
             with tile_progress(1, lines_on_terminal=as_json) as step:
                 analysis = analyse_distance(
@@ -109,7 +107,7 @@ def _path(texts: Sequence[str]) -> list[tuple[float, float]]:
 def _check_outputs(image: str, line: Path | None, overlay: Path | None) -> None:
     """Make sure, before the work, that the files can be written, and do not take the image's place."""
     if line is not None:
-        from vehanchor.exports import LINE_SUFFIXES, check_boxes_path
+        from vehanchor.export.vectors import LINE_SUFFIXES, check_boxes_path
 
         check_boxes_path(line, LINE_SUFFIXES)
     if overlay is not None:
@@ -120,7 +118,7 @@ def _check_outputs(image: str, line: Path | None, overlay: Path | None) -> None:
 
 def _write_files(analysis: DistanceAnalysis, line: Path | None, overlay: Path | None) -> None:
     if line is not None:
-        from vehanchor.exports import write_measured
+        from vehanchor.export.vectors import write_measured
 
         write_measured(line, analysis)
     if overlay is not None:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.advice import ADVICE
-from vehanchor.cli.declared import Chosen, scale_command
+from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.cli.terminal import (
     BAD_INPUT,
     STATUS_TEXTS,
@@ -29,16 +28,15 @@ from vehanchor.cli.terminal import (
     tile_progress,
 )
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAnchorError
+from vehanchor.records.advice import ADVICE
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.detection.detector import Detector
-    from vehanchor.estimate import ScaleAnalysis
     from vehanchor.options import ScaleOptions
     from vehanchor.records import GsdEstimate, RulerScale, TiltEstimate
-
-__all__ = ["estimate"]
 
 _STEM = "{stem}"
 _SHORT_SHA = 12
@@ -79,7 +77,7 @@ def estimate(
     ] = None,
     strict: Strict = False,
     *,
-    chosen: Chosen,
+    chosen: ParsedOptions,
 ) -> None:
     """Estimate the ground sampling distance (metres per pixel) of aerial images from the cars in them."""
     with exit_on_error():
@@ -156,7 +154,7 @@ def _outputs(images: Sequence[str], overlay: str | None, plot: str | None, boxes
     tables = _names(images, "--boxes", boxes)
     chosen = [path for path in (*overlays, *plots, *tables) if path is not None]
     if chosen:
-        from vehanchor.exports import check_boxes_path
+        from vehanchor.export.vectors import check_boxes_path
         from vehanchor.pictures.scale import check_picture_path
 
         inputs = {Path(source).resolve() for source in images}
@@ -200,7 +198,7 @@ def _write_outputs(analysis: ScaleAnalysis, outputs: _Outputs) -> None:
 
         write_plot(outputs.plot, analysis.plot())
     if outputs.boxes is not None:
-        from vehanchor.exports import write_boxes
+        from vehanchor.export.vectors import write_boxes
 
         write_boxes(outputs.boxes, analysis)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from vehanchor.cli.declared import Chosen, scale_command
+from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.cli.terminal import (
     INTERRUPTED,
     STATUS_TEXTS,
@@ -29,10 +29,8 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-    from vehanchor.flight.taken import Taken
+    from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.records import FlightEstimate, FlightPhotograph
-
-__all__ = ["flight"]
 
 _EVERY_S = 2.0
 _MOST_NAMED = 3  # links that were dropped, in the table
@@ -74,13 +72,13 @@ def flight(
     page: ReportFile = None,
     every: Seconds = _EVERY_S,
     *,
-    chosen: Chosen,
+    chosen: ParsedOptions,
 ) -> None:
     """Estimate the scales of the photographs of one flight by the evidence of all of them."""
     with exit_on_error():
         from vehanchor.flight.estimate import analyse_flight
+        from vehanchor.flight.io import check_record_path, write_record
         from vehanchor.flight.report import check_report_path, write_report
-        from vehanchor.flight.written import check_record_path, write_record
 
         options = chosen.options()
         journal = None if out is None else check_record_path(out).with_name(out.name + ".journal")
@@ -117,7 +115,9 @@ def _tell(record: FlightEstimate, *, as_json: bool) -> None:
     print_warnings(record, "")
 
 
-def _images(inputs: list[str], every_s: float, leave_out: tuple[Path, ...]) -> Sequence[str] | Iterator[Taken]:
+def _images(
+    inputs: list[str], every_s: float, leave_out: tuple[Path, ...]
+) -> Sequence[str] | Iterator[InputPhotograph]:
     """Files, or the frames of one video."""
     from vehanchor.batch.files import find_images
     from vehanchor.flight.video import is_video, sample_video
@@ -148,8 +148,8 @@ def _facts(record: FlightEstimate) -> list[tuple[str, str]]:
     facts.append(("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"))
     facts.append(("vehicles", str(record.n_vehicles)))
     if not record.same_scale:
-        sizes = ", ".join(str(island.n_photographs) for island in record.islands)
-        facts.append(("tied together", f"{sizes} photographs" if len(record.islands) > 1 else "all of them"))
+        sizes = ", ".join(str(component.n_photographs) for component in record.components)
+        facts.append(("tied together", f"{sizes} photographs" if len(record.components) > 1 else "all of them"))
         dropped = [link for link in record.links if link.dropped]
         facts.append(("overlaps", f"{len(record.links) - len(dropped)} used, {len(dropped)} dropped"))
         for link in dropped[:_MOST_NAMED]:
@@ -185,9 +185,9 @@ def _photographs_table(photographs: Sequence[FlightPhotograph], names: Sequence[
 
 
 def _hangs_on(photograph: FlightPhotograph) -> str:
-    if not photograph.anchors:
+    if not photograph.supported_by:
         return "-"
-    first = photograph.anchors[0]
+    first = photograph.supported_by[0]
     if first.photograph == photograph.photograph:
         return f"{first.ruler} of its own"
     between = f" through {len(first.through)} more" if first.through else ""

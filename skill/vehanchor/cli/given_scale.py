@@ -13,8 +13,6 @@ from vehanchor.errors import InvalidParameterError
 if TYPE_CHECKING:
     from vehanchor.records import KnownScale
 
-__all__ = ["GivenGsd", "KnownLengthsFile", "ObjectHeight", "ScaleFile", "read_scale"]
-
 GivenGsd: TypeAlias = Annotated[
     float | None,
     typer.Option("--gsd", metavar="M/PX", help="The scale, metres per pixel of the full image: then no car is needed."),
@@ -70,12 +68,10 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
             f"--scale {str(path)!r} cannot be read: {error}. Give what 'vehanchor estimate IMAGE --json' prints"
         ) from None
     if isinstance(record, dict) and "photographs" in record:
-        from vehanchor.flight.written import photograph_in, read_record
+        from vehanchor.flight.io import photograph_in, read_record
 
         return photograph_in(read_record(path), image).scale
     found = record.get("scale", record) if isinstance(record, dict) else record
-    while isinstance(found, dict) and isinstance(found.get("scale"), dict):  # of a measurement: the scale of its scale
-        found = found["scale"]
     try:
         return KnownScale.model_validate(found)
     except ValidationError:

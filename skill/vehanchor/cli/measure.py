@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from vehanchor.cli.declared import Chosen, DetectorChoice, Photograph, scale_command
+from vehanchor.cli.cli_options import DetectorChoice, ParsedOptions, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
 from vehanchor.cli.spaced import SpacedCommand
 from vehanchor.cli.terminal import (
@@ -28,11 +28,9 @@ from vehanchor.errors import InvalidParameterError, OutputError, PromptError, Ve
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from vehanchor.measure import AreaAnalysis
+    from vehanchor.analysis.measured import AreaAnalysis
     from vehanchor.options import ScaleOptions
     from vehanchor.records import AreaMeasurement, KnownScale
-
-__all__ = ["measure"]
 
 _SHORT_SHA = 12
 
@@ -83,7 +81,7 @@ def _measure(
     segmenter: SegmenterFiles = None,
     strict: Strict = False,
     *,
-    chosen: Chosen,
+    chosen: ParsedOptions,
 ) -> None:
     """Measure the area (square metres) of the object in a box or at a point, by the scale of the cars in the image."""
     with exit_on_error():
@@ -138,7 +136,7 @@ def _outputs(
 ) -> tuple[Path | None, Path | None]:
     """Where the pictures go, checked before the work: folder, suffix, no file for two purposes."""
     if outline is not None:
-        from vehanchor.exports import check_boxes_path
+        from vehanchor.export.vectors import check_boxes_path
 
         check_boxes_path(outline)
     chosen = [None if name is None else Path(name) for name in (overlay, mask)]
@@ -170,7 +168,7 @@ def _analyse(
     detector: DetectorChoice,
     progress: Callable[[int, int], None] | None,
 ) -> AreaAnalysis:
-    from vehanchor.measure import analyse_area
+    from vehanchor.measure.area import analyse_area
 
     return analyse_area(
         image,
@@ -196,7 +194,7 @@ def _write_files(
     outline: Path | None,
 ) -> None:
     if outline is not None:
-        from vehanchor.exports import write_measured
+        from vehanchor.export.vectors import write_measured
 
         write_measured(outline, analysis)
     if overlay is None and mask is None:
@@ -227,10 +225,10 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
             ),
         ]
     facts.append(("mask", f"{record.mask_area_px} px, score {record.mask_score:.2f}"))
-    if record.scale is None:
+    if record.estimate is None:
         facts.append(("scale", f"{record.gsd_m_per_px:.4g} m/px, {record.scale_source}"))
     else:
-        scale = record.scale
+        scale = record.estimate
         facts += [
             ("scale", scale_text(scale.gsd_m_per_px, scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)),
             ("confidence", f"{scale.confidence:.2f}   {STATUS_TEXTS[scale.status]}"),

@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.declared import DetectorChoice
+from vehanchor.cli.cli_options import DetectorChoice
 from vehanchor.cli.terminal import exit_on_error, facts_table, failure, print_json, print_table, printable
 from vehanchor.errors import ModelError, VehAnchorError
 
 if TYPE_CHECKING:
     from vehanchor.detection.card import DetectorCard
-
-__all__ = ["models"]
 
 _SHORT_SHA = 12
 

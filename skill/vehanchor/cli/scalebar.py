@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.declared import Chosen, Photograph, scale_command
+from vehanchor.cli.cli_options import ParsedOptions, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ScaleFile, read_scale
 from vehanchor.cli.terminal import NOT_OK, exit_on_error, tile_progress
-from vehanchor.output import check_apart
+from vehanchor.storage.atomic import check_apart
 
 if TYPE_CHECKING:
-    from vehanchor.found_scale import FoundScale
-
-__all__ = ["scalebar"]
+    from vehanchor.measure.resolved_scale import ResolvedScale
 
 _WORLD_SUFFIXES = {".png": ".pgw", ".jpg": ".jgw", ".jpeg": ".jgw"}
 
@@ -41,13 +39,13 @@ def scalebar(
     gsd: GivenGsd = None,
     scale: ScaleFile = None,
     *,
-    chosen: Chosen,
+    chosen: ParsedOptions,
 ) -> None:
     """Write the photograph with a scale bar; nothing where no one scale may be used for all of it (status 3)."""
     with exit_on_error():
-        from vehanchor.found_scale import choose_scale, find_scale
-        from vehanchor.imagery.raster import open_raster
-        from vehanchor.metric_copy import check_copy_path, write_metric_copy
+        from vehanchor.export.geotiff import check_copy_path, write_metric_copy
+        from vehanchor.imagery.sources.opening import open_raster
+        from vehanchor.measure.resolved_scale import choose_scale, resolve_scale
         from vehanchor.pictures.scale import (
             check_picture_path,
             draw_scale_bar,
@@ -65,7 +63,7 @@ def scalebar(
             open_raster(image, bands=options.reading.bands, limits=options.reading.limits) as raster,
             tile_progress(1, lines_on_terminal=False) as step,
         ):
-            found = find_scale(raster, source, options, progress=step(0, image))
+            found = resolve_scale(raster, source, options, progress=step(0, image))
             if found.gsd_m_per_px is None or found.status != "ok" or found.plane is not None:
                 typer.echo(f"no bar: {_refusal(found)}; nothing was written", err=True)
                 raise typer.Exit(NOT_OK)
@@ -80,15 +78,15 @@ def scalebar(
             _write_world(output, drawn_gsd)
 
 
-def _refusal(found: FoundScale) -> str:
+def _refusal(found: ResolvedScale) -> str:
     if found.status == "ok" and found.plane is not None:
         return f"the camera looked {found.plane.tilt_deg:.0f} degrees aside, and no one scale holds"
-    return "there is no scale" if found.status == "no_anchor" else "the scale's confidence is below 0.5"
+    return "there is no scale" if found.status == "no_scale" else "the scale's confidence is below 0.5"
 
 
 def _write_world(picture: Path, gsd_m: float) -> None:
     """The six lines of a world file: the middle of the first pixel lies half a pixel off the corner."""
-    from vehanchor.output import whole_file
+    from vehanchor.storage.atomic import whole_file
 
     lines = "".join(f"{value:.10g}\n" for value in (gsd_m, 0, 0, -gsd_m, gsd_m / 2, -gsd_m / 2))
     with whole_file(picture.with_suffix(_WORLD_SUFFIXES[picture.suffix.lower()])) as partial:

@@ -6,8 +6,6 @@ from typing import Any
 
 from typer.core import TyperCommand
 
-__all__ = ["SpacedCommand"]
-
 _VALUES = {"--known-length": 5, "--point": 2, "--negative": 2}
 
 

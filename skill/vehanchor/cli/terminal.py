@@ -20,29 +20,6 @@ if TYPE_CHECKING:
 
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate
 
-__all__ = [
-    "BAD_INPUT",
-    "FAILED_TEST",
-    "INTERRUPTED",
-    "NOT_OK",
-    "STATUS_TEXTS",
-    "UNFORESEEN",
-    "Strict",
-    "exit_on_error",
-    "exit_strictly",
-    "facts_table",
-    "failure",
-    "image_progress",
-    "print_json",
-    "print_table",
-    "print_warnings",
-    "printable",
-    "report",
-    "scale_text",
-    "seldom",
-    "tile_progress",
-]
-
 BAD_INPUT, UNFORESEEN, INTERRUPTED = 2, 1, 130  # exit statuses
 NOT_OK = 3  # with --strict: a result that is not to be used
 FAILED_TEST = 1
@@ -188,7 +165,7 @@ def scale_text(gsd: float | None, low: float | None, high: float | None) -> str:
 STATUS_TEXTS = {
     "ok": "ok",
     "low_confidence": "low: use another anchor",
-    "no_anchor": "no anchor: use another source of scale",
+    "no_scale": "no anchor: use another source of scale",
 }
 
 

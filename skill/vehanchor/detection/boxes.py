@@ -16,8 +16,6 @@ from scipy.spatial import cKDTree
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["box_corners", "boxes_from_corners", "canonical_boxes", "oriented_iou", "pair_iou"]
-
 _PARALLEL_RAD = 2e-4  # closer to parallel than this, the closed form errs by less than 0.001 in IoU
 
 

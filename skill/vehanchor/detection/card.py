@@ -10,23 +10,10 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from vehanchor.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, Aggregation
-from vehanchor.detection.look import FleetLengths
+from vehanchor.detection.appearance import FleetLengths
 from vehanchor.errors import ModelContractError
+from vehanchor.scale.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, Aggregation
 from vehanchor.scale.fusion import Votes
-
-__all__ = [
-    "LENGTH_RANGE_PX",
-    "MIN_SCORE",
-    "REFERENCE_LENGTH_M",
-    "REFERENCE_LENGTH_SD_M",
-    "CompanionCard",
-    "DetectorCard",
-    "FleetCard",
-    "SecondLookCard",
-    "read_companion_card",
-    "read_detector_card",
-]
 
 MIN_SCORE = 0.1  # paper, section III-B
 REFERENCE_LENGTH_M = 5.045  # paper, section III-F: KDE mode of the DOTA v1.5 training labels
@@ -78,7 +65,7 @@ class DetectorCard(_Card):
         fleet_lengths: how the look of the vehicles moves the reference length; None where no network beside the
             detector can tell fleets apart.
         fleet_sha256: of the file of that network.
-        second_look_sha256: of the file of the network beside the detector that judges its candidates once more, whose
+        verifier_sha256: of the file of the network beside the detector that judges its candidates once more, whose
             ``min_score`` and ``clear_score`` then stand here; None without one.
         votes: what its boxes tell of the scale together; None where that was never fitted, as for foreign models.
         quantised_from: name of the detector that this one is in fewer bits: the networks beside that one serve it, too.
@@ -100,7 +87,7 @@ class DetectorCard(_Card):
     stride_px: Annotated[int, Field(ge=1, le=_MAX_STRIDE_PX)] = _STRIDE_PX
     fleet_lengths: FleetLengths | None = None
     fleet_sha256: str | None = None
-    second_look_sha256: str | None = None
+    verifier_sha256: str | None = None
     votes: Votes | None = None
     quantised_from: str | None = None
 
@@ -108,7 +95,7 @@ class DetectorCard(_Card):
     @classmethod
     def _votes_in_range(cls, value: Votes | None) -> Votes | None:
         if value is not None and not (
-            min(value.log_sd, value.clutter_density, value.certainty) > 0
+            min(value.log_sd, value.clutter_density, value.sharpness) > 0
             and 0 < value.trust <= 1
             and 0 < value.chance_wrong < 1
         ):
@@ -123,7 +110,7 @@ class DetectorCard(_Card):
         return value
 
 
-class CompanionCard(_Card):
+class AuxiliaryCard(_Card):
     """What the file of a network beside a detector says of itself.
 
     Attributes:
@@ -135,10 +122,10 @@ class CompanionCard(_Card):
     detector: str
 
 
-_CompanionT = TypeVar("_CompanionT", bound=CompanionCard)
+_CompanionT = TypeVar("_CompanionT", bound=AuxiliaryCard)
 
 
-class FleetCard(CompanionCard):
+class FleetCard(AuxiliaryCard):
     """What the file of a network that tells fleets apart says of itself.
 
     Attributes:
@@ -158,7 +145,7 @@ class FleetCard(CompanionCard):
         return value
 
 
-class SecondLookCard(CompanionCard):
+class VerifierCard(AuxiliaryCard):
     """What the file of a network that judges a detector's candidates once more says of itself.
 
     Attributes:
@@ -259,9 +246,9 @@ _FLEET_ENTRIES: dict[str, _Entry] = {
         "a JSON object of log_lengths, length_m, sd_m and neutral_vehicles",
     ),
 }
-_COMPANION_ENTRIES: dict[type[CompanionCard], dict[str, _Entry]] = {
+_COMPANION_ENTRIES: dict[type[AuxiliaryCard], dict[str, _Entry]] = {
     FleetCard: _FLEET_ENTRIES,
-    SecondLookCard: _SECOND_LOOK_ENTRIES,
+    VerifierCard: _SECOND_LOOK_ENTRIES,
 }
 
 
@@ -303,7 +290,7 @@ def read_detector_card(
     sha256: str,
     metadata: Mapping[str, str],
     fleet: FleetCard | None = None,
-    second_look: SecondLookCard | None = None,
+    verifier: VerifierCard | None = None,
 ) -> DetectorCard:
     """The card of a detector's file.
 
@@ -312,7 +299,7 @@ def read_detector_card(
         sha256: of the file.
         metadata: of the file.
         fleet: card of the network beside the detector that tells fleets apart.
-        second_look: card of the network beside it that judges its candidates once more.
+        verifier: card of the network beside it that judges its candidates once more.
 
     Returns:
         The card, with the paper's values for what the metadata leaves out.
@@ -334,7 +321,7 @@ def read_detector_card(
     lengths = {name: values["reference_length_m"] * ratio for name, ratio in _REGION_RATIOS.items()}
     regions = {name: length for name, length in lengths.items() if LEAST_VEHICLE_M <= length <= LARGEST_VEHICLE_M}
     values["region_lengths_m"] = regions | values.get("region_lengths_m", {})
-    for network, kind in ((fleet, "fleet network"), (second_look, "second look")):
+    for network, kind in ((fleet, "fleet network"), (verifier, "second look")):
         if network is not None and network.detector not in (values["name"], values.get("quantised_from")):
             raise ModelContractError(
                 f"the {kind} of {path} was made for the detector {network.detector!r}, and this is "
@@ -342,13 +329,13 @@ def read_detector_card(
             )
     if fleet is not None:
         values |= {"fleet_lengths": fleet.lengths, "fleet_sha256": fleet.sha256}
-    if second_look is not None:
-        values |= {"min_score": second_look.min_score, "clear_score": second_look.clear_score}
-        values |= {"second_look_sha256": second_look.sha256}
+    if verifier is not None:
+        values |= {"min_score": verifier.min_score, "clear_score": verifier.clear_score}
+        values |= {"verifier_sha256": verifier.sha256}
     return _checked(DetectorCard, path, metadata, _DETECTOR_ENTRIES, {**values, "sha256": sha256})
 
 
-def read_companion_card(kind: type[_CompanionT], path: Path, sha256: str, metadata: Mapping[str, str]) -> _CompanionT:
+def read_auxiliary_card(kind: type[_CompanionT], path: Path, sha256: str, metadata: Mapping[str, str]) -> _CompanionT:
     """The card of a network beside a detector.
 
     Args:

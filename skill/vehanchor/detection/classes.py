@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["vehicle_classes"]
-
 _VEHICLE_NAMES = ("small vehicle", "car", "vehicle")  # in this order, the first that the model knows
 _DOTA_NAMES = (
     "plane", "ship", "storage tank", "baseball diamond", "tennis court", "basketball court", "ground track field",

@@ -16,14 +16,14 @@ from vehanchor.detection.boxes import canonical_boxes
 from vehanchor.detection.card import read_detector_card
 from vehanchor.detection.classes import vehicle_classes
 from vehanchor.detection.contracts import CONTRACTS, DetectorContract, recognise_contract
+from vehanchor.detection.detections import Objects
 from vehanchor.detection.fleet import FleetNetwork
-from vehanchor.detection.second_look import SecondLook
-from vehanchor.detection.sighting import Objects
+from vehanchor.detection.verifier import Verifier
 from vehanchor.errors import ModelContractError
 from vehanchor.models.cache import file_cached
 from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
-from vehanchor.models.zoo import fleet_beside, second_look_beside
+from vehanchor.models.zoo import fleet_beside, verifier_beside
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     import onnxruntime
     from numpy.typing import NDArray
 
-
-__all__ = ["Detector", "TileSighting", "load_detector"]
 
 _PADDING_LEVEL = 114  # the grey that Ultralytics pads with
 _ANGLE_LIMIT = 1e4  # a finite, sane angle in radians before it is taken modulo pi
@@ -65,8 +63,8 @@ class Detector:
             "vehicle", else a single class whatever its name.
         fleet: file of the network that tells fleets apart; default the one beside the detector, ``<stem>.fleet.onnx``
             (the bundled one for a bundled detector). Without any the look of vehicles is no evidence.
-        second_look: file of the network that judges the candidates once more; default the one beside the detector,
-            ``<stem>.second-look.onnx``. Without any the detector's scores stand.
+        verifier: file of the network that judges the candidates once more; default the one beside the detector,
+            ``<stem>.verifier.onnx``. Without any the detector's scores stand.
         threads: CPU threads of the session; None leaves it to ONNX Runtime.
         providers: ONNX Runtime execution providers in order of preference.
 
@@ -74,7 +72,7 @@ class Detector:
         path: the ONNX file.
         card: what it says of itself.
         fleet: the network that tells fleets apart; None without any.
-        second_look: the network that judges candidates once more; None without any. ``search`` asks it.
+        verifier: the network that judges candidates once more; None without any. ``search`` asks it.
         threads: CPU threads of its session and of the networks beside it; None where ONNX Runtime chooses.
         providers: execution providers of ONNX Runtime.
         fixed_size: height and width of the model's input, pixels; None where they are free.
@@ -92,7 +90,7 @@ class Detector:
         *,
         classes: Sequence[str | int] | None = None,
         fleet: str | Path | None = None,
-        second_look: str | Path | None = None,
+        verifier: str | Path | None = None,
         threads: int | None = None,
         providers: Sequence[str] = DEFAULT_PROVIDERS,
     ) -> None:
@@ -102,14 +100,14 @@ class Detector:
         self._session = open_session(self.path, content=file.content, threads=threads, providers=providers)
         beside = fleet if fleet is not None else fleet_beside(self.path)
         self.fleet = None if beside is None else FleetNetwork(beside, threads=threads, providers=providers)
-        look = second_look if second_look is not None else second_look_beside(self.path)
-        self.second_look = None if look is None else SecondLook(look, threads=threads, providers=providers)
+        look = verifier if verifier is not None else verifier_beside(self.path)
+        self.verifier = None if look is None else Verifier(look, threads=threads, providers=providers)
         self.card = read_detector_card(
             self.path,
             models_sha256(file),
             self._session.get_modelmeta().custom_metadata_map,
             None if self.fleet is None else self.fleet.card,
-            None if self.second_look is None else self.second_look.card,
+            None if self.verifier is None else self.verifier.card,
         )
         self._input = self._checked_input()
         self._dtype = np.float16 if self._input.type == "tensor(float16)" else np.float32
@@ -252,13 +250,11 @@ def load_detector(
         InvalidParameterError: bad ``threads``.
     """
     file = Path(path)
-    return _loaded(
-        file, fleet=fleet_beside(file), second_look=second_look_beside(file), threads=threads, providers=providers
-    )
+    return _loaded(file, fleet=fleet_beside(file), verifier=verifier_beside(file), threads=threads, providers=providers)
 
 
 @file_cached(max_models=4)
 def _loaded(
-    path: Path, *, fleet: Path | None, second_look: Path | None, threads: int | None, providers: tuple[str, ...]
+    path: Path, *, fleet: Path | None, verifier: Path | None, threads: int | None, providers: tuple[str, ...]
 ) -> Detector:
-    return Detector(path, fleet=fleet, second_look=second_look, threads=threads, providers=providers)
+    return Detector(path, fleet=fleet, verifier=verifier, threads=threads, providers=providers)

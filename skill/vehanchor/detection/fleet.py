@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.detection.appearance import CHIP_SHAPE, MAX_CHIPS, FleetAppearance, vehicle_chips
+from vehanchor.detection.auxiliary import AuxiliaryModel
 from vehanchor.detection.card import FleetCard
-from vehanchor.detection.companion import Companion
-from vehanchor.detection.look import CHIP_SHAPE, MAX_CHIPS, FleetLook, vehicle_chips
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -16,13 +16,11 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster
 
-__all__ = ["FleetNetwork"]
 
-
-class FleetNetwork(Companion[FleetCard]):
+class FleetNetwork(AuxiliaryModel[FleetCard]):
     """A network from chips of vehicles to what they tell of their fleet.
 
-    ``chips [n, 1, 16, 24]`` to ``log_odds [n]`` and ``log_length [n]``, see ``FleetLook``; else as ``Companion``.
+    ``chips [n, 1, 16, 24]`` to ``log_odds [n]`` and ``log_length [n]``, see ``FleetAppearance``.
     """
 
     named = "fleet network"
@@ -33,7 +31,7 @@ class FleetNetwork(Companion[FleetCard]):
 
     def look(
         self, raster: Raster, boxes: NDArray[np.float64], run_options: onnxruntime.RunOptions | None = None
-    ) -> FleetLook:
+    ) -> FleetAppearance:
         """What vehicles tell of their fleet by their look alone.
 
         Args:
@@ -45,5 +43,5 @@ class FleetNetwork(Companion[FleetCard]):
             Of the first m = min(n, 100).
         """
         if len(boxes) == 0:
-            return FleetLook(np.zeros(0), np.zeros(0))
-        return FleetLook(*self.answers(vehicle_chips(raster, boxes[:MAX_CHIPS]), run_options))
+            return FleetAppearance(np.zeros(0), np.zeros(0))
+        return FleetAppearance(*self.answers(vehicle_chips(raster, boxes[:MAX_CHIPS]), run_options))

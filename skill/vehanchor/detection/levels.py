@@ -9,8 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["SearchLevel", "search_levels"]
-
 SEARCH_FACTORS = (1, 2, 4, 8)  # the image is searched at 1/1, 1/2, 1/4 and 1/8: a third more pixels in all
 MIN_LEVEL_SIDE_PX = 96  # a reduced image with a shorter side is not searched: it would hold a car or two
 LEVEL_OVERLAP = 1.25  # factor by which the length ranges of two levels overlap: a car at their border is seen by both

@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vehanchor.defaults import NMS_IOU
 from vehanchor.detection.boxes import canonical_boxes, pair_iou
 from vehanchor.errors import ModelContractError
+from vehanchor.scale.defaults import NMS_IOU
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
-
-__all__ = ["oriented_nms"]
 
 _MOST_PAIRS = 20_000_000  # 0.3 GiB of indices
 

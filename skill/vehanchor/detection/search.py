@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.detection.boxes import box_corners
+from vehanchor.detection.convergence import ANYTIME_PIXELS, next_check, settled, stop_rule
+from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.levels import search_levels
 from vehanchor.detection.nms import oriented_nms
-from vehanchor.detection.order import TileOrder, TilePlace, level_chances, level_shares
-from vehanchor.detection.promise import promise_map, promise_of
-from vehanchor.detection.sighting import Objects, Sighting
-from vehanchor.detection.stopping import ANYTIME_PIXELS, next_check, settled, stop_rule
+from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_chances, level_shares
+from vehanchor.detection.tile_prior import tile_prior_map, tile_prior_of
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.tiles import TILE_OVERLAP, TILE_SIZE_PX, read_reduced_window, tile_grid
 from vehanchor.options import Search
@@ -30,14 +30,12 @@ if TYPE_CHECKING:
     import onnxruntime
     from numpy.typing import NDArray
 
+    from vehanchor.detection.convergence import Convergence, StopRule
     from vehanchor.detection.detector import Detector, TileSighting
     from vehanchor.detection.levels import SearchLevel
-    from vehanchor.detection.scene import SceneSighting
-    from vehanchor.detection.stopping import Standing, StopRule
+    from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster, Window
-    from vehanchor.search_options import Stopped
-
-__all__ = ["search"]
+    from vehanchor.options.search import Stopped
 
 _MIN_TILE_PX = 32
 _LEAST_CHANCE = 0.01  # of cars at a resolution: the flat part of the ground's density alone leaves most of that
@@ -50,11 +48,11 @@ def search(
     detector: Detector,
     options: Search | None = None,
     *,
-    scene: SceneSighting | None = None,
-    standing: Callable[[Sighting], Standing] | None = None,
+    scene: SceneScalePrior | None = None,
+    convergence: Callable[[Detections], Convergence] | None = None,
     progress: Callable[[int, int], None] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
-) -> Sighting:
+) -> Detections:
     """Search an image tile by tile, at one or more resolutions, and merge the results (paper, section III-B).
 
     Args:
@@ -63,7 +61,7 @@ def search(
         options: how to search; None for the defaults.
         scene: what the ground tells of the scale: at which resolutions to look first, and how long a car would be.
             None where nobody looked.
-        standing: says of what was found so far whether it would do; None searches on to the options' other limits.
+        convergence: says of what was found so far whether it would do; None searches on to the options' other limits.
         progress: called with (tiles done, tiles in all), at the end with all of them; an exception it raises ends the
             search.
         run_options: see ``Detector.detect_tile``.
@@ -79,9 +77,11 @@ def search(
     tell = progress or (lambda _done, _total: None)
     total = len(work.visits)
     rule = stop_rule(chosen, raster.width_px * raster.height_px, total)
-    because = _search_in_order(work, rule, standing, tell) if rule.anytime else _search_likely_levels(work, rule, tell)
+    because = (
+        _search_in_order(work, rule, convergence, tell) if rule.anytime else _search_likely_levels(work, rule, tell)
+    )
     tell(total, total)
-    return work.sighting(because)
+    return work.detections(because)
 
 
 def _search_likely_levels(work: _Work, rule: StopRule, tell: Callable[[int, int], None]) -> Stopped:
@@ -102,7 +102,7 @@ def _search_likely_levels(work: _Work, rule: StopRule, tell: Callable[[int, int]
 def _search_in_order(
     work: _Work,
     rule: StopRule,
-    standing: Callable[[Sighting], Standing] | None,
+    convergence: Callable[[Detections], Convergence] | None,
     tell: Callable[[int, int], None],
 ) -> Stopped:
     """Visit tiles where cars are likely first, until the rule says to end; why it did."""
@@ -116,9 +116,9 @@ def _search_in_order(
                 return "max_seconds"
             tell(work.n_visited, total)
             order.tell(k, work.visit(k, pixels))
-        if standing is not None and rule.share is not None and due <= work.n_visited < most:
+        if convergence is not None and rule.share is not None and due <= work.n_visited < most:
             due = next_check(work.n_visited)
-            standings.append(standing(work.sighting()))
+            standings.append(convergence(work.detections()))
             if settled(standings, rule):
                 return "settled"
     return "all_searched" if most == total else "max_tiles"
@@ -132,7 +132,7 @@ class _Work:
         raster: Raster,
         detector: Detector,
         options: Search,
-        scene: SceneSighting | None,
+        scene: SceneScalePrior | None,
         run_options: onnxruntime.RunOptions | None,
     ) -> None:
         card = detector.card
@@ -162,13 +162,13 @@ class _Work:
         """Found so far, before those found twice are merged."""
         return sum(len(seen.vehicles) for seen in self._found.values())
 
-    def order(self) -> TileOrder:
+    def order(self) -> TileScheduler:
         """The order in which to visit, by a coarse view of the image."""
-        cells = promise_map(self._raster)
+        cells = tile_prior_map(self._raster)
         places = [TilePlace(level.factor, tile) for level, tile in self.visits]
-        promises = np.array([promise_of(cells, place.window, place.factor) for place in places])
+        promises = np.array([tile_prior_of(cells, place.window, place.factor) for place in places])
         density = None if self._scene is None else self._scene.density
-        return TileOrder(places, promises, level_shares(self._length_ranges_px(), density))
+        return TileScheduler(places, promises, level_shares(self._length_ranges_px(), density))
 
     def unlikely_factors(self) -> frozenset[int]:
         """Resolutions at which, by the ground, no car is of a length that counts there."""
@@ -215,7 +215,7 @@ class _Work:
         self._found[k] = seen._replace(vehicles=vehicles, others=others)
         return len(vehicles)
 
-    def sighting(self, because: Stopped | None = None) -> Sighting:
+    def detections(self, because: Stopped | None = None) -> Detections:
         """All that was found, merged; whatever the order of the visits was."""
         parts = [self._found[k] for k in sorted(self._found)]
         scales = [np.full(len(self._found[k].vehicles), 1 / self.visits[k][0].factor) for k in sorted(self._found)]
@@ -223,7 +223,7 @@ class _Work:
         kept = oriented_nms(vehicles.boxes, vehicles.scores, iou_threshold=self._nms_iou)
         vehicles = vehicles.take(kept)
         fleet = self._detector.fleet
-        return Sighting(
+        return Detections(
             vehicles.boxes,
             vehicles.scores,
             len(parts),
@@ -243,11 +243,11 @@ def _seen(
     pixels: NDArray[np.uint8],
     level: SearchLevel,
     min_score: float,
-    scene: SceneSighting | None,
+    scene: SceneScalePrior | None,
     run_options: onnxruntime.RunOptions | None,
 ) -> TileSighting:
     """One tile's objects that count: vehicles of the level's lengths, after the second look where there is one."""
-    look = detector.second_look
+    look = detector.verifier
     # What the detector alone doubts may turn out to be a car.
     seen = detector.detect_tile(pixels, min(min_score, look.card.least_score) if look else min_score, run_options)
     vehicles = seen.vehicles.take(level.counts(seen.vehicles.boxes[:, 2]))

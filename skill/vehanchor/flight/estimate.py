@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.batch.journal import Journal, Key, Source
 from vehanchor.batch.known_lengths import with_lines_of
-from vehanchor.batch.stored import from_json, to_json
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
 from vehanchor.estimate import analyse_raster, image_facts, networks_sha256, open_detector
-from vehanchor.flight.concluding import Failure, conclude_flight
+from vehanchor.flight.components import single_component
 from vehanchor.flight.features import find_features
-from vehanchor.flight.islands import single_island
+from vehanchor.flight.inputs import InputPhotograph, check_many, named
+from vehanchor.flight.linking import link_photographs
 from vehanchor.flight.photograph import Look, Photograph, chief_member
-from vehanchor.flight.taken import Taken, named
-from vehanchor.flight.tying import tie
-from vehanchor.imagery.raster import open_raster
+from vehanchor.flight.record import Failure, conclude_flight
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
+from vehanchor.storage.journal import Journal, Key, Source
+from vehanchor.storage.stored import from_json, to_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -35,15 +35,13 @@ if TYPE_CHECKING:
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
     from vehanchor.flight.features import Features
-    from vehanchor.imagery.raster import ImageSource
+    from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import OptionKeywords
     from vehanchor.records import FlightEstimate
 
-__all__ = ["analyse_flight", "conclude", "estimate_flight", "look_at_flight"]
-
 
 def estimate_flight(
-    images: Iterable[ImageSource | Taken],
+    images: Iterable[ImageSource | InputPhotograph],
     *,
     same_scale: bool = False,
     detector: Detector | str | os.PathLike[str] | None = None,
@@ -58,8 +56,8 @@ def estimate_flight(
     Only one photograph is held in memory at a time. One that cannot be read has its error in the record.
 
     Args:
-        images: the photographs, in the order in which they were taken, each as in ``estimate_gsd``; a ``Taken`` gives
-            one a name, which else is its path or its number.
+        images: the photographs, in the order in which they were taken, each as in ``estimate_gsd``; an
+            ``InputPhotograph`` gives one a name, which else is its path or its number.
         same_scale: they are all of one scale, as those of a survey at one height: their evidence is one.
         detector: as in ``estimate_gsd``.
         threads: CPU threads for the models.
@@ -94,7 +92,7 @@ def estimate_flight(
 
 
 def analyse_flight(
-    images: Iterable[ImageSource | Taken],
+    images: Iterable[ImageSource | InputPhotograph],
     options: ScaleOptions | None = None,
     *,
     same_scale: bool = False,
@@ -119,11 +117,12 @@ def analyse_flight(
         lines: of known length in single photographs, which are paths or addresses; see ``read_known_lengths``.
     """
     chosen = options or ScaleOptions()
-    _check(chosen)
+    check_many(images)
+    check_options(chosen)
     model = open_detector(detector, chosen, threads=threads, providers=providers)
     taken = list(named(images)) if isinstance(images, Sequence) else named(images)
-    kept = _open_journal(None if journal is None else Path(journal), model, chosen, lines or {})
-    looks = look_at_flight(
+    kept = None if journal is None else open_journal(Path(journal), model, chosen, lines or {})
+    looks = search_flight(
         taken, model, chosen, featured=not same_scale, journal=kept, progress=progress, lines=lines or {}
     )
     record = conclude(looks, model.card, same_scale=same_scale)
@@ -137,14 +136,14 @@ def conclude(looks: Sequence[Photograph | Failure], card: DetectorCard, *, same_
     places = [place for place, look in enumerate(looks) if isinstance(look, Photograph)]
     members = [look for look in looks if isinstance(look, Photograph)]
     if same_scale:
-        return conclude_flight(looks, [single_island(places, chief_member(members))], card, same_scale=True)
-    tied = tie(members, [each.features for each in members if each.features is not None])
-    islands = [replace(island, members=np.asarray(places)[island.members]) for island in tied.islands]
-    return conclude_flight(looks, islands, card, same_scale=False, links=tied.links)
+        return conclude_flight(looks, [single_component(places, chief_member(members))], card, same_scale=True)
+    linked = link_photographs(members, [each.features for each in members if each.features is not None])
+    components = [replace(component, members=np.asarray(places)[component.members]) for component in linked.components]
+    return conclude_flight(looks, components, card, same_scale=False, links=linked.links)
 
 
-def look_at_flight(
-    taken: Iterable[Taken],
+def search_flight(
+    taken: Iterable[InputPhotograph],
     detector: Detector,
     options: ScaleOptions,
     *,
@@ -179,7 +178,7 @@ def look_at_flight(
     for done, each in enumerate(taken):
         name, image, _ = each
         tell(done, max(total, done))
-        key = _key(each)
+        key = journal_key(each)
         known = journal.get(key) if journal is not None and key is not None else None
         try:
             own = with_lines_of(options, lines, image) if lines and isinstance(image, str | os.PathLike) else options
@@ -187,7 +186,7 @@ def look_at_flight(
         except VehAnchorError as error:
             found.append(Failure(name, error))
             continue
-        if known is None and journal is not None and key is not None and key == _key(each):
+        if known is None and journal is not None and key is not None and key == journal_key(each):
             journal.add(key, look)
         found.append(Photograph.of(name, look, detector.card, own, features))
     tell(len(found), len(found))
@@ -200,7 +199,7 @@ def look_at_flight(
 
 
 def _look(
-    taken: Taken,
+    taken: InputPhotograph,
     detector: Detector,
     options: ScaleOptions,
     known: Look | None,
@@ -221,23 +220,31 @@ def _look(
         return Look.of(image_facts(raster), analysis.detections, analysis), features
 
 
-def _check(options: ScaleOptions) -> None:
+def check_options(options: ScaleOptions) -> None:
+    """Refuse options that belong to one image.
+
+    Raises:
+        InvalidParameterError: a frame, or a line of known length.
+    """
     if options.frame.size is not None:
         raise InvalidParameterError("a frame belongs to one image: a flight has none")
     if options.rulers.known_lengths:
         raise InvalidParameterError("a line of known length belongs to one image: estimate that image by itself")
 
 
-def _key(taken: Taken) -> Key | None:
+def journal_key(taken: InputPhotograph) -> Key | None:
+    """Key of a photograph in the journal: its name and its file as it is now; None without a file."""
     file = taken.image if taken.film is None else taken.film
     return (taken.name, *Source.of(file)) if isinstance(file, str | os.PathLike) else None
 
 
-def _open_journal(
-    path: Path | None, detector: Detector, options: ScaleOptions, lines: KnownLengthTable
-) -> Journal[Look] | None:
-    if path is None:
-        return None
+def open_journal(path: Path, detector: Detector, options: ScaleOptions, lines: KnownLengthTable) -> Journal[Look]:
+    """Open the findings of an interrupted run.
+
+    Raises:
+        InvalidParameterError: they are those of other options, or the file is no journal.
+        OutputError: it cannot be read or written.
+    """
     choices = asdict(options)
     del choices["frame"]
     if lines:

@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
-from vehanchor.imagery.windows import Window
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.imagery.windows import Raster
-
-__all__ = ["Features", "find_features"]
+    from vehanchor.imagery.raster import Raster
 
 _LONG_SIDE_PX = 1100  # of the reduced copy: 12 Mpx are seen at a quarter
 _MOST_FEATURES = 1200

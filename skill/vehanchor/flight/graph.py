@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Component", "Link", "Solution", "Unary", "contradiction", "solve"]
-
 _REACH = 3.0  # standard deviations: what is much further out pulls no more
 _DROP_SDS, _DROP_LOG = 4.0, 0.12  # a link that is off by more than both is dropped
 _ANNEAL, _STEPS = 1.4, 40
@@ -70,7 +68,7 @@ class Unary(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Component:
+class Subgraph:
     """Photographs that are tied to each other.
 
     Attributes:
@@ -102,7 +100,7 @@ class Solution(NamedTuple):
         inflation: how much further apart ratios are than each of them says of itself, at least 1.
     """
 
-    components: tuple[Component, ...]
+    components: tuple[Subgraph, ...]
     residuals: NDArray[np.float64]
     used: NDArray[np.bool_]
     inflation: float
@@ -119,16 +117,16 @@ def solve(n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> Sol
     Returns:
         Components tied by links that agree, each with its scales; what the others are off by.
     """
-    stated = np.array([link.log_sd for link in links], dtype=np.float64)
+    declared_sds = np.array([link.log_sd for link in links], dtype=np.float64)
     problem = _Problem(n, links, unaries)
     alone = _at_an_end(n, links)
     inflation = 1.0
     for _ in range(2):
-        problem.anneal(stated * inflation)
-        looped = np.abs(problem.residuals[~alone]) / stated[~alone]
+        problem.anneal(declared_sds * inflation)
+        looped = np.abs(problem.residuals[~alone]) / declared_sds[~alone]
         if len(looped):
             inflation = float(np.clip(np.median(looped) / _MAD_PER_SD, 1.0, _MOST_INFLATION))
-    sds = stated * inflation
+    sds = declared_sds * inflation
     used = ~((np.abs(problem.residuals) > _DROP_SDS * sds) & (np.abs(problem.residuals) > _DROP_LOG))
     residuals = problem.residuals
     kept = [link for link, chosen in zip(links, used, strict=True) if chosen]
@@ -219,7 +217,7 @@ def _at_an_end(n: int, links: Sequence[Link]) -> NDArray[np.bool_]:
     return np.asarray((degree[ends[:, 0]] == 1) | (degree[ends[:, 1]] == 1))
 
 
-def _components(n: int, links: Sequence[Link], sds: NDArray[np.float64], problem: _Problem) -> tuple[Component, ...]:
+def _components(n: int, links: Sequence[Link], sds: NDArray[np.float64], problem: _Problem) -> tuple[Subgraph, ...]:
     ends = np.array([(link.first, link.second) for link in links], dtype=np.intp).reshape(-1, 2)
     ties = csr_matrix((sds, (ends[:, 0], ends[:, 1])), shape=(n, n))
     count, labels = connected_components(ties, directed=False)
@@ -228,7 +226,7 @@ def _components(n: int, links: Sequence[Link], sds: NDArray[np.float64], problem
         members = np.flatnonzero(labels == label)
         m = len(members)
         covariance = np.asarray(np.linalg.inv(problem.information(members, sds))[:m, :m], dtype=np.float64)
-        found.append(Component(members, problem.scales[members], covariance, ties[members][:, members]))
+        found.append(Subgraph(members, problem.scales[members], covariance, ties[members][:, members]))
     return tuple(sorted(found, key=lambda each: (-len(each.members), int(each.members[0]))))
 
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vehanchor.anchors.camera import lens
-from vehanchor.anchors.stated import on_grid, stated
 from vehanchor.flight.positions import POSITIONS
+from vehanchor.rulers.camera import lens
+from vehanchor.rulers.lognormal import lognormal_evidence, on_grid
 from vehanchor.scale.lengths import Z95
 
 if TYPE_CHECKING:
@@ -22,13 +22,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.anchors.evidence import Evidence
     from vehanchor.flight.photograph import Photograph
     from vehanchor.records import GsdEstimate
+    from vehanchor.rulers.evidence import Evidence
 
-__all__ = ["Ground", "ground_below", "heights_evidence"]
-
-_GROUND_LOG_SD = 0.12  # of the height above it: ground elsewhere, as vehanchor.anchors.camera has it
+_GROUND_LOG_SD = 0.12  # of the height above it: ground elsewhere, as vehanchor.rulers.camera has it
 _ALTITUDE_SD_M = 3.0  # of one receiver between two places
 _CHANCE_WRONG = 0.05
 _LEAST_HEIGHT_M = 5.0
@@ -123,4 +121,4 @@ def heights_evidence(
     lens_sd = stood[0][0].focal_log_sd * abs(1 - share)  # it cancels where both are as high
     log_sd = math.hypot(_GROUND_LOG_SD, _ALTITUDE_SD_M / middle, source.log_sd * share, lens_sd)
     said = f"Heights above the sea, with the ground as it lies below {sources} photographs of known scale, say {{}}."
-    return (stated(POSITIONS, gsd, log_sd, _CHANCE_WRONG, said, n=len(stood)),)
+    return (lognormal_evidence(POSITIONS, gsd, log_sd, _CHANCE_WRONG, said, n=len(stood)),)

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Seam", "lay_out"]
-
 
 class Seam(NamedTuple):
     """Two photographs of an island that overlap.

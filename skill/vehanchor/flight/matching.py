@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from vehanchor.flight.features import Features
 
-__all__ = ["Match", "match"]
-
 _LEAST_INLIERS, _LEAST_INLIER_SHARE = 14, 0.12
 _SECOND_BEST = 0.9  # a feature's best match is this much nearer than its second
 _TOLERANCE_PX = 4.0  # of the reduced copies: relief and lens move points that much

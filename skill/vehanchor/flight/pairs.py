@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from vehanchor.flight.features import Features
 
-__all__ = ["candidate_pairs"]
-
 _VOTERS = 200  # features a photograph that vote
 _DIMENSIONS, _BITS, _TABLES = 24, 18, 6
 _MOST_IN_CELL = 24  # a cell with more says nothing: grass, gravel

@@ -7,20 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.anchors.evidence import ImageFacts, View
-from vehanchor.detection.sighting import Sighting
-from vehanchor.estimate import analyse_sighting
+from vehanchor.detection.detections import Detections
+from vehanchor.estimate import analyse_detections
+from vehanchor.rulers.evidence import ImageFacts, View
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from vehanchor.anchors.evidence import Evidence
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.detection.card import DetectorCard
-    from vehanchor.estimate import ScaleAnalysis
     from vehanchor.flight.features import Features
     from vehanchor.options import ScaleOptions
-
-__all__ = ["Look", "Photograph", "chief_member", "fixed_view"]
+    from vehanchor.rulers.evidence import Evidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,20 +27,20 @@ class Look:
 
     Attributes:
         image: facts of the file.
-        sighting: what was found in it.
+        detections: what was found in it.
         resolved: share of the pixels' resolution at which there is detail around its vehicles.
         others: evidence of the rulers beside vehicles, some of which look at pixels.
     """
 
     image: ImageFacts
-    sighting: Sighting
+    detections: Detections
     resolved: float
     others: tuple[Evidence, ...] | None = None
 
     @classmethod
-    def of(cls, image: ImageFacts, sighting: Sighting, analysis: ScaleAnalysis) -> Look:
+    def of(cls, image: ImageFacts, detections: Detections, analysis: ScaleAnalysis) -> Look:
         """The findings that an analysis was made from."""
-        return cls(image, sighting, analysis.resolved, analysis.others)
+        return cls(image, detections, analysis.resolved, analysis.others)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,24 +60,24 @@ class Photograph:
     features: Features | None = None
 
     @property
-    def measured(self) -> Sighting:
+    def measured(self) -> Detections:
         """What was found, levelled where the camera looked aside."""
-        return self.view.sighting if self.analysis.in_image is None else self.analysis.vehicles.fleet.sighting
+        return self.view.detections if self.analysis.in_image is None else self.analysis.vehicles.fleet.detections
 
     @classmethod
     def of(
         cls, name: str, look: Look, card: DetectorCard, options: ScaleOptions, features: Features | None = None
     ) -> Photograph:
         """Lead the findings through the second half of the skill."""
-        view = fixed_view(look.image, look.sighting, card, options, look.resolved)
-        return cls(name, view, analyse_sighting(view, look.others), features)
+        view = fixed_view(look.image, look.detections, card, options, look.resolved)
+        return cls(name, view, analyse_detections(view, look.others), features)
 
 
 def fixed_view(
-    image: ImageFacts, sighting: Sighting, card: DetectorCard, options: ScaleOptions, resolved: float
+    image: ImageFacts, detections: Detections, card: DetectorCard, options: ScaleOptions, resolved: float
 ) -> View:
     """A view of which the detail is known already, so that no pixel is needed."""
-    return View(image, sighting, card, options, lambda _centres, _scale: resolved)
+    return View(image, detections, card, options, lambda _centres, _scale: resolved)
 
 
 def chief_member(members: Sequence[Photograph]) -> int:

@@ -13,27 +13,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.anchors.attitude import known_plane, with_scale
-from vehanchor.anchors.evidence import Evidence
-from vehanchor.anchors.scene_scale import SceneScale
-from vehanchor.detection.look import FleetLook
-from vehanchor.detection.scene import SceneSighting
-from vehanchor.detection.sighting import Objects, Sighting
-from vehanchor.estimate import analyse_sighting
+from vehanchor.detection.appearance import FleetAppearance
+from vehanchor.detection.detections import Detections, Objects
+from vehanchor.detection.scene_scale import SceneScalePrior
+from vehanchor.estimate import analyse_detections
 from vehanchor.flight.photograph import fixed_view
 from vehanchor.records import Notice
+from vehanchor.rulers.evidence import Evidence
+from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.scale.fusion import GRID, TOLERANCE, credible_interval, mass_within
+from vehanchor.tilt.camera_tilt import known_plane, with_scale
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-    from vehanchor.anchors.evidence import ImageFacts
-    from vehanchor.estimate import ScaleAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.flight.photograph import Photograph
-
-__all__ = ["combined_density", "pool", "pooled_sighting", "shifted"]
+    from vehanchor.rulers.evidence import ImageFacts
 
 _SCENE_GAIN = 0.5  # n photographs say as much as n ** 0.5 places: research/benchmarks/flights.py, train split
 _GAINS = {SceneScale.kind: _SCENE_GAIN, "camera": 0.0, "height": 0.0}  # one camera, one take-off: one error
@@ -42,7 +40,7 @@ _LEAST = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class _PooledScene(SceneSighting):
+class _PooledScene(SceneScalePrior):
     """What was seen of the ground in many photographs, in the pixels of one.
 
     Attributes:
@@ -77,10 +75,10 @@ def pool(
     logs = np.asarray(log_scales, dtype=np.float64)
     offsets = logs - logs[reference]
     chief = members[reference].view
-    sighting = pooled_sighting([member.measured for member in members], offsets)
+    detections = pooled_sighting([member.measured for member in members], offsets)
     resolved = _resolved(members)
-    view = fixed_view(_facts(members, reference), sighting, chief.card, chief.options, resolved)
-    pooled = analyse_sighting(view, (*_pooled_others(members, offsets), *added), level=False)
+    view = fixed_view(_facts(members, reference), detections, chief.card, chief.options, resolved)
+    pooled = analyse_detections(view, (*_pooled_others(members, offsets), *added), level=False)
     own = members[reference].analysis.estimate
     if own.tilt is None:
         return pooled
@@ -90,43 +88,45 @@ def pool(
     return replace(pooled, estimate=pooled.estimate.model_copy(update={"tilt": tilt, "scale": scale}))
 
 
-def pooled_sighting(sightings: Sequence[Sighting], offsets: ArrayLike) -> Sighting:
+def pooled_sighting(detections: Sequence[Detections], offsets: ArrayLike) -> Detections:
     """Put boxes together: those whose look is known first, best first, as a sighting has them.
 
     Args:
-        sightings: of the photographs.
+        detections: of the photographs.
         offsets: ``[n]`` log of how much larger a pixel of each is than one of the pixels that the answer is in.
 
     Returns:
         Boxes in those pixels; their places mean nothing any more.
     """
     factors = np.exp(np.asarray(offsets, dtype=np.float64))
-    scores = np.concatenate([each.scores for each in sightings])
-    looked = [0 if each.fleet is None else len(each.fleet.log_odds) for each in sightings]
-    known = np.concatenate([np.arange(len(each.boxes)) < n for each, n in zip(sightings, looked, strict=True)])
+    scores = np.concatenate([each.scores for each in detections])
+    looked = [0 if each.fleet is None else len(each.fleet.log_odds) for each in detections]
+    known = np.concatenate([np.arange(len(each.boxes)) < n for each, n in zip(detections, looked, strict=True)])
     order = np.lexsort((-scores, ~known))
     boxes = np.concatenate(
-        [each.boxes * [k, k, k, k, 1.0] for each, k in zip(sightings, factors, strict=True)], dtype=np.float64
+        [each.boxes * [k, k, k, k, 1.0] for each, k in zip(detections, factors, strict=True)], dtype=np.float64
     )
-    scaled = any(each.scales is not None for each in sightings)
+    scaled = any(each.scales is not None for each in detections)
     scales = [
         (np.ones(len(each.boxes)) if each.scales is None else each.scales) / k
-        for each, k in zip(sightings, factors, strict=True)
+        for each, k in zip(detections, factors, strict=True)
     ]
-    looks = [each.fleet for each in sightings if each.fleet is not None]
+    looks = [each.fleet for each in detections if each.fleet is not None]
     place = (np.cumsum(known) - 1)[order[: int(known.sum())]]  # among those whose look is known
-    named = all(each.classes is not None for each in sightings)
-    classes = np.concatenate([each.classes for each in sightings if each.classes is not None] or [np.zeros(0, np.intp)])
-    return Sighting(
+    named = all(each.classes is not None for each in detections)
+    classes = np.concatenate(
+        [each.classes for each in detections if each.classes is not None] or [np.zeros(0, np.intp)]
+    )
+    return Detections(
         boxes[order],
         scores[order],
-        sum(each.n_tiles for each in sightings),
-        sum(each.n_capped_tiles for each in sightings),
+        sum(each.n_tiles for each in detections),
+        sum(each.n_capped_tiles for each in detections),
         np.concatenate(scales)[order] if scaled else None,
-        FleetLook(*(np.concatenate(part)[place] for part in zip(*looks, strict=True))) if looks else None,
+        FleetAppearance(*(np.concatenate(part)[place] for part in zip(*looks, strict=True))) if looks else None,
         classes[order] if named else None,
         Objects.joined(),
-        _scene(sightings, np.log(factors)),
+        _scene(detections, np.log(factors)),
     )
 
 
@@ -164,8 +164,8 @@ def _resolved(members: Sequence[Photograph]) -> float:
     return float(values[order][np.searchsorted(np.cumsum(counts[order]), counts.sum() / 2)])
 
 
-def _scene(sightings: Sequence[Sighting], offsets: NDArray[np.float64]) -> SceneSighting | None:
-    seen = [(each.scene, offset) for each, offset in zip(sightings, offsets, strict=True) if each.scene is not None]
+def _scene(detections: Sequence[Detections], offsets: NDArray[np.float64]) -> SceneScalePrior | None:
+    seen = [(each.scene, offset) for each, offset in zip(detections, offsets, strict=True) if each.scene is not None]
     if not seen:
         return None
     density = combined_density([shifted(scene.density, offset) for scene, offset in seen], _SCENE_GAIN)
@@ -198,8 +198,8 @@ def _pooled_evidence(kind: str, found: Sequence[tuple[Evidence, float]]) -> Evid
     densities = [shifted(other.density, offset) for other, offset in said if other.density is not None]
     density = combined_density(densities, _GAINS.get(kind, _OTHER_GAIN))
     median = credible_interval(density, probability=0.0).low
-    witness = all(other.confidence == 0 for other, _ in said)
-    confidence = 0.0 if witness else min(1.0, mass_within(density, median, TOLERANCE))
+    cue = all(other.confidence == 0 for other, _ in said)
+    confidence = 0.0 if cue else min(1.0, mass_within(density, median, TOLERANCE))
     n = sum(other.n for other, _ in said)
     return Evidence(kind, median, credible_interval(density), n, confidence, notices, density)
 

@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vehanchor.anchors.stated import on_grid, stated
+from vehanchor.rulers.lognormal import lognormal_evidence, on_grid
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from vehanchor.anchors.evidence import Evidence, ImageFacts
-
-__all__ = ["POSITIONS", "Baseline", "baseline", "places_of", "positions_evidence"]
+    from vehanchor.rulers.evidence import Evidence, ImageFacts
 
 POSITIONS = "positions"
 _EARTH_M = 6_371_009.0
@@ -111,4 +109,4 @@ def positions_evidence(found: Baseline | None) -> tuple[Evidence, ...]:
     if found is None or not on_grid(found.gsd_m_per_px):
         return ()
     said = f"The positions of {found.n} overlapping photographs say {{}}."
-    return (stated(POSITIONS, found.gsd_m_per_px, found.log_sd, _CHANCE_WRONG, said, n=found.n),)
+    return (lognormal_evidence(POSITIONS, found.gsd_m_per_px, found.log_sd, _CHANCE_WRONG, said, n=found.n),)

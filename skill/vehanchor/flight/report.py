@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING
 
 from vehanchor.errors import OutputError
 from vehanchor.imagery.names import under_one_folder
-from vehanchor.output import whole_file
 from vehanchor.pictures.track import draw_tracks
+from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from vehanchor.records import FlightAnchor, FlightEstimate, FlightPhotograph
-
-__all__ = ["check_report_path", "report_page", "write_report"]
+    from vehanchor.records import FlightEstimate, FlightPhotograph, FlightRuler
 
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 68rem; padding: 0 1rem; color: #1b1b1b }
@@ -85,7 +83,7 @@ def _summary(record: FlightEstimate) -> str:
     said = (
         "All are of one scale, as the caller said"
         if record.same_scale
-        else (f"{len(record.islands)} islands" if len(record.islands) > 1 else "All are tied together")
+        else (f"{len(record.components)} islands" if len(record.components) > 1 else "All are tied together")
     )
     if record.same_scale and record.gsd_m_per_px is not None:
         said += f": {_scale(record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px)}"
@@ -94,12 +92,19 @@ def _summary(record: FlightEstimate) -> str:
 
 def _islands(record: FlightEstimate, short: Mapping[str, str]) -> str:
     rows = []
-    for island in record.islands:
-        pooled = island.pooled
+    for component in record.components:
+        pooled = component.pooled
         rulers = ", ".join(f"{each.kind} ({100 * each.weight:.0f} %)" for each in pooled.rulers if each.agrees)
         scale = _scale(pooled.gsd_m_per_px, pooled.gsd_ci95_low_m_per_px, pooled.gsd_ci95_high_m_per_px)
         rows.append(
-            (str(island.number), str(island.n_photographs), short[island.reference], scale, rulers, pooled.status)
+            (
+                str(component.number),
+                str(component.n_photographs),
+                short[component.reference],
+                scale,
+                rulers,
+                pooled.status,
+            )
         )
     heads = ("island", "photographs", "measured in the pixels of", "its scale", "rulers", "status")
     return f"<h2>Islands</h2>{_table(heads, rows)}"
@@ -111,8 +116,8 @@ def _photographs(photographs: Sequence[FlightPhotograph], short: Mapping[str, st
             short[each.photograph],
             _scale(each.gsd_m_per_px, each.gsd_ci95_low_m_per_px, each.gsd_ci95_high_m_per_px),
             "-" if each.confidence is None else f"{each.confidence:.2f}",
-            "-" if each.island is None else str(each.island),
-            "; ".join(_anchor(anchor, each) for anchor in each.anchors) or "-",
+            "-" if each.component is None else str(each.component),
+            "; ".join(_anchor(anchor, each) for anchor in each.supported_by) or "-",
             each.status if each.error is None else f"{each.error_code}: {each.error}",
         )
         for each in photographs
@@ -121,7 +126,7 @@ def _photographs(photographs: Sequence[FlightPhotograph], short: Mapping[str, st
     return f"<h2>Photographs</h2>{_table(heads, rows)}"
 
 
-def _anchor(anchor: FlightAnchor, of: FlightPhotograph) -> str:
+def _anchor(anchor: FlightRuler, of: FlightPhotograph) -> str:
     if anchor.photograph == of.photograph:
         return f"its own {anchor.ruler}"
     through = f" through {', '.join(Path(each).name for each in anchor.through)}" if anchor.through else ""

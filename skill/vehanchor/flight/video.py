@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from vehanchor.choices import positive
 from vehanchor.errors import ImageDecodeError, ImageNotFoundError
-from vehanchor.flight.taken import Taken
+from vehanchor.flight.inputs import InputPhotograph
+from vehanchor.options.fields import positive
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
-
-__all__ = ["VIDEO_SUFFIXES", "is_video", "sample_video"]
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm"})
 _TRIALS = 5  # frames that are held against each other for one photograph
@@ -30,7 +28,7 @@ def is_video(path: str) -> bool:
     return Path(path).suffix.lower() in VIDEO_SUFFIXES
 
 
-def sample_video(path: str, every_s: float) -> Iterator[Taken]:
+def sample_video(path: str, every_s: float) -> Iterator[InputPhotograph]:
     """Take a photograph every few seconds.
 
     Of each stretch of time five frames are looked at and the sharpest is kept; one frame is held at a time.
@@ -92,7 +90,7 @@ def sharpness(frame: NDArray[np.uint8]) -> float:
     return float(cv2.Laplacian(grey, cv2.CV_64F).var())
 
 
-def _taken(path: str, best: tuple[float, int, NDArray[np.uint8]], rate: float) -> Taken:
+def _taken(path: str, best: tuple[float, int, NDArray[np.uint8]], rate: float) -> InputPhotograph:
     _, number, frame = best
     digits = max(2, math.ceil(math.log10(max(rate, 1.0))))  # no two frames of one name
-    return Taken(f"{path} at {number / rate:.{digits}f} s", np.ascontiguousarray(frame[:, :, ::-1]), path)
+    return InputPhotograph(f"{path} at {number / rate:.{digits}f} s", np.ascontiguousarray(frame[:, :, ::-1]), path)

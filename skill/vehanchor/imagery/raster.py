@@ -1,228 +1,185 @@
-"""Any aerial image as a raster of 8-bit RGB that is read by windows.
-
-JPEG, PNG, WebP, AVIF, BMP and plain TIFF are decoded whole by OpenCV. GeoTIFF and COG, TIFF that OpenCV cannot decode
-(more than four bands, say), TIFF and JPEG too large to decode whole and JPEG 2000 are read by windows through rasterio
-(extra ``geo``), HEIC through libheif (extra ``heic``). Which of them reads a file depends on the file alone, never on
-what is installed (docs/decisions.md).
-"""
+"""Raster: an image that is read by windows as upright 8-bit RGB, whatever its stored form."""
 
 from __future__ import annotations
 
-import os
-import stat
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, TypeAlias, cast
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vehanchor.errors import ImageDecodeError, ImageNotFoundError, ImageTooLargeError, InvalidParameterError
-from vehanchor.imagery.addresses import gdal_name, is_address, ranges_of, whole_of
-from vehanchor.imagery.arrays import ArrayRaster
-from vehanchor.imagery.camera_metadata import read_camera
-from vehanchor.imagery.data_arrays import DataArray, data_array_gsd_m_per_px, data_array_pixels, is_data_array
-from vehanchor.imagery.datasets import Dataset, is_dataset, open_dataset, open_file
-from vehanchor.imagery.decoding import decode, decodes_tiff
-from vehanchor.imagery.header import is_tiff
-from vehanchor.imagery.heic import is_heic, open_heic
-from vehanchor.imagery.jpeg2000 import is_jpeg2000
-from vehanchor.imagery.limits import MIN_SIDE_PX, check_bytes, read_checked_header
-from vehanchor.imagery.pillow import PillowImage, is_pillow, pillow_pixels
-from vehanchor.imagery.unpacked import open_large_jpeg
-from vehanchor.imagery.windows import Raster, RasterNote, Window
-from vehanchor.options import ImageLimits
+from vehanchor.errors import InvalidParameterError
+from vehanchor.imagery.stretch import STRETCH_PERCENTILES, UNIT_RANGE, Stretch, choose_stretch, to_uint8
 
 if TYPE_CHECKING:
-    from vehanchor.imagery.bands import BandChoice
-    from vehanchor.imagery.header import ImageHeader, ReadAt
+    from types import TracebackType
 
-__all__ = ["MIN_SIDE_PX", "ImageSource", "Raster", "RasterNote", "Window", "can_be_read_again", "open_raster"]
+    from numpy.typing import NDArray
 
-ImageSource: TypeAlias = (
-    str
-    | os.PathLike[str]
-    | bytes
-    | bytearray
-    | memoryview
-    | BinaryIO
-    | NDArray[Any]
-    | Dataset
-    | PillowImage
-    | DataArray
-)
-"""A path or http(s) address, an encoded image in memory, a binary file object, an array [h, w] or [h, w, bands] with
-RGB order, an open rasterio dataset, a Pillow image, or a DataArray of xarray."""
+    from vehanchor.imagery.metadata.camera import CameraMetadata
+    from vehanchor.imagery.metadata.georeference import Ground
 
-_MIB = 1 << 20
-_JPEG = b"\xff\xd8\xff"
+# EXIF orientation -> (swap rows and columns, then flip up-down, flip left-right) that turns the stored image upright.
+_ORIENTATIONS = {
+    1: (False, False, False),
+    2: (False, False, True),
+    3: (False, True, True),
+    4: (False, True, False),
+    5: (True, False, False),
+    6: (True, False, True),
+    7: (True, True, True),
+    8: (True, True, False),
+}
 
 
-def open_raster(
-    image: ImageSource,
-    *,
-    bands: tuple[int, int, int] | None = None,
-    limits: ImageLimits | None = None,
-    bgr: bool = False,
-) -> Raster:
-    """Open an image of any kind for reading by windows.
+@dataclass(frozen=True)
+class Window:
+    """Rectangle of pixels in the oriented frame; (x_px, y_px) is its top left pixel."""
 
-    uint8 is taken as it is. uint16 is stretched by the percentiles 2 and 98 of the whole image. Floats within 0..1 are
-    scaled by 255, all others stretched by percentiles; arrays and plain files must be finite, while in files read by
-    windows NaN is "no data". One band becomes grey, alpha is dropped, of more bands the first three are taken.
+    x_px: int
+    y_px: int
+    width_px: int
+    height_px: int
+
+
+class RasterNote(NamedTuple):
+    """Notice about the image for its user: ``bands_selected`` or ``pixels_stretched``."""
+
+    code: str
+    message: str
+
+
+class StoredPixels(NamedTuple):
+    """Pixels as stored: ``[h, w, 3]`` RGB in one of ``bands.DTYPES``, and a mask of valid pixels (None: all)."""
+
+    rgb: NDArray[Any]
+    valid: NDArray[np.bool_] | None
+
+
+class Raster(ABC):
+    """Open image. Any thread may read, one at a time. Close it, or use it as a context manager.
+
+    Attributes:
+        width_px: width of the oriented frame.
+        height_px: height of the oriented frame.
+        source: the given path or address, or "bytes", "file", "array", "image", "DataArray", "dataset".
+        georeference_gsd_m_per_px: GSD by the file's georeference; None without one.
+        warnings: notices for the user.
+        camera: camera metadata of the file; None if it has none or the source is no file.
+        ground: georeference of the image; None without one.
+    """
+
+    camera: CameraMetadata | None = None
+    ground: Ground | None = None
+
+    def __init__(
+        self,
+        source: str,
+        stored_width_px: int,
+        stored_height_px: int,
+        *,
+        orientation: int = 1,
+        georeference_gsd_m_per_px: float | None = None,
+        notes: tuple[RasterNote, ...] = (),
+    ) -> None:
+        swapped = _ORIENTATIONS[orientation][0]
+        self.width_px = stored_height_px if swapped else stored_width_px
+        self.height_px = stored_width_px if swapped else stored_height_px
+        self.source = source
+        self.georeference_gsd_m_per_px = georeference_gsd_m_per_px
+        self.warnings = notes
+        self._orientation = orientation
+        self._stretch: Stretch | None = None
+
+    def read(self, window: Window | None = None) -> NDArray[np.uint8]:
+        """Read a window, or the whole image: [h, w, 3] uint8 RGB, contiguous; pixels without data are black.
+
+        The result can be a read-only view of the caller's array if no conversion was needed.
+
+        Raises:
+            InvalidParameterError: the window is empty or not inside the image.
+            ImageDecodeError: the file is damaged in this window.
+            ImageFormatError: the values in this window cannot be converted.
+        """
+        if window is None:
+            window = Window(0, 0, self.width_px, self.height_px)
+        elif not (
+            0 <= window.x_px < window.x_px + window.width_px <= self.width_px
+            and 0 <= window.y_px < window.y_px + window.height_px <= self.height_px
+        ):
+            raise InvalidParameterError(f"{window} is not inside the image of {self.width_px} x {self.height_px} px")
+        return self._to_rgb(self._read_stored(stored_window(window, self.width_px, self.height_px, self._orientation)))
+
+    def _to_rgb(self, stored: StoredPixels) -> NDArray[np.uint8]:
+        """Convert stored pixels to upright 8-bit RGB."""
+        shown = to_uint8(stored.rgb, self._stretch)
+        if stored.valid is not None:
+            shown[~stored.valid] = 0
+        return np.ascontiguousarray(oriented(shown, self._orientation))
+
+    def read_overview(self, window: Window, factor: int) -> NDArray[np.uint8] | None:  # noqa: ARG002 - for subclasses
+        """Read a window of the reduced image from the file's overviews; None if it has none.
+
+        Args:
+            window: in pixels of the reduced image, which has ``width_px // factor`` x ``height_px // factor``.
+            factor: reduction factor, 2 or more.
+        """
+        return None
+
+    def close(self) -> None:  # noqa: B027 - most rasters hold nothing to close
+        """Release the file."""
+
+    def __enter__(self) -> Raster:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @abstractmethod
+    def _read_stored(self, window: Window) -> StoredPixels:
+        """Read a window of the stored frame."""
+
+    def _choose_stretch(self, sample: NDArray[Any]) -> None:
+        """Choose the stretch from a sample of stored values (any shape)."""
+        self._stretch = choose_stretch(sample)
+        if self._stretch is not None and self._stretch != UNIT_RANGE:
+            low, high = self._stretch
+            message = (
+                f"{sample.dtype} values {low:g} to {high:g} (percentiles {STRETCH_PERCENTILES[0]:g} and"
+                f" {STRETCH_PERCENTILES[1]:g}) become 0 to 255"
+            )
+            self.warnings = (*self.warnings, RasterNote("pixels_stretched", message))
+
+
+def oriented(stored: NDArray[np.uint8], orientation: int) -> NDArray[np.uint8]:
+    """Turn a stored image ``[h, w, 3]`` upright, as a view.
 
     Args:
-        image: a path to a local file, an encoded image (bytes or a binary file object, read from where it stands), an
-            array [h, w] or [h, w, bands], RGB, of uint8, uint16 or floats, or an open rasterio dataset; arrays are
-            neither copied nor changed, datasets are left open. Or a Pillow image, which is turned as its EXIF says; a
-            ``DataArray`` of xarray; an http(s) address, of which TIFF and JPEG 2000 are read by windows, all
-            else whole.
-        bands: which bands are red, green and blue; they count from 1.
-        limits: what to refuse; None stands for the defaults.
-        bgr: an array's first three bands are blue, green and red, as OpenCV reads them; files say it themselves.
-
-    Raises:
-        InvalidParameterError: ``bands`` names a band that is not there, or ``image`` is of no known kind.
-        ImageNotFoundError: no regular file at the path.
-        ImageDecodeError: empty, truncated, damaged, or not an image.
-        ImageTooLargeError: more bytes or declared pixels than the limits allow.
-        ImageFormatError: it decodes but cannot be measured: under 16 px a side, NaN, an odd dtype.
-        MissingExtraError: the file needs rasterio, which is not installed.
+        stored: pixels in the file's orientation.
+        orientation: EXIF orientation, 1 to 8.
     """
-    limits = limits or ImageLimits()
-    if bands is not None and (len(bands) != 3 or not all(isinstance(band, int) and band >= 1 for band in bands)):
-        raise InvalidParameterError(f"bands must be three numbers from 1 up, got {bands!r}")
-    if isinstance(image, np.ndarray):
-        return ArrayRaster(image, "array", bands, bgr=bgr)
-    if isinstance(image, str | os.PathLike):
-        name = os.fspath(image)
-        return _open_address(name, bands, limits) if is_address(name) else _open_path(name, bands, limits)
-    if isinstance(image, bytes | bytearray | memoryview):
-        check_bytes(memoryview(image).nbytes, limits)
-        return _open_bytes(bytes(image), "bytes", bands, limits)
-    if is_pillow(image):
-        return ArrayRaster(pillow_pixels(image, limits), "image", bands)
-    if is_data_array(image):
-        pixels, gsd = data_array_pixels(image, limits), data_array_gsd_m_per_px(image)
-        return ArrayRaster(pixels, "DataArray", bands, georeference_gsd_m_per_px=gsd)
-    if is_dataset(image):
-        return open_dataset(image, bands, limits)
-    if hasattr(image, "read"):
-        return _open_bytes(_read_stream(cast("BinaryIO", image), limits), "file", bands, limits)
-    raise InvalidParameterError(
-        "image must be a path, an address, bytes, a binary file, a numpy array, a Pillow image, a DataArray or a "
-        f"rasterio dataset, got {type(image).__name__}"
+    swap, up_down, left_right = _ORIENTATIONS[orientation]
+    turned = stored.swapaxes(0, 1) if swap else stored
+    return turned[:: -1 if up_down else 1, :: -1 if left_right else 1]
+
+
+def stored_window(window: Window, width_px: int, height_px: int, orientation: int) -> Window:
+    """Map a window of the oriented frame, ``width_px`` x ``height_px``, to the stored frame."""
+    swap, up_down, left_right = _ORIENTATIONS[orientation]
+    x = width_px - window.x_px - window.width_px if left_right else window.x_px
+    y = height_px - window.y_px - window.height_px if up_down else window.y_px
+    if swap:
+        return Window(y, x, window.height_px, window.width_px)
+    return Window(x, y, window.width_px, window.height_px)
+
+
+def outer_sides(window: Window, width_px: int, height_px: int) -> tuple[bool, bool, bool, bool]:
+    """Test whether the left, top, right and bottom of a window lie on the border of its image."""
+    return (
+        window.x_px == 0,
+        window.y_px == 0,
+        window.x_px + window.width_px == width_px,
+        window.y_px + window.height_px == height_px,
     )
-
-
-def can_be_read_again(image: ImageSource) -> bool:
-    """Whether an image is there a second time: a stream is not."""
-    return is_dataset(image) or is_pillow(image) or not hasattr(image, "read")
-
-
-def _open_address(address: str, bands: BandChoice, limits: ImageLimits) -> Raster:
-    read_at = ranges_of(address)
-    start = read_at(0, 32)
-    if not (is_tiff(start) or is_jpeg2000(start)):
-        return _open_bytes(whole_of(address, limits), address, bands, limits)
-    header = read_checked_header(read_at, limits)
-    return _open_by_windows(gdal_name(address), address, header, bands, limits, read_at)
-
-
-def _open_path(path: str, bands: BandChoice, limits: ImageLimits) -> Raster:
-    with _open_regular(path) as file:
-        n_bytes = os.fstat(file.fileno()).st_size
-
-        def read_at(offset: int, count: int) -> bytes:
-            if offset >= n_bytes:  # also keeps offsets that no file system knows from seek()
-                return b""
-            file.seek(offset)
-            return file.read(count)
-
-        header, start = None, read_at(0, 32)
-        if start.startswith(_JPEG) or is_tiff(start) or is_jpeg2000(start):
-            header = read_checked_header(read_at, limits)
-            if (n_bytes > limits.max_bytes and header.windowed) or _needs_windows(header, limits):
-                return _open_by_windows(str(Path(path).absolute()), path, header, bands, limits, read_at)
-        check_bytes(n_bytes, limits)
-        data = read_at(0, n_bytes)
-    return _open_bytes(data, path, bands, limits, header)
-
-
-def _open_bytes(
-    data: bytes, source: str, bands: BandChoice, limits: ImageLimits, header: ImageHeader | None = None
-) -> Raster:
-    check_bytes(len(data), limits)
-    if not data:
-        raise ImageDecodeError(f"the image ({source}) is empty: 0 bytes")
-    if is_heic(data[:32]):
-        return open_heic(data, source, bands, limits)
-
-    def read_at(offset: int, count: int) -> bytes:
-        return data[offset : offset + count]
-
-    header = header or read_checked_header(read_at, limits)
-    if _needs_windows(header, limits):
-        return _open_by_windows(data, source, header, bands, limits, read_at)
-    pixels = decode(data, source, header)
-    orientation = 1 if header.tiff else header.orientation  # OpenCV has turned a TIFF already
-    raster = ArrayRaster(pixels, source, bands, bgr=True, orientation=orientation)
-    raster.camera = read_camera(read_at)
-    return raster
-
-
-def _open_by_windows(
-    file: str | bytes, source: str, header: ImageHeader, bands: BandChoice, limits: ImageLimits, read_at: ReadAt
-) -> Raster:
-    """Open what is too large to decode whole, or what OpenCV does not decode."""
-    opened = open_large_jpeg if header.format == "JPEG" else open_file
-    raster = opened(file, source, header, bands, limits)
-    raster.camera = read_camera(read_at)
-    return raster
-
-
-def _needs_windows(header: ImageHeader, limits: ImageLimits) -> bool:
-    if header.format == "JPEG 2000":
-        return True
-    too_large = (
-        header.width_px * header.height_px > limits.max_pixels or header.decoding_bytes > limits.max_decoded_bytes
-    )
-    if header.tiff is None:
-        return header.windowed and too_large
-    return too_large or header.tiff.georeferenced or not decodes_tiff(header.tiff)
-
-
-def _open_regular(path: str) -> BinaryIO:
-    # O_NONBLOCK: opening a FIFO must not wait for a writer. What was opened is checked, not what the name meant before.
-    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
-    try:
-        descriptor = os.open(path, flags)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise ImageNotFoundError(f"cannot open the image {path!r}: {reason}") from error
-    mode = os.fstat(descriptor).st_mode
-    if stat.S_ISREG(mode):
-        return os.fdopen(descriptor, "rb")
-    os.close(descriptor)
-    if stat.S_ISDIR(mode):
-        raise ImageNotFoundError(f"{path!r} is a folder: give an image; vehanchor.find_images lists those in it")
-    kind = "a pipe" if stat.S_ISFIFO(mode) else "a device or socket"
-    raise ImageNotFoundError(f"the image {path!r} is {kind}, not a file")
-
-
-def _read_stream(stream: BinaryIO, limits: ImageLimits) -> bytes:
-    chunks: list[bytes] = []
-    n_bytes = 0
-    while n_bytes <= limits.max_bytes:
-        try:
-            chunk = stream.read(min(_MIB, limits.max_bytes + 1 - n_bytes))
-        except OSError as error:
-            raise ImageDecodeError(f"cannot read the image from its file object: {error}") from error
-        if not chunk:
-            break
-        if not isinstance(chunk, bytes):
-            raise InvalidParameterError(f"the image's file object must be open in binary mode, it gave {type(chunk)}")
-        chunks.append(chunk)
-        n_bytes += len(chunk)
-    if n_bytes > limits.max_bytes:
-        raise ImageTooLargeError(f"the image's file object gives more than the limit of {limits.max_bytes} bytes")
-    return b"".join(chunks)

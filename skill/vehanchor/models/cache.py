@@ -14,8 +14,6 @@ from vehanchor.models.files import external_locations
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["file_cached"]
-
 P = ParamSpec("P")
 T = TypeVar("T")
 

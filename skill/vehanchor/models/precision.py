@@ -12,8 +12,6 @@ from functools import cache
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-__all__ = ["Precision", "has_byte_dot_products", "lists_byte_dot_products"]
-
 Precision: TypeAlias = Literal["float32", "int8", "auto"]
 """``auto`` is int8 where the processor is quick with it, and there is such a file."""
 

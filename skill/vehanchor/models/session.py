@@ -33,16 +33,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = [
-    "DEFAULT_PROVIDERS",
-    "MAX_THREADS",
-    "metadata_number",
-    "named_providers",
-    "open_session",
-    "run_session",
-    "stoppable",
-]
-
 DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
 
 _SHORT_NAMES = {  # what people say

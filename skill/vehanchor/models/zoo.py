@@ -11,27 +11,15 @@ from vehanchor.models.precision import has_byte_dot_products
 if TYPE_CHECKING:
     from vehanchor.models.precision import Precision
 
-__all__ = [
-    "DEFAULT_DETECTOR",
-    "bundled_courts",
-    "bundled_models",
-    "bundled_scene_scale",
-    "bundled_segmenter",
-    "fleet_beside",
-    "resolve_model",
-    "resolve_segmenter",
-    "second_look_beside",
-]
-
 DEFAULT_DETECTOR = "vehicles"
 _IN_EIGHT_BITS = "-int8"  # ends the name of a bundled detector's file of that precision
 _SEGMENTER = "segmenter-encoder.onnx", "segmenter-decoder.onnx"
 _FLEET = "fleet.onnx"  # of the default detector
-_SECOND_LOOK = "second-look.onnx"  # of the default detector
-_SECOND_LOOK_IN_EIGHT_BITS = "second-look-int8.onnx"  # of the same in eight bits
+_VERIFIER = "verifier.onnx"  # of the default detector
+_VERIFIER_INT8 = "verifier-int8.onnx"  # of the same in eight bits
 _SCENE_SCALE = "scene-scale.onnx"
 _COURTS = "courts.onnx"
-_NO_DETECTORS = (*_SEGMENTER, _FLEET, _SECOND_LOOK, _SECOND_LOOK_IN_EIGHT_BITS, _SCENE_SCALE, _COURTS)
+_NO_DETECTORS = (*_SEGMENTER, _FLEET, _VERIFIER, _VERIFIER_INT8, _SCENE_SCALE, _COURTS)
 _BUNDLED = Path(__file__).parent / "bundled"
 
 
@@ -51,14 +39,14 @@ def fleet_beside(detector: Path) -> Path | None:
     return _beside(detector, (_FLEET, _FLEET), "fleet")
 
 
-def second_look_beside(detector: Path) -> Path | None:
+def verifier_beside(detector: Path) -> Path | None:
     """The file of the network that judges a detector's candidates once more; None where it has none.
 
     Args:
         detector: its file. The default detector's network is bundled with it; any other's lies beside it, as
-            ``mine.second-look.onnx`` beside ``mine.onnx``.
+            ``mine.verifier.onnx`` beside ``mine.onnx``.
     """
-    return _beside(detector, (_SECOND_LOOK, _SECOND_LOOK_IN_EIGHT_BITS), "second-look")
+    return _beside(detector, (_VERIFIER, _VERIFIER_INT8), "verifier")
 
 
 def _beside(detector: Path, bundled: tuple[str, str], kind: str) -> Path | None:

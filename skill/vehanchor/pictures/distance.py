@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.anchors.evidence import Mark
 from vehanchor.pictures.marks import draw_marks
 from vehanchor.pictures.measured import MEASURED_RGB, finish, open_canvas, size_in_words
+from vehanchor.rulers.evidence import Mark
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from vehanchor.findings import DistanceFindings
-
-__all__ = ["draw_distance"]
+    from vehanchor.pictures.drawable import DrawableDistance
 
 
-def draw_distance(image: NDArray[np.uint8], analysis: DistanceFindings) -> NDArray[np.uint8]:
+def draw_distance(image: NDArray[np.uint8], analysis: DrawableDistance) -> NDArray[np.uint8]:
     """Draw a measured line and what its length rests on, under a caption with length, scale and confidence.
 
     The length stands beside the middle of the line, too, where it is one to use.

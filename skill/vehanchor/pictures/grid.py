@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster, Window
 
-__all__ = ["GridPicture", "draw_grid"]
-
 _LINES = 11  # about so many along the longer side
 _LIGHT = 0.35  # how much of a line's white lies over the image
 _FONT = cv2.FONT_HERSHEY_SIMPLEX

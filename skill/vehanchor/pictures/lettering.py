@@ -10,8 +10,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["FONT", "font_scale", "stroke_px", "text_px", "text_width", "write_on"]
-
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 

@@ -14,9 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.anchors.evidence import Mark
-
-__all__ = ["MARK_RGB", "draw_marks"]
+    from vehanchor.rulers.evidence import Mark
 
 Rgb: TypeAlias = tuple[int, int, int]
 

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from vehanchor.records import FlightEstimate, FlightPhotograph
 
-__all__ = ["draw_tracks"]
-
 _WIDTH, _HEIGHT, _MARGIN, _LEGEND = 860, 520, 46, 88  # pixels of a panel
 _RADIUS = 8.0
 _MOST_LABELS, _SHORTEST_LABEL = 45, 3
@@ -53,10 +51,12 @@ def draw_tracks(record: FlightEstimate) -> str:
 def _panels(record: FlightEstimate) -> list[_Panel]:
     placed = [each for each in record.photographs if each.placed_by == "positions"]
     panels = [_Panel("Where the photographs were taken, by their metadata", placed)] if placed else []
-    for island in record.islands:
-        members = [each for each in record.photographs if each.island == island.number and each.placed_by == "overlaps"]
+    for component in record.components:
+        members = [
+            each for each in record.photographs if each.component == component.number and each.placed_by == "overlaps"
+        ]
         if members:
-            panels.append(_Panel(f"Island {island.number}: how its photographs lie beside each other", members))
+            panels.append(_Panel(f"Island {component.number}: how its photographs lie beside each other", members))
     return panels
 
 
@@ -115,9 +115,9 @@ def _short_names(stems: Sequence[str]) -> list[str]:
 
 
 def _hangs_on(each: FlightPhotograph) -> str:
-    if not each.anchors or each.gsd_m_per_px is None:
+    if not each.supported_by or each.gsd_m_per_px is None:
         return "nothing"
-    first = each.anchors[0]
+    first = each.supported_by[0]
     if first.photograph != each.photograph:
         return "another photograph"
     if first.ruler in ("vehicles", "positions"):

@@ -14,34 +14,21 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from vehanchor.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M
 from vehanchor.errors import (
     CalibrationFileError,
     CalibrationMismatchError,
     CalibrationRefusedError,
     InvalidParameterError,
 )
-from vehanchor.output import whole_file
 from vehanchor.scale.confidence import guard_length
+from vehanchor.scale.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M
 from vehanchor.scale.lengths import WEIGHTED_SMOOTHING, Z95, kde_density, kde_mode, scott_bandwidth, vehicle_weights
+from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike, NDArray
-
-__all__ = [
-    "MIN_VEHICLES",
-    "Calibration",
-    "ModalLength",
-    "SurveyedImage",
-    "as_calibration",
-    "calibrate",
-    "length_density",
-    "load_calibration",
-    "modal_length_m",
-    "save_calibration",
-]
 
 MIN_VEHICLES = 100
 """Fewer are refused: lengths of one fleet spread by about 9 %, so the mode of 100 cars is known to 3 % (95 %)."""

@@ -10,20 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.notices import NoticeCode
 from vehanchor.records import ConfidenceTerms
+from vehanchor.records.notices import NoticeCode
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES
 from vehanchor.scale.thresholds import DISPUTE_CONFIDENCE, GUARD_CONFIDENCE, GUARD_GSD_M_PER_PX
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
-
-__all__ = [
-    "composite",
-    "confidence_terms",
-    "fleet_doubts",
-    "guard_length",
-]
 
 _RIVAL_SHARE = 0.35  # of the dominant group's weight in another group of lengths
 _ALIKE_LOG_SPREAD = 0.045  # 99 of 100 fleets of the train split have 0.047 and more; equal things in rows 0.03 to 0.06
@@ -95,7 +88,7 @@ def fleet_doubts(
     * ``scores_unclear``: not a tenth of them reach the score that some cars of every fleet do, less 0.32 over their
       number: of 5 cars none need be a very clear one (2nd percentile of random draws from 113 train images with 20
       and more: 0.69 of 5, 0.72 of 12, 0.74 of 20, 0.75 of all; ``research/training/verifier/calibrate.py``).
-    * ``looks_alike``: 20 or more whose log odds (see ``vehanchor.detection.look``) have a standard deviation below 0.7:
+    * ``looks_alike``: 20 or more whose log odds (``vehanchor.detection.appearance``) with a spread below 0.7:
       makes, models and paint differ more.
     * ``looks_unlike_cars``: 20 or more whose mean log odds are below -3.2, where no fleet of cars was seen.
 

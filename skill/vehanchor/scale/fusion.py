@@ -16,24 +16,6 @@ from vehanchor.scale.lengths import Interval
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "GRID",
-    "LOG_STEP",
-    "TOLERANCE",
-    "USABLE_CHANCE",
-    "Fused",
-    "Votes",
-    "blurred",
-    "credible_interval",
-    "flat",
-    "floored",
-    "fuse",
-    "mass_within",
-    "product",
-    "settled_chance",
-    "vehicle_density",
-]
-
 LOG_STEP = 0.005
 TOLERANCE = 0.2  # relative error up to which a planner can use a scale
 USABLE_CHANCE = 0.9  # of an error below it: with less a scale is not to be used
@@ -57,7 +39,7 @@ class Votes(NamedTuple):
         clutter_density: density of false alarms per unit of log length: over how wide a range they are spread.
         trust: exponent on the votes together: boxes of one image err alike, so that n of them say less than n.
         chance_wrong: weight of the flat density: that none of them are cars.
-        certainty: see ``settled_chance``.
+        sharpness: see ``recalibrated``.
     """
 
     share_at_zero: float
@@ -66,7 +48,7 @@ class Votes(NamedTuple):
     clutter_density: float
     trust: float
     chance_wrong: float
-    certainty: float = 1.0
+    sharpness: float = 1.0
 
     def car_shares(self, scores: ArrayLike) -> NDArray[np.float64]:
         """Chance that each box is a car, from its score."""
@@ -86,13 +68,13 @@ class Fused(NamedTuple):
     p_within_20: float
 
 
-def fuse(gsd_m_per_px: float, *densities: NDArray[np.float64], certainty: float = 1.0) -> Fused:
+def fuse(gsd_m_per_px: float, *densities: NDArray[np.float64], sharpness: float = 1.0) -> Fused:
     """Judge a scale by the product of the rulers' densities.
 
     Args:
         gsd_m_per_px: the scale that is given out.
         *densities: ``[g]`` probabilities each.
-        certainty: see ``settled_chance``.
+        sharpness: see ``recalibrated``.
 
     Returns:
         Its interval, and the chance that it is right.
@@ -100,22 +82,22 @@ def fuse(gsd_m_per_px: float, *densities: NDArray[np.float64], certainty: float 
     posterior = product(*densities)
     low, high = credible_interval(posterior)
     interval = Interval(min(low, gsd_m_per_px), max(high, gsd_m_per_px))
-    chance = settled_chance(mass_within(posterior, gsd_m_per_px, TOLERANCE), certainty)
+    chance = recalibrated(mass_within(posterior, gsd_m_per_px, TOLERANCE), sharpness)
     return Fused(interval, float(chance))
 
 
-def settled_chance(chance: ArrayLike, certainty: float) -> NDArray[np.float64]:
+def recalibrated(chance: ArrayLike, sharpness: float) -> NDArray[np.float64]:
     """Chances as they were borne out: their odds over those of ``USABLE_CHANCE``, to the power ``certainty``.
 
     What is usable stays so, whatever the power; a density that is too flat says too much of what is not.
 
     Args:
         chance: ``[...]`` 0..1, mass of a density within the tolerance.
-        certainty: fitted by ``research/training/fusion/fit.py`` on images of known scale; 1 changes nothing.
+        sharpness: fitted by ``research/training/fusion/fit.py`` on images of known scale; 1 changes nothing.
     """
     inside = np.clip(np.asarray(chance, np.float64), _LEAST_CHANCE, 1 - _LEAST_CHANCE)
     limit = np.log(USABLE_CHANCE / (1 - USABLE_CHANCE))
-    odds = limit + certainty * (np.log(inside / (1 - inside)) - limit)
+    odds = limit + sharpness * (np.log(inside / (1 - inside)) - limit)
     return np.asarray(1.0 / (1.0 + np.exp(-odds)))
 
 
@@ -124,7 +106,7 @@ def flat() -> NDArray[np.float64]:
     return np.full(len(GRID), 1.0 / len(GRID))
 
 
-def floored(density: NDArray[np.float64], chance_wrong: float) -> NDArray[np.float64]:
+def with_outlier_floor(density: NDArray[np.float64], chance_wrong: float) -> NDArray[np.float64]:
     """Mix a density with the flat one.
 
     Args:
@@ -204,7 +186,7 @@ def vehicle_density(
         counts = np.bincount(cells[chosen], minlength=len(GRID)).astype(np.float64)
         total += np.convolve(counts, gain)[reach : reach + len(GRID)]
     density = _normalised(np.exp(votes.trust * (total - total.max())))
-    return floored(blurred(density, reference_sd_m / reference_length_m), votes.chance_wrong)
+    return with_outlier_floor(blurred(density, reference_sd_m / reference_length_m), votes.chance_wrong)
 
 
 def credible_interval(density: NDArray[np.float64], probability: float = 0.95) -> Interval:

@@ -6,31 +6,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vehanchor.defaults import OUTLIER_ALPHA
 from vehanchor.errors import InvalidParameterError
+from vehanchor.scale.defaults import OUTLIER_ALPHA
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from vehanchor.defaults import Aggregation
-
-__all__ = [
-    "MIN_KDE_VEHICLES",
-    "WEIGHTED_SMOOTHING",
-    "Z95",
-    "Interval",
-    "LengthGroup",
-    "dominant_group",
-    "gsd_interval",
-    "inlier_mask",
-    "kde_density",
-    "kde_mode",
-    "modal_density",
-    "modal_length",
-    "scott_bandwidth",
-    "statistical_log_sds",
-    "vehicle_weights",
-]
+    from vehanchor.scale.defaults import Aggregation
 
 MIN_KDE_VEHICLES = 5  # paper, section III-C: below it the median takes over
 GROUP_LOG_REACH = 0.4  # a fleet lies within a factor of 1.5 of its modal length, as in the paper's outlier filter

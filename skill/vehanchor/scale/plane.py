@@ -19,8 +19,6 @@ from vehanchor.errors import TooObliqueError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["LEAST_DESCENT", "GroundPlane"]
-
 LEAST_DESCENT = 0.174  # cosine of 80 degrees: nearer to the horizon a degree changes the scale by a sixth and more
 _ROWS = 512  # of a mask at once
 

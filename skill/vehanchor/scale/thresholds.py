@@ -2,15 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = [
-    "DISPUTE_CONFIDENCE",
-    "FALLBACK_CONFIDENCE",
-    "GUARD_CONFIDENCE",
-    "GUARD_GSD_M_PER_PX",
-    "UNSURE_CONFIDENCE",
-    "WIDEST_USABLE",
-]
-
 FALLBACK_CONFIDENCE = 0.5  # paper, section III-E: below it a planner must fall back
 GUARD_GSD_M_PER_PX = 0.3  # paper, GSD_max
 GUARD_CONFIDENCE = 0.3  # paper: C = min(C_raw, 0.3)

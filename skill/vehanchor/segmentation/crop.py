@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from vehanchor.imagery.windows import Window
+from vehanchor.imagery.raster import Window
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.imagery.windows import Raster
+    from vehanchor.imagery.raster import Raster
     from vehanchor.segmentation.contracts import MaskLogits
     from vehanchor.segmentation.prompt import Prompt
-
-__all__ = ["crop_side", "crop_window", "place_mask", "read_resized", "shares_window"]
 
 _BOX_CONTEXT = 2.0  # side of the crop over the box's longer side
 _MIN_CROP_PX = 256

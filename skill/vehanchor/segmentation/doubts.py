@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.imagery.windows import outer_sides
-from vehanchor.notices import NoticeCode
+from vehanchor.imagery.raster import outer_sides
 from vehanchor.records import Notice
+from vehanchor.records.notices import NoticeCode
 from vehanchor.segmentation.shape import mask_pieces, touches_edge
 
 if TYPE_CHECKING:
-    from vehanchor.imagery.windows import Raster
+    from vehanchor.imagery.raster import Raster
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
-
-__all__ = ["SMALL_TARGET_PX", "mask_notices"]
 
 SMALL_TARGET_PX = 15.0  # the bundled segmenter is measured on objects from this side up
 _OUTSIDE_SHARE = 0.10  # of the mask: a box drawn 5 % off a side leaves about as much outside

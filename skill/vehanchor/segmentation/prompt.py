@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from vehanchor.errors import PromptError
-from vehanchor.exchange import as_box
-from vehanchor.pointing import Pointing
+from vehanchor.measure.coordinates import CoordinateFrame
+from vehanchor.records.interop import as_box
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from vehanchor.options import Frame
-
-__all__ = ["MIN_BOX_PX", "Box", "Point", "Prompt", "prompt_in_image", "read_prompt"]
 
 Box: TypeAlias = tuple[float, float, float, float]
 """x1, y1, x2, y2."""
@@ -68,11 +67,12 @@ def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
     Raises:
         PromptError: neither or both, or what names nothing in any image.
     """
-    if (box is None) == (not points):
+    given = () if points is None else tuple(_parts(points, "points", "one or more of x, y"))
+    if (box is None) == (not given):
         found = "neither is given" if box is None else "both are given"
         raise PromptError(f"give a box or points, one of the two: {found}")
     if box is not None:
-        corners = tuple(_coordinate(value, "box") for value in as_box(box))
+        corners = tuple(_coordinate(value, "box") for value in _parts(as_box(box), "box", "x1, y1, x2, y2"))
         if len(corners) != 4:
             raise PromptError(f"box has {len(corners)} numbers: use x1, y1, x2, y2")
         x1, y1, x2, y2 = corners
@@ -80,7 +80,8 @@ def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
             raise PromptError(f"box is {_numbers(corners)}: x1 < x2 and y1 < y2 are needed, it is reversed or empty")
         return Prompt(box=(x1, y1, x2, y2))
     read = []
-    for point in points or ():
+    for each in given:
+        point = tuple(_parts(each, "a point", "x, y"))
         if len(point) not in (2, 3):
             raise PromptError(f"a point has {len(point)} parts: use x, y and whether it is on the object")
         include = point[2] if len(point) == 3 else True
@@ -104,25 +105,33 @@ def prompt_in_image(given: Prompt, frame: Frame, width_px: int, height_px: int) 
     Raises:
         PromptError: it is outside, or the box is too small.
     """
-    pointing = Pointing(frame, width_px, height_px)
+    coordinates = CoordinateFrame(frame, width_px, height_px)
     if given.box is not None:
         x1, y1, x2, y2 = given.box
         ends = ((x1, y1), (x2, y2))
-        if not pointing.inside(ends):
-            meant = pointing.other_reading(ends) or ": clip it to what is visible"
-            raise PromptError(f"box {_numbers(given.box)} is not inside the {pointing.name}{meant}")
-        box = (*pointing.in_image(ends[0]), *pointing.in_image(ends[1]))
+        if not coordinates.inside(ends):
+            meant = coordinates.other_reading(ends) or ": clip it to what is visible"
+            raise PromptError(f"box {_numbers(given.box)} is not inside the {coordinates.name}{meant}")
+        box = (*coordinates.in_image(ends[0]), *coordinates.in_image(ends[1]))
         if min(box[2] - box[0], box[3] - box[1]) < MIN_BOX_PX:
             raise PromptError(
                 f"box {_numbers(given.box)} is {box[2] - box[0]:.3g} x {box[3] - box[1]:.3g} px of the full image: at "
-                f"least {MIN_BOX_PX:g} px a side are needed{pointing.other_reading(ends)}"
+                f"least {MIN_BOX_PX:g} px a side are needed{coordinates.other_reading(ends)}"
             )
         return Prompt(box=box)
     places = [(x, y) for x, y, _ in given.points]
     for x, y in places:
-        if not (0 <= x < pointing.extent[0] and 0 <= y < pointing.extent[1]):
-            raise PromptError(f"point {x:g}, {y:g} is not inside the {pointing.name}{pointing.other_reading(places)}")
-    return Prompt(points=tuple((*pointing.in_image((x, y)), include) for x, y, include in given.points))
+        if not (0 <= x < coordinates.extent[0] and 0 <= y < coordinates.extent[1]):
+            raise PromptError(
+                f"point {x:g}, {y:g} is not inside the {coordinates.name}{coordinates.other_reading(places)}"
+            )
+    return Prompt(points=tuple((*coordinates.in_image((x, y)), include) for x, y, include in given.points))
+
+
+def _parts(value: Any, what: str, wanted: str) -> Iterable[Any]:
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise PromptError(f"{what} is {value!r}: use {wanted}")
+    return value
 
 
 def _coordinate(value: float, what: str) -> float:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import ImageTooLargeError, ModelContractError
-from vehanchor.imagery.windows import Window, outer_sides
+from vehanchor.imagery.raster import Window, outer_sides
 from vehanchor.models.cache import file_cached
 from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.session import DEFAULT_PROVIDERS, metadata_number, open_session
@@ -29,10 +29,8 @@ if TYPE_CHECKING:
     import onnxruntime
     from numpy.typing import NDArray
 
-    from vehanchor.imagery.windows import Raster
+    from vehanchor.imagery.raster import Raster
     from vehanchor.segmentation.contracts import Encoding
-
-__all__ = ["Prompt", "Segmentation", "Segmenter", "SegmenterCard", "load_segmenter"]
 
 MIN_MASK_SCORE = 0.7  # for foreign models: predicted IoU below which a mask is not to be trusted by itself
 MASK_AREA_LOG_SD = 0.1  # for foreign models: sd of log(mask area / true area)

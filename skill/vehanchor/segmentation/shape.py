@@ -17,9 +17,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Circle", "OutlinePart", "PixelBounds", "inscribed_circle", "mask_bounds", "mask_pieces", "outline_parts",
-           "perimeter", "rotated_extents", "touches_edge"]  # fmt: skip
-
 MAX_OUTLINE_POINTS = 200
 PERIMETER_TOLERANCE_PX = 1.2  # steps of the pixel grid up to this size are no part of the object's outline
 _LATTICE_PX = 2_000_000  # larger masks (their bounding box) are reduced before the lattice of half pixels is made

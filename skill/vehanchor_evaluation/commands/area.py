@@ -14,10 +14,8 @@ from vehanchor_evaluation.commands.request import measuring_command
 from vehanchor_evaluation.commands.sources import WorkersOption, open_shared, tell_issues
 
 if TYPE_CHECKING:
-    from vehanchor.cli.declared import Chosen
+    from vehanchor.cli.cli_options import ParsedOptions
     from vehanchor_evaluation.rs_gsd import Recipe
-
-__all__ = ["area"]
 
 _DATA, _CHOICE, _MODELS = "Data: iSAID with DOTA, or masks, or a benchmark built before", "Choice of entries", "Models"
 
@@ -111,7 +109,7 @@ class AreaRequest:
 
 
 @measuring_command(AreaRequest)
-def area(request: AreaRequest, chosen: Chosen) -> None:
+def area(request: AreaRequest, chosen: ParsedOptions) -> None:
     """Error of measured areas: the paper's Table II, its two sources told apart, on objects with true masks.
 
     Writes area.csv (each entry), area.json and area.md (the table), area_left_out.csv, and the benchmark itself, which
@@ -153,7 +151,7 @@ def _print_benchmark(folder: Path) -> None:
         print(f"  {category}: {counts[category]} of {available}")
 
 
-def _measure(request: AreaRequest, chosen: Chosen, folder: Path, workers: int) -> None:
+def _measure(request: AreaRequest, chosen: ParsedOptions, folder: Path, workers: int) -> None:
     """Measure the benchmark, write the results and print the table."""
     import os
 

@@ -15,12 +15,10 @@ from vehanchor_evaluation.commands.request import measuring_command
 from vehanchor_evaluation.commands.sources import FilesCommand, KnownScaleRequest, open_shared, tell_issues
 
 if TYPE_CHECKING:
-    from vehanchor.cli.declared import Chosen
+    from vehanchor.cli.cli_options import ParsedOptions
     from vehanchor.scale.calibration import Calibration
     from vehanchor_evaluation.fleet_survey import FleetSurvey
     from vehanchor_evaluation.known_scale import KnownScaleSet
-
-__all__ = ["calibrate"]
 
 _SHORT_SHA = 12
 
@@ -63,7 +61,7 @@ class CalibrateRequest(KnownScaleRequest):
 
 @calibrate.command("calibrate", cls=FilesCommand)
 @measuring_command(CalibrateRequest, without=("reference_length_m", "region", "calibration"))
-def calibrate_fleet(request: CalibrateRequest, chosen: Chosen) -> None:
+def calibrate_fleet(request: CalibrateRequest, chosen: ParsedOptions) -> None:
     """Measure the reference length of a region's fleet, on images of known scale.
 
     From labels it is exactly the paper's: the mode of length times scale over every labelled vehicle; with --detector
@@ -98,7 +96,7 @@ def _check_outputs(out: Path, plot: str | None) -> None:
             raise InvalidParameterError(f"{plot!r} would be both the plot and the calibration: choose another name")
 
 
-def _known_scale(request: CalibrateRequest, chosen: Chosen) -> KnownScaleSet:
+def _known_scale(request: CalibrateRequest, chosen: ParsedOptions) -> KnownScaleSet:
     """The images, by a georeference, a table, or another ruler than vehicles."""
     if not request.photographs:
         if request.known_lengths is not None:
@@ -117,7 +115,7 @@ def _known_scale(request: CalibrateRequest, chosen: Chosen) -> KnownScaleSet:
     return data
 
 
-def _from_labels(request: CalibrateRequest, chosen: Chosen) -> tuple[FleetSurvey, Calibration]:
+def _from_labels(request: CalibrateRequest, chosen: ParsedOptions) -> tuple[FleetSurvey, Calibration]:
     from vehanchor_evaluation.dota import SMALL_VEHICLE
     from vehanchor_evaluation.fleet_survey import calibrate_labelled, labelled_vehicles
 
@@ -127,7 +125,7 @@ def _from_labels(request: CalibrateRequest, chosen: Chosen) -> tuple[FleetSurvey
     return survey, calibrate_labelled(survey, card)
 
 
-def _from_detections(request: CalibrateRequest, chosen: Chosen) -> tuple[FleetSurvey, Calibration]:
+def _from_detections(request: CalibrateRequest, chosen: ParsedOptions) -> tuple[FleetSurvey, Calibration]:
     from vehanchor_evaluation.fleet_survey import calibrate_found, found_vehicles
 
     options, data = chosen.options(), _known_scale(request, chosen)

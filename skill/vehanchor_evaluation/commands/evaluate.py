@@ -20,10 +20,8 @@ from vehanchor_evaluation.commands.vlm import vlm
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from vehanchor.cli.declared import Chosen
+    from vehanchor.cli.cli_options import ParsedOptions
     from vehanchor_evaluation.gsd import ScaleBenchmark
-
-__all__ = ["evaluate"]
 
 _OUT = Path("vehanchor-evaluation")
 _CACHE_NAME = "detections.jsonl"
@@ -50,7 +48,7 @@ class ScaleRequest(KnownScaleRequest):
     ] = None
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results, made where there is none.")] = _OUT
 
-    def benchmark(self, chosen: Chosen) -> ScaleBenchmark:
+    def benchmark(self, chosen: ParsedOptions) -> ScaleBenchmark:
         """Survey the data, search the images, make trials of them; what is wrong with which file goes to stderr."""
         from vehanchor.batch.known_lengths import with_lines_of
         from vehanchor.options import Reference
@@ -93,7 +91,7 @@ def _tell_written(paths: Sequence[Path]) -> None:
 
 @evaluate.command("gsd", cls=FilesCommand)
 @measuring_command(ScaleRequest)
-def evaluate_gsd(request: ScaleRequest, chosen: Chosen) -> None:
+def evaluate_gsd(request: ScaleRequest, chosen: ParsedOptions) -> None:
     """Error of the estimated scale on images of known scale: the paper's Table I.
 
     Writes gsd.json, gsd.csv and gsd.md; images.csv, a line an image; issues.csv, what was wrong with which file. Run
@@ -117,7 +115,7 @@ def evaluate_gsd(request: ScaleRequest, chosen: Chosen) -> None:
 
 @evaluate.command("ablation", cls=FilesCommand)
 @measuring_command(ScaleRequest)
-def evaluate_ablation(request: ScaleRequest, chosen: Chosen) -> None:
+def evaluate_ablation(request: ScaleRequest, chosen: ParsedOptions) -> None:
     """Change one choice of the method at a time: the paper's Table III, from the same search as 'evaluate gsd'.
 
     Writes ablation.json, ablation.csv and ablation.md.
@@ -133,7 +131,7 @@ def evaluate_ablation(request: ScaleRequest, chosen: Chosen) -> None:
 
 @evaluate.command("figures", cls=FilesCommand)
 @measuring_command(ScaleRequest)
-def evaluate_figures(request: ScaleRequest, chosen: Chosen) -> None:
+def evaluate_figures(request: ScaleRequest, chosen: ParsedOptions) -> None:
     """Draw the figures, from the same search as 'evaluate gsd'; extra 'plots'.
 
     Writes predicted.png (true against predicted scale, the 10 % band, the guard), cumulative.png, calibration.png (of

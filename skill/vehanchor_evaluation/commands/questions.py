@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.asked_model import ModelAnswers
     from vehanchor_evaluation.questions import Outcome, PlannerScore, Question
 
-__all__ = ["questions"]
-
 _PHOTOGRAPHS, _MODEL = "Photographs instead of scenes", "A real model, too"
 
 

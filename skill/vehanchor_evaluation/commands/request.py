@@ -6,13 +6,11 @@ import inspect
 import typing
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from vehanchor.cli.declared import Chosen, scale_command
+from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.cli.terminal import exit_on_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
-
-__all__ = ["measuring_command", "plain_command"]
 
 Request = TypeVar("Request")
 
@@ -39,7 +37,7 @@ def plain_command(request: type[Request]) -> Callable[[Callable[[Request], None]
 
 def measuring_command(
     request: type[Request], *, without: Collection[str] = ()
-) -> Callable[[Callable[[Request, Chosen], None]], Callable[..., None]]:
+) -> Callable[[Callable[[Request, ParsedOptions], None]], Callable[..., None]]:
     """As ``plain_command``, with all options of the method, too.
 
     Args:
@@ -51,12 +49,12 @@ def measuring_command(
         A decorator for a function of the request and what was chosen for the method.
     """
 
-    def decorate(command: Callable[[Request, Chosen], None]) -> Callable[..., None]:
-        def run(chosen: Chosen, **typed: Any) -> None:
+    def decorate(command: Callable[[Request, ParsedOptions], None]) -> Callable[..., None]:
+        def run(chosen: ParsedOptions, **typed: Any) -> None:
             with exit_on_error():
                 command(request(**typed), chosen)
 
-        chosen = inspect.Parameter("chosen", inspect.Parameter.KEYWORD_ONLY, annotation=Chosen)
+        chosen = inspect.Parameter("chosen", inspect.Parameter.KEYWORD_ONLY, annotation=ParsedOptions)
         declared = _declared(run, command, [*_parameters(request), chosen])
         return scale_command(
             without={"frame", "coordinates", "known_lengths", "effort", "max_tiles", "max_seconds", *without}

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from vehanchor_evaluation.vlm_api import ModelApi
 
-__all__ = ["STOPPED", "ProviderName", "ServiceRequest"]
-
 STOPPED = 3  # exit status of a run that ended early, results so far written or printed
 _LIMITS = "Ceilings and the service"
 

@@ -18,13 +18,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from vehanchor.batch.known_lengths import KnownLengthTable
-    from vehanchor.cli.declared import Chosen
+    from vehanchor.cli.cli_options import ParsedOptions
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
     from vehanchor_evaluation.known_scale import FileIssue, KnownScaleSet
     from vehanchor_evaluation.search import SearchedImage
-
-__all__ = ["FilesCommand", "KnownScaleRequest", "WorkersOption", "open_shared", "tell_issues"]
 
 _SHOWN_ISSUES = 10
 
@@ -127,7 +125,7 @@ class KnownScaleRequest:
         return lines_in(self.known_lengths, images)
 
     def search(
-        self, data: KnownScaleSet, detector: Detector, options: ScaleOptions, chosen: Chosen, cache: Path | None
+        self, data: KnownScaleSet, detector: Detector, options: ScaleOptions, chosen: ParsedOptions, cache: Path | None
     ) -> dict[Path, SearchedImage | FileIssue]:
         """Search the images under a progress bar; what the cache knows is not searched again."""
         from vehanchor_evaluation.search import search_known_scale
@@ -159,7 +157,7 @@ class KnownScaleRequest:
                 raise
 
 
-def open_shared(chosen: Chosen, workers: int | None) -> Detector:
+def open_shared(chosen: ParsedOptions, workers: int | None) -> Detector:
     """Open the detector that the options name, for several images at once: they share the cores."""
     from vehanchor_evaluation.search import default_workers
 

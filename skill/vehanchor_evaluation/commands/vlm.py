@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.agent_tools import ToolCaller
     from vehanchor_evaluation.rs_gsd import BenchmarkEntry
 
-__all__ = ["vlm"]
-
 _TOOLS = "Tools of --agent"
 
 

@@ -23,8 +23,6 @@ from research.training.loop import Recipe, Schedule, load_average, train
 from research.training.onnx_file import write_metadata, write_onnx
 from tests.faults import REFUSED, WRITTEN, limited
 
-__all__ = ["Lines", "losses", "network", "recipe"]
-
 _LATE_IMPORTS = (torch._dynamo,)  # by the first optimiser: here, not in each child
 _KILLED_AT = 14  # two steps after a checkpoint
 

@@ -27,8 +27,8 @@ from research.training.fleet.data import (  # noqa: E402
 from research.training.fleet.export import export_fleet  # noqa: E402
 from research.training.fleet.network import FleetNet  # noqa: E402
 from research.training.fleet.train import LESSONS, ChipStream, export, losses, report, trained  # noqa: E402
+from vehanchor.detection.appearance import CHIP_SHAPE, FleetLengths  # noqa: E402
 from vehanchor.detection.fleet import FleetNetwork  # noqa: E402
-from vehanchor.detection.look import CHIP_SHAPE, FleetLengths  # noqa: E402
 from vehanchor_scenes import render_scene  # noqa: E402
 
 pytestmark = pytest.mark.slow

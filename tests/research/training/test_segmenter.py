@@ -57,10 +57,10 @@ from research.training.segmenter.network import (  # noqa: E402
 )
 from research.training.segmenter.shapes import composite  # noqa: E402
 from research.training.segmenter.trials import Target, Trial  # noqa: E402 - PyTorch may be missing
-from vehanchor.imagery.raster import open_raster  # noqa: E402
+from vehanchor.imagery.sources.opening import open_raster  # noqa: E402
 from vehanchor.models.session import open_session  # noqa: E402
 from vehanchor.segmentation.contracts import recognise_contract  # noqa: E402
-from vehanchor.segmentation.segmenter import Prompt as UserPrompt  # noqa: E402
+from vehanchor.segmentation.prompt import Prompt as UserPrompt  # noqa: E402
 from vehanchor.segmentation.segmenter import Segmenter as OnnxSegmenter  # noqa: E402
 from vehanchor_scenes import render_scene  # noqa: E402
 

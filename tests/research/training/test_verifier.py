@@ -18,7 +18,7 @@ from research.training.verifier.combine import fitted, look, settled
 from research.training.verifier.data import STORED_PX, Candidates, ChipStream, load, middle, save, truth_of
 from research.training.verifier.network import VerifierNet
 from research.training.verifier.train import export, logits, report
-from vehanchor.detection.second_look import CHIP_PX, Weights, surroundings
+from vehanchor.detection.verifier import CHIP_PX, Weights, surroundings
 
 pytestmark = pytest.mark.slow
 

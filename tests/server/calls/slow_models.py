@@ -10,8 +10,6 @@ import onnx
 from numpy.typing import NDArray
 from onnx import helper, numpy_helper
 
-__all__ = ["weighed_down"]
-
 _LAYERS, _CHANNELS, _SIDE_PX = 800, 16, 256
 
 

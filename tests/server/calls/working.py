@@ -13,8 +13,6 @@ from vehanchor_server.calls.task import Task
 from vehanchor_server.images.argument import Base64Image
 from vehanchor_server.services import Services
 
-__all__ = ["IMAGE", "TESTS", "done", "number", "ready"]
-
 TESTS = Path(__file__).parents[2]
 """A root of the servers here: a worker may read what it is to do."""
 

@@ -21,7 +21,7 @@ from mcp.types import CallToolResult
 from tests.server.conftest import paint_scene, write_image
 from tests.server.conversation import by_path, error_of, text_of
 from vehanchor_server.app import create_server
-from vehanchor_server.images import sandbox as sandbox_module
+from vehanchor_server.images import path_access as sandbox_module
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 

@@ -11,7 +11,7 @@ import pytest
 
 from vehanchor_server.errors import CallError
 from vehanchor_server.images.fetch import Fetcher
-from vehanchor_server.images.sandbox import Sandbox
+from vehanchor_server.images.path_access import Sandbox
 
 UP = "../" * 12
 FORMS: tuple[Callable[[str, str], str], ...] = (

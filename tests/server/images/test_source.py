@@ -12,7 +12,7 @@ from tests.server.conversation import by_path, error_of, text_of
 from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import Base64Image, UrlImage
 from vehanchor_server.images.fetch import Fetcher
-from vehanchor_server.images.sandbox import Sandbox
+from vehanchor_server.images.path_access import Sandbox
 from vehanchor_server.images.source import ImageSources
 
 

@@ -13,8 +13,8 @@ from tests.analyses import make_analysis
 from tests.server.conversation import by_path, picture_of, text_of
 from tests.server.test_models import calibration_file
 from vehanchor.detection.detector import load_detector
-from vehanchor.notices import FLEET_DOUBTS
 from vehanchor.records import GsdEstimate, Notice
+from vehanchor.records.notices import FLEET_DOUBTS
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -60,7 +60,7 @@ async def test_no_vehicle_is_a_result_not_an_error(server: MCPServer[object], im
         result = await client.call_tool("estimate_gsd", by_path(images / "empty.png"))
     assert not result.is_error
     assert result.structured_content is not None
-    assert result.structured_content["status"] == "no_anchor"
+    assert result.structured_content["status"] == "no_scale"
     assert result.structured_content["gsd_m_per_px"] is None
     assert result.structured_content["confidence"] == 0
     assert text_of(result) == (
@@ -122,7 +122,7 @@ async def test_a_height_is_a_ruler_and_makes_a_scale_without_vehicles(server: MC
         refused = await client.call_tool("estimate_gsd", {**by_path(images / "empty.png"), "focal_35mm": 24})
         impossible = await client.call_tool("estimate_gsd", {**arguments, "height_m": 0})
     assert heard.structured_content is not None
-    assert heard.structured_content["scale_source"] == "height"
+    assert heard.structured_content["leading_ruler"] == "height"
     assert heard.structured_content["n_vehicles"] == 0
     assert "from the given height: safe to use." in text_of(heard)
     assert "The given height says" in text_of(heard)

@@ -10,10 +10,11 @@ from mcp import Client
 from mcp.server import MCPServer
 
 from tests.models import paint_vehicles
+from tests.sam_models import SamFiles
 from tests.server.conftest import LENGTH_PX, paint_scene, write_image
 from tests.server.conversation import by_path, error_of, picture_of, text_of
 from tests.skill.flight.ground import ground, photograph_of
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_server.app import create_server
 from vehanchor_server.images.fetch import Fetcher
 from vehanchor_server.services import create_services
@@ -40,6 +41,16 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, cars in (("two.png", 2), ("more.png", 9), ("empty.png", 0)):
         write_image(root / name, paint_scene(640, 512, cars))
     return root
+
+
+@pytest.fixture(scope="module")
+def settings(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Settings:
+    return Settings(roots=(images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, in_process=True)
+
+
+@pytest.fixture(scope="module")
+def server(settings: Settings) -> MCPServer[object]:
+    return create_server(create_services(settings))
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +124,7 @@ async def test_no_image_is_opened_again_where_no_picture_is_wanted(
         opened.append(arguments)
         return open_raster(*arguments, **options)
 
-    monkeypatch.setattr("vehanchor.imagery.raster.open_raster", counted)
+    monkeypatch.setattr("vehanchor.imagery.sources.opening.open_raster", counted)
     monkeypatch.setattr("vehanchor.flight.estimate.open_raster", counted)
     arguments = _among(images / "two.png", images / "more.png", same_scale=True)
     async with Client(server) as client:

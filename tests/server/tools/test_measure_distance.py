@@ -99,7 +99,7 @@ async def test_places_mean_the_same_in_every_kind_of_coordinates(server: MCPServ
 
 async def test_no_vehicle_is_a_result_without_a_distance(server: MCPServer[object], images: Path) -> None:
     result = await asked(server, "measure_distance", images / "empty.png", lines=[LINE])
-    assert (record_of(result)["status"], record_of(result)["distance_m"]) == ("no_anchor", None)
+    assert (record_of(result)["status"], record_of(result)["distance_m"]) == ("no_scale", None)
     assert text_of(result).startswith(
         "No distance: the line is 500 px long, but nothing of known size was found, confidence 0"
     )

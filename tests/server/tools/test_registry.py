@@ -11,7 +11,7 @@ from mcp.server.mcpserver import Context
 from mcp.types import CallToolResult
 
 from tests.server.conversation import by_path, error_of, text_of
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_server.app import create_server
 from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.call import run_call

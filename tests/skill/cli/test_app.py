@@ -125,7 +125,7 @@ def test_no_anchor_is_a_result(run: Any) -> None:
     result = _estimate(run, "none.png", "--json")
     assert result.exit_code == 0
     (line,) = _lines(result)
-    assert line["status"] == "no_anchor"
+    assert line["status"] == "no_scale"
     assert line["gsd_m_per_px"] is None
     assert "nothing of known size found" in _estimate(run, "none.png").stdout
 

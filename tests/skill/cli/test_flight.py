@@ -52,7 +52,7 @@ def test_json_is_the_record_and_nothing_else(run: Any, tmp_path: Path) -> None:
 def test_photographs_of_unknown_ratio_each_have_a_line(run: Any) -> None:
     done = run("flight", "0.png", "2.png")
     assert "vehicles of its own" in done.stdout
-    assert "no_anchor" in done.stdout
+    assert "no_scale" in done.stdout
 
 
 @pytest.mark.parametrize("out", ["flight.txt", "nowhere/flight.json"])
@@ -89,6 +89,25 @@ def test_a_batch_of_one_scale_has_it_in_every_row(run: Any, tmp_path: Path) -> N
     assert rows[4]["error_code"] == "image_undecodable"
     assert run("batch", ".", "--same-scale", "--output", "scales.jsonl").exit_code == 2  # it is there already
     assert run("batch", ".", "--same-scale", "--workers", "2", "--output", "other.jsonl").exit_code == 2
+
+
+def test_a_batch_of_one_scale_counts_what_an_earlier_run_found(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[Path] = []
+
+    def interrupted(path: Path, _rows: object) -> None:
+        written.append(path)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("vehanchor.flight.table.write_table", interrupted)
+        assert run("batch", ".", "--same-scale", "--output", "scales.csv").exit_code == 130
+    assert written
+    done = run("batch", ".", "--same-scale", "--output", "scales.csv")
+    assert done.exit_code == 0, done.output
+    assert "4 of them from an earlier run" in done.stderr
+    assert not (tmp_path / "scales.csv.journal").exists()
 
 
 def test_the_report_is_written_and_a_wrong_name_told_before_the_work(run: Any, tmp_path: Path) -> None:

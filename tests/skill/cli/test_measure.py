@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_other_model
 from tests.sam_models import write_sam
-from vehanchor import measure as measurement
 from vehanchor import records
 from vehanchor.cli import app as cli
+from vehanchor.measure import area as measurement
 from vehanchor.models import zoo as model_zoo
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def test_a_readable_table_tells_area_circle_and_scale(run: Any) -> None:
     none = run("none.png", "--box", *BOX)
     assert none.exit_code == 0
     assert "none: there is no scale" in none.stdout
-    assert "no_anchor" in none.stdout
+    assert "no_scale" in none.stdout
 
 
 def test_points_can_be_repeated_and_denied(run: Any) -> None:
@@ -126,7 +126,7 @@ def test_the_options_reach_the_method(run: Any) -> None:
     longer = _line(run("cars.png", "--box", *BOX, "--json", "--reference-length", 10.09))
     assert longer["area_m2"] == pytest.approx(4 * plain["area_m2"])
     europe = _line(run("cars.png", "--box", *BOX, "--json", "--region", "europe"))
-    assert europe["scale"]["reference_length_m"] == pytest.approx(4.5)
+    assert europe["estimate"]["reference_length_m"] == pytest.approx(4.5)
     assert _line(run("cars.png", "--box", *BOX, "--json", "--bands", 2, 1, 3))["n_vehicles"] == 0
     assert _line(run("cars.png", "--box", *BOX, "--json", "--threads", 1)) == plain
 

@@ -11,7 +11,7 @@ import vehanchor
 from tests.models import blank_image, write_detector
 from vehanchor.cli.app import app
 from vehanchor.imagery.identity import image_id
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.records import KnownPlane, KnownScale
 
 

@@ -9,17 +9,17 @@ import pytest
 import vehanchor
 from tests.analyses import made_card
 from tests.skill.courts.drawing import draw_court
-from vehanchor.anchors.courts import evidence_of
 from vehanchor.courts.court import Court
 from vehanchor.courts.find import Proposed, find_courts, measure_court
 from vehanchor.courts.match import Pose
 from vehanchor.courts.proposals import Proposal, _peaks, boxes_of_courts, coarse_factors
 from vehanchor.courts.template import BASKETBALL, TENNIS, Template
-from vehanchor.detection.sighting import Objects, Sighting
-from vehanchor.imagery.raster import open_raster
+from vehanchor.detection.detections import Detections, Objects
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.rulers.courts import evidence_of
 from vehanchor_scenes import render_scene
 
-NOTHING = Sighting(np.zeros((0, 5)), np.zeros(0))
+NOTHING = Detections(np.zeros((0, 5)), np.zeros(0))
 
 
 def _measured(image: Any, gsd: float, *, which: int = 0, degrees: float = 20.0, factor: int = 1) -> Court | None:
@@ -90,7 +90,7 @@ def test_boxes_of_a_detector_that_knows_courts_are_followed() -> None:
     image = draw_court(TENNIS, 0.3)
     boxes = np.array([[131.0, 126, 84, 40, math.radians(24)], [60.0, 60, 90, 40, 0.0]])
     card = made_card(4.6).model_copy(update={"class_names": {0: "small-vehicle", 3: "Tennis-court", 4: "harbor"}})
-    seen = Sighting(np.zeros((0, 5)), np.zeros(0), others=Objects(boxes, np.array([0.9, 0.8]), np.array([3, 4])))
+    seen = Detections(np.zeros((0, 5)), np.zeros(0), others=Objects(boxes, np.array([0.9, 0.8]), np.array([3, 4])))
     assert len(boxes_of_courts(seen, card)) == 1
     with open_raster(image) as raster:
         (court,) = find_courts(raster, seen, card)
@@ -133,8 +133,8 @@ def test_courts_are_evidence_with_their_measured_sides() -> None:
     assert (evidence.kind, evidence.n) == ("courts", 2)
     assert evidence.interval is not None
     assert 0.295 < evidence.interval.low < 0.301 < evidence.interval.high < 0.307
-    assert evidence.says is not None
-    assert evidence.says.startswith("2 tennis courts say 0.301 m/px")
+    assert evidence.explanation is not None
+    assert evidence.explanation.startswith("2 tennis courts say 0.301 m/px")
     outline, long_side, short_side = evidence.marks[:3]
     assert outline.closed
     assert len(outline.points) == 4
@@ -147,8 +147,8 @@ def test_rules_of_basketball_that_are_hard_to_tell_apart_make_a_wider_interval()
     assert tennis.log_sd is not None
     assert basketball.log_sd is not None
     assert basketball.log_sd > 1.5 * tennis.log_sd
-    assert basketball.says is not None
-    assert "by the NBA's rules" in basketball.says
+    assert basketball.explanation is not None
+    assert "by the NBA's rules" in basketball.explanation
 
 
 def test_a_court_that_says_something_else_than_the_others_is_left_out() -> None:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from vehanchor.courts.proposals import load_court_network
-from vehanchor.imagery.windows import Raster, StoredPixels
+from vehanchor.imagery.raster import Raster, StoredPixels
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.imagery.windows import Window
+    from vehanchor.imagery.raster import Window
 
 
 class _WithOverviews(Raster):

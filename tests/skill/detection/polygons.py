@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from vehanchor.detection.boxes import box_corners
 
-__all__ = ["NEARBY_BOX", "polygon_iou"]
-
 NEARBY_BOX = st.tuples(
     st.floats(-60, 60), st.floats(-60, 60), st.floats(4, 60), st.floats(2, 40), st.floats(-7, 7)
 )  # near one another, so that many overlap

@@ -9,16 +9,16 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
+from vehanchor.detection.appearance import FleetLengths
 from vehanchor.detection.card import (
     LENGTH_RANGE_PX,
     MIN_SCORE,
     REFERENCE_LENGTH_M,
     DetectorCard,
     FleetCard,
-    read_companion_card,
+    read_auxiliary_card,
     read_detector_card,
 )
-from vehanchor.detection.look import FleetLengths
 from vehanchor.errors import ModelContractError
 
 _PATH = Path("models/foreign.onnx")
@@ -120,7 +120,7 @@ def test_a_card_converts_nothing_and_cannot_be_changed() -> None:
 
 
 def test_the_card_of_a_fleet_network_names_its_detector_and_its_lengths() -> None:
-    fleet = read_companion_card(FleetCard, Path("m.fleet.onnx"), "1" * 64, _FLEET)
+    fleet = read_auxiliary_card(FleetCard, Path("m.fleet.onnx"), "1" * 64, _FLEET)
     assert fleet == FleetCard(sha256="1" * 64, detector="foreign", lengths=_LENGTHS)
     card = read_detector_card(_PATH, "0" * 64, {}, fleet)
     assert (card.fleet_lengths, card.fleet_sha256) == (_LENGTHS, "1" * 64)
@@ -128,7 +128,7 @@ def test_the_card_of_a_fleet_network_names_its_detector_and_its_lengths() -> Non
 
 
 def test_a_fleet_network_made_for_another_detector_is_refused() -> None:
-    fleet = read_companion_card(FleetCard, Path("m.fleet.onnx"), "1" * 64, _FLEET)
+    fleet = read_auxiliary_card(FleetCard, Path("m.fleet.onnx"), "1" * 64, _FLEET)
     with pytest.raises(ModelContractError, match=r"'foreign'.*'mine'"):
         read_detector_card(_PATH, "0" * 64, {"vehanchor.name": "mine"}, fleet)
 
@@ -149,10 +149,10 @@ def test_a_fleet_network_made_for_another_detector_is_refused() -> None:
 def test_fleet_lengths_without_meaning_are_refused_by_name(wrong: dict[str, Any]) -> None:
     metadata = _FLEET | {"vehanchor.fleet_lengths": json.dumps({**_LENGTHS._asdict(), **wrong})}
     with pytest.raises(ModelContractError, match=r"m\.fleet\.onnx: metadata 'vehanchor\.fleet_lengths'"):
-        read_companion_card(FleetCard, Path("m.fleet.onnx"), "1" * 64, metadata)
+        read_auxiliary_card(FleetCard, Path("m.fleet.onnx"), "1" * 64, metadata)
 
 
 @pytest.mark.parametrize("key", sorted(_FLEET))
 def test_a_fleet_network_that_does_not_say_what_it_is_for_is_refused(key: str) -> None:
     with pytest.raises(ModelContractError, match=f"no metadata '{key}'"):
-        read_companion_card(FleetCard, Path("m.fleet.onnx"), "1" * 64, {k: v for k, v in _FLEET.items() if k != key})
+        read_auxiliary_card(FleetCard, Path("m.fleet.onnx"), "1" * 64, {k: v for k, v in _FLEET.items() if k != key})

@@ -8,8 +8,8 @@ import pytest
 from onnx.external_data_helper import set_external_data
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network, write_other_model
+from vehanchor.detection.appearance import FleetLengths
 from vehanchor.detection.detector import Detector, load_detector
-from vehanchor.detection.look import FleetLengths
 from vehanchor.detection.search import search
 from vehanchor.errors import (
     InvalidParameterError,
@@ -17,7 +17,7 @@ from vehanchor.errors import (
     ModelNotFoundError,
     ProviderUnavailableError,
 )
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Search
 
 if TYPE_CHECKING:

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network, write_other_model
+from vehanchor.detection.appearance import MAX_CHIPS, FleetLengths
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.fleet import FleetNetwork
-from vehanchor.detection.look import MAX_CHIPS, FleetLengths
 from vehanchor.detection.search import search
 from vehanchor.errors import ModelContractError, ModelNotFoundError
 from vehanchor.estimate import analyse_scale
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 

@@ -15,11 +15,11 @@ from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor.detection.boxes import oriented_iou
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, search_levels
-from vehanchor.detection.scene import SceneCalibration, SceneLevel, SceneSighting
+from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.detection.search import search
 from vehanchor.errors import InvalidParameterError
 from vehanchor.estimate import analyse_scale, estimate_gsd
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Search
 
 if TYPE_CHECKING:
@@ -155,12 +155,12 @@ def test_progress_counts_the_tiles_of_all_levels_and_may_stop_in_any(searching: 
         search(raster, searching, progress=stop)
 
 
-def _ground(gsd: float) -> SceneSighting:
+def _ground(gsd: float) -> SceneScalePrior:
     """A ground that is nearly sure of a scale."""
     first, step = np.log(0.005), 0.05
     centres = first + step * np.arange(140)
     log_probs = -0.5 * ((centres - np.log(gsd)) / 0.1) ** 2
-    return SceneSighting((SceneLevel(1, 1, log_probs),), SceneCalibration(float(first), step))
+    return SceneScalePrior((SceneLevel(1, 1, log_probs),), SceneCalibration(float(first), step))
 
 
 @pytest.mark.parametrize(

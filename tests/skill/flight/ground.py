@@ -6,13 +6,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vehanchor.anchors.evidence import ImageFacts
-from vehanchor.detection.sighting import Sighting
+from vehanchor.detection.detections import Detections
 from vehanchor.flight.features import Features, find_features
-from vehanchor.imagery.camera_metadata import CameraMetadata
-from vehanchor.imagery.raster import open_raster
-
-__all__ = ["facts_at", "features_of", "ground", "photograph_of", "sighting_of"]
+from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.rulers.evidence import ImageFacts
 
 _LATITUDE, _METRES_A_DEGREE = 46.0, 111_195.0
 
@@ -54,7 +52,7 @@ def facts_at(east_m: float, north_m: float, side_px: int = 500) -> ImageFacts:
     return ImageFacts(side_px, side_px, camera=CameraMetadata(latitude_deg=latitude, longitude_deg=float(longitude)))
 
 
-def sighting_of(lengths: NDArray[np.float64]) -> Sighting:
+def sighting_of(lengths: NDArray[np.float64]) -> Detections:
     """Vehicles of these lengths."""
     boxes = np.column_stack([lengths, lengths, lengths, lengths / 2, np.zeros(len(lengths))])
-    return Sighting(boxes, np.full(len(boxes), 0.8))
+    return Detections(boxes, np.full(len(boxes), 0.8))

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["car_park", "write_flight"]
-
 
 def car_park(lengths: Sequence[float]) -> NDArray[np.uint8]:
     """RGB with a vehicle of each length."""

@@ -14,9 +14,9 @@ from vehanchor.detection.detector import Detector
 from vehanchor.errors import ImageDecodeError, ImageError, InvalidParameterError
 from vehanchor.estimate import analyse_raster
 from vehanchor.flight import estimate as flight_estimate
-from vehanchor.flight.taken import Taken
+from vehanchor.flight.inputs import InputPhotograph
 from vehanchor.flight.video import sample_video
-from vehanchor.imagery.raster import ImageSource
+from vehanchor.imagery.sources.opening import ImageSource
 from vehanchor.options import Reading, ScaleOptions
 
 FLEET = list(30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3))
@@ -38,15 +38,15 @@ def test_photographs_of_one_scale_share_it(flight: list[str], detector: Detector
     assert record.gsd_m_per_px == pytest.approx(5.045 / 30, rel=0.01)
     assert {each.gsd_m_per_px for each in record.photographs} == {record.gsd_m_per_px}
     assert record.n_vehicles == 9
-    assert [each.own and each.own.status for each in record.photographs][2] == "no_anchor"
-    (island,) = record.islands
-    assert (island.n_photographs, island.pooled.n_vehicles) == (4, 9)
+    assert [each.own and each.own.status for each in record.photographs][2] == "no_scale"
+    (component,) = record.components
+    assert (component.n_photographs, component.pooled.n_vehicles) == (4, 9)
     assert record.confidence > max(each.own.confidence for each in record.photographs if each.own)
 
 
 def test_a_photograph_without_a_car_hangs_on_those_with_cars(flight: list[str], detector: Detector) -> None:
     record = vehanchor.estimate_flight(flight, same_scale=True, detector=detector)
-    first = [each.anchors[0] for each in record.photographs]
+    first = [each.supported_by[0] for each in record.photographs]
     assert [anchor.ruler for anchor in first] == ["vehicles"] * 4
     assert [first[place].photograph for place in (0, 1, 3)] == [flight[0], flight[1], flight[3]]
     assert first[2].photograph in (flight[0], flight[1], flight[3])
@@ -69,7 +69,10 @@ def test_a_flight_of_nothing_readable_is_an_error(tmp_path: Path, detector: Dete
 
 
 def test_arrays_have_numbers_and_may_have_names(detector: Detector) -> None:
-    images: list[ImageSource | Taken] = [car_park(FLEET[::2]), Taken("frame at 3 s", car_park(FLEET[1::2]))]
+    images: list[ImageSource | InputPhotograph] = [
+        car_park(FLEET[::2]),
+        InputPhotograph("frame at 3 s", car_park(FLEET[1::2])),
+    ]
     record = vehanchor.estimate_flight(images, same_scale=True, detector=detector)
     assert [each.photograph for each in record.photographs] == ["#1", "frame at 3 s"]
     with pytest.raises(InvalidParameterError, match="given twice"):
@@ -82,6 +85,12 @@ def test_arrays_have_numbers_and_may_have_names(detector: Detector) -> None:
 def test_what_belongs_to_one_image_is_refused(flight: list[str], detector: Detector, option: dict[str, object]) -> None:
     with pytest.raises(InvalidParameterError, match="one image"):
         vehanchor.estimate_flight(flight, detector=detector, **option)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("one", ["s.png", Path("s.png"), b"png", np.zeros((4, 4, 3), np.uint8), 5])
+def test_one_photograph_is_no_flight(one: Any, tmp_path: Path) -> None:
+    with pytest.raises(InvalidParameterError, match="give a list of photographs"):
+        vehanchor.estimate_flight(one, detector=tmp_path / "nowhere.onnx")
 
 
 def test_an_interrupted_flight_goes_on_where_it_stopped(
@@ -149,13 +158,13 @@ def test_arrays_of_opencv_are_read_as_they_are_and_films_frames_as_we_have_read_
     picture[:40] = (200, 90, 10)
     swapped = np.ascontiguousarray(picture[:, :, ::-1])
 
-    def identity(taken: Taken, *, bgr: bool) -> str | None:
+    def identity(taken: InputPhotograph, *, bgr: bool) -> str | None:
         look, _ = flight_estimate._look(
             taken, detector, ScaleOptions(reading=Reading(bgr=bgr)), None, None, featured=False
         )
         return look.image.image_id
 
-    whole = identity(Taken("a", picture), bgr=False)
-    assert identity(Taken("a", swapped), bgr=True) == whole
-    assert identity(Taken("a", picture, "film.mp4"), bgr=True) == whole
-    assert identity(Taken("a", swapped), bgr=False) != whole
+    whole = identity(InputPhotograph("a", picture), bgr=False)
+    assert identity(InputPhotograph("a", swapped), bgr=True) == whole
+    assert identity(InputPhotograph("a", picture, "film.mp4"), bgr=True) == whole
+    assert identity(InputPhotograph("a", swapped), bgr=False) != whole

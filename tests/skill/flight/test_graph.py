@@ -20,12 +20,12 @@ def test_scales_follow_the_ratios_and_the_few_that_have_evidence() -> None:
     truth = rng.uniform(np.log(0.05), np.log(0.15), 30)
     unaries = [Unary(float(truth[k] + rng.normal(0, 0.05)), 0.05) if k % 3 == 0 else None for k in range(30)]
     solution = solve(30, _ring(truth, rng), unaries)
-    (island,) = solution.components
-    assert np.abs(island.log_scales - truth).max() < 0.05
+    (component,) = solution.components
+    assert np.abs(component.log_scales - truth).max() < 0.05
     assert solution.used.all()
-    differences = island.log_scales - island.log_scales[0] - (truth - truth[0])
+    differences = component.log_scales - component.log_scales[0] - (truth - truth[0])
     assert np.abs(differences).max() < 0.04
-    assert (np.abs(differences)[1:] < 4 * island.sds_from(0)[1:]).all()
+    assert (np.abs(differences)[1:] < 4 * component.sds_from(0)[1:]).all()
 
 
 @pytest.mark.parametrize("ratio", [3.0, 1 / 3.0, 1.5])
@@ -45,17 +45,17 @@ def test_a_photograph_whose_own_evidence_is_wrong_is_overruled() -> None:
     truth = np.full(10, np.log(0.1))
     unaries = [Unary(float(truth[k]), 0.1) for k in range(10)]
     unaries[4] = Unary(float(truth[4] + np.log(3)), 0.05)
-    (island,) = solve(10, _ring(truth, rng), unaries).components
-    assert np.abs(island.log_scales - truth).max() < 0.08
+    (component,) = solve(10, _ring(truth, rng), unaries).components
+    assert np.abs(component.log_scales - truth).max() < 0.08
 
 
 def test_islands_stay_apart() -> None:
     truth = np.log([0.1, 0.1, 0.1, 0.05, 0.05, 0.2])
     links = [Link(0, 1, 0.0, 0.01), Link(1, 2, 0.0, 0.01), Link(3, 4, 0.0, 0.01)]
     solution = solve(6, links, [Unary(float(each), 0.1) for each in truth])
-    assert [list(island.members) for island in solution.components] == [[0, 1, 2], [3, 4], [5]]
-    for island in solution.components:
-        assert island.log_scales == pytest.approx(truth[island.members], abs=1e-3)
+    assert [list(component.members) for component in solution.components] == [[0, 1, 2], [3, 4], [5]]
+    for component in solution.components:
+        assert component.log_scales == pytest.approx(truth[component.members], abs=1e-3)
 
 
 def test_a_bridge_that_contradicts_the_evidence_on_both_sides_is_no_bridge() -> None:
@@ -67,7 +67,7 @@ def test_a_bridge_that_contradicts_the_evidence_on_both_sides_is_no_bridge() -> 
     ]
     links.append(Link(0, 8, float(np.log(3.0)), 0.02))
     solution = solve(16, links, [Unary(float(each), 0.1) for each in truth])
-    assert [len(island.members) for island in solution.components] == [8, 8]
+    assert [len(component.members) for component in solution.components] == [8, 8]
 
 
 def test_ratios_that_differ_by_more_than_they_say_widen_the_rest() -> None:
@@ -90,15 +90,15 @@ def test_a_camera_that_looks_aside_does_not_bend_the_scales() -> None:
             back = (-at[0], -at[1])
             ratio = aside[first] @ at - aside[second] @ back + rng.normal(0, 0.005)
             links.append(Link(first, second, float(ratio), 0.01, at, back))
-    (island,) = solve(n, links, [Unary(0.0, 0.3)] * n).components
+    (component,) = solve(n, links, [Unary(0.0, 0.3)] * n).components
     (plain,) = solve(
         n, [link._replace(first_at=(0, 0), second_at=(0, 0)) for link in links], [Unary(0, 0.3)] * n
     ).components
-    assert np.std(island.log_scales) < 0.75 * np.std(plain.log_scales)
-    off = island.log_scales - island.log_scales.mean()
-    assert (np.abs(off) < 3.5 * island.sds_from(int(np.argmin(np.abs(off)))).max()).all()
+    assert np.std(component.log_scales) < 0.75 * np.std(plain.log_scales)
+    off = component.log_scales - component.log_scales.mean()
+    assert (np.abs(off) < 3.5 * component.sds_from(int(np.argmin(np.abs(off)))).max()).all()
 
 
 def test_a_flight_without_overlaps_is_as_many_islands() -> None:
     solution = solve(3, [], [None, Unary(-2.0, 0.1), None])
-    assert [list(island.members) for island in solution.components] == [[0], [1], [2]]
+    assert [list(component.members) for component in solution.components] == [[0], [1], [2]]

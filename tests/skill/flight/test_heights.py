@@ -7,13 +7,13 @@ import pytest
 
 from tests.analyses import made_card
 from tests.skill.flight.ground import sighting_of
-from vehanchor.anchors.evidence import ImageFacts
-from vehanchor.flight.concluding import conclude_flight
-from vehanchor.flight.islands import single_island
+from vehanchor.flight.components import single_component
 from vehanchor.flight.photograph import Look, Photograph
-from vehanchor.imagery.camera_metadata import CameraMetadata
+from vehanchor.flight.record import conclude_flight
+from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.records import FlightEstimate
+from vehanchor.rulers.evidence import ImageFacts
 
 GROUND_M, FOCAL_PX, CAR_M = 312.0, 1000.0, 5.0
 FLEET = CAR_M * (1 + 0.05 * np.linspace(-1, 1, 30) ** 3)
@@ -33,8 +33,8 @@ def _photograph(
 
 def _flight(*photographs: Photograph) -> FlightEstimate:
     """Photographs that nothing ties to each other."""
-    islands = [single_island([place], 0) for place in range(len(photographs))]
-    return conclude_flight(photographs, islands, made_card(CAR_M), same_scale=False)
+    components = [single_component([place], 0) for place in range(len(photographs))]
+    return conclude_flight(photographs, components, made_card(CAR_M), same_scale=False)
 
 
 def test_a_photograph_that_nothing_ties_has_its_scale_by_its_height_above_the_sea() -> None:
@@ -44,7 +44,7 @@ def test_a_photograph_that_nothing_ties_has_its_scale_by_its_height_above_the_se
     assert high.gsd_ci95_low_m_per_px is not None
     assert high.gsd_ci95_high_m_per_px is not None
     assert high.gsd_ci95_low_m_per_px < 0.10 < 0.14 < high.gsd_ci95_high_m_per_px
-    assert high.anchors[0].ruler == "positions"
+    assert high.supported_by[0].ruler == "positions"
     assert high.scale is None or high.scale.confidence < 0.9
 
 

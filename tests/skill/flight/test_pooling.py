@@ -5,19 +5,19 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.analyses import made_card
-from vehanchor.anchors.evidence import Evidence, ImageFacts
-from vehanchor.detection.look import FleetLook
-from vehanchor.detection.sighting import Sighting
+from vehanchor.detection.appearance import FleetAppearance
+from vehanchor.detection.detections import Detections
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.pooling import _pooled_evidence, combined_density, pool, pooled_sighting, shifted
 from vehanchor.options import ScaleOptions
 from vehanchor.records import Notice
+from vehanchor.rulers.evidence import Evidence, ImageFacts
 from vehanchor.scale.fusion import GRID, credible_interval, flat
 
 
 def _photograph(lengths: NDArray[np.float64], name: str = "one", resolved: float = 1.0) -> Photograph:
     boxes = np.column_stack([lengths, lengths, lengths, lengths / 2, np.zeros(len(lengths))])
-    found = Sighting(boxes, np.full(len(boxes), 0.8))
+    found = Detections(boxes, np.full(len(boxes), 0.8))
     return Photograph.of(name, Look(ImageFacts(800, 600), found, resolved), made_card(5.0), ScaleOptions())
 
 
@@ -55,11 +55,13 @@ def test_one_photograph_says_what_it_says_alone() -> None:
 
 
 def test_looks_at_vehicles_stay_with_their_boxes() -> None:
-    first = Sighting(
-        np.full((3, 5), 1.0), np.array([0.9, 0.5, 0.3]), fleet=FleetLook(np.array([9.0, 5.0]), np.array([1.9, 1.5]))
+    first = Detections(
+        np.full((3, 5), 1.0),
+        np.array([0.9, 0.5, 0.3]),
+        fleet=FleetAppearance(np.array([9.0, 5.0]), np.array([1.9, 1.5])),
     )
-    second = Sighting(
-        np.full((2, 5), 2.0), np.array([0.8, 0.4]), fleet=FleetLook(np.array([8.0, 4.0]), np.array([1.8, 1.4]))
+    second = Detections(
+        np.full((2, 5), 2.0), np.array([0.8, 0.4]), fleet=FleetAppearance(np.array([8.0, 4.0]), np.array([1.8, 1.4]))
     )
     both = pooled_sighting([first, second], np.zeros(2))
     assert both.fleet is not None
@@ -70,7 +72,7 @@ def test_looks_at_vehicles_stay_with_their_boxes() -> None:
 
 
 def test_boxes_found_in_a_reduced_copy_keep_their_length_in_it() -> None:
-    seen = Sighting(np.full((1, 5), 40.0), np.array([0.9]), scales=np.array([0.5]))
+    seen = Detections(np.full((1, 5), 40.0), np.array([0.9]), scales=np.array([0.5]))
     (pooled,) = pooled_sighting([seen], [np.log(2.0)]).boxes
     scales = pooled_sighting([seen], [np.log(2.0)]).scales
     assert scales is not None

@@ -10,9 +10,9 @@ import pytest
 from tests.analyses import made_card
 from tests.skill.flight.ground import facts_at, sighting_of
 from vehanchor.errors import ImageDecodeError, OutputError
-from vehanchor.flight.concluding import Failure, conclude_flight
-from vehanchor.flight.islands import single_island
+from vehanchor.flight.components import single_component
 from vehanchor.flight.photograph import Look, Photograph
+from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.flight.report import check_report_path, report_page, write_report
 from vehanchor.options import ScaleOptions
 from vehanchor.pictures.track import draw_tracks
@@ -32,8 +32,8 @@ def record() -> FlightEstimate:
     link = FlightLink(
         first="<a>.jpg", second="b.jpg", ratio=3.0, ratio_log_sd=0.1, n_matches=20, dropped="the ratio is 3 times off"
     )
-    islands = [single_island([place], 0) for place in range(3)]
-    return conclude_flight(looks, islands, card, same_scale=False, links=[link])
+    components = [single_component([place], 0) for place in range(3)]
+    return conclude_flight(looks, components, card, same_scale=False, links=[link])
 
 
 def test_the_track_has_every_photograph_its_scale_and_what_it_hangs_on(record: FlightEstimate) -> None:
@@ -42,7 +42,7 @@ def test_the_track_has_every_photograph_its_scale_and_what_it_hangs_on(record: F
     assert len(told) == 3
     assert told[0].startswith("<a>.jpg: 0.1667 m/px, ")
     assert told[0].endswith("vehicles of its own")
-    assert told[2] == "c.jpg: no scale, no_anchor, hangs on nothing"
+    assert told[2] == "c.jpg: no scale, no_scale, hangs on nothing"
     discs = [each for each in svg.iter("circle") if list(each)]
     places = [float(each.attrib["cx"]) for each in discs]
     assert places[2] - places[1] == pytest.approx(places[1] - places[0], abs=0.2)
@@ -65,7 +65,7 @@ def test_a_flight_without_places_has_no_track() -> None:
     looks = [
         Photograph.of("a", Look(facts_at(0, 0)._replace(camera=None), sighting_of(FLEET), 1.0), card, ScaleOptions())
     ]
-    page = report_page(conclude_flight(looks, [single_island([0], 0)], card, same_scale=True))
+    page = report_page(conclude_flight(looks, [single_component([0], 0)], card, same_scale=True))
     assert "there is no track to draw" in page
     assert "All are of one scale" in page
 

@@ -21,7 +21,7 @@ from PIL import Image
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 
 WIDTH_PX, HEIGHT_PX = 60, 40
 

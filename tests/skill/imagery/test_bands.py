@@ -15,7 +15,7 @@ from tests.skill.imagery.files import (
 from vehanchor.errors import (
     InvalidParameterError,
 )
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 
 
 def test_bands_choose_red_green_and_blue() -> None:

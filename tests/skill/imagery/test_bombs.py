@@ -11,10 +11,10 @@ import pytest
 from tests import bombs
 from tests.skill.imagery.files import NOISE, encoded, read_all, tiff_header, webp
 from vehanchor.errors import ImageDecodeError, ImageError, ImageTooLargeError
-from vehanchor.imagery.header import read_header
-from vehanchor.imagery.jpeg import MAX_SCANS, MAX_SEGMENTS
-from vehanchor.imagery.raster import open_raster
-from vehanchor.imagery.windows import Window
+from vehanchor.imagery.formats.header import read_header
+from vehanchor.imagery.formats.jpeg import MAX_SCANS, MAX_SEGMENTS
+from vehanchor.imagery.raster import Window
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ImageLimits
 
 _MIB = 1 << 20
@@ -32,6 +32,7 @@ def _opening_s(data: bytes) -> float:
     return max(min(taken), _FLOOR_S)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", bombs.HEADER_BOMBS)
 def test_four_times_the_bytes_cost_no_more_than_four_times_the_time(family: str) -> None:
     make = bombs.HEADER_BOMBS[family]

@@ -8,7 +8,7 @@ import pytest
 
 from tests.models import blank_image
 from vehanchor.imagery.detail import PATCH_PX, resolved_share, ring_spectrum, spectrum_share
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

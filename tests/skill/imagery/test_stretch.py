@@ -11,7 +11,8 @@ from tests.skill.imagery.files import (
     geotiff,
     read_all,
 )
-from vehanchor.imagery.raster import Window, open_raster
+from vehanchor.imagery.raster import Window
+from vehanchor.imagery.sources.opening import open_raster
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif"])

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from vehanchor.imagery.raster import Raster, Window, open_raster
+from vehanchor.imagery.raster import Raster, Window
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import read_reduced_window, tile_grid
 
 

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from tests.conftest import ROOT
-from vehanchor.defaults import REGIONS
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.estimate import estimate_gsd
-from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, fleet_beside, resolve_model, second_look_beside
+from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, fleet_beside, resolve_model, verifier_beside
 from vehanchor.records import GsdEstimate
-from vehanchor_evaluation.gsd import read_table, run_trials, summarise
+from vehanchor.scale.defaults import REGIONS
+from vehanchor_evaluation.gsd import run_trials, summarise
+from vehanchor_evaluation.table import read_table
 from vehanchor_scenes import Scene, render_scene
 
 _FLEET_M = 4.6
@@ -36,27 +37,35 @@ def _estimate(image: np.ndarray, detector: Detector) -> GsdEstimate:
     return estimate_gsd(image, detector=detector, reference_length_m=_FLEET_M)
 
 
-def test_a_rendered_scene_gives_its_scale(scene: Scene, detector: Detector) -> None:
-    estimate = _estimate(scene.image, detector)
+@pytest.fixture(scope="module")
+def estimate(scene: Scene, detector: Detector) -> GsdEstimate:
+    return _estimate(scene.image, detector)
+
+
+def test_a_rendered_scene_gives_its_scale(scene: Scene, estimate: GsdEstimate) -> None:
     assert estimate.status == "ok"
     assert estimate.gsd_m_per_px == pytest.approx(_GSD, rel=0.10)
     assert estimate.n_vehicles > 0.5 * sum(v.kind == "small-vehicle" for v in scene.vehicles)
 
 
-def test_a_quarter_turn_changes_the_scale_by_less_than_3_percent(scene: Scene, detector: Detector) -> None:
-    upright = _estimate(scene.image, detector).gsd_m_per_px
+def test_a_quarter_turn_changes_the_scale_by_less_than_3_percent(
+    scene: Scene, estimate: GsdEstimate, detector: Detector
+) -> None:
+    upright = estimate.gsd_m_per_px
     for turns in (1, 2, 3):
         turned = _estimate(np.ascontiguousarray(np.rot90(scene.image, turns)), detector).gsd_m_per_px
         assert turned == pytest.approx(upright, rel=0.03)
 
 
 @pytest.mark.parametrize("factor", [0.75, 1.25])
-def test_resampling_scales_the_answer_within_3_percent(scene: Scene, detector: Detector, factor: float) -> None:
+def test_resampling_scales_the_answer_within_3_percent(
+    scene: Scene, estimate: GsdEstimate, detector: Detector, factor: float
+) -> None:
     way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
     resampled = np.asarray(cv2.resize(scene.image, None, fx=factor, fy=factor, interpolation=way), dtype=np.uint8)
-    before, after = (_estimate(image, detector).gsd_m_per_px for image in (scene.image, resampled))
-    assert before is not None
-    assert after == pytest.approx(before / factor, rel=0.03)
+    assert estimate.gsd_m_per_px is not None
+    after = _estimate(resampled, detector).gsd_m_per_px
+    assert after == pytest.approx(estimate.gsd_m_per_px / factor, rel=0.03)
 
 
 def test_a_scene_without_vehicles_never_gets_a_confident_answer(detector: Detector) -> None:
@@ -90,7 +99,7 @@ def test_the_networks_beside_a_detector_are_no_detectors_of_their_own() -> None:
 
 def test_the_file_in_eight_bits_is_the_one_that_was_measured() -> None:
     path = resolve_model(None, "int8")
-    look = second_look_beside(path)
+    look = verifier_beside(path)
     assert look is not None
     card = path.with_suffix(".md").read_text(encoding="utf-8")
     results = (ROOT / "research/results/detection.json").read_text(encoding="utf-8")
@@ -113,7 +122,7 @@ def test_eight_bits_say_nearly_what_float32_says_and_the_record_names_them(scene
     cards = detector.card, load_detector(resolve_model("vehicles-int8")).card
     assert cards[1].quantised_from == cards[0].name
     assert cards[1].fleet_sha256 == cards[0].fleet_sha256
-    assert cards[1].second_look_sha256 not in (None, cards[0].second_look_sha256)
+    assert cards[1].verifier_sha256 not in (None, cards[0].verifier_sha256)
 
 
 def test_the_shipped_file_carries_its_calibration(detector: Detector) -> None:
@@ -127,6 +136,7 @@ def test_the_shipped_file_carries_its_calibration(detector: Detector) -> None:
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_real_photographs_of_known_scale(real_data: Path, detector: Detector) -> None:
     images = [
         image
@@ -140,6 +150,7 @@ def test_real_photographs_of_known_scale(real_data: Path, detector: Detector) ->
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_photographs_without_vehicles_rarely_get_a_confident_answer(real_data: Path, detector: Detector) -> None:
     images = [i for i in read_table(real_data / "gsd" / "table.csv") if i.set == "empty" and i.split == "val"]
     confident = [t for t in run_trials(images, detector) if t.analysis.estimate.confidence >= 0.5]

@@ -46,14 +46,14 @@ def _always(path: Path, rows: Any, n_rows: int = 1) -> Path:
 def test_boxes_larger_than_the_image_are_no_vehicles(tmp_path: Path, side: float) -> None:
     rows = [[64 + i, 64, side, side / 2, 0.95, 0, 0.1 * i] for i in range(30)]
     found = estimate_gsd(_IMAGE, detector=_always(tmp_path / "m.onnx", rows))
-    assert found.status == "no_anchor"
+    assert found.status == "no_scale"
     assert found.confidence == 0
 
 
 @pytest.mark.parametrize("class_index", [np.nan, 1e30, -1e30])
 def test_a_class_that_is_no_number_is_no_vehicle(tmp_path: Path, class_index: float) -> None:
     rows = [[64, 64, 20, 10, 0.9, class_index, 0]]
-    assert estimate_gsd(_IMAGE, detector=_always(tmp_path / "m.onnx", rows)).status == "no_anchor"
+    assert estimate_gsd(_IMAGE, detector=_always(tmp_path / "m.onnx", rows)).status == "no_scale"
 
 
 def test_more_boxes_than_an_image_has_places_are_a_contract_error(tmp_path: Path) -> None:
@@ -78,7 +78,7 @@ def test_a_graph_that_fails_on_a_tile_is_a_contract_error(tmp_path: Path) -> Non
     grid = np.zeros((1, 3, 128, 128), np.float32)
     weights = {"grid": grid, "zero": np.float32(0), "rows": np.zeros((1, 6, 7), np.float32)}
     path = _model(tmp_path / "m.onnx", nodes, weights, [1, "n", 7], names="{0: 'car'}")
-    assert estimate_gsd(_IMAGE, detector=path).status == "no_anchor"
+    assert estimate_gsd(_IMAGE, detector=path).status == "no_scale"
     with pytest.raises(ModelContractError, match=r"fails on \[1, 3, 256, 256\]"):
         estimate_gsd(np.zeros((256, 256, 3), np.uint8), detector=path)
 

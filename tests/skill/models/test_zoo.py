@@ -13,7 +13,7 @@ from vehanchor.models.zoo import (
     fleet_beside,
     resolve_model,
     resolve_segmenter,
-    second_look_beside,
+    verifier_beside,
 )
 
 if TYPE_CHECKING:
@@ -71,9 +71,9 @@ def test_a_bundled_detector_in_eight_bits_is_asked_for_by_precision(
     with pytest.raises(ModelNotFoundError, match="in int8"):
         resolve_model(own, "int8")
     assert fleet_beside(small) == fleet_beside(plain) == bundled / "fleet.onnx"
-    (bundled / "second-look-int8.onnx").touch()
-    assert second_look_beside(small) == bundled / "second-look-int8.onnx"
-    assert second_look_beside(plain) is None
+    (bundled / "verifier-int8.onnx").touch()
+    assert verifier_beside(small) == bundled / "verifier-int8.onnx"
+    assert verifier_beside(plain) is None
     assert list(bundled_models()) == ["boats", "vehicles", "vehicles-int8"]
 
 

@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.analyses import analyse_found, made_card, make_analysis
-from vehanchor.defaults import Aggregation
-from vehanchor.detection.sighting import Sighting
+from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.detection.detections import Detections
 from vehanchor.errors import MissingExtraError, OutputError
-from vehanchor.estimate import ScaleAnalysis
 from vehanchor.options import ScaleOptions
 from vehanchor.pictures.plot import plot_scale, write_plot
+from vehanchor.scale.defaults import Aggregation
 from vehanchor.scale.lengths import kde_density
 
 pytest.importorskip("matplotlib")
@@ -50,7 +50,7 @@ def test_outliers_that_are_shorter_than_the_kept_are_drawn_too() -> None:
     lengths = np.concatenate([np.random.default_rng(0).normal(60, 3, 40), np.linspace(8, 20, 19)])
     boxes, scales = _boxes(list(lengths)), np.ones(len(lengths))
     analysis = analyse_found(
-        Sighting(boxes, np.where(lengths > 30, 0.9, 0.4), scales=scales),
+        Detections(boxes, np.where(lengths > 30, 0.9, 0.4), scales=scales),
         made_card(),
         image_width_px=800,
         image_height_px=600,
@@ -121,7 +121,7 @@ def test_matplotlib_is_loaded_on_demand_and_without_global_state(tmp_path: Path)
 import sys
 import numpy as np
 from tests.analyses import analyse_found, made_card, make_analysis
-from vehanchor.detection.sighting import Sighting
+from vehanchor.detection.detections import Detections
 from vehanchor.pictures.plot import plot_scale, write_plot
 assert "matplotlib" not in sys.modules
 figure = plot_scale(make_analysis(np.array([[5.0, 5, 30, 10, 0]]), 100, 100))
@@ -141,7 +141,7 @@ def test_without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.Monkey
 def _with_line(n: int, metres: float) -> ScaleAnalysis:
     boxes = _boxes(list(np.random.default_rng(1).normal(30, 2, n)))
     return analyse_found(
-        Sighting(boxes, np.full(n, 0.8)),
+        Detections(boxes, np.full(n, 0.8)),
         made_card(),
         ScaleOptions.of({"known_lengths": [(0, 0, 500, 0, metres)]}),
         image_width_px=800,

@@ -9,12 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.analyses import analyse_found, made_card, make_analysis
-from vehanchor.anchors.attitude import Attitude, tilt_record
-from vehanchor.anchors.evidence import ImageFacts, Mark
-from vehanchor.detection.sighting import Sighting
+from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.detection.detections import Detections
 from vehanchor.errors import OutputError
-from vehanchor.estimate import ScaleAnalysis
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.pictures import scale
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
@@ -27,6 +25,8 @@ from vehanchor.pictures.scale import (
     read_reduced,
     write_picture,
 )
+from vehanchor.rulers.evidence import ImageFacts, Mark
+from vehanchor.tilt.camera_tilt import CameraTilt, tilt_record
 
 
 def _near(picture: NDArray[np.uint8], colour: tuple[int, int, int]) -> NDArray[np.bool_]:
@@ -124,7 +124,7 @@ def test_a_scale_that_is_not_to_be_used_has_no_scale_bar() -> None:
 
 def test_a_picture_that_was_taken_aside_has_no_scale_bar() -> None:
     level = _judged(make_analysis(np.array([[900.0, 100.0, 50.0, 20.0, 0.0]]), 1000, 700), "ok", None)
-    tilt = tilt_record(Attitude(35.0, 0.0, 800.0, "metadata"), ImageFacts(1000, 700), 0.1)
+    tilt = tilt_record(CameraTilt(35.0, 0.0, 800.0, "metadata"), ImageFacts(1000, 700), 0.1)
     aside = replace(level, estimate=level.estimate.model_copy(update={"tilt": tilt}))
     corner = (slice(600, 700), slice(0, 600))
     assert (draw_overlay(_grey(1000, 700), aside)[corner] == 100).all()
@@ -180,7 +180,7 @@ def test_pictures_that_cannot_be_written_say_why(tmp_path: Path, name: str) -> N
 def _measured_by_lines(lines: list[tuple[float, float, float, float, float]], n_boxes: int = 4) -> ScaleAnalysis:
     boxes = _fleet(n_boxes)
     return analyse_found(
-        Sighting(boxes, np.full(len(boxes), 0.8)),
+        Detections(boxes, np.full(len(boxes), 0.8)),
         made_card(),
         ScaleOptions.of({"known_lengths": lines}),
         image_width_px=1000,
@@ -202,7 +202,7 @@ def test_a_line_of_known_length_is_drawn_where_it_lies_with_its_metres_beside_it
 
 def test_a_height_is_written_in_the_middle_of_the_picture() -> None:
     def drawn(**options: float) -> NDArray[np.uint8]:
-        none = Sighting(np.zeros((0, 5)), np.zeros(0))
+        none = Detections(np.zeros((0, 5)), np.zeros(0))
         chosen = ScaleOptions.of(dict(options))
         analysis = analyse_found(none, made_card(), chosen, image_width_px=1000, image_height_px=800)
         return draw_overlay(_grey(1000, 800), analysis)[:800]

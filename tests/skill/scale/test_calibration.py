@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import vehanchor
 from tests.models import blank_image, paint_vehicles, write_detector
 from tests.skill.courts.drawing import draw_court
-from tests.skill.imagery.metadata import exif, jpeg, xmp
+from tests.skill.imagery.metadata_bytes import exif, jpeg, xmp
 from vehanchor.cli import app as cli
 from vehanchor.courts.template import TENNIS
 from vehanchor.errors import (

@@ -13,12 +13,12 @@ from vehanchor.scale.fusion import (
     blurred,
     credible_interval,
     flat,
-    floored,
     fuse,
     mass_within,
     product,
-    settled_chance,
+    recalibrated,
     vehicle_density,
+    with_outlier_floor,
 )
 
 _VOTES = Votes(-2.0, 5.0, log_sd=0.12, clutter_density=0.3, trust=1.0, chance_wrong=1e-9)
@@ -57,7 +57,7 @@ def test_no_boxes_say_nothing() -> None:
 
 def test_one_liar_cannot_veto_two_that_agree() -> None:
     truth, lie = _normal(0.2, 0.05), _normal(0.05, 0.05)
-    fused = product(floored(truth, 0.02), floored(truth, 0.02), floored(lie, 0.02))
+    fused = product(with_outlier_floor(truth, 0.02), with_outlier_floor(truth, 0.02), with_outlier_floor(lie, 0.02))
     assert _peak(fused) == pytest.approx(0.2, rel=0.01)
     assert mass_within(fused, 0.2, 0.2) > 0.95
 
@@ -100,13 +100,13 @@ def test_what_the_reference_length_is_off_by_widens_the_interval_of_any_number_o
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.2, 3.0))
-def test_certainty_moves_chances_away_from_the_limit_of_use_and_none_across_it(chance: float, certainty: float) -> None:
-    settled = float(settled_chance(chance, certainty))
+def test_certainty_moves_chances_away_from_the_limit_of_use_and_none_across_it(chance: float, sharpness: float) -> None:
+    settled = float(recalibrated(chance, sharpness))
     assert 0 <= settled <= 1
     assert (settled >= USABLE_CHANCE - 1e-9) or chance < USABLE_CHANCE
     assert (settled <= USABLE_CHANCE + 1e-9) or chance > USABLE_CHANCE
 
 
 def test_a_certainty_of_one_changes_no_chance() -> None:
-    assert settled_chance([0.1, 0.9, 0.99], 1.0) == pytest.approx([0.1, 0.9, 0.99])
-    assert fuse(0.2, _normal(0.2, 0.15), certainty=2.0).p_within_20 < fuse(0.2, _normal(0.2, 0.15)).p_within_20 < 0.9
+    assert recalibrated([0.1, 0.9, 0.99], 1.0) == pytest.approx([0.1, 0.9, 0.99])
+    assert fuse(0.2, _normal(0.2, 0.15), sharpness=2.0).p_within_20 < fuse(0.2, _normal(0.2, 0.15)).p_within_20 < 0.9

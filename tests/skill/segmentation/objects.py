@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tests.models import blank_image
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.segmentation.prompt import Prompt
 from vehanchor.segmentation.segmenter import Segmentation, Segmenter
 from vehanchor.segmentation.shape import mask_bounds

@@ -19,7 +19,7 @@ from vehanchor.errors import (
     ModelNotFoundError,
     ProviderUnavailableError,
 )
-from vehanchor.imagery.raster import open_raster
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.segmentation.contracts import SamContract
 from vehanchor.segmentation.prompt import Prompt
 from vehanchor.segmentation.segmenter import Segmenter, load_segmenter

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from vehanchor.batch.row import BatchRow
     from vehanchor.batch.worker import BatchJob, Task
 
-__all__ = ["local_rows", "local_workers"]
-
 _worker: Worker | None = None  # of this process, where it is a worker
 
 

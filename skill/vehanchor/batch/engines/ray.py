@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from vehanchor.batch.worker import BatchJob
 
-__all__ = ["ray_rows", "require_ray"]
-
 _KNOCK_S = 10.0
 _BLOCK_FILES = 8  # rows come back a block at a time: what an interruption can cost each worker
 

@@ -11,9 +11,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from vehanchor.detection.sighting import Objects
-
-__all__ = ["DetectorContract"]
+    from vehanchor.detection.detections import Objects
 
 
 class DetectorContract(ABC):

@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehanchor.detection.contracts.contract import DetectorContract
-from vehanchor.detection.sighting import Objects
+from vehanchor.detection.detections import Objects
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
     from numpy.typing import NDArray
-
-__all__ = ["EndToEnd"]
 
 _WIDTH = 7
 _MOST_CLASSES = 1 << 31  # also where the class is no number

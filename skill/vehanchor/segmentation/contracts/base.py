@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 
     from vehanchor.segmentation.prompt import Prompt
 
-__all__ = ["DTYPES", "MEAN_RGB", "SAM_STRIDE_PX", "SD_RGB", "Encoding", "MaskLogits", "SamContract",
-           "StretchedContract", "cells_per_px", "corner_prompt", "fixed_side", "resized_side"]  # fmt: skip
-
 MEAN_RGB = np.array([123.675, 116.28, 103.53], dtype=np.float32)  # SAM's and ImageNet's, in 0..255
 SD_RGB = np.array([58.395, 57.12, 57.375], dtype=np.float32)
 SAM_STRIDE_PX = 16  # of the embedding

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
     from vehanchor.segmentation.prompt import Prompt
 
-__all__ = ["EfficientSam"]
-
 _MAX_POINTS = 6  # more are dropped without a word in its graph
 _INPUT_PX = 1024
 

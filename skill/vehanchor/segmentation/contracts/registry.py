@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from vehanchor.segmentation.contracts.base import SamContract
 
-__all__ = ["CONTRACTS", "recognise_contract"]
-
 CONTRACTS: tuple[type[SamContract], ...] = (Sam, Sam2, Transformers, EfficientSam)
 """Every contract; a new one is one file and one place here."""
 

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
     from vehanchor.segmentation.prompt import Prompt
 
-__all__ = ["Sam"]
-
 _PADDING = -1  # label of a point that says nothing
 
 

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from vehanchor.segmentation.prompt import Prompt
 
-__all__ = ["Sam2"]
-
 
 class Sam2(StretchedContract):
     """SAM 2 and 2.1."""

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-__all__ = ["Transformers"]
-
 _SAM3_LEVEL = np.float32(127.5)  # SAM 3: mean and sd 0.5 of 0..1
 _SAM3_STRIDE_PX = 14  # of its embedding
 _SAM3_INPUT_PX = 1008

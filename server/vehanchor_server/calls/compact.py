@@ -1,0 +1,135 @@
+"""Answers as a model needs them: the fields that decide, in three digits; a record's other fields are for programs."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING, Any
+
+from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from pydantic import BaseModel
+
+GIVE_BACK = "For more in this image give back scale "
+"""What comes before a scale in words."""
+
+_DIGITS = 3
+_SCALE_DIGITS = 5  # of a scale that is given back: what is multiplied by it again must not lose any of the three
+
+ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
+    GsdEstimate: (
+        "status",
+        "gsd_m_per_px",
+        "confidence",
+        "n_vehicles",
+        "mode_length_px",
+        "p_within_20",
+        "reason",
+        "leading_ruler",
+        "image_width_px",
+        "image_height_px",
+        "frame",
+    ),
+    AreaMeasurement: (
+        "status",
+        "area_m2",
+        "area_ci95_low_m2",
+        "area_ci95_high_m2",
+        "confidence",
+        "gsd_m_per_px",
+        "scale_source",
+        "length_m",
+        "width_m",
+        "perimeter_m",
+        "inscribed_diameter_m",
+        "inscribed_diameter_ci95_low_m",
+        "inscribed_center",
+        "bounding_box",
+        "frame",
+        "mask_score",
+    ),
+    DistanceMeasurement: (
+        "status",
+        "distance_m",
+        "distance_ci95_low_m",
+        "distance_ci95_high_m",
+        "confidence",
+        "gsd_m_per_px",
+        "scale_source",
+    ),
+}
+"""The fields of each record that a short answer has, where they are not null."""
+
+_SAID_WHEN_NULL = ("gsd_m_per_px", "area_m2", "distance_m")  # "there is none" is an answer
+_KNOWN_TO_THE_CALLER = ("width_px", "height_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")  # of a frame
+
+
+def short_answer(records: Sequence[BaseModel]) -> dict[str, Any]:
+    """One record, or several below ``measurements``, with the scale that they share, to be given back.
+
+    Args:
+        records: of one image.
+    """
+    parts = [_short(record) for record in records]
+    scale = _known_scale(records[0])
+    whole = parts[0] if len(parts) == 1 else {"measurements": parts}
+    return whole if scale is None else {**whole, "scale": scale}
+
+
+def scale_in_words(records: Sequence[BaseModel], short: Mapping[str, Any]) -> str:
+    """The scale to give back, for models whose hosts show them words alone; empty for none, or none to use.
+
+    Args:
+        records: of one image.
+        short: what ``short_answer`` made of them.
+    """
+    estimate = _estimate(records[0])
+    if "scale" not in short or estimate is None or estimate.status != "ok":
+        return ""
+    return GIVE_BACK + json.dumps(short["scale"], separators=(",", ":"))
+
+
+def _short(record: BaseModel) -> dict[str, Any]:
+    values = record.model_dump(mode="json")
+    if type(record) not in ANSWERED:
+        return values
+    short: dict[str, Any] = {}
+    for name in ANSWERED[type(record)]:
+        value = values[name]
+        if isinstance(value, dict) and name == "frame":
+            value = {key: each for key, each in value.items() if key not in _KNOWN_TO_THE_CALLER}
+        if value is not None or name in _SAID_WHEN_NULL:
+            short[name] = _rounded(name, value)
+    reason = getattr(getattr(record, "estimate", None), "reason", None)
+    if reason is not None:
+        short["reason"] = reason
+    if (short.get("frame") or {}).get("bounding_box"):
+        short.pop("bounding_box", None)  # in the caller's own pixels once is enough
+    return short
+
+
+def _estimate(record: BaseModel) -> GsdEstimate | None:
+    """The estimate of the scale, where one was made for the record."""
+    return record if isinstance(record, GsdEstimate) else getattr(record, "estimate", None)
+
+
+def _known_scale(record: BaseModel) -> dict[str, Any] | None:
+    known = getattr(_estimate(record), "scale", None)
+    if known is None:
+        return None
+    return {name: _rounded(name, value, _SCALE_DIGITS) for name, value in known.model_dump(mode="json").items()}
+
+
+def _rounded(name: str, value: Any, digits: int = _DIGITS) -> Any:
+    if isinstance(value, dict):
+        return {key: each if each is None else _rounded(key, each, digits) for key, each in value.items()}
+    if not isinstance(value, float):
+        return value
+    if name in ("confidence", "p_within_20", "mask_score"):
+        return math.floor(value * 10**digits) / 10**digits  # never up, over a limit
+    if name.endswith("_px") and not name.endswith("_per_px"):
+        return round(value, 1)
+    return float(f"{value:.{digits}g}")

@@ -1,0 +1,175 @@
+"""Questions to a request before the SDK sees it: its Host and Origin, a place for its body, how much there is to parse.
+
+The SDK reads a body whole and parses it on the event loop; pydantic then builds a record for each fault. Both cost what
+the caller chooses, so the choice is bounded here: by bytes that are in flight, and by the marks that make JSON nested
+or long, counted as they arrive. A picture in base64 has none of them, whatever its size.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from starlette.datastructures import Headers
+from starlette.responses import Response
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+MAX_SEPARATORS = 10_000  # commas and colons; a path may have 4,096, a call with 32 points some 250
+MAX_NESTED = 150  # opening braces and brackets; a call with 32 points has some 40, pydantic's parser ends at 200
+_SMALL_BYTES = 64 << 10  # a body that needs no place: uvicorn has read as much before it asks
+_INVALID_REQUEST, _BUSY = -32600, -32000  # of JSON-RPC
+_AUTHORITY = re.compile(r"(?P<name>\[[0-9a-f:.]+\]|[a-z0-9_.-]+)(:(?P<port>[0-9]{1,5}))?", re.ASCII)
+
+
+class _RefusedError(Exception):
+    """A body that is not read on."""
+
+    def __init__(self, status: int, code: int, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+        self.code = code
+
+
+class _HungUpError(Exception):
+    """The client left in the middle of its body."""
+
+
+@dataclass
+class _Body:
+    """Counts of one body so far."""
+
+    n_bytes: int = 0
+    n_separators: int = 0
+    n_nested: int = 0
+    has_place: bool = False
+    complete: bool = False
+
+    def add(self, chunk: bytes) -> None:
+        """Count a part that arrived.
+
+        Raises:
+            _RefusedError: there is too much to parse.
+        """
+        self.n_bytes += len(chunk)
+        self.n_separators += chunk.count(b",") + chunk.count(b":")
+        self.n_nested += chunk.count(b"{") + chunk.count(b"[")
+        if self.n_separators > MAX_SEPARATORS or self.n_nested > MAX_NESTED:
+            raise _RefusedError(
+                400,
+                _INVALID_REQUEST,
+                f"invalid_arguments: the request has more than {MAX_SEPARATORS} commas and colons, or more than "
+                f"{MAX_NESTED} braces and brackets. Send one call, with the arguments of the tool's input schema.",
+            )
+
+
+class RequestGuard:
+    """ASGI middleware in front of the MCP endpoint; probes and metadata pass.
+
+    Args:
+        app: the application.
+        path: of the endpoint.
+        hosts: accepted in Host: ``name`` or ``name:port``, or ``name:*`` for any port.
+        origins: accepted in Origin, ``scheme://name``, likewise.
+        max_large_bodies: how many bodies above 64 KiB may be in memory at once.
+    """
+
+    def __init__(
+        self, app: ASGIApp, *, path: str, hosts: Sequence[str], origins: Sequence[str], max_large_bodies: int
+    ) -> None:
+        self._app = app
+        self._path = path
+        self._hosts = frozenset(host.lower() for host in hosts)
+        self._origins = frozenset(origin.lower() for origin in origins)
+        self._max_large_bodies = max_large_bodies
+        self._n_large_bodies = 0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let a request in, or answer it here."""
+        if scope["type"] != "http" or scope["path"].rstrip("/") != self._path:
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        if not _all_accepted(headers.getlist("host"), self._hosts, ""):
+            await Response("Invalid Host header", status_code=421)(scope, receive, send)
+            return
+        if not _all_accepted(headers.getlist("origin"), self._origins, "://"):
+            await Response("Invalid Origin header", status_code=403)(scope, receive, send)
+            return
+        declared = headers.get("content-length", "0")
+        await self._let_in(int(declared) if declared.isdigit() else 0, scope, receive, send)
+
+    async def _let_in(self, declared: int, scope: Scope, receive: Receive, send: Send) -> None:
+        """Run the application, which asks for the body once the caller's token is checked."""
+        body, answered = _Body(), False
+
+        async def counted() -> Message:
+            if body.complete:
+                return await receive()
+            self._ask_for_place(body, declared)
+            message = await receive()
+            if message["type"] == "http.disconnect":
+                raise _HungUpError
+            if message["type"] == "http.request":
+                body.add(message.get("body", b""))
+                self._ask_for_place(body, body.n_bytes)
+                body.complete = not message.get("more_body", False)
+            return message
+
+        async def sent(message: Message) -> None:
+            nonlocal answered
+            answered = True
+            await send(message)
+
+        refusal = None
+        try:
+            await self._app(scope, counted, sent)
+        except _HungUpError:
+            pass  # who hung up in the middle of a body needs no answer, and the log no traceback
+        except _RefusedError as refused:
+            refusal = _refusal(refused)
+        finally:
+            self._n_large_bodies -= body.has_place
+        if refusal is not None and not answered:  # its place is free again: what is left of the body is not kept
+            await refusal(scope, receive, send)
+
+    def _ask_for_place(self, body: _Body, n_bytes: int) -> None:
+        """Take a place for a large body.
+
+        Raises:
+            _RefusedError: there is none.
+        """
+        if body.has_place or n_bytes <= _SMALL_BYTES:
+            return
+        if self._n_large_bodies >= self._max_large_bodies:
+            raise _RefusedError(503, _BUSY, "busy: too many images are being sent. Try again in a few seconds.")
+        self._n_large_bodies += 1
+        body.has_place = True
+
+
+def _refusal(refused: _RefusedError) -> Response:
+    """The answer to a request whose id was not read."""
+    error = {"jsonrpc": "2.0", "id": None, "error": {"code": refused.code, "message": str(refused)}}
+    headers = {"Connection": "close"}
+    if refused.status == 503:
+        headers["Retry-After"] = "2"
+    return Response(json.dumps(error), refused.status, headers, "application/json")
+
+
+def _all_accepted(values: Sequence[str], accepted: frozenset[str], separator: str) -> bool:
+    """Whether every value of a header is on a list: by the whole name, and a port only of digits."""
+    return all(_accepted(value.lower(), accepted, separator) for value in values)
+
+
+def _accepted(value: str, accepted: frozenset[str], separator: str) -> bool:
+    scheme, _, authority = value.rpartition(separator) if separator else ("", "", value)
+    found = _AUTHORITY.fullmatch(authority)
+    if found is None:
+        return False
+    name = f"{scheme}{separator}{found['name']}"
+    return value in accepted or (found["port"] is not None and f"{name}:*" in accepted)

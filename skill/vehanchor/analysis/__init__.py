@@ -1,0 +1,1 @@
+"""Results with what they came from, drawing and export."""

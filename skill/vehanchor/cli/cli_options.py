@@ -1,0 +1,277 @@
+"""Command-line options made from the fields of the option groups, so that every command has them alike.
+
+    @scale_command()
+    def estimate(images: ..., chosen: Chosen) -> None:
+        options, detector = chosen.options(), chosen.open_detector()
+
+``estimate`` then has the options of ``Search``, ``Lengths``, ``Reference``, ``Frame``, ``Reading``, ``Rulers`` and
+``DetectorChoice`` beside its own. They are checked when ``options`` and ``open_detector`` are called, where the command
+can tell its user.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import typing
+from dataclasses import MISSING, dataclass, field, fields
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+
+import typer
+
+from vehanchor.errors import InvalidParameterError
+from vehanchor.models.precision import Precision
+from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
+from vehanchor.options.fields import Choice, choice
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping
+    from pathlib import Path
+
+    from vehanchor.detection.detector import Detector
+
+Photograph: TypeAlias = Annotated[
+    str,
+    typer.Argument(
+        metavar="IMAGE",
+        help="Photograph: JPEG, PNG, WebP, AVIF, BMP, TIFF, JP2, HEIC; or its address.",
+        show_default=False,
+    ),
+]
+
+_UNITS = ("_px", "_m")
+
+
+@dataclass(frozen=True)
+class DetectorChoice:
+    """Which model finds the vehicles, and how it runs.
+
+    Attributes:
+        detector: path of an ONNX oriented-box model, or the name of a bundled one; None for the bundled default.
+        precision: of the numbers that a bundled model computes with; see ``vehanchor.models.zoo.resolve_model``.
+        classes: classes, by name or index, that count as vehicles; None for the model's own.
+        threads: CPU threads; None for all cores.
+        providers: ONNX Runtime execution providers in order of preference; None for the CPU's.
+    """
+
+    detector: str | None = field(
+        default=None,
+        metadata=choice("ONNX oriented-box model, or the name of a bundled one. Default: the bundled.", metavar="FILE"),
+    )
+    precision: Precision = field(
+        default="float32",
+        metadata=choice(
+            "Numbers that the bundled model computes with: float32; int8, quicker on processors with dot products of "
+            "bytes (VNNI, Armv8.2); auto, int8 on those. The record names the file."
+        ),
+    )
+    classes: list[str] | None = field(
+        default=None,
+        metadata=choice(
+            "Class, by name or index, that counts as a vehicle; may be repeated.", metavar="NAME", flag="class"
+        ),
+    )
+    threads: int | None = field(
+        default=None,
+        metadata=choice("CPU threads; the result is the same with any. Default: all cores.", metavar="N"),
+    )
+    providers: list[str] | None = field(
+        default=None,
+        metadata=choice(
+            "Where models run: cpu, cuda, tensorrt, coreml, openvino, directml, or another provider of ONNX Runtime by "
+            "name; may be repeated, in order of preference. Default: cpu.",
+            metavar="NAME",
+            flag="provider",
+        ),
+    )
+
+    @property
+    def path(self) -> Path:
+        """The model's file.
+
+        Raises:
+            ModelNotFoundError: there is none, or none of that precision.
+        """
+        from vehanchor.models.zoo import resolve_model
+
+        return resolve_model(self.detector, self.precision)
+
+    @property
+    def names_and_indices(self) -> list[str | int] | None:
+        """The classes as the detector takes them: a number is an index."""
+        return [int(name) if name.isdecimal() else name for name in self.classes] if self.classes else None
+
+    def open(self) -> Detector:
+        """Load the detector.
+
+        Raises:
+            ModelError: it cannot be used.
+            InvalidParameterError: the threads or the classes have no meaning.
+        """
+        from vehanchor.detection.detector import Detector
+        from vehanchor.models.session import DEFAULT_PROVIDERS
+
+        return Detector(
+            self.path,
+            classes=self.names_and_indices,
+            threads=self.threads,
+            providers=self.providers or DEFAULT_PROVIDERS,
+        )
+
+
+_GROUPS: tuple[tuple[type[Any], str], ...] = (
+    (DetectorChoice, "Detector"),
+    (Reference, "Reference length"),
+    (Search, "Search"),
+    (Lengths, "Lengths"),
+    (Frame, "Reading the image"),
+    (Reading, "Reading the image"),
+    (Rulers, "Other rulers"),
+)
+_NEEDED_FIRST = ("region", "known_lengths", "height_m", "frame")  # what helps without knowing the method
+_FIRST_PANEL = "What helps most"
+_FRAME = inspect.Parameter(
+    "frame",
+    inspect.Parameter.KEYWORD_ONLY,
+    default=None,
+    annotation=Annotated[
+        tuple[int, int] | None,
+        typer.Option(
+            "--frame",
+            metavar="W H",
+            help="Size, pixels, of a resized copy that you work in: its scale is given, too, and boxes and points are "
+            "read in its pixels.",
+            rich_help_panel=_FIRST_PANEL,
+        ),
+    ],
+)
+
+
+@dataclass(frozen=True)
+class ParsedOptions:
+    """What was typed for the groups, by the fields' names; checked when it is asked for."""
+
+    typed: Mapping[str, Any]
+
+    def options(self) -> ScaleOptions:
+        """Every choice of the method.
+
+        Raises:
+            InvalidParameterError: a value has no meaning.
+            CalibrationFileError: the calibration cannot be read.
+        """
+        typed = dict(self.typed)
+        width, height = typed.pop("frame", None) or (None, None)
+        keywords: dict[str, Any] = {
+            name: value for name, value in typed.items() if name not in DetectorChoice.__dataclass_fields__
+        }
+        if "alpha" in keywords:
+            keywords["alpha"] = _alpha(keywords["alpha"])
+        keywords |= {name: value.value for name, value in keywords.items() if isinstance(value, StrEnum)}
+        if keywords.get("rulers") is not None:
+            keywords["rulers"] = tuple(name.strip() for name in keywords["rulers"].split(","))
+        if "known_lengths" in keywords:
+            keywords["known_lengths"] = [KnownLength.from_text(text) for text in keywords["known_lengths"] or ()]
+        return ScaleOptions.of({**keywords, "frame_width_px": width, "frame_height_px": height})
+
+    @property
+    def detector(self) -> DetectorChoice:
+        """Which model, and how it runs."""
+        typed: dict[str, Any] = {name: self.typed.get(name) for name in DetectorChoice.__dataclass_fields__}
+        return DetectorChoice(**typed)
+
+    def open_detector(self) -> Detector:
+        """Load the model; see ``DetectorChoice.open``."""
+        return self.detector.open()
+
+
+def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command the options of all groups; it gets them as the argument ``chosen``.
+
+    Args:
+        without: names of fields, or ``frame``, that make no sense for this command.
+
+    Returns:
+        A decorator for a function with a parameter ``chosen``; the result is what Typer is to be given.
+    """
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        own = _resolved_parameters(command)
+        del own["chosen"]
+        added = [each for group, panel in _GROUPS for each in option_parameters(group, panel)]
+        added = [each for each in (*added, _FRAME) if each.name not in without and each.name not in own]
+        added.sort(key=lambda each: each.name not in _NEEDED_FIRST)  # panels are shown as they come
+
+        @functools.wraps(command)
+        def with_choices(**arguments: Any) -> None:
+            typed = {each.name: arguments.pop(each.name) for each in added}
+            command(**arguments, chosen=ParsedOptions(typed))
+
+        parameters = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in own.values()]
+        parameters += added
+        with_choices.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        with_choices.__annotations__ = {each.name: each.annotation for each in parameters}
+        return with_choices
+
+    return decorate
+
+
+def option_parameters(group: type[Any], panel: str) -> list[inspect.Parameter]:
+    """The parameters of a Typer command that stand for the fields of a group that have a ``Choice``.
+
+    Args:
+        group: a dataclass.
+        panel: heading in ``--help``, but for those that people need first.
+
+    Returns:
+        Keyword-only parameters named as the fields, annotated for Typer.
+    """
+    kinds = typing.get_type_hints(group, localns={"Calibration": str})
+    return [_parameter(each.name, kinds[each.name], each, panel) for each in fields(group) if "choice" in each.metadata]
+
+
+def _parameter(name: str, kind: Any, declared: Any, panel: str) -> inspect.Parameter:
+    stated: Choice = declared.metadata["choice"]
+    bare = next((option for option in typing.get_args(kind) if option is not type(None)), kind)
+    default = None if declared.default is MISSING else declared.default
+    flag = stated.flag or _without_unit(name).replace("_", "-")
+    more: dict[str, Any] = {"metavar": stated.metavar} if stated.metavar else {}
+    if typing.get_origin(bare) is Literal:
+        words = {word: word for word in typing.get_args(bare)}
+        kind = typing.cast("type", StrEnum(name.title(), words)) | None
+    if name == "alpha":  # a number or a word
+        kind, default = str, str(default)
+    elif name == "rulers":  # words with commas
+        kind = str | None
+    elif name == "known_lengths":  # each of them joined to one text (see ``vehanchor.cli.spaced``)
+        kind, default = list[str] | None, None
+    flags = f"--{flag}/--no-{flag}" if bare is bool else f"--{flag}"
+    heading = _FIRST_PANEL if name in _NEEDED_FIRST else panel
+    option = typer.Option(flags, help=stated.help, rich_help_panel=heading, **more)
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option])
+
+
+def _resolved_parameters(command: Callable[..., None]) -> dict[str, inspect.Parameter]:
+    """The command's own parameters with their annotations resolved, as Typer wants them."""
+    kinds = typing.get_type_hints(command, include_extras=True)
+    return {
+        name: each.replace(annotation=kinds.get(name, each.annotation))
+        for name, each in inspect.signature(command).parameters.items()
+    }
+
+
+def _without_unit(name: str) -> str:
+    for unit in _UNITS:
+        if name.endswith(unit):
+            return name.removesuffix(unit)
+    return name
+
+
+def _alpha(text: Any) -> float | None:
+    if isinstance(text, str) and text.strip().lower() in ("none", "off"):
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise InvalidParameterError(f"--alpha is {text!r}: use a number >= 1, or 'none'") from None

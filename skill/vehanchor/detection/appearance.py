@@ -1,0 +1,130 @@
+"""How long a fleet's vehicles are by their look: North American cars are longer than others, and built otherwise.
+
+A vehicle's *chip* is what is left of it without its scale: its pixels turned along its axis, brought to a length of 16
+px, blurred alike, in one channel, standardised. A small network reads from a chip the log of the vehicle's length in
+metres, whose mean over an image moves the reference length, and the log odds that it is of North America's fleet, whose
+spread tells cars of many makes from equal things.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+
+from vehanchor.imagery.raster import Window
+from vehanchor.imagery.tiles import read_reduced_window
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from vehanchor.imagery.raster import Raster
+
+CHIP_LENGTH_PX = 16  # a car of 5 m at 0.3 m/px, the coarsest that the guard lets pass
+CHIP_SHAPE = (16, 24)  # rows and columns: the vehicle and a quarter of its length around it
+MAX_CHIPS = 100  # more vehicles tell no more
+_CHIP_CHANNEL = 1  # green: sharpest of most cameras, and not the one that near infrared replaces
+_BLUR_PX = 1.0  # of the chip: more than the cameras differ by
+_CONTRAST_FLOOR = 8.0  # grey levels; below it there is nothing to see
+_REACH = 1.15  # of a length, from a vehicle's centre to the farthest pixel that a chip needs, blur included
+
+
+class FleetAppearance(NamedTuple):
+    """What the look of vehicles tells of their fleet.
+
+    Attributes:
+        log_odds: ``[n]`` float64 that each is of North America's fleet.
+        log_lengths: ``[n]`` float64, log of the length in metres that each seems to have.
+    """
+
+    log_odds: NDArray[np.float64]
+    log_lengths: NDArray[np.float64]
+
+    def take(self, kept: NDArray[np.bool_]) -> FleetAppearance:
+        """Those of a mask ``[n]``."""
+        return FleetAppearance(self.log_odds[kept], self.log_lengths[kept])
+
+
+class FleetLengths(NamedTuple):
+    """How the lengths that an image's vehicles seem to have become a reference length.
+
+    Attributes:
+        log_lengths: the two mean log lengths between which the reference length changes linearly; it is constant
+            beyond.
+        length_m: reference lengths there, metres.
+        sd_m: standard deviation of what is left between places, metres.
+        neutral_vehicles: how many vehicles of the middle length are added to every image: one car says little.
+    """
+
+    log_lengths: tuple[float, float]
+    length_m: tuple[float, float]
+    sd_m: float
+    neutral_vehicles: float
+
+    def reference_length(self, vehicle_log_lengths: ArrayLike) -> float:
+        """Reference length of a fleet.
+
+        Args:
+            vehicle_log_lengths: ``[n]`` of its vehicles, n >= 0.
+
+        Returns:
+            Metres.
+        """
+        values = np.asarray(vehicle_log_lengths, dtype=np.float64)
+        neutral = self.neutral_vehicles
+        mean = (values.sum() + neutral * sum(self.log_lengths) / 2) / (len(values) + neutral)
+        return float(np.interp(mean, self.log_lengths, self.length_m))
+
+
+def chip(pixels: NDArray[np.uint8], box: ArrayLike) -> NDArray[np.float32]:
+    """Cut a vehicle from one channel.
+
+    Args:
+        pixels: ``[h, w]`` uint8.
+        box: ``(x, y, length, width, angle)`` in their pixels and radians; the width is not used.
+
+    Returns:
+        ``CHIP_SHAPE``, mean 0, standard deviation 1 (less where there is next to no contrast). What lies outside the
+        pixels repeats their border.
+    """
+    x, y, length, _, angle = np.asarray(box, dtype=np.float64)
+    step = length / CHIP_LENGTH_PX  # pixels to one of the chip
+    smooth = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), _BLUR_PX * step, borderType=cv2.BORDER_REPLICATE)
+    turn = step * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    rows, columns = CHIP_SHAPE
+    origin = np.array([x - 0.5, y - 0.5]) - turn @ [(columns - 1) / 2, (rows - 1) / 2]
+    cut = cv2.warpAffine(
+        smooth,
+        np.column_stack([turn, origin]),
+        (columns, rows),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    return np.asarray((cut - cut.mean()) / (cut.std() + _CONTRAST_FLOOR), dtype=np.float32)
+
+
+def vehicle_chips(raster: Raster, boxes: NDArray[np.float64]) -> NDArray[np.float32]:
+    """The chips of vehicles.
+
+    Args:
+        raster: the image.
+        boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)`` in image pixels, centres inside the image.
+
+    Returns:
+        ``[n, 1, 16, 24]`` float32.
+    """
+    out = np.empty((len(boxes), 1, *CHIP_SHAPE), np.float32)
+    shorter = min(raster.width_px, raster.height_px)
+    for k, box in enumerate(boxes):
+        factor = 2 ** max(0, math.floor(math.log2(min(box[2] / CHIP_LENGTH_PX, shorter))))
+        width, height = raster.width_px // factor, raster.height_px // factor
+        x, y, length, breadth = box[:4] / factor
+        left, right = (round(np.clip(x + side * _REACH * length, 0, width)) for side in (-1, 1))
+        top, bottom = (round(np.clip(y + side * _REACH * length, 0, height)) for side in (-1, 1))
+        left, top = min(left, width - 1), min(top, height - 1)
+        window = Window(left, top, max(1, right - left), max(1, bottom - top))
+        pixels = read_reduced_window(raster, window, factor)[:, :, _CHIP_CHANNEL]
+        out[k, 0] = chip(pixels, (x - left, y - top, length, breadth, box[4]))
+    return out

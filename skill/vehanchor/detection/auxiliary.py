@@ -1,0 +1,86 @@
+"""A network beside a detector that looks at chips of what it found: opened, checked and run in one way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
+
+import numpy as np
+
+from vehanchor.detection.card import AuxiliaryCard, read_auxiliary_card
+from vehanchor.errors import ModelContractError
+from vehanchor.models.files import models_sha256, read_model
+from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import onnxruntime
+    from numpy.typing import NDArray
+
+_CardT = TypeVar("_CardT", bound=AuxiliaryCard)
+_INPUT = "chips"
+
+
+class AuxiliaryModel(Generic[_CardT]):
+    """A network from ``chips [n, c, h, w]`` float32 to some numbers ``[n]`` for each.
+
+    Args:
+        path: the ONNX file.
+        threads: CPU threads; None leaves it to ONNX Runtime.
+        providers: ONNX Runtime execution providers in order of preference.
+
+    Attributes:
+        path: the ONNX file.
+        card: what it says of itself.
+
+    Raises:
+        ModelNotFoundError: there is no such file.
+        ModelContractError: it is no such network, or does not say for which detector and how it is to be used.
+        ProviderUnavailableError: an execution provider is not installed.
+    """
+
+    named: ClassVar[str]
+    trained_by: ClassVar[str]
+    chip_shape: ClassVar[tuple[int, int, int]]
+    outputs: ClassVar[tuple[str, ...]]
+    card_type: ClassVar[type[AuxiliaryCard]]
+
+    card: _CardT
+
+    def __init__(
+        self, path: str | Path, *, threads: int | None = None, providers: Sequence[str] = DEFAULT_PROVIDERS
+    ) -> None:
+        self.path = Path(path)
+        file = read_model(self.path)
+        self._session = open_session(self.path, content=file.content, threads=threads, providers=providers)
+        inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
+        names = [each.name for each in (*inputs, *outputs)]
+        if names != [_INPUT, *self.outputs] or tuple(inputs[0].shape[1:]) != self.chip_shape:
+            channels, height, width = self.chip_shape
+            raise ModelContractError(
+                f"{self.path} has {', '.join(names)}: expected {_INPUT} [n, {channels}, {height}, {width}] and "
+                f"{' [n], '.join(self.outputs)} [n], as {self.trained_by} writes them"
+            )
+        metadata = self._session.get_modelmeta().custom_metadata_map
+        self.card = read_auxiliary_card(self.card_type, self.path, models_sha256(file), metadata)  # type: ignore[assignment]
+
+    def answers(
+        self, chips: NDArray[np.float32], run_options: onnxruntime.RunOptions | None = None
+    ) -> NDArray[np.float64]:
+        """What the network says of chips, a row ``[n]`` for each of its outputs.
+
+        Args:
+            chips: ``[n, c, h, w]``.
+            run_options: see ``Detector.detect_tile``.
+
+        Raises:
+            ModelContractError: it fails, or does not give a finite number for each chip.
+            OutOfMemoryError: there is too little memory for it now.
+        """
+        described = f"the {self.named} {self.path} fails on {list(chips.shape)}"
+        said = run_session(self._session, list(self.outputs), {_INPUT: chips}, run_options, described)
+        numbers = [np.asarray(each, np.float64) for each in said]
+        if not all(each.shape == (len(chips),) and np.isfinite(each).all() for each in numbers):
+            raise ModelContractError(f"the {self.named} {self.path} does not give a number for each of its chips")
+        return np.stack(numbers)

@@ -1,0 +1,83 @@
+"""The result of a search: the vehicles of an image, and whatever else its detector has seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from vehanchor.detection.appearance import FleetAppearance
+    from vehanchor.detection.scene_scale import SceneScalePrior
+    from vehanchor.options.search import Stopped
+
+
+@dataclass(frozen=True, eq=False)
+class Objects:
+    """Oriented boxes with what a detector says of each.
+
+    Attributes:
+        boxes: ``[n, 5]`` float64 rows ``(x, y, length, width, angle)``, pixels and radians.
+        scores: ``[n]`` float64 in [0, 1].
+        classes: ``[n]`` int, indices into the model's classes (see ``DetectorCard.class_names``).
+    """
+
+    boxes: NDArray[np.float64]
+    scores: NDArray[np.float64]
+    classes: NDArray[np.intp]
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+    def take(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> Objects:
+        """Those of a mask, or of indices in their order."""
+        return Objects(self.boxes[which], self.scores[which], self.classes[which])
+
+    @classmethod
+    def joined(cls, parts: Sequence[Objects] = ()) -> Objects:
+        """The objects of all parts, one part after the other; none without parts."""
+        return cls(
+            np.concatenate([np.zeros((0, 5)), *(part.boxes for part in parts)]),
+            np.concatenate([np.zeros(0), *(part.scores for part in parts)]),
+            np.concatenate([np.zeros(0, np.intp), *(part.classes for part in parts)]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """Vehicles found in an image, and the other objects that its detector knows.
+
+    Attributes:
+        boxes: ``[n, 5]`` float64 rows ``(x, y, length, width, angle)`` of the vehicles, in image pixels and radians,
+            best score first.
+        scores: ``[n]`` float64 in [0, 1].
+        n_tiles: tiles that were searched.
+        n_capped_tiles: tiles in which an end-to-end model had no row left, so that vehicles may be missing.
+        scales: ``[n]`` float64, the scale of the image in which each was found: 1, 0.5, 0.25 or 0.125; None stands
+            for a search at full resolution alone.
+        fleet: what the look of the first m = min(n, 100) vehicles tells; None where no network beside the model can
+            tell.
+        classes: ``[n]`` int, the index of each vehicle's class; None where no detector named one, as of labels.
+        others: objects of the model's other classes, in image pixels, best score first; boxes of one class that
+            overlap are merged, those of different classes are not.
+        scene: what the ground itself tells of the scale; None where nobody looked.
+        n_tiles_total: tiles that the image has at all resolutions; None where nobody counted.
+        stopped_because: why the search ended; None where there was none.
+    """
+
+    boxes: NDArray[np.float64]
+    scores: NDArray[np.float64]
+    n_tiles: int = 1
+    n_capped_tiles: int = 0
+    scales: NDArray[np.float64] | None = None
+    fleet: FleetAppearance | None = None
+    classes: NDArray[np.intp] | None = None
+    others: Objects = field(default_factory=Objects.joined)
+    scene: SceneScalePrior | None = None
+    n_tiles_total: int | None = None
+    stopped_because: Stopped | None = None

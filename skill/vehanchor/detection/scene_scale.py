@@ -1,0 +1,243 @@
+"""Looking at the ground: what a small network sees of the scale on tiles of an image.
+
+The network tells of a tile of 160 px how many metres a pixel is. An image is looked at on tiles spread over it at its
+own resolution and at 1/2, 1/4 and 1/8: the further view tells houses and roads where the near one sees nothing but
+grass.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from vehanchor.errors import ModelContractError
+from vehanchor.imagery.raster import Window
+from vehanchor.imagery.tiles import read_reduced_window
+from vehanchor.models.cache import file_cached
+from vehanchor.models.files import read_model
+from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
+from vehanchor.models.zoo import bundled_scene_scale
+from vehanchor.scale.defaults import CAR_LENGTH_M
+from vehanchor.scale.fusion import GRID, blurred, with_outlier_floor
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    import onnxruntime
+    from numpy.typing import ArrayLike, NDArray
+
+    from vehanchor.imagery.raster import Raster
+
+TILE_PX = 160
+FACTORS = (1, 2, 4, 8)  # by which an image is reduced
+MOST_TILES = 24  # of a level
+_LEAST_PROBABILITY = 1e-12
+_SIZES_LOG_SD = 0.1  # of cars, and of the measurement of one
+_OPEN_LOG_WIDTH = 2.0  # ground that leaves the scale open so far neither raises nor lowers a score
+_MOST_SIZE_ODDS = 2.0  # for or against: the ground may be wrong
+_BATCH = 8  # tiles at once: 24 would take three times the memory and no less time
+
+
+class SceneLevel(NamedTuple):
+    """What was seen at one resolution.
+
+    Attributes:
+        factor: by which the image was reduced.
+        n_tiles: how many tiles were looked at.
+        log_probs: ``[bins]`` mean of their log-probabilities: tiles that disagree flatten it.
+    """
+
+    factor: int
+    n_tiles: int
+    log_probs: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SceneCalibration:
+    """From a network's answers to a density that can be believed (``research/training/scene_scale/calibrate.py``).
+
+    Attributes:
+        first_log_gsd: natural log of metres per pixel of the first bin's centre.
+        log_step: from one bin to the next.
+        temperature: exponent on the mean of a level's tiles.
+        doubt: chance that a level is wrong altogether, so that it cannot veto the others.
+        levels: the exponent on the levels' geometric mean grows with their number to this power: 0 if each says the
+            same, 1 if each says something else.
+        floor: chance that all are wrong.
+    """
+
+    first_log_gsd: float
+    log_step: float
+    temperature: float = 1.0
+    doubt: float = 0.0
+    levels: float = 0.0
+    floor: float = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class SceneScalePrior:
+    """What was seen of the ground at all resolutions of an image.
+
+    Attributes:
+        levels: finest resolution first.
+        calibration: of the network that saw it.
+    """
+
+    levels: tuple[SceneLevel, ...]
+    calibration: SceneCalibration
+
+    @cached_property  # the weights of the boxes and the ruler both ask
+    def density(self) -> NDArray[np.float64]:
+        """Probabilities on ``vehanchor.scale.fusion.GRID``."""
+        return scene_density(self.levels, self.calibration)
+
+    @cached_property
+    def _size_odds(self) -> NDArray[np.float64]:
+        per_log = blurred(self.density, _SIZES_LOG_SD) / (GRID[1] - GRID[0])
+        odds = np.log(np.maximum(per_log * _OPEN_LOG_WIDTH, _LEAST_PROBABILITY))
+        return np.asarray(np.clip(odds, -_MOST_SIZE_ODDS, _MOST_SIZE_ODDS))
+
+    def size_odds(self, lengths_px: ArrayLike) -> NDArray[np.float64]:
+        """Say how well lengths fit a car's, by the scale that the ground tells.
+
+        Args:
+            lengths_px: ``[n]`` pixels of the image.
+
+        Returns:
+            ``[n]`` log odds from -2 to 2, over a scale that is open within a factor of 7.4; -1.2 where the ground is
+            quite lost.
+        """
+        return np.asarray(np.interp(np.log(CAR_LENGTH_M / np.asarray(lengths_px, np.float64)), GRID, self._size_odds))
+
+
+def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]]:
+    """Spread tiles evenly over an image, at every resolution that still holds one.
+
+    Args:
+        width_px: of the image.
+        height_px: of the image; where either is less than 160 there is one level of a tile that overlaps it.
+
+    Returns:
+        Factors and the tiles in pixels of the image reduced by them, the finest first.
+    """
+    levels = []
+    for factor in FACTORS:
+        width, height = width_px // factor, height_px // factor
+        if factor > 1 and min(width, height) < TILE_PX:
+            break
+        columns, rows = -(-width // TILE_PX), -(-height // TILE_PX)
+        if columns * rows > MOST_TILES:
+            columns = int(np.clip(round(np.sqrt(MOST_TILES * width / height)), 1, min(columns, MOST_TILES)))
+            rows = min(rows, MOST_TILES // columns)
+        lefts = np.linspace(0, max(0, width - TILE_PX), columns).astype(int)
+        tops = np.linspace(0, max(0, height - TILE_PX), rows).astype(int)
+        tile = min(TILE_PX, width), min(TILE_PX, height)
+        levels.append((factor, [Window(int(left), int(top), *tile) for top in tops for left in lefts]))
+    return levels
+
+
+def scene_density(levels: Sequence[SceneLevel], calibration: SceneCalibration) -> NDArray[np.float64]:
+    """Combine what was seen at all resolutions into one density.
+
+    The log-probabilities of the levels, each mixed with some doubt, are shifted by their factors and averaged; the
+    result is mixed with the flat density. Bins at either end stand for all that is finer or coarser.
+
+    Args:
+        levels: of one image, at least one.
+        calibration: of the network.
+
+    Returns:
+        Probabilities on ``vehanchor.scale.fusion.GRID``.
+    """
+    total = np.zeros(len(GRID))
+    for level in levels:
+        centres = calibration.first_log_gsd + calibration.log_step * np.arange(len(level.log_probs))
+        seen = np.exp(calibration.temperature * (level.log_probs - level.log_probs.max()))
+        seen = (1 - calibration.doubt) * seen / seen.sum() + calibration.doubt / len(seen)
+        total += np.interp(GRID + np.log(level.factor), centres, np.log(np.maximum(seen, _LEAST_PROBABILITY)))
+    total *= float(len(levels)) ** (calibration.levels - 1)
+    density = np.exp(total - total.max())
+    return with_outlier_floor(density / density.sum(), calibration.floor)
+
+
+class SceneScaleNetwork:
+    """The network of scene scale.
+
+    Args:
+        path: ONNX file with an input ``tiles`` ``[n, 3, 160, 160]`` uint8 RGB and an output ``log_probs``
+            ``[n, bins]``, and its calibration in the metadata.
+        threads: CPU threads; None leaves it to ONNX Runtime.
+        providers: execution providers of ONNX Runtime in order of preference.
+
+    Raises:
+        ModelNotFoundError: there is no such file.
+        ModelContractError: it is another kind of file.
+    """
+
+    def __init__(self, path: Path, *, threads: int | None = None, providers: Sequence[str] = DEFAULT_PROVIDERS) -> None:
+        self.path = path
+        self._session = open_session(path, content=read_model(path).content, threads=threads, providers=providers)
+        names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
+        if names != ["tiles", "log_probs"]:
+            raise ModelContractError(f"{path} has {', '.join(names)}: expected the input tiles, the output log_probs")
+        self.calibration = _read_calibration(path, self._session.get_modelmeta().custom_metadata_map)
+
+    def look(self, raster: Raster, *, run_options: onnxruntime.RunOptions | None = None) -> SceneScalePrior:
+        """Look at an image on tiles of every resolution.
+
+        Args:
+            raster: the image.
+            run_options: ONNX Runtime's, for a caller that may have to end a run.
+
+        Returns:
+            What was seen.
+        """
+        levels = []
+        for factor, windows in tile_windows(raster.width_px, raster.height_px):
+            tiles = np.stack([_tile(raster, window, factor) for window in windows])
+            described = f"the scene scale network {self.path} fails on {list(tiles.shape)}"
+            seen = [
+                run_session(self._session, None, {"tiles": tiles[start : start + _BATCH]}, run_options, described)[0]
+                for start in range(0, len(tiles), _BATCH)
+            ]
+            levels.append(SceneLevel(factor, len(tiles), np.concatenate(seen).astype(np.float64).mean(axis=0)))
+        return SceneScalePrior(tuple(levels), self.calibration)
+
+
+def load_scene_scale(
+    *, threads: int | None = None, providers: tuple[str, ...] = DEFAULT_PROVIDERS
+) -> SceneScaleNetwork | None:
+    """Load the bundled network, or the one that is loaded already; None where this installation has none."""
+    path = bundled_scene_scale()
+    return None if path is None else _loaded(path, threads=threads, providers=providers)
+
+
+@file_cached(max_models=2)
+def _loaded(path: Path, *, threads: int | None, providers: tuple[str, ...]) -> SceneScaleNetwork:
+    return SceneScaleNetwork(path, threads=threads, providers=providers)
+
+
+def _tile(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
+    """``[3, 160, 160]``; what lies beyond a small image mirrors it."""
+    pixels = read_reduced_window(raster, window, factor)
+    down, right = TILE_PX - pixels.shape[0], TILE_PX - pixels.shape[1]
+    if down or right:
+        pixels = np.pad(pixels, ((0, down), (0, right), (0, 0)), "symmetric")
+    return np.ascontiguousarray(pixels.transpose(2, 0, 1))
+
+
+def _read_calibration(path: Path, metadata: Mapping[str, str]) -> SceneCalibration:
+    try:
+        first, step = (float(number) for number in json.loads(metadata["vehanchor.scene_bins"]))
+        stated = json.loads(metadata["vehanchor.scene_calibration"])
+        read = SceneCalibration(first, step, **{name: float(value) for name, value in stated.items()})
+    except (KeyError, ValueError, TypeError, AttributeError) as error:
+        raise ModelContractError(f"{path}: the metadata vehanchor.scene_* cannot be read: {error}") from None
+    if not (step > 0 and read.temperature > 0 and 0 <= read.doubt < 1 and 0 <= read.floor < 1):
+        raise ModelContractError(f"{path}: the metadata vehanchor.scene_* has no meaning: {read}")
+    return read

@@ -1,0 +1,155 @@
+"""The order in which the tiles of a large image are visited, so that cars are found early.
+
+Of each resolution the most promising tile comes next: by the coarse view at first, then by what its neighbours showed,
+since cars stand where cars stand. Every fourth comes from a fixed order that spreads over the image whatever it shows.
+How often each resolution has its turn follows from how likely cars fit it. The order depends on the image alone.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from vehanchor.scale.defaults import CAR_LENGTH_M
+from vehanchor.scale.fusion import GRID
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from vehanchor.imagery.raster import Window
+
+_SHARE_OF_ALL = 0.2  # of the tiles go to all resolutions alike: the ground may say something wrong
+_SPREAD_EVERY = 4  # every so many tiles one is taken whatever the image shows
+_PRIOR_TILES = 2.0  # neighbours that a coarse view weighs as much as
+_FULL_TILE = 4  # vehicles from which on a tile counts as one with cars
+_NEAR_TILES = 1.1  # sides of a tile between the corners of neighbours
+_PLASTIC = (0.7548776662466927, 0.5698402909980532)  # of the plastic number: Roberts' sequence R2
+
+
+class TilePlace(NamedTuple):
+    """A tile of one resolution.
+
+    Attributes:
+        factor: the image is reduced by it.
+        window: in pixels of the reduced image.
+    """
+
+    factor: int
+    window: Window
+
+
+def level_chances(
+    length_ranges_px: Mapping[int, tuple[float, float]], density: NDArray[np.float64]
+) -> dict[int, float]:
+    """Say how likely cars fit each resolution.
+
+    Args:
+        length_ranges_px: shortest and longest vehicle that counts at each resolution, pixels of the reduced image.
+        density: ``[g]`` probabilities of the scale on ``vehanchor.scale.fusion.GRID``.
+
+    Returns:
+        Probabilities by factor; neighbours overlap, and at some scales cars fit none.
+    """
+    lengths = CAR_LENGTH_M / np.exp(GRID)
+    return {
+        factor: float(density[(lengths >= low * factor) & (lengths <= high * factor)].sum())
+        for factor, (low, high) in length_ranges_px.items()
+    }
+
+
+def level_shares(
+    length_ranges_px: Mapping[int, tuple[float, float]], density: NDArray[np.float64] | None
+) -> dict[int, float]:
+    """Say how many of the tiles belong to each resolution: as many as cars are likely to fit it, and some to all.
+
+    Args:
+        length_ranges_px: as for ``level_chances``.
+        density: the same; None where nobody knows.
+
+    Returns:
+        Shares by factor; their sum is 1.
+    """
+    even = 1.0 / len(length_ranges_px)
+    chances = {} if density is None else level_chances(length_ranges_px, density)
+    total = sum(chances.values())
+    if total <= 0:
+        return dict.fromkeys(length_ranges_px, even)
+    return {factor: (1 - _SHARE_OF_ALL) * mass / total + _SHARE_OF_ALL * even for factor, mass in chances.items()}
+
+
+def spread_order(places: Sequence[TilePlace]) -> NDArray[np.intp]:
+    """Order tiles of one resolution so that the first of them, however many, spread over the image.
+
+    Args:
+        places: the tiles.
+
+    Returns:
+        Their indices.
+    """
+    columns = {x: k for k, x in enumerate(sorted({place.window.x_px for place in places}))}
+    rows = {y: k for k, y in enumerate(sorted({place.window.y_px for place in places}))}
+    at = np.array([(columns[place.window.x_px], rows[place.window.y_px]) for place in places], dtype=np.float64)
+    return np.argsort((0.5 + at @ np.array(_PLASTIC)) % 1.0, kind="stable")
+
+
+class TileScheduler:
+    """What is visited next, by what the tiles visited so far have shown.
+
+    Args:
+        places: all tiles of the image.
+        promises: ``[n]`` how likely each holds cars, by a coarse view.
+        shares: how many tiles belong to each resolution, by factor.
+    """
+
+    def __init__(self, places: Sequence[TilePlace], promises: NDArray[np.float64], shares: Mapping[int, float]) -> None:
+        self._factors = np.array([place.factor for place in places])
+        self._corners = np.array([(place.window.x_px, place.window.y_px) for place in places], dtype=np.float64)
+        self._reach = np.array([max(place.window.width_px, place.window.height_px) for place in places]) * _NEAR_TILES
+        self._hits, self._seen = _PRIOR_TILES * promises, np.full(len(places), _PRIOR_TILES)
+        self._waiting = np.ones(len(places), dtype=bool)
+        self._shares = dict(shares)
+        self._taken = dict.fromkeys(self._shares, 0)
+        self._spread: dict[int, list[int]] = {}
+        self._rank = np.zeros(len(places), dtype=np.intp)
+        for factor in self._shares:
+            members = np.flatnonzero(self._factors == factor)
+            ordered = members[spread_order([places[int(k)] for k in members])]
+            self._spread[factor] = [int(k) for k in ordered[::-1]]
+            self._rank[ordered] = np.arange(len(ordered))
+
+    def next_tiles(self, count: int) -> list[int]:
+        """Take the next tiles, at most so many; none when all are taken."""
+        taken: list[int] = []
+        while len(taken) < count and self._waiting.any():
+            taken.append(self._next())
+            self._waiting[taken[-1]] = False
+        return taken
+
+    def tell(self, tile: int, n_vehicles: int) -> None:
+        """Say how many vehicles a tile has shown."""
+        near = (self._factors == self._factors[tile]) & (
+            np.abs(self._corners - self._corners[tile]).max(axis=1) <= self._reach[tile]
+        )
+        self._hits[near] += min(1.0, n_vehicles / _FULL_TILE)
+        self._seen[near] += 1.0
+
+    def _next(self) -> int:
+        factor = self._next_factor()
+        self._taken[factor] += 1
+        if self._taken[factor] % _SPREAD_EVERY == 0:
+            while True:
+                tile = self._spread[factor].pop()
+                if self._waiting[tile]:
+                    return tile
+        waiting = np.flatnonzero(self._waiting & (self._factors == factor))
+        tile_prior = np.round(self._hits[waiting] / self._seen[waiting], 9)
+        best = waiting[tile_prior == tile_prior.max()]
+        return int(best[np.argmin(self._rank[best])])
+
+    def _next_factor(self) -> int:
+        """The resolution whose turn it is: the one that is furthest behind its share."""
+        open_factors = [factor for factor in self._shares if (self._waiting & (self._factors == factor)).any()]
+        return min(open_factors, key=lambda factor: ((self._taken[factor] + 1) / self._shares[factor], factor))

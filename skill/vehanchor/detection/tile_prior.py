@@ -1,0 +1,89 @@
+"""Where in a large image cars may be, by a coarse view: streets, yards and towns have edges, fields have few."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from vehanchor.imagery.raster import Window
+from vehanchor.imagery.tiles import read_preview
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.imagery.raster import Raster
+
+CELL_PX = 512
+"""Side of the cells of a promise map, pixels of the image."""
+
+_FACTOR = 8  # of the coarse view
+_CELL = CELL_PX // _FACTOR
+_BLOCK = 4 * _CELL  # of the coarse view, read at once: 2048 px of the image
+_ODDS_AT_ONE, _ODDS_PER_LOG = -7.2, 3.08  # of a car, over the log gradient: research/training/tile_prior/fit.py
+FLAT = 0.5
+"""Grey levels per pixel that are added to a gradient before its log is taken: what noise alone gives."""
+
+
+def gradient(coarse: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Tell by how much grey levels change at each pixel.
+
+    Args:
+        coarse: ``[h, w, 3]`` uint8 RGB.
+
+    Returns:
+        ``[h, w]`` grey levels per pixel.
+    """
+    grey = cv2.cvtColor(coarse, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    return np.asarray(np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8, np.float32)
+
+
+def car_prior(coarse: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Say of each cell of a coarse view how likely there are cars, by how much its grey levels change.
+
+    Args:
+        coarse: ``[h, w, 3]`` uint8 RGB at an eighth of the image's resolution.
+
+    Returns:
+        ``[ceil(h / 64), ceil(w / 64)]`` in 0..1.
+    """
+    change = gradient(coarse)
+    tops, lefts = range(0, change.shape[0], _CELL), range(0, change.shape[1], _CELL)
+    means = np.array([[change[y : y + _CELL, x : x + _CELL].mean() for x in lefts] for y in tops], dtype=np.float64)
+    return np.asarray(1 / (1 + np.exp(-(_ODDS_AT_ONE + _ODDS_PER_LOG * np.log(means + FLAT)))))
+
+
+def tile_prior_map(raster: Raster) -> NDArray[np.float64]:
+    """Say of each cell of an image how likely there are cars.
+
+    Args:
+        raster: the image, at least 8 px a side; 2048 x 2048 px of it are held at a time.
+
+    Returns:
+        ``[rows, columns]`` of cells of 512 px in 0..1.
+    """
+    width, height = raster.width_px // _FACTOR, raster.height_px // _FACTOR
+    rows = []
+    for top in range(0, height, _BLOCK):
+        parts = []
+        for left in range(0, width, _BLOCK):
+            window = Window(left, top, min(_BLOCK, width - left), min(_BLOCK, height - top))
+            parts.append(car_prior(read_preview(raster, window, _FACTOR)))
+        rows.append(np.concatenate(parts, axis=1))
+    return np.concatenate(rows)
+
+
+def tile_prior_of(cells: NDArray[np.float64], window: Window, factor: int) -> float:
+    """Average the cells that a tile touches.
+
+    Args:
+        cells: as ``tile_prior_map`` gives them.
+        window: in pixels of the image reduced by ``factor``.
+        factor: of the tile's level.
+    """
+    rows, columns = cells.shape
+    top, left = min(window.y_px * factor // CELL_PX, rows - 1), min(window.x_px * factor // CELL_PX, columns - 1)
+    bottom = -(-(window.y_px + window.height_px) * factor // CELL_PX)
+    right = -(-(window.x_px + window.width_px) * factor // CELL_PX)
+    return float(cells[top : max(bottom, top + 1), left : max(right, left + 1)].mean())

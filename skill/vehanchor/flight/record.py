@@ -1,0 +1,299 @@
+"""From the photographs of a flight to its record."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from vehanchor.estimate import model_id
+from vehanchor.flight.heights import ground_below, heights_evidence
+from vehanchor.flight.pooling import pool
+from vehanchor.flight.positions import POSITIONS, places_of
+from vehanchor.records import FlightComponent, FlightEstimate, FlightPhotograph, FlightRuler, KnownScale
+from vehanchor.scale.lengths import Z95
+from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, UNSURE_CONFIDENCE, WIDEST_USABLE
+from vehanchor.tilt.camera_tilt import known_plane
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.errors import VehAnchorError
+    from vehanchor.flight.components import Component
+    from vehanchor.flight.photograph import Photograph
+    from vehanchor.records import FlightLink, GsdEstimate, Status
+
+_MOST_ANCHORS = 3  # of a photograph, that are named
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A photograph that cannot be used.
+
+    Attributes:
+        name: as the caller named it.
+        error: why.
+    """
+
+    name: str
+    error: VehAnchorError
+
+
+class _Support(NamedTuple):
+    """One ruler seen in one member of an island."""
+
+    ruler: str
+    member: int
+    strength: float
+
+
+def conclude_flight(
+    looks: Sequence[Photograph | Failure],
+    components: Sequence[Component],
+    card: DetectorCard,
+    *,
+    same_scale: bool,
+    links: Sequence[FlightLink] = (),
+) -> FlightEstimate:
+    """Conclude from photographs in islands.
+
+    Args:
+        looks: the photographs; those that can be used are each in one island.
+        components: the largest first.
+        card: of the detector.
+        same_scale: whether the caller said that all are of one scale.
+        links: overlaps.
+
+    Returns:
+        The record.
+    """
+    positions = _positions(looks)
+    photographs: dict[int, FlightPhotograph] = {
+        place: _failed(each) for place, each in enumerate(looks) if isinstance(each, Failure)
+    }
+    pooled_islands = []
+    for number, (component, pooled) in enumerate(_pooled(looks, components)):
+        members = _members(looks, component)
+        estimate = pooled.estimate
+        pooled_islands.append(
+            FlightComponent(
+                number=number,
+                n_photographs=len(component),
+                reference=members[component.reference].name,
+                pooled=estimate,
+            )
+        )
+        anchors = _anchors(members, component, pooled)
+        for place, at in enumerate(component.members):
+            found = _photograph(members[place], component, place, number, estimate, anchors[place])
+            photographs[int(at)] = found.model_copy(update=_place(component, place, estimate, positions.get(int(at))))
+    ordered = tuple(photographs[place] for place in range(len(looks)))
+    whole = pooled_islands[0].pooled if same_scale else None
+    return FlightEstimate(
+        status=_status(ordered),
+        same_scale=same_scale,
+        gsd_m_per_px=whole.gsd_m_per_px if whole else None,
+        gsd_ci95_low_m_per_px=whole.gsd_ci95_low_m_per_px if whole else None,
+        gsd_ci95_high_m_per_px=whole.gsd_ci95_high_m_per_px if whole else None,
+        confidence=min(each.confidence for each in ordered if each.confidence is not None),
+        n_vehicles=sum(each.pooled.n_vehicles for each in pooled_islands),
+        photographs=ordered,
+        components=tuple(pooled_islands),
+        links=tuple(links),
+        model=card.name,
+        model_sha256=card.sha256,
+        warnings=whole.warnings if whole else (),
+    )
+
+
+def _members(looks: Sequence[Photograph | Failure], component: Component) -> list[Photograph]:
+    return [look for place in component.members if not isinstance(look := looks[place], Failure)]
+
+
+def _pooled(
+    looks: Sequence[Photograph | Failure], components: Sequence[Component]
+) -> list[tuple[Component, ScaleAnalysis]]:
+    """Each island with what all of its evidence says; one without any hangs on the ground below the others."""
+    found, grounds = [], []
+    for component in components:
+        members = _members(looks, component)
+        pooled = pool(members, component.log_scales, component.reference, component.extra)
+        found.append((component, pooled))
+        if members[0].view.options.rulers.uses(POSITIONS):
+            grounds.append(ground_below(members, component.offsets, pooled.estimate))
+    known = [ground for ground in grounds if ground is not None]
+    for place, (component, pooled) in enumerate(found if known else ()):
+        if pooled.estimate.gsd_m_per_px is None:
+            members = _members(looks, component)
+            by_height = replace(
+                component, extra=(*component.extra, *heights_evidence(known, members, component.offsets))
+            )
+            found[place] = by_height, pool(members, component.log_scales, component.reference, by_height.extra)
+    return found
+
+
+def _positions(looks: Sequence[Photograph | Failure]) -> dict[int, tuple[float, float]]:
+    """Places by metadata, metres, of those photographs that have one."""
+    usable = [(place, look) for place, look in enumerate(looks) if not isinstance(look, Failure)]
+    if not usable or not usable[0][1].view.options.rulers.uses(POSITIONS):
+        return {}
+    places = places_of([look.view.image for _, look in usable])
+    if places is None:
+        return {}
+    return {
+        place: (float(east), float(north))
+        for (place, _), (east, north) in zip(usable, places, strict=True)
+        if math.isfinite(east)
+    }
+
+
+def _place(
+    component: Component, place: int, pooled: GsdEstimate, position: tuple[float, float] | None
+) -> dict[str, float | str]:
+    """Where a photograph was taken, as fields of its record; nothing where nobody knows."""
+    if position is not None:
+        return {"east_m": position[0], "north_m": position[1], "placed_by": "positions"}
+    if component.layout is None or pooled.gsd_m_per_px is None or len(component) < 2:
+        return {}
+    lies = complex(component.layout[place]) * pooled.gsd_m_per_px
+    return {"east_m": lies.real, "north_m": -lies.imag, "placed_by": "overlaps"}
+
+
+def _failed(failure: Failure) -> FlightPhotograph:
+    return FlightPhotograph(
+        photograph=failure.name,
+        status="error",
+        gsd_m_per_px=None,
+        gsd_ci95_low_m_per_px=None,
+        gsd_ci95_high_m_per_px=None,
+        confidence=None,
+        component=None,
+        supported_by=(),
+        scale=None,
+        east_m=None,
+        north_m=None,
+        placed_by=None,
+        own=None,
+        error_code=failure.error.code,
+        error=str(failure.error),
+    )
+
+
+def _photograph(
+    photograph: Photograph,
+    component: Component,
+    place: int,
+    number: int,
+    pooled: GsdEstimate,
+    anchors: tuple[FlightRuler, ...],
+) -> FlightPhotograph:
+    """The island's scale, carried over to one of its photographs."""
+    gsd = low = high = None
+    status, confidence = pooled.status, pooled.confidence
+    if pooled.gsd_m_per_px is not None:
+        gsd = pooled.gsd_m_per_px * math.exp(component.offsets[place])
+        carried = Z95 * float(component.log_sds[place])
+        if pooled.gsd_ci95_low_m_per_px and pooled.gsd_ci95_high_m_per_px:
+            down = math.log(pooled.gsd_m_per_px / pooled.gsd_ci95_low_m_per_px)
+            up = math.log(pooled.gsd_ci95_high_m_per_px / pooled.gsd_m_per_px)
+            low, high = gsd * math.exp(-math.hypot(down, carried)), gsd * math.exp(math.hypot(up, carried))
+            if high > WIDEST_USABLE * low:
+                confidence = min(confidence, UNSURE_CONFIDENCE)
+        status = "ok" if status == "ok" and confidence >= FALLBACK_CONFIDENCE else "low_confidence"
+    return FlightPhotograph(
+        photograph=photograph.name,
+        status=status,
+        gsd_m_per_px=gsd,
+        gsd_ci95_low_m_per_px=low,
+        gsd_ci95_high_m_per_px=high,
+        confidence=confidence,
+        component=number,
+        supported_by=anchors,
+        scale=_given_back(photograph, gsd, low, high, confidence),
+        east_m=None,
+        north_m=None,
+        placed_by=None,
+        own=photograph.analysis.estimate,
+        error_code=None,
+        error=None,
+    )
+
+
+def _given_back(
+    photograph: Photograph, gsd: float | None, low: float | None, high: float | None, confidence: float
+) -> KnownScale | None:
+    image_id, tilt = photograph.view.image.image_id, photograph.analysis.estimate.tilt
+    if gsd is None or low is None or high is None or not image_id:
+        return None
+    return KnownScale(
+        gsd_m_per_px=gsd,
+        gsd_ci95_low_m_per_px=low,
+        gsd_ci95_high_m_per_px=high,
+        confidence=confidence,
+        image_id=image_id,
+        model_id=model_id(photograph.view.card),
+        plane=None if tilt is None else known_plane(tilt.tilt_deg, tilt.roll_deg, tilt.focal_length_px),
+    )
+
+
+def _status(photographs: Sequence[FlightPhotograph]) -> Status:
+    said = [each.status for each in photographs if each.status != "error"]
+    if all(status == "no_scale" for status in said):
+        return "no_scale"
+    return "ok" if all(status == "ok" for status in said) else "low_confidence"
+
+
+def _anchors(
+    members: Sequence[Photograph], component: Component, pooled: ScaleAnalysis
+) -> list[tuple[FlightRuler, ...]]:
+    """For each member what it hangs on: its own rulers, those of the nearest that has some, and the strongest."""
+    supports = _supports(members, component, pooled)
+    for ruler in (each for each in component.extra if each.gsd_m_per_px is not None):
+        supports += [_Support(ruler.kind, place, 0.0) for place in range(len(members))]
+    if not supports:
+        return [()] * len(members)
+    by_member: dict[int, list[_Support]] = {}
+    for support in sorted(supports, key=lambda each: -each.strength):
+        by_member.setdefault(support.member, []).append(support)
+    nearest = component.paths(sorted(by_member))
+    strongest = max(supports, key=lambda each: each.strength).member
+    to_strongest = component.paths([strongest])
+    named = []
+    for place in range(len(members)):
+        chosen: dict[tuple[str, int], FlightRuler] = {}
+        for way in (nearest[place], to_strongest[place]):
+            if way is None:
+                continue
+            for support in by_member[way[0]]:
+                through = tuple(members[each].name for each in way[1])
+                anchor = FlightRuler(ruler=support.ruler, photograph=members[way[0]].name, through=through)
+                chosen.setdefault((support.ruler, way[0]), anchor)
+        named.append(tuple(chosen.values())[:_MOST_ANCHORS])
+    return named
+
+
+def _supports(members: Sequence[Photograph], component: Component, pooled: ScaleAnalysis) -> list[_Support]:
+    """The rulers that bear the island's scale, and in which of its photographs they were seen."""
+    supports = []
+    lengths = pooled.vehicles.fleet.lengths
+    for place, member in enumerate(members):
+        detections = member.measured
+        own = detections.boxes[:, 2] * math.exp(component.offsets[place])
+        among: NDArray[np.bool_] = (
+            (own >= lengths.min()) & (own <= lengths.max()) if len(lengths) else np.zeros(len(own), dtype=bool)
+        )
+        strength = float((detections.scores[among] ** 2).sum())
+        if strength > 0:
+            supports.append(_Support("vehicles", place, strength))
+        supports += [
+            _Support(other.kind, place, other.confidence)
+            for other in member.analysis.others
+            if other.gsd_m_per_px is not None and other.confidence > 0
+        ]
+    return supports

@@ -1,0 +1,113 @@
+"""Decoding of whole images with OpenCV, after their headers have been checked."""
+
+from __future__ import annotations
+
+import re
+import threading
+from contextlib import contextmanager
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from vehanchor.errors import ImageDecodeError, OutOfMemoryError
+from vehanchor.imagery.formats.header import without_ancillary_chunks
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from vehanchor.imagery.formats.header import ImageHeader, TiffLayout
+
+_SILENT = 0
+_NO_MEMORY = -4  # cv::Error::StsNoMem
+
+
+def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
+    """Decode an image to ``[h, w]`` or ``[h, w, 3 or 4]`` in BGR order, in its stored depth.
+
+    OpenCV applies the orientation tag of TIFFs even with IMREAD_UNCHANGED, but not that of other formats.
+
+    Args:
+        data: the encoded image.
+        source: name of the image in messages.
+        header: its header.
+
+    Raises:
+        ImageDecodeError: the image is truncated or damaged.
+        OutOfMemoryError: the machine has too little free memory.
+    """
+    if not header.complete:
+        raise ImageDecodeError(f"the {header.format} ({source}) is truncated: its end mark is missing")
+    if header.format == "PNG":
+        data = without_ancillary_chunks(data)
+    if header.format == "AVIF" and not _decodes_avif():
+        raise ImageDecodeError(
+            f"OpenCV {cv2.__version__} was built without AVIF ({source}): pip install -U opencv-python-headless, or "
+            "convert the image to JPEG"
+        )
+    try:
+        with _QUIET_OPENCV.entered():
+            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except (cv2.error, MemoryError) as error:
+        if isinstance(error, MemoryError) or error.code == _NO_MEMORY:
+            size = f"{header.width_px} x {header.height_px} px"
+            raise OutOfMemoryError(f"not enough memory for the {header.format} of {size}: try again later") from error
+        raise ImageDecodeError(f"the {header.format} ({source}) cannot be decoded: {error.err}") from error
+    # Every OpenCV can return None; the type stubs of older versions omit it.
+    if pixels is None or sorted(pixels.shape[:2]) != sorted((header.height_px, header.width_px)):
+        raise ImageDecodeError(f"the {header.format} ({source}) cannot be decoded: truncated or damaged")
+    return pixels
+
+
+def decodes_tiff(layout: TiffLayout) -> bool:
+    """Test whether OpenCV decodes a TIFF of this layout correctly and without loss."""
+    if layout.bands not in (1, 3, 4) or layout.planar:
+        return False
+    bits = set(layout.bits)
+    if layout.sample_format == 3:
+        return bits in ({32}, {64}) and layout.photometric in (1, 2)
+    white_is_zero = layout.photometric == 0 and bits in ({1}, {8})
+    return (
+        layout.sample_format == 1 and bits in ({1}, {8}, {16}) and (white_is_zero or layout.photometric in (1, 2, 3, 6))
+    )
+
+
+@cache
+def _decodes_avif() -> bool:
+    """Test whether this build of OpenCV includes an AVIF decoder."""
+    return re.search(r"AVIF:\s+(?!NO)\S", cv2.getBuildInformation()) is not None
+
+
+class _QuietOpenCV:
+    """Silence of OpenCV's log while it decodes, because our own errors report the problem.
+
+    The log level belongs to the whole process. The first of several decoding threads sets it and the last one restores
+    it, unless other code has changed it meanwhile.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._n_inside = 0
+        self._before = _SILENT
+
+    @contextmanager
+    def entered(self) -> Iterator[None]:
+        """Silence the log until the last thread leaves."""
+        logging: Any = getattr(cv2.utils, "logging", cv2)  # OpenCV 5 moved the functions
+        with self._lock:
+            if self._n_inside == 0:
+                self._before = logging.setLogLevel(_SILENT)
+            self._n_inside += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._n_inside -= 1
+                if self._n_inside == 0 and logging.getLogLevel() == _SILENT:
+                    logging.setLogLevel(self._before)
+
+
+_QUIET_OPENCV = _QuietOpenCV()

@@ -1,0 +1,356 @@
+"""Headers of image files, read without decoding pixels.
+
+Limits must be checked before a decoder allocates memory. OpenCV does not report the orientation and, in some versions,
+not even a truncated JPEG. A TIFF's tags decide whether OpenCV can decode it.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from vehanchor.errors import ImageDecodeError, ImageTooLargeError
+from vehanchor.imagery.formats.avif import is_avif, read_avif_size
+from vehanchor.imagery.formats.ifd import (
+    MAX_VALUES,
+    TAG_ORIENTATION,
+    TIFF_SIGNATURES,
+    ReadAt,
+    exif_orientation,
+    later_directories,
+    orientation_of,
+    read_ifd,
+)
+from vehanchor.imagery.formats.jpeg import EXIF_PREFIX, MAX_SEGMENTS, Reader, read_jpeg_markers
+from vehanchor.imagery.formats.jpeg2000 import is_jpeg2000, read_jpeg2000_size
+
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_PNG_BANDS = {0: 1, 2: 3}  # grey and RGB; all others, and these with transparency, can become four
+_KEPT_CHUNKS = frozenset({b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"})
+_MAX_PNG_CHUNKS = 100_000  # 512 MiB in chunks of 8 KiB, as libpng writes them, would be 65,536
+_COPIES = 2  # OpenCV 5 copies the decoded image before it returns it (measured)
+_AV1_FRAME_BYTES = 2  # AV1's decoded frame of 8 bits, with colours at half the resolution
+_TIFF_PIXEL_BYTES = 4  # OpenCV decodes up to 8 bits to four bands
+_MAX_EXIF_BYTES = 1 << 16  # the first directory, with the orientation, is at the start; JPEG allows no more
+
+_TAG_WIDTH, _TAG_HEIGHT, _TAG_BITS, _TAG_PHOTOMETRIC = 256, 257, 258, 262
+_TAG_SUBFILE, _SUBFILE_MASK = 254, 4
+_TAG_SAMPLES, _TAG_ROWS_PER_STRIP, _TAG_PLANAR, _TAG_SAMPLE_FORMAT = 277, 278, 284, 339
+_TAG_TILE_WIDTH, _TAG_TILE_HEIGHT = 322, 323
+_GEO_TAGS = frozenset({33550, 34264, 34735})  # ModelPixelScale, ModelTransformation, GeoKeyDirectory
+_TAGS_OF_BANDS = frozenset({_TAG_BITS, _TAG_SAMPLE_FORMAT})  # a value for each band
+_TAGS_OF_ONE = frozenset(
+    {
+        _TAG_WIDTH,
+        _TAG_HEIGHT,
+        _TAG_PHOTOMETRIC,
+        TAG_ORIENTATION,
+        _TAG_SAMPLES,
+        _TAG_ROWS_PER_STRIP,
+        _TAG_PLANAR,
+        _TAG_TILE_WIDTH,
+        _TAG_TILE_HEIGHT,
+    }
+)
+
+
+@dataclass(frozen=True)
+class TiffLayout:
+    """Storage layout of a TIFF.
+
+    Attributes:
+        bands: samples per pixel.
+        bits: bits of each band.
+        sample_format: 1 unsigned, 2 signed, 3 float.
+        photometric: 0 white is zero, 1 black is zero, 2 RGB, 3 palette, 5 CMYK, 6 YCbCr, 8 Lab.
+        planar: whether bands are stored one after the other.
+        georeferenced: whether it has GeoTIFF tags.
+        block_px: pixels of a strip or tile, which is decoded whole.
+        mask_block_px: pixels of a strip or tile of its mask; 0 without one.
+    """
+
+    bands: int
+    bits: tuple[int, ...]
+    sample_format: int
+    photometric: int
+    planar: bool
+    georeferenced: bool
+    block_px: int
+    mask_block_px: int
+
+    @property
+    def pixel_bytes(self) -> int:
+        """Bytes of a decoded pixel with all bands."""
+        return self.bands * next((size for size in (1, 2, 4) if max(self.bits) <= 8 * size), 8)
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """Header of an encoded image.
+
+    Attributes:
+        format: JPEG, PNG, TIFF, WebP, AVIF, JPEG 2000, HEIC or BMP.
+        width_px: declared width as stored, before the orientation is applied.
+        height_px: declared height as stored.
+        orientation: EXIF orientation, 1 to 8; 1 if it is absent or invalid.
+        complete: False if the file ends before its end marker (known for JPEG, PNG, WebP, AVIF).
+        tiff: layout of a TIFF; None for other formats.
+        decoding_bytes: memory to decode it whole: its pixels and the decoder's buffers.
+        n_scans: passes of the decoder over the whole image; more than 1 for some JPEGs.
+        windowed: whether it can be read by windows: a TIFF, JPEG 2000 or sequential JPEG.
+        tile_px: pixels of a JPEG 2000's tile, which is decoded whole; 0 for other formats.
+        bands: samples per pixel of a JPEG 2000; 0 for other formats.
+    """
+
+    format: str
+    width_px: int
+    height_px: int
+    orientation: int = 1
+    complete: bool = True
+    tiff: TiffLayout | None = None
+    decoding_bytes: int = 0
+    n_scans: int = 1
+    windowed: bool = False
+    tile_px: int = 0
+    bands: int = 0
+
+
+def is_tiff(start: bytes) -> bool:
+    """Test whether a file that begins with these bytes (at least four) is a TIFF or BigTIFF."""
+    return start[:4] in TIFF_SIGNATURES
+
+
+def read_header(read_at: ReadAt) -> ImageHeader:
+    """Read format, declared size, orientation and completeness.
+
+    Raises:
+        ImageDecodeError: the format is unknown, or the header is damaged.
+    """
+    start = read_at(0, 32)
+    if start.startswith(b"\xff\xd8\xff"):
+        name, parse = "JPEG", _read_jpeg
+    elif start.startswith(_PNG_SIGNATURE):
+        name, parse = "PNG", _read_png
+    elif is_tiff(start):
+        name, parse = "TIFF", _read_tiff
+    elif start.startswith(b"RIFF") and start[8:12] == b"WEBP":
+        name, parse = "WebP", _read_webp
+    elif start.startswith(b"BM"):
+        name, parse = "BMP", _read_bmp
+    elif is_avif(start):
+        name, parse = "AVIF", _read_avif
+    elif is_jpeg2000(start):
+        name, parse = "JPEG 2000", _read_jpeg2000
+    else:
+        raise ImageDecodeError(f"not a JPEG, PNG, TIFF, WebP, AVIF, JPEG 2000, HEIC or BMP image: {_advice(start)}")
+    try:
+        return parse(read_at)
+    except struct.error:
+        raise ImageDecodeError(f"the {name} ends within its header: truncated") from None
+
+
+_ADVICE = (  # offset and first bytes of common unsupported formats, and what to do with them
+    (0, b"GIF8", "a GIF has at most 256 colours; send the original photograph"),
+    (0, b"%PDF", "this is a PDF; extract its images with 'pdfimages -all FILE OUT' and send one"),
+    (4, b"ftypmif1", "its images are neither AVIF nor HEIC; convert them to JPEG"),
+    (4, b"ftyphe", "this is a HEIC sequence; save one image as JPEG and send that"),
+    (4, b"ftypavis", "this is an animation; save one frame as PNG and send that"),
+    (4, b"ftyp", _VIDEO := "this is a video; save a frame with 'ffmpeg -i FILE -frames:v 1 OUT.png' and send that"),
+    (8, b"AVI ", _VIDEO),
+    (0, b"\x1a\x45\xdf\xa3", _VIDEO),
+)
+
+
+def _advice(start: bytes) -> str:
+    advice = next((words for at, mark, words in _ADVICE if start[at : at + len(mark)] == mark), None)
+    return advice or f"it starts with {start[:8]!r}"
+
+
+def _read_jpeg(read_at: ReadAt) -> ImageHeader:
+    markers = read_jpeg_markers(read_at)
+    shown = 1 if markers.components == 1 else 3
+    held = 2 * markers.components if markers.held else 0  # 16-bit coefficients
+    return ImageHeader(
+        "JPEG",
+        markers.width_px,
+        markers.height_px,
+        orientation=markers.orientation,
+        complete=markers.complete,
+        decoding_bytes=markers.width_px * markers.height_px * max(_COPIES * shown, shown + held),
+        n_scans=markers.n_scans,
+        windowed=not markers.held,
+    )
+
+
+def _read_png(read_at: ReadAt) -> ImageHeader:
+    length, kind, width, height, depth, colour = struct.unpack(">I4sIIBB", read_at(8, 18))
+    if kind != b"IHDR" or length != 13:
+        raise ImageDecodeError("the PNG does not begin with its IHDR chunk: damaged")
+    reader = Reader(read_at)
+    orientation = 1
+    complete = False
+    position = 8
+    n_chunks = 0
+    while len(head := reader.get(position, 8)) == 8:
+        n_chunks += 1
+        if n_chunks > _MAX_PNG_CHUNKS:
+            raise ImageTooLargeError(f"the PNG has more than {_MAX_PNG_CHUNKS} chunks; save it again")
+        length, kind = struct.unpack(">I4s", head)
+        if kind == b"IHDR" and n_chunks > 1:
+            raise ImageDecodeError("the PNG declares its size twice: damaged")
+        if kind == b"IEND":
+            complete = length == 0 and len(reader.get(position + 8, 4)) == 4  # OpenCV allocates any length
+            break
+        if kind == b"eXIf":
+            orientation = exif_orientation(read_at(position + 8, min(length, _MAX_EXIF_BYTES)))
+        position += length + 12
+    pixel_bytes = _PNG_BANDS.get(colour, 4) * (2 if depth == 16 else 1)
+    return ImageHeader(
+        "PNG",
+        width,
+        height,
+        orientation=orientation,
+        complete=complete,
+        decoding_bytes=_COPIES * width * height * pixel_bytes,
+    )
+
+
+def without_ancillary_chunks(png: bytes) -> bytes:
+    """Remove texts, profiles and animation from a PNG whose header has been checked.
+
+    libpng would unpack a thousand texts of 8 MB, compressed a thousandfold, and write a line to stderr for every chunk
+    that it rejects.
+    """
+    parts = [png[:8]]
+    start = position = 8
+    while len(head := png[position : position + 8]) == 8:
+        length, kind = struct.unpack(">I4s", head)
+        after = position + length + 12
+        if kind not in _KEPT_CHUNKS:
+            parts.append(png[start:position])
+            start = after
+        position = after
+        if kind == b"IEND":
+            break
+    return b"".join([*parts, png[start:position]]) if len(parts) > 1 else png
+
+
+def _read_webp(read_at: ReadAt) -> ImageHeader:
+    (riff_bytes,) = struct.unpack("<I", read_at(4, 4))
+    end = riff_bytes + 8
+    complete = len(read_at(end - 1, 1)) == 1
+    sizes: set[tuple[int, int]] = set()
+    orientation = 1
+    reader = Reader(read_at)
+    position = 12
+    n_chunks = 0
+    while position < end and len(head := reader.get(position, 8)) == 8:
+        n_chunks += 1
+        if n_chunks > MAX_SEGMENTS:
+            raise ImageTooLargeError(f"the WebP has more than {MAX_SEGMENTS} chunks; save it again")
+        kind, length = struct.unpack("<4sI", head)
+        body = reader.get(position + 8, 10)
+        if kind == b"VP8X":
+            sizes.add((1 + int.from_bytes(body[4:7], "little"), 1 + int.from_bytes(body[7:10], "little")))
+        elif kind == b"VP8 ":
+            width, height = struct.unpack_from("<HH", body, 6)
+            sizes.add((width & 0x3FFF, height & 0x3FFF))
+        elif kind == b"VP8L":
+            (packed,) = struct.unpack_from("<I", body, 1)
+            sizes.add((1 + (packed & 0x3FFF), 1 + (packed >> 14 & 0x3FFF)))
+        elif kind == b"EXIF":
+            payload = read_at(position + 8, min(length, _MAX_EXIF_BYTES))
+            orientation = exif_orientation(payload.removeprefix(EXIF_PREFIX))
+        position += 8 + length + (length & 1)
+    if len(sizes) != 1:
+        found = "two different sizes: damaged" if sizes else "no image chunk: truncated or damaged"
+        raise ImageDecodeError(f"the WebP holds {found}")
+    ((width, height),) = sizes
+    decoding_bytes = _COPIES * 4 * width * height
+    return ImageHeader("WebP", width, height, orientation=orientation, complete=complete, decoding_bytes=decoding_bytes)
+
+
+def _read_bmp(read_at: ReadAt) -> ImageHeader:
+    (header_bytes,) = struct.unpack("<I", read_at(14, 4))
+    if header_bytes == 12:  # OS/2
+        width, height = struct.unpack("<HH", read_at(18, 4))
+    else:
+        width, height = struct.unpack("<ii", read_at(18, 8))
+    width, height = abs(width), abs(height)  # a negative height means top-down rows
+    return ImageHeader("BMP", width, height, decoding_bytes=_COPIES * 4 * width * height)
+
+
+def _read_avif(read_at: ReadAt) -> ImageHeader:
+    size = read_avif_size(read_at)
+    return ImageHeader(
+        "AVIF",
+        size.width_px,
+        size.height_px,
+        orientation=size.orientation,
+        complete=size.complete,
+        decoding_bytes=(_COPIES * 4 + _AV1_FRAME_BYTES) * (2 if size.deep else 1) * size.decoded_px,
+    )
+
+
+def _read_jpeg2000(read_at: ReadAt) -> ImageHeader:
+    size = read_jpeg2000_size(read_at)
+    return ImageHeader(
+        "JPEG 2000", size.width_px, size.height_px, windowed=True, tile_px=size.tile_px, bands=size.bands
+    )
+
+
+def _read_tiff(read_at: ReadAt) -> ImageHeader:
+    tags = read_ifd(read_at, _TAGS_OF_ONE | _TAGS_OF_BANDS, _GEO_TAGS)
+    if _TAG_WIDTH not in tags or _TAG_HEIGHT not in tags:
+        raise ImageDecodeError("the TIFF's first directory declares no width and height: damaged")
+    repeated = [tag for tag in _TAGS_OF_ONE if len(tags.get(tag, (0,))) != 1]
+    if repeated:
+        raise ImageDecodeError(f"the TIFF's tag {repeated[0]} has several values instead of one: damaged")
+    (width,), (height,), (bands,) = tags[_TAG_WIDTH], tags[_TAG_HEIGHT], tags.get(_TAG_SAMPLES, (1,))
+    for tag in _TAGS_OF_BANDS:
+        if len(tags.get(tag, (0,))) not in (1, min(bands, MAX_VALUES)):
+            raise ImageDecodeError(f"the TIFF's tag {tag} has {len(tags[tag])} values for {bands} bands: damaged")
+    layout = TiffLayout(
+        bands=bands,
+        bits=tags.get(_TAG_BITS, (1,)),
+        sample_format=tags.get(_TAG_SAMPLE_FORMAT, (1,))[0],
+        photometric=tags.get(_TAG_PHOTOMETRIC, (1,))[0],
+        planar=tags.get(_TAG_PLANAR, (1,))[0] == 2,
+        georeferenced=not _GEO_TAGS.isdisjoint(tags),
+        block_px=_block_px(tags, width, height),
+        mask_block_px=_mask_block_px(read_at),
+    )
+    pixel_bytes = max(_TIFF_PIXEL_BYTES, layout.pixel_bytes)
+    return ImageHeader(
+        "TIFF",
+        width,
+        height,
+        orientation=orientation_of(tags),
+        tiff=layout,
+        windowed=True,
+        decoding_bytes=(width * height + max(width * height, layout.block_px)) * pixel_bytes,
+    )
+
+
+def _mask_block_px(read_at: ReadAt) -> int:
+    """Compute the pixels of the largest strip or tile of a mask, which has its own directory; 0 without one."""
+    largest = 0
+    for offset in later_directories(read_at):
+        (kind, *_) = read_ifd(read_at, frozenset({_TAG_SUBFILE}), offset=offset).get(_TAG_SUBFILE, (0,))
+        if kind & _SUBFILE_MASK:
+            tags = read_ifd(read_at, _TAGS_OF_ONE, offset=offset)
+            (width, *_), (height, *_) = tags.get(_TAG_WIDTH, (0,)), tags.get(_TAG_HEIGHT, (0,))
+            largest = max(largest, _block_px(tags, width, height))
+    return largest
+
+
+def _block_px(tags: dict[int, tuple[int, ...]], width: int, height: int) -> int:
+    """Compute the pixels of a strip or tile; the larger if both are declared."""
+    (rows,) = tags.get(_TAG_ROWS_PER_STRIP, (height,))
+    strip_px = width * min(rows, height)
+    if _TAG_TILE_WIDTH not in tags and _TAG_TILE_HEIGHT not in tags:
+        return strip_px
+    if _TAG_TILE_WIDTH not in tags or _TAG_TILE_HEIGHT not in tags:
+        raise ImageDecodeError("the TIFF declares only one side of its tiles: damaged")
+    tile_px = tags[_TAG_TILE_WIDTH][0] * tags[_TAG_TILE_HEIGHT][0]
+    return max(tile_px, strip_px) if _TAG_ROWS_PER_STRIP in tags else tile_px

@@ -1,0 +1,75 @@
+"""HEIC files of phones, decoded with libheif (extra ``heic``)."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vehanchor.errors import ImageDecodeError, MissingExtraError, OutOfMemoryError, VehAnchorError
+from vehanchor.imagery.formats.header import ImageHeader
+from vehanchor.imagery.limits import check_header
+from vehanchor.imagery.sources.arrays import ArrayRaster
+
+if TYPE_CHECKING:
+    from vehanchor.imagery.bands import BandChoice
+    from vehanchor.imagery.raster import Raster
+    from vehanchor.options import ImageLimits
+
+_BRANDS = frozenset({b"heic", b"heix"})  # still images in HEVC; hevc and hevx are sequences
+_ANY_STILL = frozenset({b"mif1"})
+_BRAND_LIST_BYTES = 32  # bytes of the brand list to read
+_BYTES_PER_PIXEL = 12  # two 16-bit planes of HEVC's colours, and RGB with alpha twice
+
+
+def is_heic(start: bytes) -> bool:
+    """Test whether a file that begins with these 32 bytes is a still HEIC."""
+    if start[4:8] != b"ftyp":
+        return False
+    compatible = {start[at : at + 4] for at in range(16, min(int.from_bytes(start[:4]), _BRAND_LIST_BYTES), 4)}
+    return start[8:12] in _BRANDS or (start[8:12] in _ANY_STILL and not _BRANDS.isdisjoint(compatible))
+
+
+def open_heic(data: bytes, source: str, bands: BandChoice, limits: ImageLimits) -> Raster:
+    """Decode a HEIC; libheif applies its orientation.
+
+    Args:
+        data: the file.
+        source: name of the image in messages.
+        bands: bands to use as red, green and blue.
+        limits: limits to apply to the declared size before decoding.
+
+    Raises:
+        MissingExtraError: neither pillow-heif nor pi-heif is installed.
+        ImageTooLargeError: the image declares too many pixels.
+        ImageDecodeError: the image is truncated or damaged.
+        ImageFormatError: the image cannot be measured.
+    """
+    heif = _import_heif(source)
+    try:
+        image = heif.open_heif(io.BytesIO(data))
+        width_px, height_px = image.size
+        decoding_bytes = width_px * height_px * _BYTES_PER_PIXEL
+        check_header(ImageHeader("HEIC", width_px, height_px, decoding_bytes=decoding_bytes), limits)
+        pixels = np.asarray(image)
+    except MemoryError as error:
+        raise OutOfMemoryError(f"not enough memory for the HEIC ({source}): try again later") from error
+    except (ValueError, RuntimeError, EOFError, OSError, SyntaxError) as error:
+        if isinstance(error, VehAnchorError):
+            raise
+        raise ImageDecodeError(f"the HEIC ({source}) cannot be decoded: {error}") from error
+    return ArrayRaster(pixels, source, bands)
+
+
+def _import_heif(source: str) -> Any:
+    try:
+        import pillow_heif as heif
+    except ImportError:
+        try:
+            import pi_heif as heif
+        except ImportError:
+            raise MissingExtraError(
+                f"reading a HEIC ({source}) needs pi-heif: pip install 'vehanchor[heic]', or convert it to JPEG"
+            ) from None
+    return heif

@@ -1,0 +1,135 @@
+"""Markers of a JPEG, read in one pass in time proportional to its size.
+
+A marker costs an attacker two bytes, a scan over the whole image four. The reader counts both and refuses too many.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from typing import NamedTuple
+
+from vehanchor.errors import ImageDecodeError, ImageTooLargeError
+from vehanchor.imagery.formats.ifd import ReadAt, exif_orientation
+
+MAX_SCANS = 100
+"""Most scans; each is decoded over the whole image. libjpeg writes 10 in a progressive JPEG, mozjpeg up to 25."""
+
+MAX_SEGMENTS = 10_000
+"""Most segments; 512 MiB of metadata in segments of 64 KiB, the largest possible, are 8,192."""
+
+EXIF_PREFIX = b"Exif\0\0"
+_CHUNK_BYTES = 1 << 16
+_SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # DHT, JPG and DAC share the range
+_SOF_ONE_PASS = frozenset({0xC0, 0xC1, 0xC3, 0xC9, 0xCB})  # sequential and lossless; all others refine earlier scans
+_STANDALONE = frozenset({0x01, *range(0xD0, 0xD8)})  # TEM and RSTn carry no length
+_SOS, _EOI, _APP1, _STUFFING = 0xDA, 0xD9, 0xE1, 0x00
+# In entropy-coded data, 0 (stuffing), a restart marker or a fill byte follows 0xFF; anything else is a marker.
+_MARKER_IN_SCAN = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
+_AFTER_FILL = re.compile(rb"\xff[^\xff]")
+
+
+class JpegMarkers(NamedTuple):
+    """Declarations in a JPEG's markers.
+
+    Attributes:
+        width_px: declared width as stored.
+        height_px: declared height as stored.
+        components: colour components.
+        n_scans: scans, each decoded over the whole image.
+        held: whether the decoder holds the coefficients of the whole image.
+        orientation: EXIF orientation, 1 to 8.
+        complete: whether the end marker is present.
+    """
+
+    width_px: int
+    height_px: int
+    components: int
+    n_scans: int
+    held: bool
+    orientation: int
+    complete: bool
+
+
+class Reader:
+    """Buffered reader of a file's bytes by position; makes many small sequential reads cheap."""
+
+    def __init__(self, read_at: ReadAt) -> None:
+        self._read_at = read_at
+        self._start = 0
+        self._chunk = b""
+
+    def get(self, position: int, count: int) -> bytes:
+        """Read ``count`` bytes from a position, fewer only at the end of the file."""
+        offset = position - self._start
+        if offset >= 0 and offset + count <= len(self._chunk):
+            return self._chunk[offset : offset + count]
+        if count > _CHUNK_BYTES:
+            return self._read_at(position, count)
+        self._start, self._chunk = position, self._read_at(position, _CHUNK_BYTES)
+        return self._chunk[:count]
+
+    def find(self, pair: re.Pattern[bytes], position: int) -> int:
+        """Find the first match of a two-byte pattern from a position on; the end of the file if there is none."""
+        while True:
+            if len(self.get(position, 2)) < 2:
+                return position + len(self._chunk[position - self._start :])
+            found = pair.search(self._chunk, position - self._start)
+            if found:
+                return self._start + found.start()
+            position = self._start + len(self._chunk) - 1  # a match may straddle two chunks
+
+
+def read_jpeg_markers(read_at: ReadAt) -> JpegMarkers:
+    """Read a JPEG's markers.
+
+    Raises:
+        ImageDecodeError: the file has no frame header, or more than one.
+        ImageTooLargeError: the file has more segments or scans than an image needs.
+        struct.error: the file ends within the frame header.
+    """
+    reader = Reader(read_at)
+    frame: tuple[int, int, int, int] | None = None
+    orientation, complete = 1, False
+    n_segments = n_scans = 0
+    position = 2
+    while True:
+        start = reader.get(position, 2)
+        if len(start) < 2 or start[0] != 0xFF:
+            break
+        marker = start[1]
+        if marker == 0xFF:  # fill bytes
+            position = reader.find(_AFTER_FILL, position)
+            continue
+        if marker in (_EOI, _STUFFING):  # some decoders skip stuffing byte by byte, others read it as a segment
+            complete = marker == _EOI
+            break
+        n_segments += 1
+        if n_segments > MAX_SEGMENTS:
+            raise ImageTooLargeError(f"the JPEG has more than {MAX_SEGMENTS} segments; save it again without metadata")
+        position += 2
+        if marker in _STANDALONE:
+            continue
+        head = reader.get(position, 8)
+        length = int.from_bytes(head[:2], "big")
+        if len(head) < 2 or length < 2:
+            break
+        if marker in _SOF:
+            if frame is not None:
+                raise ImageDecodeError("the JPEG has two frame headers: damaged")
+            frame = (marker, *struct.unpack_from(">HHB", head, 3))
+        elif marker == _APP1 and head[2:8] == EXIF_PREFIX:
+            orientation = exif_orientation(reader.get(position + 8, length - 8))
+        position += length
+        if marker == _SOS:
+            n_scans += 1
+            if n_scans > MAX_SCANS:
+                raise ImageTooLargeError(
+                    f"the JPEG has more than {MAX_SCANS} scans, each covering the whole image; save it again"
+                )
+            position = reader.find(_MARKER_IN_SCAN, position)
+    if frame is None:
+        raise ImageDecodeError("the JPEG has no frame header: truncated or damaged")
+    kind, height, width, components = frame
+    held = kind not in _SOF_ONE_PASS or n_scans > 1
+    return JpegMarkers(width, height, components, n_scans, held, orientation, complete)

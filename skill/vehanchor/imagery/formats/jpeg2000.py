@@ -1,0 +1,71 @@
+"""Header of a JPEG 2000: the sizes of its image and of its tiles."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, NamedTuple
+
+from vehanchor.errors import ImageDecodeError, ImageTooLargeError
+
+if TYPE_CHECKING:
+    from vehanchor.imagery.formats.ifd import ReadAt
+
+_SIGNATURE = b"\x00\x00\x00\x0cjP  \r\n\x87\n"
+_CODESTREAM = b"\xff\x4f\xff\x51"  # its first marker, SOC, and SIZ, which must follow
+_MAX_BOXES = 1000
+_MAX_BANDS = 16_384  # in the standard
+
+
+class Jpeg2000Size(NamedTuple):
+    """Declared size of a JPEG 2000.
+
+    Attributes:
+        width_px: width of the image.
+        height_px: height of the image.
+        bands: samples per pixel.
+        tile_px: pixels of a tile, which is decoded whole.
+    """
+
+    width_px: int
+    height_px: int
+    bands: int
+    tile_px: int
+
+
+def is_jpeg2000(start: bytes) -> bool:
+    """Test whether a file that begins with these 12 bytes is a JP2 file or a bare codestream."""
+    return start.startswith((_SIGNATURE, _CODESTREAM))
+
+
+def read_jpeg2000_size(read_at: ReadAt) -> Jpeg2000Size:
+    """Read the size that the codestream declares, because decoders allocate by it.
+
+    Raises:
+        ImageDecodeError: the file is truncated or damaged.
+        ImageTooLargeError: the file has more boxes than a real one.
+    """
+    at = _codestream_at(read_at)
+    right, bottom, left, top, tile_width, tile_height, _, _, bands = struct.unpack(">8IH", read_at(at + 8, 34))
+    width, height = right - left, bottom - top
+    if read_at(at, 4) != _CODESTREAM or min(width, height, tile_width, tile_height) < 1 or not 1 <= bands <= _MAX_BANDS:
+        raise ImageDecodeError("the JPEG 2000 declares an invalid size: damaged")
+    return Jpeg2000Size(width, height, bands, min(tile_width, width) * min(tile_height, height))
+
+
+def _codestream_at(read_at: ReadAt) -> int:
+    """Find the offset of the codestream: the start of the file or its first codestream box."""
+    if read_at(0, 4) == _CODESTREAM:
+        return 0
+    position = 0
+    for _ in range(_MAX_BOXES):
+        length, kind = struct.unpack(">I4s", read_at(position, 8))
+        head = 8
+        if length == 1:
+            (length,) = struct.unpack(">Q", read_at(position + 8, 8))
+            head = 16
+        if kind == b"jp2c":
+            return position + head
+        if length < head:  # 0 means up to the end of the file: no codestream can follow
+            raise ImageDecodeError("the JPEG 2000 holds no image: truncated or damaged")
+        position += length
+    raise ImageTooLargeError(f"the JPEG 2000 has more than {_MAX_BOXES} boxes; save it again")

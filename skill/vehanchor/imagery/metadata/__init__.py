@@ -1,0 +1,1 @@
+"""Metadata of image files: EXIF, XMP, camera, georeference."""

@@ -1,0 +1,108 @@
+"""Ground sampling distance (GSD) of a georeferenced raster.
+
+Estimates never use it. Records report it next to the estimate, and the evaluation uses it as ground truth.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any, NamedTuple
+
+AffineCoefficients = tuple[float, float, float, float, float, float]
+"""(a, b, c, d, e, f): x = a*column + b*row + c and y = d*column + e*row + f, as in ``affine.Affine``."""
+
+
+class Ground(NamedTuple):
+    """Georeference of an image, in rasterio's types.
+
+    Attributes:
+        transform: from pixels to coordinates.
+        crs: the coordinate reference system.
+    """
+
+    transform: Any
+    crs: Any
+
+
+WGS84_SEMI_MAJOR_AXIS_M = 6_378_137.0  # EPSG:7030
+WGS84_FLATTENING = 1 / 298.257223563  # EPSG:7030
+
+_IDENTITY: AffineCoefficients = (1, 0, 0, 0, 1, 0)  # GDAL's value for a file without a transform
+
+_MAX_COORDINATE = 1e9  # off the Earth in any unit; PROJ loops for hours on coordinates such as 1e20
+
+# Mercator and Web Mercator (EPSG:3857) in WKT 1 and WKT 2; Transverse and Oblique Mercator are other methods.
+_MERCATOR_WKT = re.compile(r'(?:PROJECTION|METHOD)\["(?:Mercator|Popular Visualisation)')
+
+
+def metres_per_degree(latitude_deg: float) -> tuple[float, float]:
+    """Compute the length of one degree of latitude and of longitude on the WGS84 ellipsoid, in metres."""
+    latitude = math.radians(latitude_deg)
+    eccentricity2 = WGS84_FLATTENING * (2 - WGS84_FLATTENING)
+    w2 = 1 - eccentricity2 * math.sin(latitude) ** 2
+    meridian_radius = WGS84_SEMI_MAJOR_AXIS_M * (1 - eccentricity2) / w2**1.5
+    normal_radius = WGS84_SEMI_MAJOR_AXIS_M / math.sqrt(w2)
+    return math.radians(meridian_radius), math.radians(normal_radius * math.cos(latitude))
+
+
+def gsd_units_per_px(transform: AffineCoefficients) -> float:
+    """Compute the side of a square with a pixel's area, sqrt(|det|), in the transform's unit."""
+    a, b, _, d, e, _ = transform
+    return math.sqrt(abs(a * e - b * d))
+
+
+def geographic_gsd_m_per_px(transform: AffineCoefficients, latitude_deg: float) -> float:
+    """Compute the GSD of a raster in degrees: geometric mean of a pixel's sides on the ground at this latitude."""
+    latitude_m, longitude_m = metres_per_degree(latitude_deg)
+    return gsd_units_per_px(transform) * math.sqrt(latitude_m * longitude_m)
+
+
+def dataset_gsd_m_per_px(dataset: Any) -> float | None:
+    """Compute the GSD at the centre of an open rasterio dataset, in metres per pixel.
+
+    In projected systems it is the pixel's side times the linear unit in metres. Mercator (EPSG:3857, 3395) stretches
+    metres by 1/cos(latitude), so its pixels are converted to degrees first. The grid scale of other projections is
+    ignored; it is within 0.1 % in UTM and most national grids. Geographic systems: see
+    :func:`geographic_gsd_m_per_px`.
+
+    Args:
+        dataset: a ``rasterio.DatasetReader``.
+
+    Returns:
+        None if the coordinate system or the transform is missing or invalid.
+    """
+    from rasterio.errors import RasterioError
+
+    affine = dataset.transform
+    transform: AffineCoefficients = (affine.a, affine.b, affine.c, affine.d, affine.e, affine.f)
+    try:
+        crs = dataset.crs
+        if not crs or transform == _IDENTITY or not all(map(math.isfinite, transform)):
+            return None
+        gsd = _gsd_in_crs(transform, crs, dataset.width / 2, dataset.height / 2)
+    except (RasterioError, ValueError, ArithmeticError):  # PROJ cannot use the system; CRSError is a ValueError
+        return None
+    return gsd if math.isfinite(gsd) and gsd > 0 else None
+
+
+def _gsd_in_crs(transform: AffineCoefficients, crs: Any, column: float, row: float) -> float:
+    """Compute the GSD at a pixel; NaN if the system or the place has none."""
+    from rasterio.warp import transform as reproject
+
+    a, b, c, d, e, f = transform
+    x, y = a * column + b * row + c, d * column + e * row + f
+    if max(abs(x), abs(y)) > _MAX_COORDINATE:
+        return math.nan
+    if crs.is_geographic:
+        degrees = math.degrees(crs.units_factor[1])
+        if abs(y * degrees) > 90:
+            return math.nan
+        return degrees * geographic_gsd_m_per_px(transform, y * degrees)
+    if not crs.is_projected:
+        return math.nan
+    if _MERCATOR_WKT.search(crs.to_wkt()):  # scale depends on the latitude and on the latitude of true scale
+        east, north = reproject(crs, "EPSG:4326", [x, x + a, x + b], [y, y + d, y + e])
+        in_degrees = (east[1] - east[0], east[2] - east[0], 0.0, north[1] - north[0], north[2] - north[0], 0.0)
+        return geographic_gsd_m_per_px(in_degrees, north[0])
+    return gsd_units_per_px(transform) * float(crs.linear_units_factor[1])

@@ -1,0 +1,1 @@
+"""Image sources: paths, arrays, datasets, addresses."""

@@ -1,0 +1,92 @@
+"""Images held in memory: the caller's array, or a decoded file."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from vehanchor.errors import ImageFormatError
+from vehanchor.imagery.bands import check_dtype, check_finite, choose_bands, merge_bands
+from vehanchor.imagery.limits import check_side
+from vehanchor.imagery.raster import Raster, StoredPixels, Window
+from vehanchor.imagery.stretch import SAMPLE_PX
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.imagery.bands import BandChoice
+
+
+class ArrayRaster(Raster):
+    """Image in memory, converted window by window to avoid a second copy.
+
+    Args:
+        pixels: ``[h, w]`` or ``[h, w, bands]``; neither copied nor changed.
+        source: name of the image.
+        bands: bands to use as red, green and blue.
+        bgr: whether the first three bands are blue, green and red.
+        orientation: EXIF orientation to apply.
+        georeference_gsd_m_per_px: GSD by its coordinates; None without any.
+
+    Raises:
+        InvalidParameterError: ``bands`` names a missing band.
+        ImageFormatError: the image cannot be measured.
+    """
+
+    def __init__(
+        self,
+        pixels: NDArray[Any],
+        source: str,
+        bands: BandChoice,
+        *,
+        bgr: bool = False,
+        orientation: int = 1,
+        georeference_gsd_m_per_px: float | None = None,
+    ) -> None:
+        pixels = _checked(pixels)
+        height, width, n_bands = pixels.shape
+        channels, notes = choose_bands(n_bands, bands)
+        super().__init__(
+            source,
+            width,
+            height,
+            orientation=orientation,
+            georeference_gsd_m_per_px=georeference_gsd_m_per_px,
+            notes=notes,
+        )
+        stored = (2, 1, 0, 3) if bgr and n_bands >= 3 else tuple(range(n_bands))
+        self._channels = tuple(stored[channel] for channel in channels)
+        self._pixels = pixels
+        if pixels.dtype != np.uint8:
+            for channel in sorted(set(self._channels)):
+                check_finite(pixels[:, :, channel])
+            step = math.ceil(math.sqrt(width * height / SAMPLE_PX))
+            self._choose_stretch(pixels[::step, ::step][:, :, list(self._channels)])
+
+    def _read_stored(self, window: Window) -> StoredPixels:
+        part = self._pixels[
+            window.y_px : window.y_px + window.height_px, window.x_px : window.x_px + window.width_px
+        ].view()
+        part.flags.writeable = False
+        if self._channels == (0, 1, 2) and part.shape[2] == 3:
+            return StoredPixels(part, None)
+        if self._channels == (2, 1, 0) and part.shape[2] == 3 and part.dtype != np.float64:
+            return StoredPixels(cv2.cvtColor(part, cv2.COLOR_BGR2RGB), None)  # one pass, for most files
+        return StoredPixels(merge_bands([part[:, :, channel] for channel in self._channels]), None)
+
+
+def _checked(pixels: NDArray[Any]) -> NDArray[Any]:
+    """Check an array and give it as ``[h, w, bands]`` in one of ``bands.DTYPES``, without a copy if possible."""
+    pixels = np.asarray(pixels)
+    if pixels.ndim == 2:
+        pixels = pixels[:, :, np.newaxis]
+    if pixels.ndim != 3 or pixels.shape[2] == 0:
+        raise ImageFormatError(f"an image array must have the shape [h, w] or [h, w, bands], got {list(pixels.shape)}")
+    hint = "; an array's bands come last" if pixels.shape[0] in (1, 3, 4) else ""
+    check_side(pixels.shape[1], pixels.shape[0], hint)
+    dtype = np.dtype(np.float32) if pixels.dtype == np.float16 else pixels.dtype.newbyteorder("=")
+    check_dtype(dtype)
+    return pixels.astype(dtype, copy=False)

@@ -1,0 +1,230 @@
+"""Opening of any aerial image as a raster of 8-bit RGB.
+
+OpenCV decodes JPEG, PNG, WebP, AVIF, BMP and plain TIFF whole. rasterio (extra ``geo``) reads the following by windows:
+GeoTIFF, COG, JPEG 2000, TIFF that OpenCV cannot decode, and TIFF or JPEG too large to decode whole. libheif (extra
+``heic``) decodes HEIC. The choice depends on the file alone, never on installed packages (docs/decisions.md).
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeAlias, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehanchor.errors import ImageDecodeError, ImageNotFoundError, ImageTooLargeError, InvalidParameterError
+from vehanchor.imagery.formats.decoding import decode, decodes_tiff
+from vehanchor.imagery.formats.header import is_tiff
+from vehanchor.imagery.formats.heic import is_heic, open_heic
+from vehanchor.imagery.formats.jpeg2000 import is_jpeg2000
+from vehanchor.imagery.formats.unpacked import open_large_jpeg
+from vehanchor.imagery.limits import check_bytes, read_checked_header
+from vehanchor.imagery.metadata.camera import read_camera
+from vehanchor.imagery.raster import Raster
+from vehanchor.imagery.sources.addresses import fetch_file, gdal_name, is_address, range_reader
+from vehanchor.imagery.sources.arrays import ArrayRaster
+from vehanchor.imagery.sources.data_arrays import DataArray, data_array_gsd_m_per_px, data_array_pixels, is_data_array
+from vehanchor.imagery.sources.pillow import PillowImage, is_pillow, pillow_pixels
+from vehanchor.imagery.sources.rasterio_file import Dataset, is_dataset, open_dataset, open_file
+from vehanchor.options import ImageLimits
+
+if TYPE_CHECKING:
+    from vehanchor.imagery.bands import BandChoice
+    from vehanchor.imagery.formats.header import ImageHeader
+    from vehanchor.imagery.formats.ifd import ReadAt
+
+ImageSource: TypeAlias = (
+    str
+    | os.PathLike[str]
+    | bytes
+    | bytearray
+    | memoryview
+    | BinaryIO
+    | NDArray[Any]
+    | Dataset
+    | PillowImage
+    | DataArray
+)
+"""A path or http(s) address, an encoded image in memory, a binary file object, an array [h, w] or [h, w, bands] in
+RGB order, an open rasterio dataset, a Pillow image, or an xarray DataArray."""
+
+_MIB = 1 << 20
+_JPEG = b"\xff\xd8\xff"
+
+
+def open_raster(
+    image: ImageSource,
+    *,
+    bands: tuple[int, int, int] | None = None,
+    limits: ImageLimits | None = None,
+    bgr: bool = False,
+) -> Raster:
+    """Open an image of any kind for reading by windows.
+
+    uint8 stays unchanged. uint16 is stretched between percentiles 2 and 98 of the whole image. Floats within 0..1 are
+    scaled by 255, other floats stretched by percentiles. Arrays and plain files must be finite; in files read by
+    windows NaN means "no data". One band becomes grey, alpha is dropped, and of more bands the first three are used.
+
+    Args:
+        image: one of
+
+            * a path to a local file,
+            * an encoded image: bytes, or a binary file object, which is read from its current position,
+            * an array [h, w] or [h, w, bands] of uint8, uint16 or floats, RGB; it is neither copied nor changed,
+            * an open rasterio dataset, which stays open,
+            * a Pillow image, whose EXIF orientation is applied,
+            * an xarray ``DataArray``,
+            * an http(s) address; TIFF and JPEG 2000 are read by windows, other formats are downloaded.
+        bands: bands to use as red, green and blue, counted from 1.
+        limits: limits to apply; None for the defaults.
+        bgr: whether an array's first three bands are blue, green and red, as in OpenCV; ignored for files.
+
+    Raises:
+        InvalidParameterError: ``bands`` names a missing band, or ``image`` has an unknown type.
+        ImageNotFoundError: there is no regular file at the path.
+        ImageDecodeError: the file is empty, truncated, damaged, or not an image.
+        ImageTooLargeError: the file has more bytes or declared pixels than the limits allow.
+        ImageFormatError: the image decodes but cannot be measured: a side under 16 px, NaN, an unsupported dtype.
+        MissingExtraError: the file needs rasterio or libheif, which is not installed.
+    """
+    limits = limits or ImageLimits()
+    if bands is not None and (len(bands) != 3 or not all(isinstance(band, int) and band >= 1 for band in bands)):
+        raise InvalidParameterError(f"bands must be three numbers from 1 up, got {bands!r}")
+    if isinstance(image, np.ndarray):
+        return ArrayRaster(image, "array", bands, bgr=bgr)
+    if isinstance(image, str | os.PathLike):
+        name = os.fspath(image)
+        return _open_address(name, bands, limits) if is_address(name) else _open_path(name, bands, limits)
+    if isinstance(image, bytes | bytearray | memoryview):
+        check_bytes(memoryview(image).nbytes, limits)
+        return _open_bytes(bytes(image), "bytes", bands, limits)
+    if is_pillow(image):
+        return ArrayRaster(pillow_pixels(image, limits), "image", bands)
+    if is_data_array(image):
+        pixels, gsd = data_array_pixels(image, limits), data_array_gsd_m_per_px(image)
+        return ArrayRaster(pixels, "DataArray", bands, georeference_gsd_m_per_px=gsd)
+    if is_dataset(image):
+        return open_dataset(image, bands, limits)
+    if hasattr(image, "read"):
+        return _open_bytes(_read_stream(cast("BinaryIO", image), limits), "file", bands, limits)
+    raise InvalidParameterError(
+        "image must be a path, an address, bytes, a binary file, a numpy array, a Pillow image, a DataArray or a "
+        f"rasterio dataset, got {type(image).__name__}"
+    )
+
+
+def can_be_read_again(image: ImageSource) -> bool:
+    """Test whether an image can be opened a second time; a stream cannot."""
+    return is_dataset(image) or is_pillow(image) or not hasattr(image, "read")
+
+
+def _open_address(address: str, bands: BandChoice, limits: ImageLimits) -> Raster:
+    read_at = range_reader(address)
+    start = read_at(0, 32)
+    if not (is_tiff(start) or is_jpeg2000(start)):
+        return _open_bytes(fetch_file(address, limits), address, bands, limits)
+    header = read_checked_header(read_at, limits)
+    return _open_by_windows(gdal_name(address), address, header, bands, limits, read_at)
+
+
+def _open_path(path: str, bands: BandChoice, limits: ImageLimits) -> Raster:
+    with _open_regular(path) as file:
+        n_bytes = os.fstat(file.fileno()).st_size
+
+        def read_at(offset: int, count: int) -> bytes:
+            if offset >= n_bytes:  # also keeps invalid offsets from seek()
+                return b""
+            file.seek(offset)
+            return file.read(count)
+
+        header, start = None, read_at(0, 32)
+        if start.startswith(_JPEG) or is_tiff(start) or is_jpeg2000(start):
+            header = read_checked_header(read_at, limits)
+            if (n_bytes > limits.max_bytes and header.windowed) or _needs_windows(header, limits):
+                return _open_by_windows(str(Path(path).absolute()), path, header, bands, limits, read_at)
+        check_bytes(n_bytes, limits)
+        data = read_at(0, n_bytes)
+    return _open_bytes(data, path, bands, limits, header)
+
+
+def _open_bytes(
+    data: bytes, source: str, bands: BandChoice, limits: ImageLimits, header: ImageHeader | None = None
+) -> Raster:
+    check_bytes(len(data), limits)
+    if not data:
+        raise ImageDecodeError(f"the image ({source}) is empty: 0 bytes")
+    if is_heic(data[:32]):
+        return open_heic(data, source, bands, limits)
+
+    def read_at(offset: int, count: int) -> bytes:
+        return data[offset : offset + count]
+
+    header = header or read_checked_header(read_at, limits)
+    if _needs_windows(header, limits):
+        return _open_by_windows(data, source, header, bands, limits, read_at)
+    pixels = decode(data, source, header)
+    orientation = 1 if header.tiff else header.orientation  # OpenCV has already applied a TIFF's orientation
+    raster = ArrayRaster(pixels, source, bands, bgr=True, orientation=orientation)
+    raster.camera = read_camera(read_at)
+    return raster
+
+
+def _open_by_windows(
+    file: str | bytes, source: str, header: ImageHeader, bands: BandChoice, limits: ImageLimits, read_at: ReadAt
+) -> Raster:
+    """Open an image that is too large to decode whole, or that OpenCV does not decode."""
+    opened = open_large_jpeg if header.format == "JPEG" else open_file
+    raster = opened(file, source, header, bands, limits)
+    raster.camera = read_camera(read_at)
+    return raster
+
+
+def _needs_windows(header: ImageHeader, limits: ImageLimits) -> bool:
+    if header.format == "JPEG 2000":
+        return True
+    too_large = (
+        header.width_px * header.height_px > limits.max_pixels or header.decoding_bytes > limits.max_decoded_bytes
+    )
+    if header.tiff is None:
+        return header.windowed and too_large
+    return too_large or header.tiff.georeferenced or not decodes_tiff(header.tiff)
+
+
+def _open_regular(path: str) -> BinaryIO:
+    # O_NONBLOCK: opening a FIFO must not wait for a writer. The check uses the open file, because its name can change.
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+    try:
+        descriptor = os.open(path, flags)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise ImageNotFoundError(f"cannot open the image {path!r}: {reason}") from error
+    mode = os.fstat(descriptor).st_mode
+    if stat.S_ISREG(mode):
+        return os.fdopen(descriptor, "rb")
+    os.close(descriptor)
+    if stat.S_ISDIR(mode):
+        raise ImageNotFoundError(f"{path!r} is a folder: give an image; vehanchor.find_images lists those in a folder")
+    kind = "a pipe" if stat.S_ISFIFO(mode) else "a device or socket"
+    raise ImageNotFoundError(f"the image {path!r} is {kind}, not a file")
+
+
+def _read_stream(stream: BinaryIO, limits: ImageLimits) -> bytes:
+    chunks: list[bytes] = []
+    n_bytes = 0
+    while n_bytes <= limits.max_bytes:
+        try:
+            chunk = stream.read(min(_MIB, limits.max_bytes + 1 - n_bytes))
+        except OSError as error:
+            raise ImageDecodeError(f"cannot read the image from its file object: {error}") from error
+        if not chunk:
+            break
+        if not isinstance(chunk, bytes):
+            raise InvalidParameterError(f"the image's file object must be open in binary mode, got {type(chunk)}")
+        chunks.append(chunk)
+        n_bytes += len(chunk)
+    if n_bytes > limits.max_bytes:
+        raise ImageTooLargeError(f"the image's file object exceeds the limit of {limits.max_bytes} bytes")
+    return b"".join(chunks)

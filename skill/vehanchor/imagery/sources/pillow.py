@@ -1,0 +1,85 @@
+"""Arrays from Pillow images. Pillow is imported only by callers who already have such an image."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, cast
+
+import numpy as np
+
+from vehanchor.errors import ImageDecodeError, ImageTooLargeError, OutOfMemoryError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.options import ImageLimits
+
+_ARRAY_MODES = {"L": 1, "RGB": 3, "RGBA": 4, "I;16": 2, "I;16B": 2, "F": 4}
+"""Modes that become arrays directly, with bytes per pixel; all others are converted to RGB first."""
+
+_HELD_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2}
+"""Bytes per pixel in Pillow's memory; 4 for all other modes."""
+
+_TAG_ORIENTATION = 274
+
+
+class PillowImage(Protocol):
+    """The part of ``PIL.Image.Image`` that this module uses."""
+
+    @property
+    def mode(self) -> str:
+        """Pixel format."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, pixels."""
+
+    def getexif(self) -> Any:
+        """The EXIF data."""
+
+    def convert(self, mode: str) -> Any:
+        """The image in another mode."""
+
+
+def is_pillow(image: Any) -> TypeGuard[PillowImage]:
+    """Test whether an object is a Pillow image, without importing Pillow."""
+    return any(kind.__module__.startswith("PIL.") and kind.__name__ == "Image" for kind in type(image).__mro__)
+
+
+def pillow_pixels(image: PillowImage, limits: ImageLimits) -> NDArray[Any]:
+    """Decode an image and apply its EXIF orientation.
+
+    Returns:
+        ``[h, w]`` or ``[h, w, bands]``.
+
+    Raises:
+        ImageTooLargeError: the image exceeds the limits on pixels or memory.
+        OutOfMemoryError: the machine has too little free memory.
+        ImageDecodeError: the image is truncated or damaged.
+    """
+    from PIL import ImageOps
+
+    width, height = image.size
+    if width * height > limits.max_pixels:
+        raise ImageTooLargeError(
+            f"the Pillow image has {width} x {height} px, the limit is {limits.max_pixels} pixels "
+            "(--max-megapixels, ImageLimits.max_pixels)"
+        )
+    held, shown = _HELD_BYTES.get(image.mode, 4), _ARRAY_MODES.get(image.mode, 3)
+    taken = width * height * (held + 2 * shown)  # Pillow copies its pixels in pieces and then joins them
+    if taken > limits.max_decoded_bytes:
+        raise ImageTooLargeError(
+            f"decoding the Pillow image of {width} x {height} px ({image.mode}) takes {taken} bytes, the limit is "
+            f"{limits.max_decoded_bytes} (ImageLimits.max_decoded_bytes); convert it to RGB, or raise the limit"
+        )
+    try:
+        upright: Any = image
+        if image.getexif().get(_TAG_ORIENTATION, 1) != 1:  # exif_transpose always copies
+            upright = ImageOps.exif_transpose(cast("Any", image))
+        if upright.mode not in _ARRAY_MODES:
+            upright = upright.convert("RGB")
+        return np.asarray(upright)
+    except MemoryError as error:
+        size = f"{width} x {height} px"
+        raise OutOfMemoryError(f"not enough memory for the Pillow image of {size}: try again later") from error
+    except (OSError, ValueError, SyntaxError) as error:
+        raise ImageDecodeError(f"the Pillow image cannot be decoded: {error}") from error

@@ -1,0 +1,1 @@
+"""Areas and distances at a resolved scale."""

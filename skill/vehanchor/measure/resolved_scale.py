@@ -1,0 +1,333 @@
+"""The scale that a measurement rests on: estimated now, given as a number, or estimated before and given back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+from pydantic import ValidationError
+
+from vehanchor.detection.detector import Detector
+from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
+from vehanchor.estimate import analyse_raster, georeference_notice, image_notices, open_detector
+from vehanchor.imagery.identity import image_id
+from vehanchor.options.fields import number, positive
+from vehanchor.records import GsdEstimate, KnownScale
+from vehanchor.rulers.camera import equivalent_lens, lens
+from vehanchor.rulers.evidence import ImageFacts
+from vehanchor.scale.defaults import LARGEST_GSD_M_PER_PX, LEAST_GSD_M_PER_PX
+from vehanchor.scale.lengths import Z95
+from vehanchor.scale.plane import GroundPlane
+from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
+from vehanchor.tilt.camera_tilt import metadata_tilt, plane_of_record, plane_with
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable, Sequence
+
+    import numpy as np
+    import onnxruntime
+    from numpy.typing import NDArray
+
+    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.imagery.raster import Raster
+    from vehanchor.options import ScaleOptions
+    from vehanchor.records import Notice, ScaleSource, Status
+    from vehanchor.rulers.camera import Lens
+
+_HIGHEST_OBJECT_M = 1000.0
+_WIDEST_M_PER_PX = 1e9  # of a scale that is given back: whatever an estimate gives lies below, and its square is finite
+_HEIGHT_LOG_SD = 0.12  # of a height that was told, above ground that may lie elsewhere than the take-off
+
+ScaleInput: TypeAlias = Detector | float | KnownScale
+"""What finds the scale, or what it is."""
+
+
+class CameraAbove(NamedTuple):
+    """How high the camera was: by the scale of the ground and a lens, or by a height that was told.
+
+    Attributes:
+        lens: the view; None where nothing tells it.
+        height_m: above the ground, or the take-off; None where nothing tells it.
+    """
+
+    lens: Lens | None
+    height_m: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class ResolvedScale:
+    """A scale and how far it may be used.
+
+    Attributes:
+        gsd_m_per_px: metres per pixel of the full image; None without an anchor.
+        log_sd: standard deviation of its log; 0 for a number that the caller gave.
+        confidence: 0..1; None for a number that the caller gave.
+        source: where it comes from.
+        analysis: of the vehicles behind it; None where none was searched.
+        notices: doubts about the image and the scale.
+        plane: the ground plane of a tilted camera, whose scale holds at the image's centre; None if one scale holds.
+        known: the scale of the ground, to give back; None for a number, and without a scale.
+    """
+
+    gsd_m_per_px: float | None
+    log_sd: float
+    confidence: float | None
+    source: ScaleSource
+    analysis: ScaleAnalysis | None
+    notices: tuple[Notice, ...]
+    plane: GroundPlane | None = None
+    known: KnownScale | None = None
+
+    def gsd_over(self, mask: NDArray[np.bool_], left: int, top: int) -> float | None:
+        """Metres per pixel over a mask: root of the mean area that its pixels show; None without a scale or a mask.
+
+        Args:
+            mask: ``[h, w]`` bool.
+            left: column of the image at which it begins.
+            top: row at which it begins.
+        """
+        n_px = int(mask.sum())
+        if self.gsd_m_per_px is None or not n_px:
+            return None
+        return self.gsd_m_per_px if self.plane is None else math.sqrt(self.plane.area(mask, left, top) / n_px)
+
+    def length_m(self, places: Sequence[tuple[float, float]]) -> float | None:
+        """Length of a path through places of the image, metres; None without a scale."""
+        if self.gsd_m_per_px is None:
+            return None
+        if self.plane is None:
+            return self.gsd_m_per_px * sum(math.dist(first, second) for first, second in pairwise(places))
+        return float(self.plane.length(places[:-1], places[1:]).sum())
+
+    @property
+    def estimate(self) -> GsdEstimate | None:
+        """The record of the scale; None where none was estimated now."""
+        return None if self.analysis is None else self.analysis.estimate
+
+    @property
+    def status(self) -> Status:
+        """Whether it may be used."""
+        if self.gsd_m_per_px is None:
+            return "no_scale"
+        doubtful = self.confidence is not None and self.confidence < FALLBACK_CONFIDENCE
+        return "low_confidence" if doubtful else "ok"
+
+
+def choose_scale(
+    gsd_m_per_px: float | None,
+    scale: KnownScale | GsdEstimate | Mapping[str, Any] | None,
+    detector: Detector | str | os.PathLike[str] | None,
+    options: ScaleOptions,
+    *,
+    threads: int | None = None,
+    providers: Sequence[str] | None = None,
+) -> ScaleInput:
+    """Settle what the scale is to come from, before the work.
+
+    Args:
+        gsd_m_per_px: a number that the caller knows.
+        scale: an earlier estimate of the same image, or its ``scale``.
+        detector: opened where neither is given.
+        options: every choice of the method.
+        threads: CPU threads of the detector.
+        providers: where it runs.
+
+    Raises:
+        InvalidParameterError: both are given, or one beside lines of known length, or one has no meaning.
+        ModelError: the detector cannot be used.
+    """
+    known = [name for name, value in (("gsd_m_per_px", gsd_m_per_px), ("scale", scale)) if value is not None]
+    if len(known) > 1:
+        raise InvalidParameterError("give gsd_m_per_px or scale, not both: each is the scale")
+    if known and options.rulers.known_lengths:
+        raise InvalidParameterError(
+            f"give {known[0]} or lines of known length, not both: a scale that is given is not measured again. Leave "
+            f"{known[0]} out to have it measured with the lines"
+        )
+    if scale is not None:
+        return _as_known(scale)
+    if gsd_m_per_px is None:
+        return open_detector(detector, options, threads=threads, providers=providers)
+    given = positive("gsd_m_per_px", gsd_m_per_px)
+    if not LEAST_GSD_M_PER_PX <= given <= LARGEST_GSD_M_PER_PX:
+        raise InvalidParameterError(
+            f"gsd_m_per_px is {given:g}: use {LEAST_GSD_M_PER_PX:g} to {LARGEST_GSD_M_PER_PX:g} metres per pixel"
+        )
+    return given
+
+
+def _as_known(scale: KnownScale | GsdEstimate | Mapping[str, Any]) -> KnownScale:
+    if isinstance(scale, GsdEstimate):
+        if scale.scale is None:
+            raise InvalidParameterError("scale is an estimate without an anchor: there is no scale in it to give back")
+        scale = scale.scale
+    if isinstance(scale, Mapping):
+        found = scale.get("scale", scale)  # of a whole estimate its scale
+        if found is None:
+            raise InvalidParameterError("scale is an estimate without a scale: there is none in it to give back")
+        try:
+            scale = KnownScale.model_validate(found)
+        except ValidationError as error:
+            wrong = error.errors()[0]
+            place = ".".join(map(str, wrong["loc"])) or "scale"
+            raise InvalidParameterError(
+                f"scale is not what an estimate gave as scale: {place}: {wrong['msg']}. Give it back unchanged"
+            ) from None
+    if not isinstance(scale, KnownScale):
+        raise InvalidParameterError(
+            f"scale is a {type(scale).__name__}: give back an estimate or its scale; a number is gsd_m_per_px"
+        )
+    if not scale.gsd_ci95_low_m_per_px <= scale.gsd_m_per_px <= scale.gsd_ci95_high_m_per_px:
+        raise InvalidParameterError("scale is not what an estimate gave: its value lies outside its interval")
+    if not 1 / _WIDEST_M_PER_PX <= scale.gsd_ci95_low_m_per_px <= scale.gsd_ci95_high_m_per_px <= _WIDEST_M_PER_PX:
+        raise InvalidParameterError(f"scale is not what an estimate gave: {scale.gsd_m_per_px:g} m/px is no image's")
+    return scale
+
+
+def resolve_scale(
+    raster: Raster,
+    scale: ScaleInput,
+    options: ScaleOptions,
+    *,
+    object_height_m: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    run_options: onnxruntime.RunOptions | None = None,
+) -> ResolvedScale:
+    """Find the scale of an open image, by searching it only where nobody knows its scale.
+
+    Args:
+        raster: the image.
+        scale: what finds the scale of the ground, or is it.
+        options: every choice of the method.
+        object_height_m: how high above the ground lies what is to be measured; None for on it.
+        progress: of the search.
+        run_options: ONNX Runtime's.
+
+    Returns:
+        The scale of the ground, or of the level that lies so high above it.
+
+    Raises:
+        InvalidParameterError: the height has no meaning, or nobody knows how high the camera was.
+        ScaleMismatchError: the scale was measured on another image.
+        TooObliqueError: the horizon is in sight, or nearly so; the object lies above the camera.
+        VehAnchorError: as ``estimate_gsd``.
+    """
+    camera = None if object_height_m is None else camera_above(raster, options, object_height_m)
+    found = _on_the_ground(raster, scale, options, progress, run_options)
+    return found if camera is None or object_height_m is None else raised(found, object_height_m, camera)
+
+
+def _on_the_ground(
+    raster: Raster,
+    scale: ScaleInput,
+    options: ScaleOptions,
+    progress: Callable[[int, int], None] | None,
+    run_options: onnxruntime.RunOptions | None,
+) -> ResolvedScale:
+    if isinstance(scale, Detector):
+        analysis = analyse_raster(raster, scale, options, progress=progress, run_options=run_options)
+        found = analysis.estimate
+        log_sd = _log_sd(found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px)
+        plane = plane_of_record(found)
+        return ResolvedScale(
+            found.gsd_m_per_px, log_sd, found.confidence, "estimated", analysis, found.warnings, plane, found.scale
+        )
+    told = image_notices(raster)
+    own = raster.georeference_gsd_m_per_px
+    if isinstance(scale, KnownScale):
+        seen = image_id(raster)
+        if seen != scale.image_id:
+            raise ScaleMismatchError(
+                f"the scale was measured on another image ({scale.image_id}), this one is {seen}: estimate the scale "
+                "of this image, or leave scale out"
+            )
+        log_sd = _log_sd(scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)
+        notices = (*told, *georeference_notice(own, scale.gsd_m_per_px, "the one given back is"))
+        plane = _given_plane(raster, scale) or _plane(raster, options, scale.gsd_m_per_px)
+        return ResolvedScale(scale.gsd_m_per_px, log_sd, scale.confidence, "reused", None, notices, plane, scale)
+    notices = (*told, *georeference_notice(own, scale, "the one given is"))
+    return ResolvedScale(scale, 0.0, None, "given", None, notices, _plane(raster, options, scale))
+
+
+def _plane(raster: Raster, options: ScaleOptions, gsd_m_per_px: float | None) -> GroundPlane | None:
+    """The ground under a camera that looked aside, with this scale at the image's centre."""
+    image = ImageFacts(raster.width_px, raster.height_px, camera=raster.camera)
+    looked = None if gsd_m_per_px is None else metadata_tilt(image, options)
+    return None if looked is None or gsd_m_per_px is None else plane_with(looked, image, gsd_m_per_px)
+
+
+def _given_plane(raster: Raster, scale: KnownScale) -> GroundPlane | None:
+    """The ground as the estimate had it that is given back."""
+    if scale.plane is None:
+        return None
+    size, looked = (raster.width_px, raster.height_px), scale.plane
+    plane = GroundPlane(scale.gsd_m_per_px, looked.tilt_deg, looked.focal_length_px, *size, looked.roll_deg)
+    plane.check()
+    return plane
+
+
+def camera_above(raster: Raster, options: ScaleOptions, object_height_m: float) -> CameraAbove:
+    """What there is to tell how high the camera was, before the work.
+
+    Raises:
+        InvalidParameterError: the object's height has no meaning, or nothing tells the camera's.
+    """
+    if not 0 <= number("object_height_m", object_height_m) <= _HIGHEST_OBJECT_M:
+        raise InvalidParameterError(f"object_height_m is {object_height_m:g}: use 0 to {_HIGHEST_OBJECT_M:g}")
+    chosen, camera = options.rulers, raster.camera if options.rulers.metadata else None
+    seen = None if camera is None else lens(ImageFacts(raster.width_px, raster.height_px), camera)
+    if chosen.focal_35mm is not None:
+        seen = equivalent_lens(raster.width_px, raster.height_px, chosen.focal_35mm)
+    height = chosen.height_m or (camera.height_m if camera is not None else None)
+    if seen is None and height is None:
+        raise InvalidParameterError(
+            "object_height_m needs the camera's height, which neither the file nor an option tells: give height_m, or "
+            "measure on the ground"
+        )
+    return CameraAbove(seen, height)
+
+
+def raised(found: ResolvedScale, object_height_m: float, camera: CameraAbove) -> ResolvedScale:
+    """The scale of a level above the ground: what stands up is nearer to the camera, and larger in the image.
+
+    Raises:
+        TooObliqueError: it lies above the camera.
+    """
+    if found.gsd_m_per_px is None or object_height_m == 0:
+        return found
+    focal_px = found.plane.focal_px if found.plane is not None else camera.lens and camera.lens.pixels
+    if found.plane is not None:
+        height = found.plane.height_m
+    else:
+        height = found.gsd_m_per_px * focal_px if focal_px else camera.height_m or math.inf
+    share = object_height_m / height
+    if share >= 1:
+        raise TooObliqueError(
+            f"an object {object_height_m:g} m above the ground lies above the camera, which is {height:.0f} m up: give "
+            "a lower height"
+        )
+    if focal_px:  # scale less height over focal length: an error of the scale weighs more up there
+        lens_log_sd = camera.lens.log_sd if camera.lens else 0.0
+        log_sd = math.hypot(found.log_sd, share * lens_log_sd) / (1 - share)
+    else:
+        log_sd = math.hypot(found.log_sd, share / (1 - share) * _HEIGHT_LOG_SD)
+    return replace(
+        found,
+        gsd_m_per_px=found.gsd_m_per_px * (1 - share),
+        log_sd=log_sd,
+        plane=None if found.plane is None else found.plane.raised(object_height_m),
+    )
+
+
+def _log_sd(low: float | None, high: float | None) -> float:
+    return math.log(high / low) / (2 * Z95) if low and high else 0.0
+
+
+def interval_around(value: float, log_sd: float) -> tuple[float, float]:
+    """The 95 % interval of a quantity whose log is normal."""
+    reach = math.exp(Z95 * log_sd)
+    return value / reach, value * reach

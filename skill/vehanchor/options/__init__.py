@@ -1,0 +1,34 @@
+"""Options that callers choose, in small frozen groups."""
+
+from __future__ import annotations
+
+from vehanchor.options.groups import (
+    DECODED_BYTES_PER_PIXEL,
+    Coordinates,
+    Frame,
+    ImageLimits,
+    Lengths,
+    OptionKeywords,
+    Reading,
+    Reference,
+    ScaleOptions,
+)
+from vehanchor.options.rulers import KnownLength, RulerName, Rulers
+from vehanchor.options.search import Effort, Search
+
+__all__ = [
+    "DECODED_BYTES_PER_PIXEL",
+    "Coordinates",
+    "Effort",
+    "Frame",
+    "ImageLimits",
+    "KnownLength",
+    "Lengths",
+    "OptionKeywords",
+    "Reading",
+    "Reference",
+    "RulerName",
+    "Rulers",
+    "ScaleOptions",
+    "Search",
+]

@@ -1,0 +1,189 @@
+"""Which rulers are used, and what the caller knows of the scale: the option group ``Rulers``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+
+from vehanchor.errors import InvalidParameterError, KnownLengthError
+from vehanchor.options.fields import choice, number, positive, set_frozen
+
+RulerName: TypeAlias = Literal["vehicles", "scene_scale", "camera", "known_length", "height", "courts", "positions"]
+"""Rulers by the names that records and options give them."""
+
+SEARCHED: frozenset[RulerName] = frozenset({"vehicles"})
+"""Rulers that measure what the detector finds: without any of them it does not run."""
+
+_FROM_METADATA = ("camera", "positions")
+_MIN_LINE_PX = 5.0  # a pixel off at each end of a shorter line is more than a quarter of it
+_MAX_LINE_M = 100_000.0
+_MAX_HEIGHT_M = 20_000.0  # survey aircraft fly at 10 km; whoever flies higher has no use for cars
+_MAX_FOCAL_MM = 10_000.0
+
+
+class KnownLength(NamedTuple):
+    """A straight line on the ground, and how long it is.
+
+    Attributes:
+        x1: of one end, pixels of the image, or of the frame where one is named.
+        y1: of that end.
+        x2: of the other end.
+        y2: of that end.
+        metres: between them.
+    """
+
+    x1: float
+    y1: float
+    x2: float
+    y2: float
+    metres: float
+
+    @classmethod
+    def from_text(cls, text: str) -> KnownLength:
+        """Read a line as a person writes it: five numbers with spaces or commas between them.
+
+        Raises:
+            KnownLengthError: it is not that.
+        """
+        try:
+            return cls(*(float(part) for part in text.replace(",", " ").split()))
+        except (TypeError, ValueError):
+            raise KnownLengthError(f"the known length is {text!r}: use five numbers, X1 Y1 X2 Y2 METRES") from None
+
+    @property
+    def length_px(self) -> float:
+        """Pixels between the ends."""
+        return math.hypot(self.x2 - self.x1, self.y2 - self.y1)
+
+
+@dataclass(frozen=True)
+class Rulers:
+    """What the scale is taken from, and what the caller knows of it.
+
+    Attributes:
+        rulers: which rulers are used; None for all. Vehicles alone are the paper's skill; without them, the detector
+            does not run.
+        metadata: read the camera's metadata in the file; False is the paper's case.
+        known_lengths: lines of known length, x1, y1, x2, y2 in pixels and metres.
+        height_m: of the camera above the ground, metres; a picture counts as taken straight down unless its metadata
+            or its courts say otherwise.
+        focal_35mm: focal length of a 35 mm camera with the same view, millimetres; None takes the file's.
+
+    Raises:
+        KnownLengthError: what is given is no line.
+        InvalidParameterError: a number has no meaning, or a ruler is not known.
+    """
+
+    rulers: tuple[RulerName, ...] | None = field(
+        default=None,
+        metadata=choice(
+            "Rulers to use, with commas: vehicles, scene_scale, camera, known_length, height, courts, positions (of "
+            "flights). Default: all.",
+            metavar="NAMES",
+        ),
+    )
+    metadata: bool = field(
+        default=True,
+        metadata=choice("Measure by the camera's height and focal length, too, where the file has them."),
+    )
+    known_lengths: tuple[KnownLength, ...] = field(
+        default=(),
+        metadata=choice(
+            "A line on the ground, pixels, and its metres; may be repeated.",
+            metavar="X1 Y1 X2 Y2 METRES",
+            flag="known-length",
+        ),
+    )
+    height_m: float | None = field(
+        default=None,
+        metadata=choice(
+            "Height of the camera above the ground, metres; straight down unless metadata say otherwise.", metavar="M"
+        ),
+    )
+    focal_35mm: float | None = field(
+        default=None,
+        metadata=choice("With --height: 35 mm equivalent focal length, mm. Default: the file's.", metavar="MM"),
+    )
+
+    def __post_init__(self) -> None:
+        if self.rulers is not None:
+            set_frozen(self, "rulers", _ruler_names(self.rulers))
+        if not isinstance(self.metadata, bool):
+            raise InvalidParameterError(f"metadata is {self.metadata!r}: use True or False")
+        set_frozen(self, "known_lengths", _lines(self.known_lengths))
+        if self.focal_35mm is not None and self.height_m is None:
+            raise InvalidParameterError("focal_35mm needs height_m: give the height above the ground, too")
+        for name, most in (("height_m", _MAX_HEIGHT_M), ("focal_35mm", _MAX_FOCAL_MM)):
+            value = getattr(self, name)
+            if value is not None:
+                set_frozen(self, name, positive(name, value))
+                if value > most:
+                    raise InvalidParameterError(f"{name} is {value:g}: use at most {most:g}")
+
+    def uses(self, kind: str) -> bool:
+        """Whether a ruler is used."""
+        return (self.rulers is None or kind in self.rulers) and (self.metadata or kind not in _FROM_METADATA)
+
+    @property
+    def searches(self) -> bool:
+        """Whether the detector is needed."""
+        return any(self.uses(kind) for kind in SEARCHED)
+
+    def check_lengths(self) -> None:
+        """Refuse lines too short to measure by.
+
+        Raises:
+            KnownLengthError: one is shorter than five pixels.
+        """
+        for line in self.known_lengths:
+            if line.length_px < _MIN_LINE_PX:
+                raise KnownLengthError(
+                    f"the line of known length is {line.length_px:.1f} px long: use one of {_MIN_LINE_PX:g} px or more"
+                )
+
+    def check(self, width_px: int, height_px: int) -> None:
+        """Refuse lines that leave the picture in which they were drawn, or are too short in it.
+
+        Args:
+            width_px: of the image, or of the frame where one is named.
+            height_px: of that picture.
+
+        Raises:
+            KnownLengthError: an end lies outside, or a line is shorter than five pixels.
+        """
+        self.check_lengths()
+        for line in self.known_lengths:
+            if not all(0 <= x <= width_px for x in (line.x1, line.x2)) or not all(
+                0 <= y <= height_px for y in (line.y1, line.y2)
+            ):
+                raise KnownLengthError(
+                    f"the line from ({line.x1:g}, {line.y1:g}) to ({line.x2:g}, {line.y2:g}) leaves the picture of "
+                    f"{width_px} x {height_px} px: give both ends in its pixels"
+                )
+
+
+def _ruler_names(names: Any) -> tuple[RulerName, ...]:
+    known = get_args(RulerName)
+    if isinstance(names, str) or not isinstance(names, Collection) or not all(name in known for name in names):
+        raise InvalidParameterError(f"rulers is {names!r}: use some of {', '.join(known)}")
+    if not names:
+        raise InvalidParameterError(f"rulers is {names!r}: use at least one of {', '.join(known)}")
+    return tuple(name for name in known if name in names)
+
+
+def _lines(lines: Any) -> tuple[KnownLength, ...]:
+    if isinstance(lines, str) or not isinstance(lines, Iterable):
+        raise KnownLengthError(f"known_lengths is {lines!r}: give lines of x1, y1, x2, y2, metres")
+    checked = []
+    for line in lines:
+        try:
+            x1, y1, x2, y2, metres = (number("known_lengths", each) for each in line)
+        except (TypeError, ValueError) as error:
+            raise KnownLengthError(f"the known length {line!r} is no x1, y1, x2, y2, metres: {error}") from None
+        known = KnownLength(x1, y1, x2, y2, metres)
+        if not 0 < metres <= _MAX_LINE_M:
+            raise KnownLengthError(f"the line's length is {metres:g} m: use metres > 0 and up to {_MAX_LINE_M:g}")
+        checked.append(known)
+    return tuple(checked)

@@ -1,0 +1,61 @@
+"""Notices of records, and their stable codes."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from pydantic import Field
+
+from vehanchor.records.record import Record
+
+
+class NoticeCode(StrEnum):
+    """What a ``Notice`` is about."""
+
+    # of the image
+    PIXELS_STRETCHED = "pixels_stretched"
+    BANDS_SELECTED = "bands_selected"
+    DETAIL_MISSING = "detail_missing"
+    GEOREFERENCE_DIFFERS = "georeference_differs"
+    # of the search
+    DETECTIONS_CAPPED = "detections_capped"
+    # doubts that the vehicles are cars
+    LENGTHS_DISAGREE = "lengths_disagree"
+    LENGTHS_ALIKE = "lengths_alike"
+    SCORES_UNCLEAR = "scores_unclear"
+    LOOKS_ALIKE = "looks_alike"
+    LOOKS_UNLIKE_CARS = "looks_unlike_cars"
+    # of the rulers beside vehicles
+    RULERS_DISAGREE = "rulers_disagree"
+    CAMERA_TILTED = "camera_tilted"
+    TILT_SUSPECTED = "tilt_suspected"
+    CAMERA_CROPPED = "camera_cropped"
+    CAMERA_UNUSABLE = "camera_unusable"
+    KNOWN_LENGTHS_DISAGREE = "known_lengths_disagree"
+    FOCAL_LENGTH_MISSING = "focal_length_missing"
+    # of a flight
+    NOT_LINKED = "not_linked"
+    # of the mask
+    MASK_EMPTY = "mask_empty"
+    MASK_SCORE_LOW = "mask_score_low"
+    MASK_TOUCHES_EDGE = "mask_touches_edge"
+    MASK_LEAVES_BOX = "mask_leaves_box"
+    MASK_IN_PIECES = "mask_in_pieces"
+    TARGET_SMALL = "target_small"
+
+
+FLEET_DOUBTS = (
+    NoticeCode.LENGTHS_DISAGREE,
+    NoticeCode.LENGTHS_ALIKE,
+    NoticeCode.SCORES_UNCLEAR,
+    NoticeCode.LOOKS_ALIKE,
+    NoticeCode.LOOKS_UNLIKE_CARS,
+)
+"""Doubts that the vehicles are cars; each caps the confidence below 0.5."""
+
+
+class Notice(Record):
+    """A fact that a caller should know about a result that is valid all the same."""
+
+    code: str = Field(description="Stable identifier of the warning.")
+    message: str = Field(description="What was noticed, with its value, and its meaning for the result.")

@@ -1,0 +1,101 @@
+"""Evidence of a ruler that states one scale and how far it may be off: what camera and caller say."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.rulers.evidence import Evidence
+from vehanchor.scale.fusion import GRID, LOG_STEP, TOLERANCE, mass_within, with_outlier_floor
+from vehanchor.scale.lengths import Z95, Interval
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from vehanchor.records import Notice
+    from vehanchor.rulers.evidence import Mark
+
+
+@dataclass(frozen=True, eq=False)
+class LognormalEvidence(Evidence):
+    """A scale with a spread of its own.
+
+    Attributes:
+        log_sd: standard deviation of the scale's log; None where the ruler found nothing.
+        chance_wrong: 0..1, that it tells of something else altogether.
+    """
+
+    log_sd: float | None = None
+    chance_wrong: float = 0.0
+
+
+def lognormal(gsd_m_per_px: float, log_sd: float) -> NDArray[np.float64]:
+    """Spread one scale over the grid.
+
+    Args:
+        gsd_m_per_px: on the grid (see ``on_grid``).
+        log_sd: standard deviation of its log; one narrower than a cell is taken to be a cell.
+
+    Returns:
+        ``[g]`` probabilities.
+    """
+    off = (GRID - math.log(gsd_m_per_px)) / max(log_sd, LOG_STEP)
+    density = np.exp(-0.5 * off**2)
+    return np.asarray(density / density.sum())
+
+
+def on_grid(gsd_m_per_px: float) -> bool:
+    """Whether a scale is one that a picture with vehicles can have: 3 mm to 3 m a pixel."""
+    return gsd_m_per_px > 0 and bool(GRID[0] <= math.log(gsd_m_per_px) <= GRID[-1])
+
+
+def lognormal_evidence(
+    kind: str,
+    gsd_m_per_px: float,
+    log_sd: float,
+    chance_wrong: float,
+    said: str,
+    *,
+    n: int = 1,
+    notices: Sequence[Notice] = (),
+    marks: Sequence[Mark] = (),
+) -> LognormalEvidence:
+    """Evidence for a scale, with a sentence that tells it.
+
+    Args:
+        kind: of the ruler.
+        gsd_m_per_px: the scale.
+        log_sd: standard deviation of its log.
+        chance_wrong: 0..1, that it tells of something else altogether.
+        said: who says so, and from what: ``{}`` in it stands for the scale.
+        n: how many things it was measured on.
+        notices: its doubts.
+        marks: what it was measured on, for pictures.
+    """
+    reach = math.exp(Z95 * log_sd)
+    interval = Interval(gsd_m_per_px / reach, gsd_m_per_px * reach)
+    words = f"{gsd_m_per_px:.4g} m/px ({interval.low:.3g} to {interval.high:.3g})"
+    density = with_outlier_floor(lognormal(gsd_m_per_px, log_sd), chance_wrong)
+    return LognormalEvidence(
+        kind=kind,
+        gsd_m_per_px=gsd_m_per_px,
+        interval=interval,
+        n=n,
+        confidence=min(1.0, max(0.0, mass_within(density, gsd_m_per_px, TOLERANCE))),
+        notices=tuple(notices),
+        density=density,
+        explanation=said.replace("{}", words),
+        marks=tuple(marks),
+        log_sd=log_sd,
+        chance_wrong=chance_wrong,
+    )
+
+
+def no_evidence(kind: str, *notices: Notice) -> LognormalEvidence:
+    """Evidence of a ruler that found nothing, with why."""
+    return LognormalEvidence(kind=kind, gsd_m_per_px=None, interval=None, n=0, confidence=0.0, notices=notices)

@@ -1,0 +1,293 @@
+"""Vehicles as a ruler: the fleet among what was found, its modal length, the scale and the confidence in it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.records import Notice
+from vehanchor.records.notices import FLEET_DOUBTS, NoticeCode
+from vehanchor.rulers.evidence import Evidence
+from vehanchor.rulers.lognormal import lognormal, on_grid
+from vehanchor.rulers.reference import reference_length
+from vehanchor.scale.confidence import composite, confidence_terms, fleet_doubts, guard_length
+from vehanchor.scale.defaults import CAR_LENGTH_M
+from vehanchor.scale.fusion import GRID, credible_interval, flat, vehicle_density, with_outlier_floor
+from vehanchor.scale.lengths import Z95, dominant_group, gsd_interval, inlier_mask, modal_length
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.detection.appearance import FleetAppearance
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.detections import Detections
+    from vehanchor.options import Lengths, ScaleOptions
+    from vehanchor.records import ConfidenceTerms
+    from vehanchor.rulers.evidence import View
+    from vehanchor.rulers.reference import ReferenceLength
+    from vehanchor.scale.defaults import Aggregation
+    from vehanchor.scale.lengths import Interval
+
+_LEAST_SCORE = 1e-3  # below it a detection is no evidence, but still one
+_MODE_REACH, _MODE_SHARE = 0.25, 0.3  # of log scale, and of the density
+_DOUBTS: dict[NoticeCode, str] = {
+    NoticeCode.LENGTHS_DISAGREE: "Vehicles of two sizes were found, and the evidence for the other size is not much "
+    "weaker than for the one that was used. One of them is not cars: the scale may be off by the ratio of the sizes.",
+    NoticeCode.LENGTHS_ALIKE: "The vehicles are all of one length, as no fleet of cars is: they may be equal lorries, "
+    "containers or roof units, and the scale off by the ratio of their length to a car's.",
+    NoticeCode.SCORES_UNCLEAR: "None of the vehicles is clearly a car: they may be things of similar shape at another "
+    "scale.",
+    NoticeCode.LOOKS_ALIKE: "The vehicles look more alike than cars of different makes and paint do: they may be equal "
+    "caravans, lorries or containers, and the scale off by the ratio of their length to a car's.",
+    NoticeCode.LOOKS_UNLIKE_CARS: "The vehicles look like no fleet of cars that is known: they may be boats or other "
+    "things of a car's shape, and the scale off by the ratio of their length to a car's.",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Fleet:
+    """The vehicles that the scale is taken from.
+
+    Attributes:
+        detections: all that was found.
+        kept: ``[n]`` bool, which of its vehicles they are.
+        rival_share: evidence of the strongest group of other lengths over that of this one; 0 without any.
+        working_scale: the scale of the image at which most of them were found, by score; None for no vehicles.
+    """
+
+    detections: Detections
+    kept: NDArray[np.bool_]
+    rival_share: float
+    working_scale: float | None
+
+    @property
+    def centres(self) -> NDArray[np.float64]:
+        """``[m, 2]`` x, y in pixels of the image."""
+        return np.asarray(self.detections.boxes[self.kept, :2])
+
+    @property
+    def lengths(self) -> NDArray[np.float64]:
+        """``[m]`` pixels of the image."""
+        return np.asarray(self.detections.boxes[self.kept, 2])
+
+    @property
+    def scores(self) -> NDArray[np.float64]:
+        """``[m]`` detection scores."""
+        return np.asarray(self.detections.scores[self.kept])
+
+    @property
+    def look(self) -> FleetAppearance | None:
+        """What the look of those tells that were looked at; None without any."""
+        look = self.detections.fleet
+        if look is None or not self.kept[: len(look.log_odds)].any():
+            return None
+        return look.take(self.kept[: len(look.log_odds)])
+
+
+def select(detections: Detections, lengths: Lengths, expected: NDArray[np.float64] | None = None) -> Fleet:
+    """Select the fleet: the outlier filter; after a search over scales, within lengths that can belong to one fleet.
+
+    Args:
+        detections: vehicles in pixels of the image.
+        lengths: the filter's factor.
+        expected: ``[g]`` density of the scale that says which group can be cars, where nothing was seen of the ground.
+
+    Returns:
+        The fleet, empty where nothing was found.
+    """
+    found = detections.boxes[:, 2]
+    if detections.scales is None or len(found) == 0:
+        kept, rival_share = inlier_mask(found, lengths.alpha), 0.0
+    else:
+        weights = _expected_weights(found, expected if detections.scene is None else detections.scene.density)
+        group = dominant_group(found, np.maximum(detections.scores, _LEAST_SCORE) ** 2 * weights)
+        kept, rival_share = group.members.copy(), group.rival_share
+        kept[kept] = inlier_mask(found[kept], lengths.alpha)
+    return Fleet(detections, kept, rival_share, _working_scale(detections, kept))
+
+
+def _expected_weights(lengths_px: NDArray[np.float64], density: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """How well a density of the scale bears out that each box is as long as a car; 1 without one."""
+    if density is None:
+        return np.ones(len(lengths_px))
+    return np.asarray(np.interp(np.log(CAR_LENGTH_M / lengths_px), GRID, density / density.max()))
+
+
+def _working_scale(detections: Detections, kept: NDArray[np.bool_]) -> float | None:
+    """The scale at which most of the kept vehicles were found, by score; the finer of two equal ones."""
+    if not kept.any():
+        return None
+    if detections.scales is None:
+        return 1.0
+    scales, which = np.unique(-detections.scales[kept], return_inverse=True)
+    return float(-scales[np.argmax(np.bincount(which, weights=detections.scores[kept]))])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class VehicleEvidence(Evidence):
+    """The paper's skill: the evidence of vehicles with all that it was concluded from.
+
+    Attributes:
+        fleet: the vehicles.
+        reference: ``L_ref`` and where it is from.
+        mode_length_px: ``P_mode``; None for no vehicles.
+        aggregation: how lengths became one.
+        terms: of the confidence.
+        guard_length_px: ``P_thresh`` of the resolution guard.
+        guarded: whether the guard holds.
+        resolved: share of the pixels' resolution at which there is detail.
+        sharpness: of the detector's votes, see ``vehanchor.scale.fusion.recalibrated``.
+    """
+
+    fleet: Fleet
+    reference: ReferenceLength
+    mode_length_px: float | None
+    aggregation: Aggregation
+    terms: ConfidenceTerms
+    guard_length_px: float
+    guarded: bool
+    resolved: float
+    sharpness: float = 1.0
+
+    @property
+    def fusable_density(self) -> NDArray[np.float64] | None:
+        """What the boxes say, around the paper's scale; where nobody has fitted how they vote, that over its interval.
+
+        The confidence bounds how far they are believed where they are guarded, or may not be cars, or are not fitted:
+        other rulers may then outvote any number of them.
+        """
+        if self.gsd_m_per_px is None or self.interval is None:
+            return None
+        if self.density is not None:
+            density = _recentred(self.density, self.gsd_m_per_px)
+        else:
+            log_sd = math.log(self.interval.high / self.interval.low) / (2 * Z95)
+            density = lognormal(self.gsd_m_per_px, log_sd) if on_grid(self.gsd_m_per_px) else flat()
+        doubted = self.density is None or self.guarded or any(each.code in FLEET_DOUBTS for each in self.notices)
+        return with_outlier_floor(density, 1.0 - self.confidence) if doubted else density
+
+
+class Vehicles:
+    """The ruler of the paper: cars are everywhere and about 5 m long.
+
+    Args:
+        expected: ``[g]`` density of the scale that tells cars from their parts where nothing was seen of the ground.
+    """
+
+    kind = "vehicles"
+
+    def __init__(self, expected: NDArray[np.float64] | None = None) -> None:
+        self._expected = expected
+
+    def look(self, view: View) -> VehicleEvidence:
+        """Measure the fleet in a view (paper, section III).
+
+        Raises:
+            InvalidParameterError: the model does not know the region.
+            CalibrationMismatchError: the calibration was made for another model.
+        """
+        fleet, card = select(view.detections, view.options.lengths, self._expected), view.card
+        reference = reference_length(card, view.options.reference, fleet.look)
+        mode_px, aggregation, gsd, interval = _scale(fleet, card, view.options, reference)
+        guard_px = guard_length(reference.length_m, card.min_length_px)
+        resolved = view.resolved_share(fleet.centres, fleet.working_scale or 1.0)
+        seen_px = (mode_px or math.nan) * (fleet.working_scale or 1.0)  # as the model saw them
+        unresolved = seen_px >= guard_px > seen_px * resolved
+        guarded = seen_px < guard_px or unresolved
+        doubts = _doubts(fleet, card)
+        terms = confidence_terms(
+            fleet.lengths,
+            fleet.scores,
+            seen_px,
+            (max(card.min_length_px, card.length_range_px[0]), card.length_range_px[1]),
+        )
+        return VehicleEvidence(
+            kind=self.kind,
+            gsd_m_per_px=gsd,
+            interval=interval,
+            n=len(fleet.lengths),
+            confidence=composite(terms, guarded=guarded, disputed=bool(doubts)),
+            notices=(
+                *_capped(view.detections),
+                *([_detail_missing(seen_px, resolved, guard_px)] if unresolved else []),
+                *doubts,
+            ),
+            density=_density(view.detections, card, reference),
+            fleet=fleet,
+            reference=reference,
+            mode_length_px=mode_px,
+            aggregation=aggregation,
+            terms=terms,
+            guard_length_px=guard_px,
+            guarded=guarded,
+            resolved=resolved,
+            sharpness=1.0 if card.votes is None else card.votes.sharpness,
+        )
+
+
+def _recentred(density: NDArray[np.float64], gsd_m_per_px: float) -> NDArray[np.float64]:
+    """A density moved so that its mode around a scale has its median there; as it is where it has no mode there."""
+    near = np.where(np.abs(GRID - math.log(gsd_m_per_px)) <= _MODE_REACH, density, 0.0)
+    if near.sum() < _MODE_SHARE:
+        return density
+    median = credible_interval(near / near.sum(), probability=0.0).low
+    moved = np.interp(GRID - math.log(gsd_m_per_px / median), GRID, density)
+    return np.asarray(moved / moved.sum())
+
+
+def _scale(
+    fleet: Fleet, card: DetectorCard, options: ScaleOptions, reference: ReferenceLength
+) -> tuple[float | None, Aggregation, float | None, Interval | None]:
+    """``P_mode``, how it was taken, the GSD and its interval; None where there are no vehicles."""
+    aggregation = options.lengths.aggregation or card.aggregation
+    if not len(fleet.lengths):
+        return None, aggregation, None, None
+    mode_px, aggregation = modal_length(fleet.lengths, fleet.scores, aggregation)
+    weighted = fleet.scores if aggregation == "weighted_kde" else None
+    interval = gsd_interval(fleet.lengths, mode_px, reference.length_m, reference.sd_m, scores=weighted)
+    return mode_px, aggregation, reference.length_m / mode_px, interval
+
+
+def _density(detections: Detections, card: DetectorCard, reference: ReferenceLength) -> NDArray[np.float64] | None:
+    """What all boxes say together, those of other groups included; None where nobody has fitted how they vote."""
+    if card.votes is None:
+        return None
+    return vehicle_density(detections.boxes[:, 2], detections.scores, reference.length_m, reference.sd_m, card.votes)
+
+
+def _doubts(fleet: Fleet, card: DetectorCard) -> list[Notice]:
+    """Doubts that they are cars, where a search over scales has given up their size as evidence."""
+    if fleet.detections.scales is None:
+        return []
+    doubts = fleet_doubts(
+        fleet.lengths,
+        fleet.scores,
+        rival_share=fleet.rival_share,
+        clear_score=card.clear_score,
+        fleet_log_odds=None if fleet.look is None else fleet.look.log_odds,
+    )
+    return [Notice(code=doubt, message=_DOUBTS[doubt]) for doubt in doubts]
+
+
+def _capped(detections: Detections) -> list[Notice]:
+    if not detections.n_capped_tiles:
+        return []
+    return [
+        Notice(
+            code=NoticeCode.DETECTIONS_CAPPED,
+            message=f"{detections.n_capped_tiles} of {detections.n_tiles} tiles reached the model's largest "
+            "number of boxes: vehicles may be missing. Export the model without nms=True, or use smaller tiles.",
+        )
+    ]
+
+
+def _detail_missing(seen_px: float, resolved: float, guard_px: float) -> Notice:
+    return Notice(
+        code=NoticeCode.DETAIL_MISSING,
+        message=f"The image has no detail finer than {1 / resolved:.2g} px, as after enlarging or blur: the "
+        f"vehicles' {seen_px:.1f} px hold no more than {seen_px * resolved:.1f} px would, and "
+        f"{guard_px:.1f} px are needed. Give the original image.",
+    )

@@ -1,0 +1,1 @@
+"""Tilt: where the camera looked, and the ground plane."""

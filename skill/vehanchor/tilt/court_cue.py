@@ -1,0 +1,75 @@
+"""Tilt from a court: only on the ground that the camera really saw is it as long, wide and square as its rules say."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehanchor.scale.plane import LEAST_DESCENT
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from vehanchor.courts.court import Court
+
+_LAID_OUT = 0.003  # of its length: how far a corner may lie from where the rules want it
+_UNKNOWN_RULES = 0.006  # of a basketball court: which rules it follows is a guess
+_TRUST_PX = 1.5  # on the corners' own spread: pieces of one line err alike
+_LEAST_SD_PX = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class CourtCue:
+    """A court seen in perspective (a ``vehanchor.tilt.posterior.TiltCue``).
+
+    Attributes:
+        corners: ``[4, 2]`` pixels from the image's centre; the first two bound a long side.
+        rules: ``[4]`` where the rules want them, complex, metres from its middle.
+        sd_px: standard deviation of a corner along either axis.
+    """
+
+    corners: NDArray[np.float64]
+    rules: NDArray[np.complex128]
+    sd_px: float
+    kind: str = "courts"
+
+    def log_likelihoods(self, downs: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
+        """``[k]``: how far, in pixels, corners laid out by the rules would lie from those seen, wherever it may lie."""
+        rays = np.column_stack([self.corners / focal_px, np.ones(4)])
+        descents = downs @ rays.T  # [k, 4]
+        seen = (descents / np.linalg.norm(rays, axis=1) >= LEAST_DESCENT).all(axis=1)
+        descents = np.maximum(descents, 1e-6)
+        right = np.array([1.0, 0.0, 0.0]) - downs[:, :1] * downs
+        right /= np.linalg.norm(right, axis=1, keepdims=True)
+        lower = np.cross(downs, right)
+        places = (right @ rays.T + 1j * (lower @ rays.T)) / descents  # on the ground, for a camera one unit up
+        places -= places.mean(axis=1, keepdims=True)
+        size = places @ np.conj(self.rules) / (np.abs(self.rules) ** 2).sum()
+        off = np.abs(places - size[:, None] * self.rules) * focal_px * descents**1.5
+        return np.asarray(np.where(seen, -0.5 * (off**2).sum(axis=1) / self.sd_px**2, -math.inf))
+
+
+def court_cues(courts: Sequence[Court], width_px: int, height_px: int) -> list[CourtCue]:
+    """Those courts that have enough pixels to be seen in perspective.
+
+    Args:
+        courts: of one image.
+        width_px: of the image.
+        height_px: of it.
+    """
+    found = []
+    for court in courts:
+        if court.shape is None or not math.isfinite(court.shape_sd_px):
+            continue
+        across = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * [court.length_m / 2, court.width_m / 2]
+        length_px = float(np.hypot(*(court.shape[1] - court.shape[0])))
+        laid_out = _LAID_OUT if court.kind == "tennis" else _UNKNOWN_RULES
+        sd = math.hypot(max(_TRUST_PX * court.shape_sd_px, _LEAST_SD_PX), laid_out * length_px)
+        corners = court.shape - [width_px / 2, height_px / 2]
+        found.append(CourtCue(corners, across[:, 0] + 1j * across[:, 1], sd))
+    return found

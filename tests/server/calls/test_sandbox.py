@@ -1,0 +1,192 @@
+"""What takes over a worker has little to do with it: no file but the images', no network, no other process."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import json
+import multiprocessing
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.server.calls.working import TESTS, done, number, ready
+from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.reading import receive
+from vehanchor_server.errors import CallError
+from vehanchor_server.images.path_access import Sandbox
+from vehanchor_server.services import Services, create_services
+from vehanchor_server.settings import Settings
+
+CONFINE = """
+import json, platform, sys
+from vehanchor_server.calls import confinement
+{before}
+found = confinement.confine([])
+print(json.dumps([found.landlock, found.seccomp, found.lacks]))
+"""
+
+
+def confined(before: str = "") -> tuple[int, bool, str]:
+    """What a process of its own finds after it has confined itself."""
+    done = subprocess.run(
+        [sys.executable, "-c", CONFINE.format(before=before)], capture_output=True, text=True, check=True
+    )
+    landlock, seccomp, lacks = json.loads(done.stdout)
+    return landlock, seccomp, lacks
+
+
+@pytest.fixture(scope="module")
+def held() -> tuple[int, bool, str]:
+    return confined()
+
+
+@pytest.fixture(scope="module")
+def running(detector_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Services]:
+    root = tmp_path_factory.mktemp("root")
+    settings = Settings(roots=(root, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
+    services = ready(create_services(settings))
+    yield services
+    services.close()
+
+
+def attempts(services: Services, job: Job, source: Any, secret: str, server: int) -> dict[str, str]:
+    """Everything that a worker should be kept from, and some things that it needs; in a worker."""
+    root = services.settings.roots[0]
+    libc = ctypes.CDLL(None, use_errno=True)
+
+    def checked(result: int) -> None:
+        if result < 0:
+            raise OSError(ctypes.get_errno(), "")
+
+    tries: dict[str, Callable[[], Any]] = {
+        "read an image": (root / "cars.png").read_bytes,
+        "read it by its descriptor": lambda: by_descriptor(root / "cars.png"),
+        "list the root": lambda: list(root.iterdir()),
+        "import what was not": lambda: __import__("xml.dom.pulldom"),
+        "start a thread": lambda: started(threading.Thread(target=int)),
+        "signal itself": lambda: os.kill(os.getpid(), 0),
+        "read /etc/passwd": Path("/etc/passwd").read_bytes,
+        "list /etc": lambda: list(Path("/etc").iterdir()),
+        "read a secret": Path(secret).read_bytes,
+        "read it by a link": (root / "to_secret").read_bytes,
+        "read the server's environment": Path(f"/proc/{server}/environ").read_bytes,
+        "read the server's memory": Path(f"/proc/{server}/mem").read_bytes,
+        "write below the root": lambda: (root / "new.png").write_bytes(b""),
+        "write over an image": lambda: (root / "cars.png").open("r+b"),
+        "write elsewhere": lambda: Path(secret).with_name("new").write_bytes(b""),
+        "make a folder": (root / "new").mkdir,
+        "delete an image": (root / "cars.png").unlink,
+        "rename an image": lambda: (root / "cars.png").rename(root / "mine.png"),
+        "cut an image off": lambda: os.truncate(root / "cars.png", 0),
+        "open an image to all": lambda: (root / "cars.png").chmod(0o777),
+        "set an image's time": lambda: os.utime(root / "cars.png"),
+        "open a TCP socket": socket.socket,
+        "open a Unix socket": lambda: socket.socket(socket.AF_UNIX),
+        "open a raw socket": lambda: socket.socket(socket.AF_PACKET, socket.SOCK_RAW),
+        "fetch": lambda: socket.create_connection(("127.0.0.1", 9), 1),
+        "run a program": lambda: subprocess.run(["/bin/true"], check=True),
+        "become a program": lambda: os.execv("/bin/true", ["true"]),
+        "fork": lambda: checked(os.fork()),
+        "kill the server": lambda: os.kill(server, signal.SIGCONT),
+        "signal all": lambda: os.kill(-1, 0),
+        "trace the server": lambda: checked(libc.ptrace(16, server, 0, 0)),
+        "limit the server": lambda: checked(libc.prlimit(server, 7, None, ctypes.create_string_buffer(16))),
+        "enter a namespace": lambda: checked(libc.unshare(0x10000000)),
+        "ask for io_uring": lambda: checked(libc.syscall(425, 4, ctypes.create_string_buffer(120))),
+    }
+    found = {}
+    for name, attempt in tries.items():
+        try:
+            attempt()
+            found[name] = "done"
+        except OSError as error:
+            found[name] = errno.errorcode[error.errno or 0]
+    return found
+
+
+def by_descriptor(path: Path) -> None:
+    with path.open("rb") as file, Path(f"/proc/self/fd/{file.fileno()}").open("rb") as again:
+        assert again.read()
+
+
+def started(thread: threading.Thread) -> None:
+    thread.start()
+    thread.join()
+
+
+@pytest.mark.slow
+def test_a_worker_can_do_its_work_and_nothing_else(
+    running: Services, held: tuple[int, bool, str], tmp_path: Path
+) -> None:
+    if not (held[0] and held[1]):
+        pytest.skip(f"this system does not confine: {held[2]}")
+    root, secret = running.settings.roots[0], tmp_path / "token"
+    secret.write_text("hunter2")
+    (root / "cars.png").write_bytes(b"pixels")
+    (root / "to_secret").symlink_to(secret)
+    outcomes = done(running, partial(attempts, secret=str(secret), server=os.getpid()))
+    needed = ["read an image", "read it by its descriptor", "list the root", "import what was not", "start a thread"]
+    assert {name for name, outcome in outcomes.items() if outcome == "done"} == {*needed, "signal itself"}
+    assert set(outcomes.values()) == {"done", "EACCES", "EPERM"}
+    assert outcomes["read /etc/passwd"] == outcomes["read it by a link"] == "EACCES"
+    assert outcomes["open a TCP socket"] == outcomes["run a program"] == outcomes["fork"] == "EPERM"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="made for what a Linux may lack")
+@pytest.mark.parametrize(
+    ("before", "words", "landlock", "seccomp"),
+    [
+        ("confinement._CREATE_RULESET = 4095", "Landlock: Function not implemented", False, True),
+        ("platform.machine = lambda: 'pdp11'", "seccomp: its calls are not known here for pdp11", True, False),
+        ("sys.platform = 'darwin'", "darwin has neither Landlock nor seccomp", False, False),
+    ],
+)
+def test_what_a_system_lacks_is_told_and_the_rest_is_done(
+    before: str, words: str, landlock: bool, seccomp: bool, held: tuple[int, bool, str]
+) -> None:
+    found = confined(before)
+    assert words in found[2]
+    assert bool(found[0]) == (landlock and bool(held[0]))
+    assert found[1] == (seccomp and held[1])
+
+
+@pytest.mark.parametrize(
+    "sent", [("value", os.system), ("value", subprocess.run), ("value", Sandbox((), ())), "value", ()]
+)
+def test_a_server_takes_nothing_but_values_from_its_workers(sent: Any) -> None:
+    ours, theirs = multiprocessing.Pipe()
+    with ours, theirs:
+        theirs.send(sent)
+        with pytest.raises(pickle.UnpicklingError):
+            receive(ours)
+
+
+class _Call:
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self.path),)
+
+
+def message_that_acts(services: Services, job: Job, source: Any, path: Path) -> Any:
+    return _Call(path)
+
+
+@pytest.mark.slow
+def test_what_a_worker_sends_cannot_act_in_the_server(running: Services, tmp_path: Path) -> None:
+    with pytest.raises(CallError, match="worker_killed"):
+        done(running, partial(message_that_acts, path=tmp_path / "made"))
+    assert not (tmp_path / "made").exists()
+    assert done(running, number) > 0

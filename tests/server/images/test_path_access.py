@@ -1,0 +1,314 @@
+"""Nothing outside the roots is ever read, and refusals tell nothing about it."""
+
+from __future__ import annotations
+
+import os
+import socket
+import tempfile
+from pathlib import Path
+from typing import BinaryIO
+
+import pytest
+
+from vehanchor_server.errors import CallError
+from vehanchor_server.images import path_access as sandbox_module
+from vehanchor_server.images.path_access import Sandbox
+from vehanchor_server.settings import Settings
+
+SECRET = b"outside the root"
+
+
+@pytest.fixture
+def outside(tmp_path: Path) -> Path:
+    directory = tmp_path / "outside"
+    directory.mkdir()
+    (directory / "secret.png").write_bytes(SECRET)
+    return directory
+
+
+@pytest.fixture
+def root(tmp_path: Path, outside: Path) -> Path:
+    directory = tmp_path / "root"
+    (directory / "deep").mkdir(parents=True)
+    (directory / "a.png").write_bytes(b"inside")
+    (directory / "deep" / "b c%41.png").write_bytes(b"deeper")
+    return directory.resolve()
+
+
+def content(opened: str | BinaryIO) -> bytes:
+    return Path(opened).read_bytes() if isinstance(opened, str) else opened.read()
+
+
+def read(root: Path, named: str) -> bytes:
+    with Sandbox([root]).open(named) as opened:
+        return content(opened)
+
+
+def refusal(root: Path, named: str) -> CallError:
+    with pytest.raises(CallError) as caught, Sandbox([root]).open(named) as opened:
+        pytest.fail(f"{named!r} was opened: {content(opened)!r}")
+    return caught.value
+
+
+def test_files_below_a_root_are_opened(root: Path) -> None:
+    assert read(root, str(root / "a.png")) == b"inside"
+    assert read(root, str(root / "deep" / "b c%41.png")) == b"deeper"
+    assert read(root, (root / "deep" / "b c%41.png").as_uri()) == b"deeper"
+    assert read(root, f"file://localhost{root}/a.png") == b"inside"
+    assert read(root, f"FILE://{root}/a.png") == b"inside"
+    assert read(root, f"{root}//./a.png") == b"inside"
+
+
+def test_links_that_stay_below_the_root_are_followed(root: Path) -> None:
+    (root / "link.png").symlink_to(root / "a.png")
+    (root / "linked").symlink_to(root / "deep", target_is_directory=True)
+    assert read(root, str(root / "link.png")) == b"inside"
+    assert read(root, str(root / "linked" / "b c%41.png")) == b"deeper"
+
+
+def test_every_root_counts(root: Path, outside: Path) -> None:
+    with Sandbox([root, outside]).open(str(outside / "secret.png")) as opened:
+        assert content(opened) == SECRET
+
+
+def test_without_roots_paths_are_off(root: Path) -> None:
+    with pytest.raises(CallError, match=r"source_disabled: .*--root"), Sandbox([]).open(str(root / "a.png")):
+        pass
+
+
+def test_dots_do_not_lead_out(root: Path) -> None:
+    for named in (f"{root}/../outside/secret.png", f"{root}/deep/../../outside/secret.png", f"{root}/..", "../a", ".."):
+        assert refusal(root, named).code == "path_not_allowed"
+
+
+def test_a_sibling_whose_name_begins_like_the_root_is_outside(root: Path) -> None:
+    twin = Path(f"{root}-private")
+    twin.mkdir()
+    (twin / "secret.png").write_bytes(SECRET)
+    assert refusal(root, str(twin / "secret.png")).code == "path_not_allowed"
+
+
+def test_links_out_of_the_root_are_refused(root: Path, outside: Path) -> None:
+    (root / "file.png").symlink_to(outside / "secret.png")
+    (root / "relative.png").symlink_to("../outside/secret.png")
+    (root / "directory").symlink_to(outside, target_is_directory=True)
+    (root / "twice.png").symlink_to(root / "file.png")
+    for named in ("file.png", "relative.png", "directory/secret.png", "twice.png"):
+        assert refusal(root, str(root / named)).code == "path_not_allowed"
+
+
+def test_loops_of_links_are_refused(root: Path) -> None:
+    (root / "x").symlink_to(root / "y")
+    (root / "y").symlink_to(root / "x")
+    assert refusal(root, str(root / "x")).code in ("path_not_allowed", "image_not_found")
+
+
+def test_a_file_replaced_by_a_link_between_check_and_opening_is_refused(
+    root: Path, outside: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = sandbox_module._open_part
+
+    def swapped(part: str, flags: int, directory: int) -> int:
+        (root / "a.png").unlink()
+        (root / "a.png").symlink_to(outside / "secret.png")
+        return original(part, flags, directory)
+
+    monkeypatch.setattr(sandbox_module, "_open_part", swapped)
+    assert refusal(root, str(root / "a.png")).code == "path_not_allowed"
+
+
+def test_a_directory_replaced_by_a_link_between_check_and_opening_is_refused(
+    root: Path, outside: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (root / "deep" / "secret.png").write_bytes(b"decoy")
+    original = sandbox_module._open_part
+
+    def swapped(part: str, flags: int, directory: int) -> int:
+        if part == "deep":
+            (root / "deep").rename(root / "moved")
+            (root / "deep").symlink_to(outside, target_is_directory=True)
+        return original(part, flags, directory)
+
+    monkeypatch.setattr(sandbox_module, "_open_part", swapped)
+    refused = refusal(root, str(root / "deep" / "secret.png"))
+    assert refused.code in ("path_not_allowed", "image_not_found")  # Linux calls the link no directory
+
+
+def test_a_file_replaced_by_a_fifo_between_check_and_opening_neither_blocks_nor_is_read(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = sandbox_module._open_part
+
+    def swapped(part: str, flags: int, directory: int) -> int:
+        (root / "a.png").unlink()
+        os.mkfifo(root / "a.png")
+        return original(part, flags, directory)
+
+    monkeypatch.setattr(sandbox_module, "_open_part", swapped)
+    assert refusal(root, str(root / "a.png")).code == "image_not_found"
+
+
+def test_an_opened_file_stays_the_one_that_was_checked(root: Path, outside: Path) -> None:
+    path = root / "a.png"
+    with Sandbox([root]).open(str(path)) as opened:
+        path.unlink()
+        path.symlink_to(outside / "secret.png")
+        assert content(opened) == b"inside"
+
+
+@pytest.mark.parametrize(
+    "named",
+    [
+        "/proc/self/environ",
+        "/proc/self/root/etc/passwd",
+        "/proc/self/fd/0",
+        "/proc/self/cwd/pyproject.toml",
+        "/dev/stdin",
+        "/dev/zero",
+        "/etc/passwd",
+        "/",
+        "//etc/passwd",
+        "\\\\host\\share\\a.png",
+        "~/a.png",
+        "a.png",
+        "file://evil.example/etc/passwd",
+        "file://127.0.0.1/etc/passwd",
+        "file:/etc/passwd",
+        "file:etc/passwd",
+        "file:///etc/passwd?x=1",
+        "file:///etc/passwd#x",
+        "file:////etc/passwd",
+        "http://127.0.0.1/a.png",
+        "/" + "a" * 300,
+        "/" + "a/" * 3000,
+    ],
+)
+def test_what_is_not_below_a_root_is_refused(root: Path, named: str) -> None:
+    assert refusal(root, named).code == "path_not_allowed"
+
+
+def test_the_process_own_links_do_not_lead_back_in(root: Path) -> None:
+    descriptor = os.open("/", os.O_RDONLY)
+    try:
+        assert refusal(root, f"/proc/self/fd/{descriptor}/etc/passwd").code == "path_not_allowed"
+    finally:
+        os.close(descriptor)
+
+
+def test_a_way_back_into_the_root_from_outside_tells_nothing_of_what_it_passes(root: Path, tmp_path: Path) -> None:
+    """Processes could be counted by it: /proc/PID/root led back into the root for those that were there."""
+    (tmp_path / "back").symlink_to(root, target_is_directory=True)
+    refusals = {
+        str(refusal(root, named))
+        for named in (
+            f"/proc/{os.getpid()}/root{root}/a.png",
+            f"/proc/{os.getpid()}/root{root}/missing.png",
+            f"/proc/self/root{root}/a.png",
+            f"/proc/999999999/root{root}/a.png",
+            f"{tmp_path}/back/a.png",
+            f"{tmp_path}/no/a.png",
+        )
+    }
+    assert len(refusals) == 1
+    assert refusals.pop().startswith("path_not_allowed")
+
+
+def test_links_that_leave_the_root_to_come_back_tell_nothing_of_what_they_pass(root: Path, tmp_path: Path) -> None:
+    (tmp_path / "back").symlink_to(root, target_is_directory=True)
+    targets = (
+        f"/proc/{os.getpid()}/root{root}/a.png",
+        f"/proc/999999999/root{root}/a.png",
+        f"{tmp_path}/back/a.png",
+        "../back/a.png",
+        "../no/a.png",
+        "deep/../../root/a.png",
+    )
+    for i, target in enumerate(targets):
+        (root / f"link{i}.png").symlink_to(target)
+    assert len({str(refusal(root, str(root / f"link{i}.png"))) for i in range(len(targets))}) == 1
+
+
+def test_a_root_may_be_named_as_the_operator_wrote_it(root: Path, tmp_path: Path) -> None:
+    spelled = tmp_path / "spelled"
+    spelled.symlink_to(root, target_is_directory=True)
+    settings = Settings.from_json(Settings(roots=(spelled,)).to_json())
+    assert settings.roots == (root,)
+    for name in (spelled, root):
+        with Sandbox(settings.roots, settings.spelled_roots).open(str(name / "a.png")) as opened:
+            assert content(opened) == b"inside"
+
+
+def test_links_may_climb_inside_the_root_and_lead_to_another(root: Path, outside: Path) -> None:
+    (root / "deep" / "up.png").symlink_to("../a.png")
+    (root / "deep" / "round.png").symlink_to("../deep/./../a.png")
+    (root / "other.png").symlink_to(outside / "secret.png")
+    assert read(root, str(root / "deep" / "up.png")) == b"inside"
+    assert read(root, str(root / "deep" / "round.png")) == b"inside"
+    with Sandbox([root, outside]).open(str(root / "other.png")) as opened:
+        assert content(opened) == SECRET
+
+
+@pytest.mark.parametrize("named", ["file://[", "file://[::1", "FILE://[x]y/a.png", "file:///a.png["])
+def test_urls_that_cannot_be_split_are_refused(root: Path, named: str) -> None:
+    assert refusal(root, named).code == "path_not_allowed"
+
+
+def test_a_long_name_is_shortened_before_it_is_told(root: Path) -> None:
+    error = refusal(root, f"{root}/{'a/' * 1000}a.png")
+    assert error.code == "image_not_found"
+    assert len(str(error)) < 200
+
+
+def test_percent_encoding_is_decoded_once_and_then_judged(root: Path) -> None:
+    assert refusal(root, f"file://{root}/%2e%2e/outside/secret.png").code == "path_not_allowed"
+    assert refusal(root, f"file://{root}/..%2foutside%2fsecret.png").code == "path_not_allowed"
+    assert refusal(root, f"file://{root}/%252e%252e/outside/secret.png").code == "image_not_found"
+    assert refusal(root, f"{root}/%2e%2e/outside/secret.png").code == "image_not_found"
+
+
+def test_nul_bytes_are_refused(root: Path) -> None:
+    assert refusal(root, f"{root}/a.png\0.jpg").code == "path_not_allowed"
+    assert refusal(root, f"file://{root}/a.png%00.jpg").code == "path_not_allowed"
+
+
+def test_overlong_names_below_the_root_are_refused(root: Path) -> None:
+    assert refusal(root, f"{root}/{'a' * 300}.png").code in ("path_not_allowed", "image_not_found")
+
+
+def test_directories_fifos_sockets_and_devices_are_no_images(root: Path) -> None:
+    os.mkfifo(root / "fifo.png")
+    assert refusal(root, str(root)).code == "image_not_found"
+    assert refusal(root, str(root / "deep")).code == "image_not_found"
+    assert refusal(root, str(root / "fifo.png")).code == "image_not_found"
+    with tempfile.TemporaryDirectory(dir="/tmp") as short, socket.socket(socket.AF_UNIX) as bound:
+        bound.bind(f"{short}/s.png")
+        assert refusal(Path(short).resolve(), f"{short}/s.png").code == "image_not_found"
+    assert refusal(Path("/dev").resolve(), "/dev/zero").code == "image_not_found"
+
+
+def test_outside_the_roots_what_exists_and_what_does_not_are_refused_alike(root: Path, outside: Path) -> None:
+    there, missing = (refusal(root, str(outside / name)) for name in ("secret.png", "missing.png"))
+    assert str(there) == str(missing)
+    (root / "to_there.png").symlink_to(outside / "secret.png")
+    (root / "to_nowhere.png").symlink_to(outside / "missing.png")
+    there, missing = (refusal(root, str(root / name)) for name in ("to_there.png", "to_nowhere.png"))
+    assert str(there) == str(missing)
+    assert "outside" not in str(there)
+
+
+def test_a_missing_file_below_a_root_is_told(root: Path) -> None:
+    error = refusal(root, str(root / "missing.png"))
+    assert error.code == "image_not_found"
+    assert "missing.png" in str(error)
+
+
+def test_no_descriptor_stays_open(root: Path, outside: Path) -> None:
+    (root / "link.png").symlink_to(outside / "secret.png")
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    for name in ("a.png", "link.png", "deep", "missing.png", "deep/b c%41.png"):
+        try:
+            with Sandbox([root]).open(str(root / name)):
+                pass
+        except CallError:
+            pass
+    assert len(list(Path("/proc/self/fd").iterdir())) == before

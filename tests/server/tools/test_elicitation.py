@@ -1,0 +1,143 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mcp.types
+import pytest
+from mcp import Client
+from mcp.client import ClientRequestContext
+from mcp.server import MCPServer
+from mcp.types import ElicitRequestFormParams, ElicitRequestParams, ElicitResult
+
+from tests.server.conversation import by_path, error_of, text_of
+from vehanchor_server.app import create_server
+from vehanchor_server.services import create_services
+from vehanchor_server.settings import Settings
+
+pytestmark = pytest.mark.anyio
+
+
+class Person:
+    """Somebody at a client, who answers every form alike and keeps what was asked."""
+
+    def __init__(self, action: Any, **content: Any) -> None:
+        self.answer = ElicitResult(action=action, content=content if action == "accept" else None)
+        self.asked: list[ElicitRequestFormParams] = []
+
+    async def __call__(self, context: ClientRequestContext, params: ElicitRequestParams) -> ElicitResult:
+        assert isinstance(params, ElicitRequestFormParams)
+        self.asked.append(params)
+        return self.answer
+
+
+def at(server: MCPServer[object], person: Person, mode: str = "auto") -> Client:
+    return Client(server, mode=mode, elicitation_callback=person)
+
+
+async def test_at_low_confidence_a_person_is_asked_once_and_the_answer_makes_the_second_pass(
+    server: MCPServer[object], images: Path
+) -> None:
+    arguments = by_path(images / "two.png")
+    person = Person("accept", known_length="100, 50, 300, 50, 28", region="europe")
+    line = {"x1": 100, "y1": 50, "x2": 300, "y2": 50, "metres": 28}
+    async with at(server, person) as client:
+        asked = await client.call_tool("estimate_gsd", arguments)
+    async with Client(server) as client:
+        told = await client.call_tool("estimate_gsd", {**arguments, "region": "europe", "known_lengths": [line]})
+        untold = await client.call_tool("estimate_gsd", arguments)
+    assert asked.structured_content == told.structured_content
+    assert told.structured_content is not None
+    assert told.structured_content["status"] == "ok"
+    (form,) = person.asked
+    assert form.message.startswith(text_of(untold))  # the person reads what was found, and why it is not enough
+    assert list(form.requested_schema["properties"]) == ["region", "height_m", "focal_35mm", "known_length"]
+    assert "pixels of the image of 640 x 512 px" in form.requested_schema["properties"]["known_length"]["description"]
+    assert not form.requested_schema.get("required")
+
+
+@pytest.mark.parametrize(
+    "answered", [Person("decline"), Person("cancel"), Person("accept"), Person("accept", region="")]
+)
+async def test_without_an_answer_the_low_result_stands(
+    server: MCPServer[object], images: Path, answered: Person
+) -> None:
+    async with at(server, answered) as client:
+        result = await client.call_tool("estimate_gsd", by_path(images / "two.png"))
+    async with Client(server) as client:
+        untold = await client.call_tool("estimate_gsd", by_path(images / "two.png"))
+    assert result.structured_content == untold.structured_content
+    assert text_of(result) == text_of(untold)
+    assert len(answered.asked) == 1
+
+
+async def test_what_is_known_or_would_not_help_is_not_asked(server: MCPServer[object], images: Path) -> None:
+    person = Person("decline")
+    copy = {"frame": {"width_px": 320, "height_px": 256}}
+    line = {"x1": 100, "y1": 50, "x2": 300, "y2": 50, "metres": 28}
+    async with at(server, person) as client:
+        await client.call_tool("estimate_gsd", by_path(images / "cars.png"))  # good enough
+        await client.call_tool("estimate_gsd", {**by_path(images / "empty.png"), **copy})
+        await client.call_tool("estimate_gsd", {**by_path(images / "two.png"), "region": "europe", "height_m": 30})
+        await client.call_tool("estimate_gsd", {**by_path(images / "two.png"), "known_lengths": [line]})
+    asked = [list(form.requested_schema["properties"]) for form in person.asked]
+    assert asked == [["height_m", "focal_35mm", "known_length"], ["known_length"]]
+    assert "320 x 256" in person.asked[0].requested_schema["properties"]["known_length"]["description"]
+
+
+async def test_clients_of_older_revisions_and_those_that_cannot_ask_get_the_low_result_at_once(
+    server: MCPServer[object], settings: Settings, images: Path
+) -> None:
+    person = Person("accept", height_m=30, focal_35mm=24)
+    never = create_server(create_services(replace(settings, never_ask=True)))
+    results = []
+    for client in (at(server, person, "legacy"), at(never, person), Client(server)):
+        async with client:
+            results.append(await client.call_tool("estimate_gsd", by_path(images / "two.png")))
+    assert not person.asked
+    assert results[0].structured_content == results[1].structured_content == results[2].structured_content
+    assert results[0].structured_content is not None
+    assert results[0].structured_content["status"] == "low_confidence"
+
+
+async def test_the_second_call_needs_nothing_of_the_first_so_that_any_server_of_many_answers_it(
+    settings: Settings, images: Path
+) -> None:
+    here, elsewhere = (create_server(create_services(settings)) for _ in range(2))
+    arguments = by_path(images / "empty.png")
+    async with at(here, Person("cancel")) as client:
+        asked = await client.session.call_tool("estimate_gsd", arguments, allow_input_required=True)
+    assert isinstance(asked, mcp.types.InputRequiredResult)
+    assert asked.request_state is None
+    assert asked.input_requests is not None
+    answers: Any = {
+        key: ElicitResult(action="accept", content={"height_m": 30, "focal_35mm": 24}) for key in asked.input_requests
+    }
+    async with Client(elsewhere) as client:
+        result = await client.session.call_tool("estimate_gsd", arguments, input_responses=answers)
+    assert isinstance(result, mcp.types.CallToolResult)
+    assert result.structured_content is not None
+    assert result.structured_content["leading_ruler"] == "height"
+
+
+@pytest.mark.parametrize(
+    ("answer", "complaint"),
+    [
+        (
+            {"known_length": "from the door to the gate"},
+            "known_length: the known length is 'from the",
+        ),
+        ({"known_length": "0 0 100 0 -5"}, "metres: Input should be greater than 0"),
+        ({"height_m": -3}, "height_m: Input should be greater than 0"),
+        ({"region": "atlantis"}, "region"),
+        ({"colour": "red"}, "colour"),
+    ],
+)
+async def test_an_answer_without_meaning_is_told(
+    server: MCPServer[object], images: Path, answer: dict[str, Any], complaint: str
+) -> None:
+    async with at(server, Person("accept", **answer)) as client:
+        result = await client.call_tool("estimate_gsd", by_path(images / "two.png"))
+    assert error_of(result) == "invalid_answer"
+    assert complaint in text_of(result)

@@ -1,0 +1,225 @@
+"""What a request may cost before it is known to be a call."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx2 as httpx
+import pytest
+
+from tests.server.transport.test_http import discover, served
+from vehanchor_server.settings import Settings
+from vehanchor_server.transport.request_guard import MAX_NESTED, MAX_SEPARATORS, RequestGuard
+
+N_UNKNOWN = 1_500_000
+
+
+@pytest.fixture(scope="module")
+def base(detector_path: Path) -> Iterator[str]:
+    settings = Settings(
+        detector=str(detector_path),
+        max_concurrency=1,
+        in_process=True,
+        allowed_hosts=("vehanchor.test:8443",),
+        allowed_origins=("https://console.test",),
+    )
+    with served(settings) as address:
+        yield address
+
+
+def call(arguments: dict[str, Any], *, modern: bool, name: str = "estimate_gsd") -> dict[str, Any]:
+    """A call as a plain HTTP client sends it."""
+    request = discover()
+    request["json"]["method"] = "tools/call"
+    request["json"]["params"] |= {"name": name, "arguments": arguments}
+    request["headers"] |= {"Mcp-Method": "tools/call", "Mcp-Name": name, "Content-Type": "application/json"}
+    if not modern:
+        del request["json"]["params"]["_meta"]
+        request["headers"] = {key: value for key, value in request["headers"].items() if not key.startswith("M")}
+    return {"content": json.dumps(request["json"]).encode(), "headers": request["headers"]}
+
+
+@pytest.fixture(scope="module")
+def unknown() -> bytes:
+    """A JSON object of a million and a half members."""
+    return b"{" + b",".join(b'"a%d":0' % i for i in range(N_UNKNOWN)) + b"}"
+
+
+def with_unknown(unknown: bytes, *, modern: bool, nested: bool) -> dict[str, Any]:
+    """A call that has the members as its arguments, or in its image."""
+    request = call({"image": "unknown"} if nested else {"unknown": "unknown"}, modern=modern)
+    replaced = b'"unknown"' if nested else b'{"unknown": "unknown"}'
+    request["content"] = request["content"].replace(replaced, unknown)
+    assert len(request["content"]) > 15_000_000
+    return request
+
+
+@pytest.mark.parametrize("modern", [True, False])
+@pytest.mark.parametrize("nested", [True, False])
+def test_a_million_unknown_arguments_are_refused(base: str, unknown: bytes, modern: bool, nested: bool) -> None:
+    with httpx.Client(timeout=60) as client:
+        answer = client.post(f"{base}/mcp", **with_unknown(unknown, modern=modern, nested=nested))
+    assert answer.status_code == 400
+    assert answer.json()["error"]["message"].startswith("invalid_arguments: ")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("modern", [True, False])
+@pytest.mark.parametrize("nested", [True, False])
+def test_a_million_unknown_arguments_do_not_freeze_the_server(
+    base: str, unknown: bytes, modern: bool, nested: bool
+) -> None:
+    request = with_unknown(unknown, modern=modern, nested=nested)
+    slowest, stop = [0.0], threading.Event()
+
+    def probe() -> None:
+        with httpx.Client() as client:
+            while not stop.is_set():
+                asked = time.monotonic()
+                assert client.get(f"{base}/healthz", timeout=30).status_code == 200
+                slowest[0] = max(slowest[0], time.monotonic() - asked)
+
+    thread = threading.Thread(target=probe)
+    thread.start()
+    try:
+        with httpx.Client(timeout=30) as client:
+            assert client.post(f"{base}/mcp", **request).status_code == 400
+    finally:
+        stop.set()
+        thread.join()
+    assert slowest[0] < 1.0
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("part", [b"," * 1000, b"[" * 1000, b'"a":0,' * 200])
+async def test_the_application_gets_no_more_of_a_body_than_may_be_parsed(part: bytes) -> None:
+    parts, answers = [0], []
+
+    async def receive() -> Any:
+        parts[0] += 1
+        return {"type": "http.request", "body": part, "more_body": True}
+
+    async def send(message: Any) -> None:
+        answers.append(message)
+
+    async def parsing(scope: Any, receive: Any, send: Any) -> None:
+        while (await receive())["more_body"]:
+            pass
+
+    door = RequestGuard(parsing, path="/mcp", hosts=["localhost"], origins=[], max_large_bodies=1)
+    await door({"type": "http", "path": "/mcp", "headers": [(b"host", b"localhost")]}, receive, send)
+    assert parts[0] <= MAX_SEPARATORS // 400 + 1
+    assert answers[0]["status"] == 400
+
+
+@pytest.mark.parametrize("modern", [True, False])
+@pytest.mark.parametrize("depth", [MAX_NESTED, 5_000, 1_000_000])
+def test_deep_json_is_refused(base: str, modern: bool, depth: int) -> None:
+    request = call({"image": "deep"}, modern=modern)
+    request["content"] = request["content"].replace(b'"deep"', b"[" * depth + b"]" * depth)
+    with httpx.Client(timeout=10) as client:
+        answer = client.post(f"{base}/mcp", **request)
+    assert answer.status_code == 400
+    assert "invalid_arguments" in answer.text
+
+
+@pytest.mark.parametrize("modern", [True, False])
+def test_a_path_of_commas_is_no_list(base: str, modern: bool) -> None:
+    assert MAX_SEPARATORS > 2 * 4096
+    with httpx.Client(timeout=10) as client:
+        answer = client.post(
+            f"{base}/mcp", **call({"image": {"kind": "path", "path": "/" + ",:" * 2000}}, modern=modern)
+        )
+    assert answer.status_code == 200
+    assert "source_disabled" in answer.text
+
+
+@pytest.mark.parametrize("modern", [True, False])
+def test_long_names_are_not_sent_back(base: str, modern: bool) -> None:
+    long = "n" * 5000
+    calls = [
+        call({"image": {"kind": "path", "path": "/a"}, long: 1}, modern=modern),
+        call({"image": {"kind": long, "path": "/a"}}, modern=modern),
+        call({"image": {"kind": "url", "url": f"https://{'n' * 1900}/a"}}, modern=modern),
+        call({}, modern=modern, name=long),
+    ]
+    with httpx.Client(timeout=10) as client:
+        for request in calls:
+            answer = client.post(f"{base}/mcp", **request)
+            assert answer.status_code == 200
+            assert "n" * 200 not in answer.text
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"Host": "localhost:evil"}, 421),
+        ({"Host": "localhost:80@evil.test"}, 421),
+        ({"Host": "localhost:"}, 421),
+        ({"Host": "[::1]:80:90"}, 421),
+        ({"Host": "vehanchor.test"}, 421),
+        ({"Host": "VehAnchor.test:8443"}, 421),  # the SDK compares by case
+        ({"Host": "vehanchor.test:8443"}, 200),
+        ({"Host": "[::1]:80"}, 200),
+        ({"Origin": "http://localhost:80@evil.test"}, 403),
+        ({"Origin": "http://localhost:evil.test"}, 403),
+        ({"Origin": "http://localhost:80/x"}, 403),
+        ({"Origin": "https://console.test:444"}, 403),
+        ({"Origin": "ftp://localhost"}, 403),
+        ({"Origin": "http://[::1]:80"}, 200),
+        ({"Origin": "https://console.test"}, 200),
+    ],
+)
+def test_hosts_and_origins_are_compared_whole(base: str, headers: dict[str, str], status: int) -> None:
+    with httpx.Client() as client:
+        assert client.post(f"{base}/mcp", **discover(**headers)).status_code == status
+
+
+def test_bodies_beyond_the_places_are_refused_before_they_are_read(base: str) -> None:
+    host, port = base.removeprefix("http://").split(":")
+    head = (
+        f"POST /mcp HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+        f"Accept: application/json, text/event-stream\r\nContent-Length: {30 << 20}\r\n\r\n"
+    ).encode()
+    large = call({"image": {"kind": "base64", "data": "A" * 200_000}}, modern=True)
+
+    def until_answered(client: httpx.Client, status: int) -> None:
+        while client.post(f"{base}/mcp", **large).status_code != status:
+            time.sleep(0.02)
+
+    with contextlib.ExitStack() as stack:
+        client = stack.enter_context(httpx.Client(timeout=30))
+        for _ in range(3):  # one call, two to spare
+            sending = stack.enter_context(socket.create_connection((host, int(port)), timeout=10))
+            sending.sendall(head + b"{" + b" " * (1 << 20))
+        until_answered(client, 503)
+        with socket.create_connection((host, int(port)), timeout=10) as refused:
+            refused.sendall(head)
+            assert refused.recv(4096).startswith(b"HTTP/1.1 503")
+        assert client.post(f"{base}/mcp", **discover()).status_code == 200  # what is small needs no place
+    with httpx.Client(timeout=30) as client:
+        until_answered(client, 200)  # their places are free again
+
+
+def test_who_hangs_up_in_the_middle_of_a_body_leaves_no_traceback(base: str, caplog: pytest.LogCaptureFixture) -> None:
+    host, port = base.removeprefix("http://").split(":")
+
+    def until_idle() -> None:  # what the server has received is dealt with before it answers twice
+        for _ in range(2):
+            assert httpx.get(f"{base}/healthz", timeout=30).status_code == 200
+
+    with socket.create_connection((host, int(port)), timeout=5) as leaving:
+        leaving.sendall(
+            b"POST /mcp HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+            b"Accept: application/json, text/event-stream\r\nContent-Length: 100\r\n\r\n{"
+        )
+        until_idle()
+    until_idle()
+    assert not [record for record in caplog.records if record.exc_info]

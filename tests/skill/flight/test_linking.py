@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.analyses import made_card
+from tests.skill.flight.ground import facts_at, features_of, ground, photograph_of, sighting_of
+from vehanchor.flight.features import Features
+from vehanchor.flight.linking import link_photographs
+from vehanchor.flight.matching import match
+from vehanchor.flight.pairs import candidate_pairs
+from vehanchor.flight.photograph import Look, Photograph
+from vehanchor.flight.record import conclude_flight
+from vehanchor.options import ScaleOptions
+from vehanchor.rulers.evidence import ImageFacts
+
+WORLD, OTHER = ground(seed=5), ground(seed=6)
+GROUND_M_PER_PX = 0.1
+FLEET = 50.0 * (1 + 0.05 * np.linspace(-1, 1, 12) ** 3)  # pixels of the ground: a modal length of 5 m
+STATIONS = [(400, 400, 0, 1.0), (560, 420, 140, 1.25), (700, 560, 30, 0.8), (640, 760, 250, 1.0), (460, 800, 70, 1.5)]
+
+
+@pytest.fixture(scope="module")
+def seen() -> list[Features]:
+    """Five photographs that overlap in a chain, and two of another place."""
+    own = [photograph_of(WORLD, x, y, turn_deg=turn, scale=scale) for x, y, turn, scale in STATIONS]
+    others = [photograph_of(OTHER, 500, 500), photograph_of(OTHER, 620, 560, turn_deg=90, scale=1.2)]
+    return [features_of(image) for image in (*own, *others)]
+
+
+def _photograph(name: str, image: ImageFacts, lengths: NDArray[np.float64]) -> Photograph:
+    return Photograph.of(name, Look(image, sighting_of(lengths), 1.0), made_card(5.0), ScaleOptions())
+
+
+def _flight(*, with_cars: tuple[int, ...], placed: bool = False) -> list[Photograph]:
+    flight = []
+    scales = [*(scale for *_, scale in STATIONS), 1.0, 1.2]
+    for number, scale in enumerate(scales):
+        facts = ImageFacts(500, 500)
+        if placed and number < len(STATIONS):
+            x, y, *_ = STATIONS[number]
+            facts = facts_at(x * GROUND_M_PER_PX, -y * GROUND_M_PER_PX)
+        flight.append(_photograph(str(number), facts, FLEET / scale if number in with_cars else np.zeros(0)))
+    return flight
+
+
+@pytest.mark.parametrize(("turn_deg", "scale"), [(0, 1.0), (35, 1.3), (180, 0.7), (275, 1.7)])
+def test_a_match_gives_the_ratio_of_the_scales_and_the_place(turn_deg: float, scale: float) -> None:
+    first = features_of(photograph_of(WORLD, 600, 600))
+    second = features_of(photograph_of(WORLD, 680, 560, turn_deg=turn_deg, scale=scale))
+    found = match(first, second)
+    assert found is not None
+    assert np.exp(found.log_ratio) == pytest.approx(1 / scale, rel=0.02)
+    assert abs(found.log_ratio + np.log(scale)) < 3 * found.log_sd
+    turn = np.radians(turn_deg)
+    expected = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) @ [-80, 40] / scale + 250
+    assert found.turn[:, :2] @ [250, 250] + found.turn[:, 2] == pytest.approx(expected, abs=3)
+
+
+def test_photographs_of_other_places_do_not_match(seen: list[Features]) -> None:
+    assert match(seen[0], seen[5]) is None
+    nothing = features_of(np.full((200, 200, 3), 90, np.uint8))
+    assert len(nothing) == 0
+    assert match(seen[0], nothing) is None
+
+
+def test_candidates_are_found_by_look_and_stay_few() -> None:
+    stations = [(x, y) for y in range(300, 1400, 180) for x in range(300, 1400, 180)]
+    order = np.random.default_rng(3).permutation(len(stations))
+    seen = [features_of(photograph_of(WORLD, *stations[k], turn_deg=37.0 * k, side_px=400)) for k in order]
+    pairs = set(candidate_pairs(seen))
+    near = {
+        (a, b) for a, b in combinations(range(len(order)), 2)
+        if np.hypot(*np.subtract(stations[order[a]], stations[order[b]])) < 190
+    }  # fmt: skip
+    assert len(near & pairs) > 0.85 * len(near)
+    assert len(pairs) <= 10 * len(seen)
+
+
+def test_candidates_are_found_by_position() -> None:
+    nothing = Features(np.zeros((0, 2)), np.zeros((0, 128), np.uint8), 1.0)
+    places = np.array([[0, 0], [500, 0], [900, 0], [5, 0], [float("nan")] * 2, [505, 0], [910, 0]], dtype=np.float64)
+    assert {(0, 3), (1, 5), (2, 6)} <= set(candidate_pairs([nothing] * 7, places))
+
+
+def test_photographs_without_a_car_hang_on_those_that_overlap(seen: list[Features]) -> None:
+    flight = _flight(with_cars=(0,))
+    linked = link_photographs(flight, seen)
+    assert [sorted(component.members) for component in linked.components] == [[0, 1, 2, 3, 4], [5, 6]]
+    record = conclude_flight(flight, linked.components, made_card(5.0), same_scale=False, links=linked.links)
+    for photograph, (*_, scale) in zip(record.photographs, STATIONS, strict=False):
+        assert photograph.gsd_m_per_px == pytest.approx(GROUND_M_PER_PX * scale, rel=0.03)
+        assert photograph.gsd_ci95_low_m_per_px is not None
+        assert photograph.gsd_ci95_high_m_per_px is not None
+        assert photograph.gsd_ci95_low_m_per_px < GROUND_M_PER_PX * scale < photograph.gsd_ci95_high_m_per_px
+    last = record.photographs[4].supported_by[0]
+    assert (last.ruler, last.photograph) == ("vehicles", "0")
+    assert [each.status for each in record.photographs[5:]] == ["no_scale", "no_scale"]
+    assert record.status == "low_confidence"
+
+
+def test_positions_are_a_ruler_where_there_is_no_car(seen: list[Features]) -> None:
+    flight = _flight(with_cars=(), placed=True)
+    (component, *_) = link_photographs(flight, seen).components
+    (positions,) = component.extra
+    _, _, _, scale = STATIONS[int(component.members[component.reference])]
+    assert positions.kind == "positions"
+    assert positions.gsd_m_per_px == pytest.approx(GROUND_M_PER_PX * scale, rel=0.03)
+    assert positions.interval is not None
+    assert positions.interval.low < GROUND_M_PER_PX * scale < positions.interval.high
+
+
+def test_positions_of_another_flight_are_no_ruler(seen: list[Features]) -> None:
+    flight = _flight(with_cars=(), placed=True)
+    places = [(0, 0), (60, 10), (-20, 5), (10, 44), (35, -30)]
+    for number, place in enumerate(places):
+        flight[number] = _photograph(str(number), facts_at(*place), np.zeros(0))
+    assert link_photographs(flight, seen).components[0].extra == ()

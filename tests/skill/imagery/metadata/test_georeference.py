@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.errors import NotGeoreferencedWarning
+from rasterio.transform import Affine
+from rasterio.warp import transform as transform_coordinates
+from rasterio.warp import transform_bounds
+
+from vehanchor.imagery.metadata.georeference import (
+    dataset_gsd_m_per_px,
+    geographic_gsd_m_per_px,
+    gsd_units_per_px,
+    metres_per_degree,
+)
+from vehanchor.imagery.sources.opening import open_raster
+
+US_SURVEY_FOOT_M = 1200 / 3937
+
+
+@pytest.mark.parametrize("latitude_deg", [0.0, 30.0, 43.55, -60.0, 85.0])
+def test_a_degree_is_as_long_as_proj_says(latitude_deg: float) -> None:
+    step_deg = 1e-4
+    east, north = transform_coordinates(
+        "EPSG:4326",
+        f"+proj=aeqd +lat_0={latitude_deg} +lon_0=0 +ellps=WGS84",
+        [0.0, step_deg],
+        [latitude_deg + step_deg, latitude_deg],
+    )
+    assert metres_per_degree(latitude_deg) == pytest.approx((north[0] / step_deg, east[1] / step_deg), rel=1e-5)
+
+
+def test_a_turned_raster_keeps_its_gsd() -> None:
+    turned = Affine.translation(5e5, 5e6) @ Affine.rotation(30) @ Affine.scale(0.2, -0.2)
+    assert gsd_units_per_px((turned.a, turned.b, turned.c, turned.d, turned.e, turned.f)) == pytest.approx(0.2)
+
+
+def test_a_pixel_that_is_no_square_counts_by_its_area() -> None:
+    assert gsd_units_per_px((0.1, 0, 0, 0, -0.4, 0)) == pytest.approx(0.2)
+    latitude_m, longitude_m = metres_per_degree(60)
+    square_on_the_ground = (0.3 / longitude_m, 0.0, 10.0, 0.0, -0.3 / latitude_m, 60.0)
+    assert geographic_gsd_m_per_px(square_on_the_ground, 60) == pytest.approx(0.3)
+
+
+def write(path: Path, crs: Any, transform: Affine | None) -> Path:
+    with warnings.catch_warnings(), rasterio.Env():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        profile = {"driver": "GTiff", "dtype": "uint8", "crs": crs, "transform": transform}
+        with rasterio.open(path, "w", width=200, height=100, count=3, **profile) as dataset:
+            dataset.write(np.zeros((3, 100, 200), np.uint8))
+    return path
+
+
+DEGREE_PX = 0.25 / math.sqrt(math.prod(metres_per_degree(43.55)))
+RADIUS_M = 6_378_137.0
+COS_LATITUDE = 1 / math.cosh(5_396_000 / RADIUS_M)  # Web Mercator: y = R atanh(sin(latitude)), x = R longitude
+WEB_PX = (
+    0.25
+    / RADIUS_M
+    * math.degrees(1)
+    * math.sqrt(COS_LATITUDE * math.prod(metres_per_degree(math.degrees(math.acos(COS_LATITUDE)))))
+)
+TRUE_AT_42 = "+proj=merc +lat_ts=42 +lon_0=0 +ellps=WGS84 +units=m"
+(_,), (NORTH_42,) = transform_coordinates("EPSG:4326", TRUE_AT_42, [7.0], [42.0])
+
+
+@pytest.mark.parametrize(
+    ("crs", "transform", "gsd_m_per_px"),
+    [
+        ("EPSG:32631", Affine(0.25, 0, 5e5, 0, -0.25, 5e6), 0.25),
+        ("EPSG:2154", Affine(0.2, 0, 1_020_000, 0, -0.2, 6_280_000), 0.2),
+        ("EPSG:2263", Affine(0.5, 0, 980_000, 0, -0.5, 200_000), 0.5 * US_SURVEY_FOOT_M),
+        ("EPSG:3857", Affine(0.25, 0, 780_000, 0, -0.25, 5_396_012.5), WEB_PX),
+        ("EPSG:3857", Affine(0.25, 0, 780_000, 0, -0.25, -5_395_987.5), WEB_PX),
+        (TRUE_AT_42, Affine(0.25, 0, 580_000, 0, -0.25, NORTH_42 + 12.5), 0.25),
+        ("EPSG:4326", Affine(DEGREE_PX, 0, 7.0, 0, -DEGREE_PX, 43.55 + 50 * DEGREE_PX), 0.25),
+        ("EPSG:4807", Affine(DEGREE_PX / 0.9, 0, 5.0, 0, -DEGREE_PX / 0.9, (43.55 + 50 * DEGREE_PX) / 0.9), 0.25),
+    ],
+)
+def test_the_gsd_of_a_file_is_in_metres_on_the_ground(
+    crs: str, transform: Affine, gsd_m_per_px: float, tmp_path: Path
+) -> None:
+    with open_raster(write(tmp_path / "a.tif", crs, transform)) as raster:
+        assert raster.georeference_gsd_m_per_px == pytest.approx(gsd_m_per_px, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("crs", "transform"),
+    [
+        ("EPSG:4326", Affine(1, 0, 7.0, 0, -1, 200.0)),
+        ("EPSG:32631", Affine(0, 0, 5e5, 0, 0, 5e6)),
+        ("EPSG:3857", Affine(0.25, 0, 1e300, 0, -0.25, 1e300)),
+        ('LOCAL_CS["site",UNIT["metre",1]]', Affine(0.25, 0, 0, 0, -0.25, 10)),
+        ("EPSG:32631", None),
+        (None, Affine(0.25, 0, 5e5, 0, -0.25, 5e6)),
+        (None, None),
+    ],
+)
+def test_without_a_usable_georeference_there_is_no_gsd(
+    crs: str | None, transform: Affine | None, tmp_path: Path
+) -> None:
+    with open_raster(write(tmp_path / "a.tif", crs, transform)) as raster:
+        assert raster.georeference_gsd_m_per_px is None
+
+
+@pytest.mark.parametrize("crs", ["EPSG:3857", "EPSG:3395"])
+def test_mercator_agrees_with_the_same_place_in_degrees(crs: str, tmp_path: Path) -> None:
+    path = write(tmp_path / "a.tif", crs, Affine(0.25, 0, 780_000, 0, -0.25, 5_396_000))
+    with rasterio.open(path) as dataset:
+        west, south, east, north = transform_bounds(dataset.crs, "EPSG:4326", *dataset.bounds)
+        in_degrees = ((east - west) / 200, 0.0, west, 0.0, (south - north) / 100, north)
+        on_the_ellipsoid = geographic_gsd_m_per_px(in_degrees, (north + south) / 2)
+        assert dataset_gsd_m_per_px(dataset) == pytest.approx(on_the_ellipsoid, rel=0.005)

@@ -1,0 +1,397 @@
+from __future__ import annotations
+
+import json
+import math
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+import pytest
+
+import vehanchor
+from tests.models import blank_image, paint_vehicles, write_detector
+from tests.sam_models import EMPTY, write_sam
+from vehanchor.analysis.measured import AreaAnalysis
+from vehanchor.detection.detector import Detector
+from vehanchor.errors import FrameError, ImageDecodeError, InvalidParameterError, ModelNotFoundError, PromptError
+from vehanchor.estimate import estimate_gsd
+from vehanchor.measure.area import analyse_area, measure_area
+from vehanchor.models import zoo as model_zoo
+from vehanchor.options import ImageLimits, ScaleOptions
+from vehanchor.pictures.area import draw_area, full_mask
+from vehanchor.pictures.measured import MEASURED_RGB
+from vehanchor.records import AreaMeasurement
+from vehanchor.segmentation.segmenter import Segmenter
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from vehanchor.records import BoundingBox
+
+POOL_RGB = (40, 140, 210)
+POOL = (420, 280, 468, 376)  # 48 x 96 px, in the middle of a 256 px crop from (316, 200)
+BOX = (410.7, 273.9, 477.3, 382.1)
+GSD = 0.15
+
+
+@pytest.fixture(scope="module")
+def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
+    return Detector(write_detector(tmp_path_factory.mktemp("detector") / "painted.onnx"))
+
+
+@pytest.fixture(scope="module")
+def segmenter(tmp_path_factory: pytest.TempPathFactory) -> Segmenter:
+    return Segmenter(*write_sam(tmp_path_factory.mktemp("segmenter")))
+
+
+def _place(n_vehicles: int = 30, rectangle: tuple[int, int, int, int] = POOL) -> NDArray[np.uint8]:
+    """A pool of 48 x 96 px below rows of cars."""
+    image = blank_image(800, 600)
+    x1, y1, x2, y2 = rectangle
+    image[y1:y2, x1:x2] = POOL_RGB
+    lengths = 30 * (1 + 0.06 * np.linspace(-1, 1, n_vehicles) ** 3)
+    boxes = [[40 + 70 * (k % 10), 40 + 60 * (k // 10), length, 12, 0.4] for k, length in enumerate(lengths)]
+    paint_vehicles(image, np.reshape(boxes, (-1, 5)))
+    return image
+
+
+def _codes(record: AreaMeasurement) -> list[str]:
+    return [notice.code for notice in record.warnings]
+
+
+def _corners(box: BoundingBox | None) -> tuple[float, float, float, float]:
+    assert box is not None
+    return box.x1_px, box.y1_px, box.x2_px, box.y2_px
+
+
+def test_the_area_is_the_masks_pixels_times_the_scale_squared(detector: Detector, segmenter: Segmenter) -> None:
+    image = _place()
+    analysis = analyse_area(image, box=BOX, detector=detector, segmenter=segmenter)
+    record, scale = analysis.measurement, estimate_gsd(image, detector=detector)
+    assert (record.estimate, record.scale) == (scale, scale.scale)
+    assert scale.gsd_m_per_px is not None
+    assert record.mask_area_px == analysis.segmentation.mask.sum()
+    assert record.mask_area_px == pytest.approx(48 * 96, rel=0.01)
+    assert record.area_m2 == pytest.approx(record.mask_area_px * scale.gsd_m_per_px**2)
+    assert (record.gsd_m_per_px, record.confidence) == (scale.gsd_m_per_px, scale.confidence)
+    assert (record.n_vehicles, record.mode_length_px) == (30, scale.mode_length_px)
+    assert (record.status, record.scale_source, record.warnings) == ("ok", "estimated", ())
+    assert record.mask_score == pytest.approx(0.9)
+    assert _corners(record.bounding_box) == POOL
+    assert record.length_m == pytest.approx(96 * scale.gsd_m_per_px)
+    assert record.width_m == pytest.approx(48 * scale.gsd_m_per_px)
+    assert record.inscribed_diameter_m == pytest.approx(48 * scale.gsd_m_per_px)
+    assert record.perimeter_m == pytest.approx(288 * scale.gsd_m_per_px, rel=0.03)  # its corners are round
+    assert record.inscribed_center is not None
+    assert record.inscribed_center.x_px == 444
+    assert 280 + 24 <= record.inscribed_center.y_px <= 376 - 24
+    assert (record.segmenter, record.segmenter_sha256) == ("encoder", segmenter.card.sha256)
+    assert analysis.scale is not None
+    assert len(analysis.scale.detections.boxes) == 30
+
+
+def test_the_outline_is_in_the_images_pixels(detector: Detector, segmenter: Segmenter) -> None:
+    (polygon,) = measure_area(_place(), box=BOX, gsd_m_per_px=GSD, segmenter=segmenter).outline
+    xs, ys = [p.x_px for p in polygon.exterior.points], [p.y_px for p in polygon.exterior.points]
+    assert (min(xs), min(ys), max(xs), max(ys)) == POOL
+    assert polygon.holes == ()
+
+
+def test_a_given_scale_needs_no_detector(segmenter: Segmenter, tmp_path: Path) -> None:
+    record = measure_area(
+        _place(0), box=BOX, gsd_m_per_px=GSD, segmenter=segmenter, detector=tmp_path / "there is none.onnx"
+    )
+    assert record.area_m2 == pytest.approx(record.mask_area_px * GSD**2)
+    assert (record.status, record.scale_source, record.gsd_m_per_px) == ("ok", "given", GSD)
+    assert (record.confidence, record.n_vehicles, record.mode_length_px, record.scale) == (None, None, None, None)
+
+
+def test_no_vehicles_mean_no_area_but_the_mask_all_the_same(detector: Detector, segmenter: Segmenter) -> None:
+    record = measure_area(_place(0), box=BOX, detector=detector, segmenter=segmenter)
+    assert (record.status, record.confidence, record.n_vehicles) == ("no_scale", 0.0, 0)
+    metric = {name: value for name, value in record.model_dump().items() if name.endswith(("_m2", "_m", "_per_px"))}
+    assert len(metric) == 10
+    assert set(metric.values()) == {None}
+    assert record.mask_area_px > 4500
+    assert _corners(record.bounding_box) == POOL
+    assert record.outline
+    assert "NaN" not in record.model_dump_json()
+
+
+def test_a_doubtful_scale_gives_the_area_with_its_interval_and_says_so(
+    detector: Detector, segmenter: Segmenter
+) -> None:
+    record = measure_area(_place(3), box=BOX, detector=detector, segmenter=segmenter)
+    assert record.status == "low_confidence"
+    assert record.confidence is not None
+    assert record.confidence < 0.5
+    assert record.area_m2 is not None
+    assert record.area_ci95_low_m2 is not None
+    assert record.area_ci95_high_m2 is not None
+    assert record.area_ci95_low_m2 < record.area_m2 < record.area_ci95_high_m2
+
+
+def test_a_mask_that_the_segmenter_doubts_is_low_confidence(tmp_path: Path) -> None:
+    doubting = Segmenter(*write_sam(tmp_path, scores=[0.4]))
+    record = measure_area(_place(), box=BOX, gsd_m_per_px=GSD, segmenter=doubting)
+    assert (record.status, _codes(record)) == ("low_confidence", ["mask_score_low"])
+    assert record.area_m2 is not None
+    (tmp_path / "trusting").mkdir()
+    trusting = Segmenter(*write_sam(tmp_path / "trusting", scores=[0.4], metadata={"vehanchor.min_score": "0.3"}))
+    assert measure_area(_place(), box=BOX, gsd_m_per_px=GSD, segmenter=trusting).status == "ok"
+
+
+def test_an_empty_mask_is_no_measurement(tmp_path: Path) -> None:
+    blind = Segmenter(*write_sam(tmp_path, masks=[EMPTY]))
+    record = measure_area(_place(), box=BOX, gsd_m_per_px=GSD, segmenter=blind)
+    assert (record.status, record.area_m2, record.mask_area_px) == ("low_confidence", None, 0)
+    assert (record.bounding_box, record.outline, record.inscribed_center) == (None, (), None)
+    assert _codes(record) == ["mask_empty"]
+
+
+def test_the_interval_joins_scale_and_mask(detector: Detector, tmp_path: Path) -> None:
+    def ratio(log_sd: float, name: str, **options: Any) -> tuple[float, AreaMeasurement]:
+        (tmp_path / name).mkdir()
+        files = write_sam(tmp_path / name, metadata={"vehanchor.mask_area_log_sd": str(log_sd)})
+        record = measure_area(_place(), box=BOX, segmenter=files, **options)
+        assert record.area_m2 is not None
+        assert record.area_ci95_low_m2 is not None
+        assert record.area_ci95_high_m2 is not None
+        assert record.area_ci95_high_m2 / record.area_m2 == pytest.approx(record.area_m2 / record.area_ci95_low_m2)
+        return math.log(record.area_ci95_high_m2 / record.area_m2), record
+
+    mask_only, record = ratio(0.08, "a", gsd_m_per_px=GSD)
+    assert mask_only == pytest.approx(1.96 * 0.08, rel=1e-3)
+    # the circle in a 48 x 96 px rectangle: 2 * 0.08 * 4608 / (288 * 48)
+    assert record.inscribed_diameter_m is not None
+    assert record.inscribed_diameter_ci95_high_m is not None
+    reach = math.log(record.inscribed_diameter_ci95_high_m / record.inscribed_diameter_m)
+    assert reach == pytest.approx(1.96 * 0.0533, rel=0.03)
+    scale_only, record = ratio(0.0, "b", detector=detector)
+    assert record.scale is not None
+    assert scale_only == pytest.approx(2 * math.log(record.scale.gsd_ci95_high_m_per_px / record.scale.gsd_m_per_px))
+    both, _ = ratio(0.08, "c", detector=detector)
+    assert both == pytest.approx(math.hypot(mask_only, scale_only))
+
+
+def test_points_measure_what_they_are_on(segmenter: Segmenter) -> None:
+    image = blank_image(512, 512)
+    image[64:128, 224:352] = POOL_RGB
+    record = measure_area(image, points=[(248, 100)], gsd_m_per_px=GSD, segmenter=segmenter)
+    assert _corners(record.bounding_box) == (224, 64, 352, 128)
+    again = measure_area(image, points=[(248, 100, True), (20, 500, False)], gsd_m_per_px=GSD, segmenter=segmenter)
+    assert again.mask_area_px == record.mask_area_px
+
+
+# --- warnings
+
+
+def test_what_is_cut_by_the_image_is_a_lower_bound(segmenter: Segmenter) -> None:
+    image = _place(0, (752, 280, 800, 376))
+    record = measure_area(image, box=(742.0, 270.0, 800.0, 386.0), gsd_m_per_px=GSD, segmenter=segmenter)
+    assert _codes(record) == ["mask_touches_edge"]
+    assert _corners(record.bounding_box)[2] == 800
+
+
+def test_a_mask_that_leaves_its_box_is_told(tmp_path: Path) -> None:
+    spilling = Segmenter(*write_sam(tmp_path, masks=["full"]))
+    record = measure_area(_place(), box=BOX, gsd_m_per_px=GSD, segmenter=spilling)
+    assert _codes(record) == ["mask_leaves_box"]
+    assert "89 %" in record.warnings[0].message
+
+
+def test_separate_pieces_are_told(segmenter: Segmenter) -> None:
+    image = _place()
+    image[344:360, 412:476] = 70
+    record = measure_area(image, box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)
+    assert "mask_in_pieces" in _codes(record)
+    assert len(record.outline) == 2
+
+
+def test_a_narrow_object_is_told(segmenter: Segmenter) -> None:
+    image = _place(0, (444, 280, 452, 376))
+    box = (431.4, 273.9, 457.4, 382.1)
+    assert _codes(measure_area(image, box=box, gsd_m_per_px=GSD, segmenter=segmenter)) == ["target_small"]
+
+
+def test_the_scales_warnings_and_the_rasters_are_among_them(segmenter: Segmenter, tmp_path: Path) -> None:
+    capped = Detector(write_detector(tmp_path / "m.onnx", layout="end2end", cap=10))
+    assert _codes(measure_area(_place(), box=BOX, detector=capped, segmenter=segmenter)) == ["detections_capped"]
+    bands = np.concatenate([_place(), _place()], axis=2)
+    assert _codes(measure_area(bands, box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)) == ["bands_selected"]
+
+
+def test_a_given_scale_that_contradicts_the_file_is_told(segmenter: Segmenter, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    path = tmp_path / "a.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", width=800, height=600, count=3, dtype="uint8", crs="EPSG:32631",
+        transform=rasterio.Affine(0.15, 0, 500_000, 0, -0.15, 5_000_000),
+    ) as dataset:  # fmt: skip
+        dataset.write(_place().transpose(2, 0, 1))
+    for gsd, codes in ((0.15, []), (0.2, ["georeference_differs"])):
+        assert _codes(measure_area(path, box=BOX, gsd_m_per_px=gsd, segmenter=segmenter)) == codes
+
+
+# --- frames
+
+
+def test_prompts_are_read_in_the_frame_and_answered_in_the_image(segmenter: Segmenter) -> None:
+    image = _place()
+    full = measure_area(image, box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)
+    options: dict[str, Any] = {"frame_width_px": 400, "frame_height_px": 300, "segmenter": segmenter}
+    half = tuple(side / 2 for side in BOX)
+    record = measure_area(image, box=half, gsd_m_per_px=GSD, **options)  # type: ignore[arg-type]
+    assert record.area_m2 == full.area_m2
+    assert record.bounding_box == full.bounding_box
+    assert record.frame is not None
+    assert (record.frame.width_px, record.frame.height_px) == (400, 300)
+    assert record.frame.gsd_m_per_px == pytest.approx(2 * GSD)
+    assert _corners(record.frame.bounding_box) == tuple(side / 2 for side in POOL)
+    with pytest.raises(FrameError, match="300"):
+        measure_area(image, box=half, gsd_m_per_px=GSD, **(options | {"frame_height_px": 400}))  # type: ignore[arg-type]
+    with pytest.raises(PromptError, match="400 x 300 px frame"):
+        measure_area(image, points=[(420, 100)], gsd_m_per_px=GSD, **options)
+
+
+# --- bad input
+
+
+@pytest.mark.parametrize(
+    ("prompt", "said"),
+    [
+        ({}, "neither"),
+        ({"points": []}, "neither"),
+        ({"box": BOX, "points": [(1, 1)]}, "both"),
+        ({"box": (900, 700, 950, 750)}, "not inside"),
+        ({"box": (-50, -50, -10, -10)}, "not inside"),
+        ({"box": (700, 500, 900, 590)}, "not inside"),
+        ({"box": (477, 382, 410, 273)}, "reversed"),
+        ({"box": (410, 382, 477, 273)}, "reversed"),
+        ({"box": (410, 273, 410, 382)}, "empty"),
+        ({"box": (410, float("nan"), 477, 382)}, "finite"),
+        ({"box": (410, 273, float("inf"), 382)}, "finite"),
+        ({"box": (410, 273, 411.9, 382)}, "at least 2 px"),
+        ({"box": (410, 273, 477)}, "3 numbers"),
+        ({"box": ("left", 273, 477, 382)}, "numbers"),
+        ({"points": [(800, 10)]}, "not inside"),
+        ({"points": [(10, -0.5)]}, "not inside"),
+        ({"points": [(10, float("nan"))]}, "finite"),
+        ({"points": [(10,)]}, "1 parts"),
+        ({"points": [(10, 10, False)]}, "at least one"),
+    ],
+)
+def test_prompts_that_name_nothing_are_refused(segmenter: Segmenter, prompt: dict[str, Any], said: str) -> None:
+    with pytest.raises(PromptError, match=said) as caught:
+        measure_area(_place(0), gsd_m_per_px=GSD, segmenter=segmenter, **prompt)
+    assert caught.value.code == "invalid_prompt"
+    assert isinstance(caught.value, ValueError)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"gsd_m_per_px": -0.1},
+        {"gsd_m_per_px": 0.0},
+        {"gsd_m_per_px": float("nan")},
+        {"alpha": -1.0},
+        {"frame_width_px": 100},
+        {"segmenter": "encoder.onnx"},
+        {"segmenter": ("a", "b", "c")},
+    ],
+)
+def test_options_without_meaning_are_refused(segmenter: Segmenter, options: dict[str, Any]) -> None:
+    usual: dict[str, Any] = {"segmenter": segmenter, "gsd_m_per_px": GSD}
+    with pytest.raises(InvalidParameterError) as caught:
+        measure_area(_place(0), box=BOX, **(usual | options))
+    assert caught.value.code == "invalid_parameter"
+
+
+def test_a_box_beside_the_edge_by_a_rounding_is_pulled_in(segmenter: Segmenter) -> None:
+    image = _place(0, (752, 280, 800, 376))
+    exact = measure_area(image, box=(742.0, 270.0, 800.0, 386.0), gsd_m_per_px=GSD, segmenter=segmenter)
+    over = measure_area(image, box=(742.0, 270.0, 800.6, 386.0), gsd_m_per_px=GSD, segmenter=segmenter)
+    assert over == exact
+
+
+def test_images_of_every_kind_are_read_once(segmenter: Segmenter, detector: Detector) -> None:
+    image = _place()
+    _, encoded = cv2.imencode(".png", image[:, :, ::-1])
+    expected = measure_area(image, box=BOX, detector=detector, segmenter=segmenter)
+    for source in (encoded.tobytes(), BytesIO(encoded.tobytes())):
+        assert measure_area(source, box=BOX, detector=detector, segmenter=segmenter) == expected
+    with pytest.raises(ImageDecodeError):
+        measure_area(b"no image", box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)
+
+
+def test_without_a_bundled_segmenter_it_says_how_to_bring_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(model_zoo, "_BUNDLED", tmp_path)
+    with pytest.raises(ModelNotFoundError, match="MobileSAM"):
+        measure_area(_place(0), box=BOX, gsd_m_per_px=GSD)
+    with pytest.raises(ModelNotFoundError, match=r"none\.onnx"):
+        measure_area(_place(0), box=BOX, gsd_m_per_px=GSD, segmenter=(tmp_path / "none.onnx", tmp_path / "none.onnx"))
+
+
+def test_the_bundled_segmenter_is_the_default_and_no_detector(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    encoder, decoder = write_sam(tmp_path, metadata={"vehanchor.name": "bundled"})
+    encoder.rename(tmp_path / "segmenter-encoder.onnx")
+    decoder.rename(tmp_path / "segmenter-decoder.onnx")
+    monkeypatch.setattr(model_zoo, "_BUNDLED", tmp_path)
+    assert measure_area(_place(0), box=BOX, gsd_m_per_px=GSD).segmenter == "bundled"
+    assert model_zoo.bundled_models() == {}
+
+
+# --- the record and its picture
+
+
+def test_the_same_input_gives_the_same_bytes_whatever_the_threads(detector: Detector, segmenter: Segmenter) -> None:
+    files = segmenter.encoder_path, segmenter.decoder_path
+    records = {
+        measure_area(_place(), box=BOX, detector=detector.path, segmenter=files, threads=n).model_dump_json()
+        for n in (1, 2, 1)
+    }
+    assert len(records) == 1
+    record = records.pop()
+    assert AreaMeasurement.model_validate_json(record).model_dump_json() == record
+    assert json.loads(record)["status"] == "ok"
+
+
+def test_every_field_of_the_record_is_described() -> None:
+    schema = AreaMeasurement.model_json_schema()
+    for definition in (schema, *schema["$defs"].values()):
+        for name, field in definition.get("properties", {}).items():
+            assert field.get("description"), name
+
+
+def test_the_public_functions_are_those_of_the_package() -> None:
+    assert vehanchor.measure_area is measure_area
+    assert vehanchor.analyse_area is analyse_area
+    assert vehanchor.AreaAnalysis is AreaAnalysis
+
+
+@pytest.mark.parametrize("prompt", [{"box": BOX}, {"points": [(444, 330), (100, 500, False)]}])
+def test_the_overlay_shows_the_outline_where_the_object_is(
+    detector: Detector, segmenter: Segmenter, prompt: dict[str, Any]
+) -> None:
+    image = _place()
+    analysis = analyse_area(image, detector=detector, segmenter=segmenter, **prompt)
+    picture = draw_area(image, analysis)
+    assert (image == _place()).all()
+    assert picture.shape[1] == 800
+    ys, xs = np.nonzero((picture[:600] == MEASURED_RGB).all(axis=2))
+    box = _corners(analysis.measurement.bounding_box)
+    assert (xs.min(), ys.min(), xs.max(), ys.max()) == pytest.approx(box, abs=2)
+    for gsd in (None, GSD):
+        bare = analyse_area(_place(0), segmenter=segmenter, detector=detector, gsd_m_per_px=gsd, **prompt)
+        assert draw_area(image, bare).shape[0] > 600
+
+
+def test_the_full_mask_is_as_large_as_the_image(segmenter: Segmenter) -> None:
+    analysis = analyse_area(_place(), ScaleOptions(), box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)
+    mask = full_mask(analysis, ImageLimits())
+    assert mask.shape == (600, 800, 3)
+    assert (mask > 0).sum() == 3 * analysis.measurement.mask_area_px
+    assert mask[330, 444].tolist() == [255, 255, 255]

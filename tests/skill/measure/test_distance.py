@@ -1,0 +1,266 @@
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import vehanchor
+from tests.models import blank_image, paint_vehicles, write_detector
+from tests.sam_models import write_sam
+from vehanchor.detection.detector import Detector
+from vehanchor.errors import InvalidParameterError, KnownLengthError, PromptError, ScaleMismatchError
+from vehanchor.records import KnownScale
+from vehanchor.segmentation.segmenter import Segmenter
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+SIZE = 800, 600
+BOX = (410.7, 273.9, 477.3, 382.1)
+
+
+@pytest.fixture(scope="module")
+def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
+    return Detector(write_detector(tmp_path_factory.mktemp("detector") / "painted.onnx"))
+
+
+@pytest.fixture(scope="module")
+def segmenter(tmp_path_factory: pytest.TempPathFactory) -> Segmenter:
+    return Segmenter(*write_sam(tmp_path_factory.mktemp("segmenter")))
+
+
+def _place(n_vehicles: int = 30) -> NDArray[np.uint8]:
+    image = blank_image(*SIZE)
+    image[280:376, 420:468] = (40, 140, 210)
+    lengths = 30 * (1 + 0.06 * np.linspace(-1, 1, n_vehicles) ** 3)
+    boxes = [[40 + 70 * (k % 10), 40 + 60 * (k // 10), length, 12, 0.4] for k, length in enumerate(lengths)]
+    paint_vehicles(image, np.reshape(boxes, (-1, 5)))
+    return image
+
+
+def test_a_distance_is_the_paths_pixels_times_the_scale_of_the_vehicles(detector: Detector) -> None:
+    image = _place()
+    estimate = vehanchor.estimate_gsd(image, detector=detector)
+    record = vehanchor.measure_distance(image, [(100, 500), (400, 500), (400, 100)], detector=detector)
+    assert estimate.gsd_m_per_px is not None
+    assert estimate.gsd_ci95_low_m_per_px is not None
+    assert record.length_px == 700
+    assert record.distance_m == pytest.approx(700 * estimate.gsd_m_per_px)
+    assert record.distance_ci95_low_m is not None
+    assert record.distance_ci95_low_m < 700 * estimate.gsd_ci95_low_m_per_px * 1.02
+    assert (record.status, record.confidence, record.n_vehicles) == ("ok", estimate.confidence, 30)
+    assert (record.estimate, record.scale, record.scale_source) == (estimate, estimate.scale, "estimated")
+
+
+def test_a_known_scale_leaves_the_pointing_as_the_only_doubt() -> None:
+    across = vehanchor.measure_distance(_place(0), [(100, 100), (200, 100)], gsd_m_per_px=0.1)
+    assert across.distance_m == pytest.approx(10)
+    assert across.distance_ci95_low_m == pytest.approx(10 * math.exp(-1.96 * math.sqrt(2) / 100), rel=1e-4)
+    assert (across.status, across.scale_source, across.confidence, across.n_vehicles) == ("ok", "given", None, None)
+    stop = vehanchor.measure_distance(_place(0), [(100, 100), (150, 100), (200, 100)], gsd_m_per_px=0.1)
+    assert stop.distance_ci95_high_m == pytest.approx(across.distance_ci95_high_m)  # a stop on the way is no doubt
+
+
+@pytest.mark.parametrize(
+    ("path", "options"),
+    [
+        ([(100, 150), (500, 450)], {}),
+        ([(50, 75), (250, 225)], {"frame_width_px": 400, "frame_height_px": 300}),
+        ([(0.125, 0.25), (0.625, 0.75)], {"coordinates": "fraction"}),
+        ([(125, 250), (625, 750)], {"coordinates": "per_mille"}),
+    ],
+)
+def test_a_path_means_the_same_in_every_kind_of_coordinates(path: Any, options: Any) -> None:
+    record = vehanchor.measure_distance(_place(0), path, gsd_m_per_px=0.1, **options)
+    assert record.distance_m == pytest.approx(50)
+    assert [(point.x_px, point.y_px) for point in record.path] == [(100, 150), (500, 450)]
+
+
+def test_a_coarser_copy_is_pointed_at_less_exactly() -> None:
+    fine = vehanchor.measure_distance(_place(0), [(100, 150), (500, 450)], gsd_m_per_px=0.1)
+    path, frame = [(25.0, 37.5), (125.0, 112.5)], {"frame_width_px": 200, "frame_height_px": 150}
+    coarse = vehanchor.measure_distance(_place(0), path, gsd_m_per_px=0.1, **frame)  # type: ignore[arg-type]
+    assert fine.distance_ci95_high_m is not None
+    assert coarse.distance_ci95_high_m is not None
+    assert math.log(coarse.distance_ci95_high_m / 50) == pytest.approx(4 * math.log(fine.distance_ci95_high_m / 50))
+
+
+def test_no_vehicles_mean_pixels_and_no_metres(detector: Detector) -> None:
+    record = vehanchor.measure_distance(_place(0), [(100, 100), (200, 100)], detector=detector)
+    assert (record.status, record.confidence, record.distance_m, record.length_px) == ("no_scale", 0, None, 100)
+    assert record.distance_ci95_low_m is None
+
+
+@pytest.mark.parametrize(
+    ("path", "options", "words"),
+    [
+        (5, {}, "path is 5: give a line, or points"),
+        ("1 2", {}, "path is '1 2': give a line, or points"),
+        ([(1, 1)], {}, "1 points: give two"),
+        ([], {}, "0 points"),
+        ([(1, 1), (1, 2, 3)], {}, "use x, y"),
+        ([(1, 1), (float("nan"), 2)], {}, "finite"),
+        ([(5, 5), (5.5, 5)], {}, "0.5 px of the full image long: at least 2 px are needed$"),
+        ([(5, 5), (5, 5)], {}, "0 px of the full image long: at least 2 px are needed$"),
+        ([(0.5, 0.5), (0.5, 0.5)], {}, "0 px of the full image long: at least 2 px are needed$"),
+        ([(1, 1), (801.5, 5)], {}, r"in a copy of 1024 x 768 px it would.*or say coordinates \"per_mille\""),
+        ([(1, 1), (1201.5, 5)], {}, "copy of 1280 x 960 px it would: if you see a copy, give its size as the frame$"),
+        ([(0.1, 0.2), (0.9, 0.9)], {}, 'as fractions of the sides it would: if they are that, say coordinates "frac'),
+        ([(1, 1), (3000, 5)], {}, "is not inside the 800 x 600 px image$"),
+        ([(1, 1), (5, -9)], {}, "is not inside the 800 x 600 px image$"),
+        ([(0.1, 0.2), (1.2, 0.3)], {"coordinates": "fraction"}, "coordinates go from 0 to 1$"),
+        ([(1, 2), (1200, 3)], {"coordinates": "per_mille"}, "coordinates go from 0 to 1000$"),
+    ],
+)
+def test_a_path_that_makes_no_sense_is_refused_with_what_may_have_been_meant(
+    path: Any, options: Any, words: str
+) -> None:
+    with pytest.raises(PromptError, match=words):
+        vehanchor.measure_distance(_place(0), path, gsd_m_per_px=0.1, **options)
+
+
+def test_a_box_is_refused_with_what_may_have_been_meant(segmenter: Segmenter) -> None:
+    for box, words in (((700, 500, 950, 700), "copy of 1024 x 768"), ((0.1, 0.1, 0.4, 0.6), "as fractions")):
+        with pytest.raises(PromptError, match=words):
+            vehanchor.measure_area(_place(0), box=box, gsd_m_per_px=0.1, segmenter=segmenter)
+
+
+def test_a_box_in_shares_of_the_sides_is_the_box_in_pixels(segmenter: Segmenter) -> None:
+    in_pixels = vehanchor.measure_area(_place(0), box=BOX, gsd_m_per_px=0.1, segmenter=segmenter)
+    x1, y1, x2, y2 = BOX
+    share = (x1 / 800, y1 / 600, x2 / 800, y2 / 600)
+    assert in_pixels == vehanchor.measure_area(
+        _place(0), box=share, gsd_m_per_px=0.1, segmenter=segmenter, coordinates="fraction"
+    )
+
+
+def test_a_line_of_known_length_in_shares_of_the_sides_is_the_line_in_pixels(detector: Detector) -> None:
+    in_pixels = vehanchor.estimate_gsd(_place(), detector=detector, known_lengths=[(80, 60, 480, 360, 80)])
+    shares = [(0.1, 0.1, 0.6, 0.6, 80)]
+    told = vehanchor.estimate_gsd(_place(), detector=detector, known_lengths=shares, coordinates="fraction")
+    assert told == in_pixels
+    assert "known_length" in [ruler.kind for ruler in told.rulers]
+    short = [(0.1, 0.1, 0.101, 0.1, 8)]
+    with pytest.raises(KnownLengthError, match="px long"):
+        vehanchor.estimate_gsd(_place(), detector=detector, known_lengths=short, coordinates="fraction")
+
+
+# --- A scale that is given back --------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def estimate(detector: Detector) -> vehanchor.GsdEstimate:
+    return vehanchor.estimate_gsd(_place(), detector=detector)
+
+
+@pytest.mark.parametrize("form", ["estimate", "scale", "json"])
+def test_a_scale_given_back_needs_no_detector_and_keeps_interval_and_confidence(
+    estimate: vehanchor.GsdEstimate, detector: Detector, segmenter: Segmenter, form: str
+) -> None:
+    assert isinstance(estimate.scale, KnownScale)
+    known: Any = {"estimate": estimate, "scale": estimate.scale, "json": json.loads(estimate.scale.model_dump_json())}
+    nowhere = "there is none.onnx"
+    path = [(100.0, 500.0), (400.0, 500.0)]
+    searched = vehanchor.measure_distance(_place(), path, detector=detector)
+    reused = vehanchor.measure_distance(_place(), path, scale=known[form], detector=nowhere)
+    assert (reused.scale_source, reused.estimate, reused.n_vehicles) == ("reused", None, None)
+    assert reused.scale == estimate.scale
+    same = ("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "confidence", "status", "gsd_m_per_px")
+    assert [getattr(reused, name) for name in same] == [getattr(searched, name) for name in same]
+    area = vehanchor.measure_area(_place(), box=BOX, segmenter=segmenter, detector=detector)
+    again = vehanchor.measure_area(_place(), box=BOX, segmenter=segmenter, scale=known[form], detector=nowhere)
+    same = ("area_m2", "area_ci95_low_m2", "inscribed_diameter_ci95_high_m", "confidence", "status", "warnings")
+    assert [getattr(again, name) for name in same] == [getattr(area, name) for name in same]
+    assert again.scale_source == "reused"
+
+
+def test_a_scale_is_refused_for_another_image(estimate: vehanchor.GsdEstimate) -> None:
+    other = _place()
+    other[599, 799] += 1  # a single pixel
+    with pytest.raises(ScaleMismatchError, match="measured on another image") as refused:
+        vehanchor.measure_distance(other, [(1, 1), (99, 99)], scale=estimate)
+    assert refused.value.code == "scale_mismatch"
+
+
+def test_a_low_confidence_stays_low_when_it_is_given_back(detector: Detector) -> None:
+    few = vehanchor.estimate_gsd(_place(2), detector=detector)
+    record = vehanchor.measure_distance(_place(2), [(1, 1), (99, 99)], scale=few)
+    assert record.status == few.status == "low_confidence"
+    assert record.confidence == few.confidence < 0.5
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"gsd_m_per_px": -1}, {"confidence": 2}, {"image_id": None}, {"more": 1}, {"gsd_ci95_high_m_per_px": 0.001}],
+)
+def test_six_fields_without_meaning_are_refused(estimate: vehanchor.GsdEstimate, change: dict[str, Any]) -> None:
+    assert estimate.scale is not None
+    with pytest.raises(InvalidParameterError, match="scale is not what an estimate gave"):
+        vehanchor.measure_distance(_place(), [(1, 1), (9, 9)], scale={**estimate.scale.model_dump(), **change})
+
+
+def test_an_estimate_without_an_anchor_has_no_scale_to_give_back(detector: Detector) -> None:
+    nothing = vehanchor.estimate_gsd(_place(0), detector=detector)
+    assert nothing.scale is None
+    with pytest.raises(InvalidParameterError, match="without an anchor"):
+        vehanchor.measure_distance(_place(0), [(1, 1), (9, 9)], scale=nothing)
+
+
+def test_a_dumped_estimate_is_the_estimate(estimate: vehanchor.GsdEstimate, detector: Detector) -> None:
+    path, given = [(100.0, 150.0), (500.0, 450.0)], vehanchor.measure_distance
+    expected = given(_place(), path, scale=estimate)
+    assert given(_place(), path, scale=estimate.model_dump()) == expected
+    assert given(_place(), path, scale=estimate.model_dump(mode="json")) == expected
+    nothing = vehanchor.estimate_gsd(_place(0), detector=detector)
+    with pytest.raises(InvalidParameterError, match="without a scale"):
+        given(_place(0), path, scale=nothing.model_dump())
+
+
+def test_a_scale_too_large_to_be_squared_is_refused(estimate: vehanchor.GsdEstimate) -> None:
+    assert estimate.scale is not None
+    sizes = ("gsd_m_per_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")
+    with pytest.raises(InvalidParameterError, match="is no image's"):
+        vehanchor.measure_distance(
+            _place(), [(1, 1), (9, 9)], scale={**estimate.scale.model_dump(), **dict.fromkeys(sizes, 1e308)}
+        )
+
+
+def test_two_scales_are_one_too_many(estimate: vehanchor.GsdEstimate) -> None:
+    with pytest.raises(InvalidParameterError, match="not both"):
+        vehanchor.measure_distance(_place(), [(1, 1), (9, 9)], scale=estimate, gsd_m_per_px=0.1)
+
+
+@pytest.mark.parametrize(
+    ("known", "words"),
+    [
+        ({"gsd_m_per_px": "0.1"}, "gsd_m_per_px"),
+        ({"gsd_m_per_px": True}, "gsd_m_per_px"),
+        ({"gsd_m_per_px": 0.0}, "use a finite number > 0"),
+        ({"gsd_m_per_px": 1e308}, "use 0.0001 to 1000 metres per pixel"),
+        ({"scale": 0.15}, "scale is a float: .* a number is gsd_m_per_px"),
+    ],
+)
+def test_what_is_no_scale_is_told(known: dict[str, Any], words: str) -> None:
+    with pytest.raises(InvalidParameterError, match=words):
+        vehanchor.measure_distance(_place(), [(1, 1), (9, 9)], **known)
+
+
+def test_a_known_scale_leaves_no_line_unheard(estimate: vehanchor.GsdEstimate) -> None:
+    for known in ({"scale": estimate}, {"gsd_m_per_px": 0.1}):
+        with pytest.raises(InvalidParameterError, match=f"give {next(iter(known))} or lines of known length, not both"):
+            vehanchor.measure_distance(_place(), [(1, 1), (9, 9)], known_lengths=[(0, 0, 100, 0, 12.0)], **known)
+
+
+def test_an_image_is_itself_however_it_is_handed_over(tmp_path: Path, estimate: vehanchor.GsdEstimate) -> None:
+    import cv2
+
+    path = tmp_path / "place.png"
+    assert cv2.imwrite(str(path), _place()[:, :, ::-1])
+    for image in (path, path.read_bytes(), _place()):
+        record = vehanchor.measure_distance(image, [(1, 1), (9, 9)], scale=estimate)
+        assert record.scale_source == "reused"

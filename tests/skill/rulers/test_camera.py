@@ -1,0 +1,201 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.analyses import made_card
+from vehanchor.detection.detections import Detections
+from vehanchor.estimate import analyse_detections, image_facts
+from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.options import ScaleOptions
+from vehanchor.rulers.camera import Camera
+from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.lognormal import LognormalEvidence
+from vehanchor.scale.fusion import GRID, credible_interval
+
+MAVIC = CameraMetadata(
+    make="DJI",
+    model="FC220",
+    height_m=100.0,
+    height_tag="DJI RelativeAltitude",
+    focal_mm=4.73,
+    focal_35mm=26.0,
+    taken_width_px=4000,
+    taken_height_px=3000,
+    off_nadir_deg=0.0,
+)
+TRUE_GSD = 100 * 6.17 / (4.73 * 4000)  # the sensor of that camera is 6.17 mm wide
+
+
+def _view(camera: CameraMetadata | None, width_px: int = 4000, height_px: int = 3000, **options: Any) -> View:
+    found = Detections(np.zeros((0, 5)), np.zeros(0))
+    facts = ImageFacts(width_px, height_px, camera=camera)
+    return View(facts, found, made_card(5.0), ScaleOptions.of(options), lambda *_: 1.0)
+
+
+def _look(camera: CameraMetadata | None, width_px: int = 4000, height_px: int = 3000) -> LognormalEvidence:
+    return Camera().look(_view(camera, width_px, height_px))
+
+
+def _spread(evidence: LognormalEvidence) -> float:
+    assert evidence.log_sd is not None
+    return evidence.log_sd
+
+
+def _but(**changes: object) -> CameraMetadata:
+    return CameraMetadata(**{**MAVIC.__dict__, **changes})
+
+
+def test_height_and_the_equivalent_focal_length_make_a_scale_with_an_honest_interval() -> None:
+    evidence = _look(MAVIC)
+    assert evidence.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.04)
+    assert evidence.interval is not None
+    assert evidence.interval.low < TRUE_GSD < evidence.interval.high
+    assert evidence.interval.high / evidence.interval.low == pytest.approx(math.exp(2 * 1.96 * 0.128), rel=0.01)
+    assert (evidence.kind, evidence.n) == ("camera", 1)
+    assert evidence.notices == ()
+    assert evidence.explanation is not None
+    assert "100 m (DJI RelativeAltitude) and 26 mm" in evidence.explanation
+
+
+def test_the_sensor_tells_better_than_the_equivalent_and_a_calibration_best() -> None:
+    by_sensor = _look(_but(pixel_mm=6.17 / 4000))
+    assert by_sensor.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=1e-6)
+    calibrated = _look(_but(pixel_mm=6.17 / 4000, focal_px=3100.0, centre_x_px=1995.0))
+    assert calibrated.gsd_m_per_px == pytest.approx(100 / 3100)
+    assert _spread(calibrated) < _spread(by_sensor) < _spread(_look(MAVIC))
+
+
+def test_a_calibration_of_another_size_is_not_believed() -> None:
+    """Some programs write the size of a resized copy where the camera's was, and leave the calibration as it was."""
+    copy = _but(focal_px=3100.0, centre_x_px=2000.0, taken_width_px=1000, taken_height_px=750)
+    assert _look(copy, 1000, 750).gsd_m_per_px == pytest.approx(4 * TRUE_GSD, rel=0.04)
+
+
+@pytest.mark.parametrize("size", [(2000, 1500), (1500, 2000), (1333, 1000), (8000, 6000), (1000, 750)])
+def test_a_resized_copy_has_the_scale_of_its_pixels(size: tuple[int, int]) -> None:
+    for camera in (MAVIC, _but(pixel_mm=6.17 / 4000), _but(focal_px=3067.0, centre_x_px=2000.0)):
+        expected = TRUE_GSD * 4000 / max(size)
+        assert _look(camera, *size).gsd_m_per_px == pytest.approx(expected, rel=0.04)
+
+
+@pytest.mark.parametrize("size", [(4000, 2250), (3000, 3000), (2000, 1000), (4000, 2900)])
+def test_a_crop_is_refused(size: tuple[int, int]) -> None:
+    evidence = _look(MAVIC, *size)
+    assert (evidence.gsd_m_per_px, evidence.confidence) == (None, 0.0)
+    assert [notice.code for notice in evidence.notices] == ["camera_cropped"]
+
+
+def test_a_wide_picture_is_a_full_width_with_rows_left_out() -> None:
+    wide = _look(_but(taken_height_px=2250), 4000, 2250)
+    assert wide.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.05)
+
+
+def test_a_camera_that_looks_aslant_measures_the_centre() -> None:
+    straight, aslant = _look(_but(off_nadir_deg=9.9)), _look(_but(off_nadir_deg=40.0))
+    assert straight.gsd_m_per_px is not None
+    assert aslant.gsd_m_per_px == pytest.approx(straight.gsd_m_per_px * math.cos(math.radians(40)) ** -1.5)
+    assert _spread(aslant) > _spread(straight)
+    assert [notice.code for notice in aslant.notices] == ["camera_tilted"]
+    assert straight.notices == ()
+
+
+def test_a_camera_that_looks_at_the_horizon_is_no_ruler() -> None:
+    evidence = _look(_but(off_nadir_deg=88.0))
+    assert evidence.gsd_m_per_px is None
+    assert [notice.code for notice in evidence.notices] == ["camera_tilted"]
+
+
+def test_an_unknown_pitch_widens_the_interval() -> None:
+    known, unknown = _look(MAVIC), _look(_but(off_nadir_deg=None))
+    assert _spread(unknown) > _spread(known)
+    assert unknown.chance_wrong > known.chance_wrong
+    assert unknown.explanation is not None
+    assert "straight down" in unknown.explanation
+
+
+def test_the_nearer_the_ground_the_less_a_height_says() -> None:
+    low, high = _look(_but(height_m=10.0)), _look(_but(height_m=500.0))
+    assert _spread(low) > 0.2 > 0.14 > _spread(high)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"height_m": 0.0}, "0 m"),
+        ({"height_m": -12.0}, "-12 m"),
+        ({"height_m": 1e7}, "1e+07 m"),
+        ({"height_m": 0.001}, "m/px"),
+        ({"focal_mm": 0.0, "focal_35mm": None}, "focal length is 0"),
+        ({"digital_zoom": 2.0}, "enlarged 2 times"),
+        ({"height_m": None, "refused": "its XMP declares entities"}, "entities"),
+    ],
+)
+def test_what_cannot_be_is_told_and_not_measured_with(changes: dict[str, object], words: str) -> None:
+    evidence = _look(_but(**changes))
+    assert evidence.gsd_m_per_px is None
+    assert [notice.code for notice in evidence.notices] == ["camera_unusable"]
+    assert words in evidence.notices[0].message
+
+
+@pytest.mark.parametrize("camera", [None, _but(height_m=None), _but(focal_mm=None, focal_35mm=None)])
+def test_a_file_that_does_not_tell_both_is_passed_over_in_silence(camera: CameraMetadata | None) -> None:
+    evidence = _look(camera)
+    assert (evidence.gsd_m_per_px, evidence.interval, evidence.n, evidence.notices) == (None, None, 0, ())
+    assert evidence.density is None
+
+
+def test_the_density_lies_around_the_scale_with_a_floor_below_it() -> None:
+    evidence = _look(MAVIC)
+    assert evidence.gsd_m_per_px is not None
+    assert evidence.density is not None
+    assert evidence.density.sum() == pytest.approx(1)
+    assert GRID[evidence.density.argmax()] == pytest.approx(math.log(evidence.gsd_m_per_px), abs=0.005)
+    assert evidence.density.min() >= 0.05 / len(GRID)
+    low, high = credible_interval(evidence.density, 0.8)
+    assert low < TRUE_GSD < high
+
+
+def test_an_image_without_cars_has_the_cameras_scale_which_alone_is_too_open_to_act_on() -> None:
+    record = analyse_detections(_view(MAVIC)).estimate
+    assert record.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.04)
+    assert (record.status, record.reason, record.leading_ruler) == ("low_confidence", "imprecise", "camera")
+    assert (record.n_vehicles, record.mode_length_px) == (0, None)
+    assert record.p_within_20 is not None
+    assert record.p_within_20 < 0.9
+    assert record.confidence < 0.5
+
+
+@pytest.mark.parametrize("options", [{"metadata": False}, {"rulers": ("vehicles", "height")}])
+def test_the_camera_can_be_left_out(options: dict[str, Any]) -> None:
+    analysis = analyse_detections(_view(MAVIC, **options))
+    assert "camera" not in [each.kind for each in analysis.others]
+    assert (analysis.estimate.gsd_m_per_px, analysis.estimate.rulers) == (None, ())
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(("name", "height_m"), [("minsk_10", 98.9), ("minsk_12", 99.0)])
+def test_nadir_photographs_of_a_known_sensor_come_out_within_a_few_per_cent(
+    real_data: Path, name: str, height_m: float
+) -> None:
+    with open_raster(real_data / f"tilt/images/{name}.jpg") as raster:
+        facts = image_facts(raster)
+    evidence = Camera().look(replace(_view(None), image=facts))
+    assert evidence.gsd_m_per_px == pytest.approx(height_m * 6.17 / (4.73 * 3000), rel=0.05)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("folder", ["garfield", "seneca"])
+def test_photographs_that_know_only_their_height_above_the_sea_have_no_ruler(real_data: Path, folder: str) -> None:
+    with open_raster(min((real_data / "flights" / folder).iterdir())) as raster:
+        facts = image_facts(raster)
+    assert facts.camera is not None
+    assert facts.camera.focal_mm
+    evidence = Camera().look(replace(_view(None), image=facts))
+    assert (evidence.gsd_m_per_px, evidence.notices) == (None, ())

@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib.figure
+import numpy as np
+import pytest
+
+from tests.skill.cut_off import CALIBRATION
+from vehanchor.errors import OutputError
+from vehanchor.pictures.plot import write_plot
+from vehanchor.pictures.scale import write_picture
+from vehanchor.scale.calibration import save_calibration
+from vehanchor.storage.atomic import whole_file
+
+WRITERS: dict[str, Callable[[Path], Any]] = {
+    "c.json": lambda path: save_calibration(path, CALIBRATION),
+    "p.png": lambda path: write_picture(path, np.zeros((64, 64, 3), np.uint8)),
+    "p.jpg": lambda path: write_picture(path, np.zeros((64, 64, 3), np.uint8)),
+    "plot.png": lambda path: write_plot(path, matplotlib.figure.Figure(figsize=(1, 1))),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("written", [0, 1, 40])
+def test_a_full_disk_at_any_byte_leaves_the_old_file(
+    name: str, written: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(b"old")
+
+    def full(self: Path, data: bytes | str, *args: Any, **options: Any) -> int:
+        with open(self, "wb") as file:  # noqa: PTH123 - Path's own is what is replaced
+            file.write((data.encode() if isinstance(data, str) else data)[:written])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(OutputError, match="No space left"):
+        WRITERS[name](path)
+    monkeypatch.undo()
+    assert path.read_bytes() == b"old"
+    assert [file.name for file in tmp_path.iterdir()] == [name]
+    WRITERS[name](path)
+    assert path.read_bytes() != b"old"
+    assert [file.name for file in tmp_path.iterdir()] == [name]
+
+
+def test_a_refused_flush_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "c.json"
+    path.write_bytes(b"old")
+
+    def refused(descriptor: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(os, "fsync", refused)
+    with pytest.raises(OutputError):
+        save_calibration(path, CALIBRATION)
+    assert path.read_bytes() == b"old"
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from vehanchor.storage.atomic import whole_file
+
+with whole_file(Path(sys.argv[1])) as partial:
+    with partial.open("wb") as file:
+        file.write(b"new" * int(sys.argv[2]))
+        file.flush()
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="Windows has no kill -9")
+@pytest.mark.parametrize("n_bytes", [0, 100_000])
+def test_a_killed_process_leaves_the_old_file(tmp_path: Path, n_bytes: int) -> None:
+    path = tmp_path / "t.json"
+    path.write_bytes(b"old")
+    done = subprocess.run([sys.executable, "-c", KILLED, str(path), str(n_bytes)], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert path.read_bytes() == b"old"
+    with whole_file(path) as partial:
+        partial.write_bytes(b"new")
+    assert path.read_bytes() == b"new"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(signal, "SIGXFSZ"), reason="Windows has no limit of a file's size")
+def test_no_file_is_half_written_wherever_the_disk_is_full_or_the_process_killed(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "tests.skill.cut_off", str(tmp_path)]
+    done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout)
+    assert found["wrong"] == []
+    assert found["ends"]["refused"] > 100
+    assert found["ends"]["killed"] > 40

@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.analyses import made_card
+from vehanchor.detection.detections import Detections
+from vehanchor.errors import TooObliqueError
+from vehanchor.estimate import analyse_detections
+from vehanchor.flight.photograph import Look, Photograph
+from vehanchor.flight.pooling import pool
+from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.options import ScaleOptions
+from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.scale.plane import GroundPlane
+from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt, plane_with, rectified
+
+WIDTH, HEIGHT, FOCAL, CAR_M, GSD = 3000, 2000, 2400.0, 5.0, 0.05
+CAR_WIDTH_M = CAR_M / 2.21  # as detectors draw it
+CAMERA = CameraMetadata(focal_px=FOCAL, taken_width_px=WIDTH, taken_height_px=HEIGHT, off_nadir_deg=35.0)
+FACTS = ImageFacts(WIDTH, HEIGHT, camera=CAMERA)
+
+
+def _cars(looked: CameraTilt, n: int = 60) -> Detections:
+    """Cars of one length, any heading, all over the image, as the camera sees them."""
+    rng = np.random.default_rng(7)
+    plane = plane_with(looked, FACTS, GSD)
+    boxes = []
+    for _ in range(n):
+        x, y, heading = rng.uniform(200, WIDTH - 200), rng.uniform(200, HEIGHT - 200), rng.uniform(0, np.pi)
+        along = np.array([np.cos(heading), np.sin(heading)])
+        across = np.array([-along[1], along[0]])
+        here = [(x, y), (x, y)]
+        metres = plane.length(here - np.array([along, across]) / 2, here + np.array([along, across]) / 2)
+        boxes.append((x, y, CAR_M / metres[0], CAR_WIDTH_M / metres[1], heading))
+    return Detections(np.array(boxes), np.full(n, 0.8))
+
+
+def test_cars_are_of_one_length_on_the_plane() -> None:
+    looked = CameraTilt(35.0, 20.0, FOCAL, "metadata")
+    seen = _cars(looked)
+    assert seen.boxes[:, 2].max() > 1.6 * seen.boxes[:, 2].min()
+    assert rectified(seen, looked, FACTS).boxes[:, 2] == pytest.approx(CAR_M / GSD, rel=0.01)
+
+
+def test_boxes_of_the_proportions_of_a_car_seen_from_above_are_of_one_length_on_the_plane() -> None:
+    """The detector draws them so at 30 degrees (research/results/notes), whichever way the car points."""
+    looked = CameraTilt(30.0, 0.0, FOCAL, "metadata")
+    middle = np.array([WIDTH, HEIGHT]) / 2
+    step = plane_with(looked, FACTS, GSD).length([middle, middle], middle + np.eye(2))
+    across = [WIDTH / 2, HEIGHT / 2, 0.89 * CAR_M / step[0], 1.25 * CAR_WIDTH_M / step[1], 0.0]
+    away = [WIDTH / 2, HEIGHT / 2, 1.05 * CAR_M / step[1], 0.88 * CAR_WIDTH_M / step[0], np.pi / 2]
+    lengths = rectified(Detections(np.array([across, away]), np.ones(2)), looked, FACTS).boxes[:, 2]
+    assert lengths == pytest.approx([CAR_M / GSD] * 2, rel=0.04)
+
+
+def test_the_record_is_that_of_the_centre_and_tells_the_tilt() -> None:
+    looked = CameraTilt(35.0, 0.0, FOCAL, "metadata")
+    view = View(FACTS, _cars(looked), made_card(CAR_M), ScaleOptions(), lambda *_: 1.0)
+    analysis = analyse_detections(view)
+    estimate = analysis.estimate
+    assert estimate.gsd_m_per_px == pytest.approx(GSD, rel=0.05)
+    assert estimate.tilt is not None
+    assert estimate.gsd_m_per_px is not None
+    assert estimate.tilt.source == "metadata, vehicles"
+    assert estimate.tilt.tilt_deg == pytest.approx(35, abs=2)
+    assert estimate.tilt.tilt_ci95_low_deg < 35 < estimate.tilt.tilt_ci95_high_deg
+    assert estimate.tilt.gsd_least_m_per_px is not None
+    assert estimate.tilt.gsd_largest_m_per_px is not None
+    assert estimate.tilt.gsd_least_m_per_px < estimate.gsd_m_per_px < estimate.tilt.gsd_largest_m_per_px
+    assert np.array_equal(analysis.detections.boxes, view.detections.boxes)  # for pictures, as they are
+    ignored = analyse_detections(replace(view, options=ScaleOptions.of({"metadata": False}))).estimate
+    assert ignored.tilt is None
+
+
+def _cars_and_parts() -> tuple[View, GroundPlane]:
+    """A view of cars and of twice as many halves of them, without the camera's height, and its plane."""
+    looked = CameraTilt(35.0, 0.0, FOCAL, "metadata")
+    cars, parts = _cars(looked, n=20).boxes, _cars(looked, n=40).boxes * [1, 1, 0.5, 0.5, 1]
+    boxes = np.concatenate([cars, parts])
+    seen = Detections(boxes, np.full(len(boxes), 0.8), scales=np.ones(len(boxes)))
+    return View(FACTS, seen, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0), plane_with(looked, FACTS, GSD)
+
+
+def test_the_height_of_the_camera_tells_cars_from_their_parts() -> None:
+    view, plane = _cars_and_parts()
+    alone = analyse_detections(view, [])
+    assert alone.estimate.gsd_m_per_px == pytest.approx(2 * GSD, rel=0.05)
+    said = replace(view, image=FACTS._replace(camera=replace(CAMERA, height_m=plane.height_m)))
+    with_height = analyse_detections(said)
+    assert with_height.vehicles.n == pytest.approx(20, abs=4)
+    assert with_height.estimate.gsd_m_per_px == pytest.approx(GSD, rel=0.05)
+    assert {each.kind for each in with_height.estimate.rulers if each.agrees} == {"vehicles", "camera"}
+
+
+def test_so_it_does_in_photographs_of_one_scale_put_together() -> None:
+    view, plane = _cars_and_parts()
+    image = FACTS._replace(camera=replace(CAMERA, height_m=plane.height_m))
+    seen = [Photograph.of(name, Look(image, view.detections, 1.0), view.card, view.options) for name in ("a", "b")]
+    together = pool(seen, np.zeros(2), 0).estimate
+    assert together.n_vehicles == pytest.approx(40, abs=8)
+    assert together.gsd_m_per_px == pytest.approx(GSD, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        None,
+        replace(CAMERA, off_nadir_deg=None),
+        replace(CAMERA, off_nadir_deg=9.9),
+        replace(CAMERA, taken_width_px=4000),
+    ],
+)
+def test_without_tilt_or_of_a_crop_there_is_no_plane(camera: CameraMetadata | None) -> None:
+    assert metadata_tilt(FACTS._replace(camera=camera), ScaleOptions()) is None
+
+
+def test_of_a_crop_of_such_a_picture_a_warning_says_so() -> None:
+    cars = _cars(CameraTilt(35.0, 0.0, FOCAL, "metadata"))
+
+    def codes(camera: CameraMetadata) -> list[str]:
+        view = View(FACTS._replace(camera=camera), cars, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0)
+        return [each.code for each in analyse_detections(view).estimate.warnings]
+
+    crop = replace(CAMERA, taken_width_px=4000)
+    assert "tilt_suspected" in codes(crop)
+    assert "tilt_suspected" not in codes(replace(crop, off_nadir_deg=5.0))
+
+
+def test_a_focal_length_that_nobody_tells_is_that_of_most_drones_and_the_source_says_so() -> None:
+    looked = metadata_tilt(FACTS._replace(camera=replace(CAMERA, focal_px=None)), ScaleOptions())
+    assert looked is not None
+    assert looked.source == "metadata; focal length unknown"
+    told = metadata_tilt(
+        FACTS._replace(camera=replace(CAMERA, focal_px=None)), ScaleOptions.of({"focal_35mm": 26, "height_m": 90})
+    )
+    assert told is not None
+    assert told.source == "metadata"
+    assert told.focal_px == pytest.approx(looked.focal_px)
+
+
+def test_a_horizon_in_sight_is_refused() -> None:
+    with pytest.raises(TooObliqueError, match="horizon"):
+        metadata_tilt(FACTS._replace(camera=replace(CAMERA, off_nadir_deg=70.0)), ScaleOptions())
