@@ -47,8 +47,8 @@ _MATCHED_PX = 72.0  # least length of a court for matching, if the image has tha
 _MARGIN = 1.5  # half side of the patch, in half diagonals of the court
 
 _WORTH_A_FIT = 0.3
-_LEAST_NEAR = 0.45  # of the score before the fit; every court had at least 0.57 (RESULTS.md)
-_LEAST_SCORE = 0.55  # the maximum over 232 training images without a court is 0.50 (RESULTS.md)
+_LEAST_NEAR = 0.45  # of the score before the fit; every court had at least 0.57
+_LEAST_SCORE = 0.55  # the maximum over 232 training images without a court is 0.50
 _ROUGH_COVERAGE = 0.5
 _LEAST_COVERAGE = 0.64  # roofs with grids reached 0.63
 _LEAST_COVERAGE_WITH_ARCS, _SEEN_ARCS = 0.68, 0.5  # straight lines also form grids in yards and car parks

@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from vehanchor.detection.detections import Detections
     from vehanchor.imagery.raster import Raster
 
-_CELL_PX = 8  # side of the network's cells, and the unit of its lengths: training/courts/network.py
+_CELL_PX = 8  # side of the network's cells, and the unit of its lengths: research/training/courts/network.py
 _LENGTH_PX = 44.0
-_SEEN_BEST_M = 0.58  # metres per pixel, the middle of its training range: training/courts/data.py
+_SEEN_BEST_M = 0.58  # metres per pixel, the middle of its training range: research/training/courts/data.py
 _FACTORS = (2, 4, 8, 16)  # one octave of scales each: images of 0.02 to 0.44 m/px
 _MOST_PIXELS_UNASKED = 1_500_000  # up to this image size all factors are searched, whatever the scene-scale prior
 _TILE_PX, _STRIDE_PX = 1088, 960  # of the reduced image; tiles overlap by two courts

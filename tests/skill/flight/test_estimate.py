@@ -87,6 +87,12 @@ def test_what_belongs_to_one_image_is_refused(flight: list[str], detector: Detec
         vehanchor.estimate_flight(flight, detector=detector, **option)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("one", ["s.png", Path("s.png"), b"png", np.zeros((4, 4, 3), np.uint8), 5])
+def test_one_photograph_is_no_flight(one: Any, tmp_path: Path) -> None:
+    with pytest.raises(InvalidParameterError, match="give a list of photographs"):
+        vehanchor.estimate_flight(one, detector=tmp_path / "nowhere.onnx")
+
+
 def test_an_interrupted_flight_goes_on_where_it_stopped(
     flight: list[str], detector: Detector, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
