@@ -144,7 +144,7 @@ def survey_dota(folder: Path, labels: Path | None = None) -> KnownScaleSet:
     label_folder = labels or _latest_labels(folder)
     if not label_folder.is_dir():
         raise InvalidParameterError(f"no label folder at {str(label_folder)!r}")
-    texts = {path.stem: path for path in sorted(label_folder.rglob("*.txt")) if not _is_upright(path, label_folder)}
+    texts = {path.stem: path for path in sorted(label_folder.rglob("*.txt")) if not _is_axis_aligned(path, label_folder)}
     images, issues = [], []
     seen: dict[str, Path] = {}
     for path in image_files(folder / "images"):
@@ -188,7 +188,7 @@ def _latest_labels(folder: Path) -> Path:
     raise InvalidParameterError(f"no labelTxt*/ (or labels/) folder in {str(folder)!r}; name one with --labels")
 
 
-def _is_upright(path: Path, label_folder: Path) -> bool:
+def _is_axis_aligned(path: Path, label_folder: Path) -> bool:
     return any(_HORIZONTAL.search(part) for part in path.relative_to(label_folder).parts[:-1])
 
 
