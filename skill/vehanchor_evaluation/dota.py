@@ -144,7 +144,8 @@ def survey_dota(folder: Path, labels: Path | None = None) -> KnownScaleSet:
     label_folder = labels or _latest_labels(folder)
     if not label_folder.is_dir():
         raise InvalidParameterError(f"no label folder at {str(label_folder)!r}")
-    texts = {path.stem: path for path in sorted(label_folder.rglob("*.txt")) if not _is_axis_aligned(path, label_folder)}
+    files = sorted(label_folder.rglob("*.txt"))
+    texts = {path.stem: path for path in files if not _is_axis_aligned(path, label_folder)}
     images, issues = [], []
     seen: dict[str, Path] = {}
     for path in image_files(folder / "images"):
