@@ -46,7 +46,7 @@ def test_photographs_of_one_scale_share_it(flight: list[str], detector: Detector
 
 def test_a_photograph_without_a_car_hangs_on_those_with_cars(flight: list[str], detector: Detector) -> None:
     record = vehanchor.estimate_flight(flight, same_scale=True, detector=detector)
-    first = [each.anchors[0] for each in record.photographs]
+    first = [each.supported_by[0] for each in record.photographs]
     assert [anchor.ruler for anchor in first] == ["vehicles"] * 4
     assert [first[place].photograph for place in (0, 1, 3)] == [flight[0], flight[1], flight[3]]
     assert first[2].photograph in (flight[0], flight[1], flight[3])
