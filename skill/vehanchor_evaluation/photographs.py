@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
 
-_PRIOR = "scene_scale"
+_WITNESS = "scene_scale"
 
 
 def survey_photographs(
@@ -54,7 +54,7 @@ def survey_photographs(
         InvalidParameterError: a path does not exist, or the options exclude all these rulers.
     """
     rulers = tuple(
-        kind for kind in get_args(RulerName) if kind not in (Vehicles.kind, _PRIOR) and options.rulers.uses(kind)
+        kind for kind in get_args(RulerName) if kind not in (Vehicles.kind, _WITNESS) and options.rulers.uses(kind)
     )
     if not rulers:
         raise InvalidParameterError("photographs need a ruler other than vehicles: drop --rulers and --metadata")

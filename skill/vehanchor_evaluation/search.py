@@ -46,9 +46,9 @@ class SearchedImage:
 
     Attributes:
         detections: the vehicles.
-        image: size, georeferenced GSD and notices of the file.
-        resolved: resolved share of the resolution around the vehicles that the outlier filter keeps, by the filter's
-            alpha; empty for labelled vehicles.
+        image: size, own scale and notices of the file.
+        resolved: share of the pixels' resolution at which there is detail around the vehicles that the outlier filter
+            keeps, by its factor; vehicles that nobody has looked for, as labels, need none.
     """
 
     detections: Detections
@@ -65,7 +65,7 @@ class SearchedImage:
         options = options.in_pixels(self.image.width_px, self.image.height_px)
         share = self.resolved.get(options.lengths.alpha) if self.resolved else 1.0
         if share is None:
-            raise InvalidParameterError(f"the search lacks alpha {options.lengths.alpha}: search again with it")
+            raise InvalidParameterError(f"searched without alpha {options.lengths.alpha}: search with these options")
         return analyse_detections(View(self.image, self.detections, card, options, lambda *_: share))
 
 
@@ -77,7 +77,7 @@ def default_workers() -> int:
     return min(MAX_WORKERS, os.cpu_count() or 1)
 
 
-_LOG_VERSION = 2  # version of the stored results; logs of another version are refused
+_FORM = 2  # of what is kept of an image: a log of another form is refused
 
 
 def open_detection_log(
@@ -97,26 +97,26 @@ def open_detection_log(
     """
     settings = {
         "vehanchor": version("vehanchor"),
-        "form": _LOG_VERSION,
+        "form": _FORM,
         "networks_sha256": networks_sha256(detector.card),
         "classes": classes,
-        "search": _search_settings(options.search) if options.rulers.searches else None,
+        "search": _of_full_search(options.search) if options.rulers.searches else None,
         "bands": options.reading.bands,
     }
-    return Journal(path, settings, dump=_dump, load=_load)
+    return Journal(path, settings, dump=_dumped, load=_loaded)
 
 
-def _search_settings(chosen: Search) -> dict[str, Any]:
+def _of_full_search(chosen: Search) -> dict[str, Any]:
     """Select the options that affect a full search."""
     early = ("effort", "max_tiles", "max_seconds")
     return {name: value for name, value in asdict(chosen).items() if name not in early}
 
 
-def _dump(searched: SearchedImage) -> Any:
+def _dumped(searched: SearchedImage) -> Any:
     return to_json((searched.detections, searched.image, list(searched.resolved.items())))
 
 
-def _load(stored: Any) -> SearchedImage:
+def _loaded(stored: Any) -> SearchedImage:
     detections, image, resolved = from_json(stored)
     return SearchedImage(detections, image, dict(resolved))
 
@@ -225,6 +225,6 @@ def _search(
 
 
 def _resolved(raster: Raster, found: Detections, alpha: float | None) -> float:
-    """Measure the resolved share of the resolution around the vehicles that the filter keeps for this alpha."""
+    """The share of the resolution with detail around the vehicles that a factor of the outlier filter keeps."""
     fleet = select(found, Lengths(alpha=alpha))
     return resolved_share(raster, fleet.centres, fleet.working_scale or 1.0)

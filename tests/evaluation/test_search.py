@@ -143,7 +143,7 @@ def test_an_alpha_that_no_search_has_looked_at_is_looked_at(tmp_path: Path, dete
     data = KnownScaleSet("", (KnownScaleImage(file, 0.2),))
     (found,) = search_known_scale(data, model, plain, cache=log).values()
     assert not isinstance(found, FileIssue)
-    with pytest.raises(InvalidParameterError, match=r"the search lacks alpha 2\.5"):
+    with pytest.raises(InvalidParameterError, match=r"searched without alpha 2\.5"):
         found.analysis(model.card, wide)
     for _ in range(2):
         (found,) = search_known_scale(data, model, wide, cache=log).values()
