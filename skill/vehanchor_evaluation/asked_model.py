@@ -61,7 +61,7 @@ def ask_model(
         questions: questions in order.
         api: the model.
         tools: tools that it may call; None for none.
-        max_turns: most replies to one question.
+        max_turns: maximum number of replies to one question.
     """
     outcomes: list[Outcome] = []
     try:

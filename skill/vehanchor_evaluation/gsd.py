@@ -81,7 +81,7 @@ def run_trials(
 
 
 class ErrorSummary(NamedTuple):
-    """The columns of the paper's Table I.
+    """Columns of the paper's Table I.
 
     Attributes:
         images: number of images.

@@ -107,7 +107,7 @@ def read_questions(folder: Path, limit: int) -> list[Question]:
 
     Args:
         folder: scenes with their ground truth.
-        limit: most questions.
+        limit: maximum number of questions.
 
     Raises:
         InvalidParameterError: the folder has no scene.
@@ -136,7 +136,7 @@ def questions_of_photographs(images: Sequence[KnownScaleImage], limit: int) -> l
 
     Args:
         images: images whose scale counts as exact; if there are more than needed, evenly spaced ones are used.
-        limit: most questions.
+        limit: maximum number of questions.
 
     Raises:
         ImageError: an image cannot be read.

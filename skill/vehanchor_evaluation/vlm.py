@@ -64,7 +64,7 @@ class Query:
         agent: let the model use tools; the prompt gives the file, the image's size and the rectangle's corners, which a
             planner knows.
         max_side_px: longest side of the image in the prompt; larger images are reduced.
-        max_turns: most replies of an agent for one entry.
+        max_turns: maximum number of replies of an agent for one entry.
     """
 
     hint: bool = False

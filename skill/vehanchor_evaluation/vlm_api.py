@@ -88,8 +88,8 @@ class Budget:
     """Limits on cost and rate of a run; stored replies are free.
 
     Attributes:
-        max_requests: most requests; None for no limit.
-        max_tokens: most input and output tokens; requests in flight at the limit still complete.
+        max_requests: maximum number of requests; None for no limit.
+        max_tokens: maximum number of input and output tokens; requests in flight at the limit still complete.
         requests_per_minute: rate of evenly spaced requests; None for no limit.
     """
 
@@ -360,7 +360,7 @@ def open_api(
         budget: limits on cost and rate.
         base_url: address of the service; None for the provider's own, required for a compatible one.
         key_variable: environment variable with the key; None for the provider's usual one.
-        max_output_tokens: most tokens of one reply.
+        max_output_tokens: maximum number of tokens of one reply.
         timeout_s: time limit of one attempt.
         max_retries: attempts after the first.
 

@@ -32,7 +32,7 @@ class QuestionsRequest(ServiceRequest):
     folder: Annotated[
         Path | None, typer.Argument(metavar="FOLDER", help="Scenes with ground truth from 'vehanchor scene'.")
     ] = None
-    limit: Annotated[int, typer.Option(min=1, metavar="N", help="Most questions.")] = 40
+    limit: Annotated[int, typer.Option(min=1, metavar="N", help="Maximum number of questions.")] = 40
     as_json: Annotated[bool, typer.Option("--json", help="Print a line of JSON per planner.")] = False
     table: Annotated[
         Path | None,

@@ -43,17 +43,21 @@ class ServiceRequest:
         ),
     ] = None
     max_requests: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Most requests in this run.", rich_help_panel=_LIMITS)
+        int | None,
+        typer.Option(min=1, metavar="N", help="Maximum number of requests in this run.", rich_help_panel=_LIMITS),
     ] = None
     max_tokens: Annotated[
         int | None,
-        typer.Option(min=1, metavar="N", help="Most input and output tokens in this run.", rich_help_panel=_LIMITS),
+        typer.Option(
+            min=1, metavar="N", help="Maximum number of input and output tokens in this run.", rich_help_panel=_LIMITS
+        ),
     ] = None
     requests_per_minute: Annotated[
-        float | None, typer.Option(min=0.001, metavar="N", help="Most requests per minute.", rich_help_panel=_LIMITS)
+        float | None,
+        typer.Option(min=0.001, metavar="N", help="Maximum number of requests per minute.", rich_help_panel=_LIMITS),
     ] = None
     max_output_tokens: Annotated[
-        int, typer.Option(min=16, metavar="N", help="Most tokens of one reply.", rich_help_panel=_LIMITS)
+        int, typer.Option(min=16, metavar="N", help="Maximum number of tokens of one reply.", rich_help_panel=_LIMITS)
     ] = 4096
     timeout: Annotated[
         float, typer.Option(min=0.1, metavar="S", help="Time limit of one attempt, seconds.", rich_help_panel=_LIMITS)

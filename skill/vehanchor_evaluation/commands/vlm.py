@@ -42,7 +42,9 @@ class VlmRequest(ServiceRequest):
     ] = None
     workers: Annotated[int, typer.Option(min=1, metavar="N", help="Requests in parallel.")] = 1
     max_side: Annotated[int, typer.Option(min=64, metavar="PX", help="Longest side of the image in the prompt.")] = 1568
-    max_turns: Annotated[int, typer.Option(min=1, metavar="N", help="Most replies of --agent for one entry.")] = 8
+    max_turns: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Maximum number of replies of --agent for one entry.")
+    ] = 8
     detector: Annotated[
         str | None, typer.Option(metavar="FILE", help="Default: the bundled one.", rich_help_panel=_TOOLS)
     ] = None
