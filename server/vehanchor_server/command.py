@@ -14,7 +14,7 @@ import typer
 from vehanchor_server.settings import Settings, SettingsError
 
 if TYPE_CHECKING:
-    from vehanchor.options.fields import Choice
+    from vehanchor.options.option import Option
 
 _VIEWED_WITH = (  # settings that are options of ``view``, too
     "detector",
@@ -42,7 +42,7 @@ def _parameters() -> list[inspect.Parameter]:
 
 def _parameter(setting: Field[Any], kind: Any) -> inspect.Parameter:
     """A setting as Typer wants it; not given, it is None, or False for a flag, so that its variable may speak."""
-    stated: Choice = setting.metadata["choice"]
+    stated: Option = setting.metadata["option"]
     option = typer.Option(
         f"--{stated.flag or setting.name.replace('_', '-')}",
         help=_help(setting),
@@ -63,7 +63,7 @@ def _parameter(setting: Field[Any], kind: Any) -> inspect.Parameter:
 
 def _help(setting: Field[Any]) -> str:
     """The setting's sentence, with its default in brackets."""
-    text: str = setting.metadata["choice"].help
+    text: str = setting.metadata["option"].help
     default = setting.metadata["if_unset"]
     if setting.default and setting.default is not True:
         default = f"{setting.default:g}" if isinstance(setting.default, float) else str(setting.default)

@@ -70,7 +70,7 @@ def test_an_uncertain_anchor_takes_its_share_off_the_lower_bound(judge: Callable
 def test_below_the_limit_of_confidence_it_holds_whatever_the_size_and_says_what_helps(
     judge: Callable[..., Any], reason: str
 ) -> None:
-    record = _record(status="low_confidence", confidence=0.49, scale={"reason": reason})
+    record = _record(status="low_confidence", confidence=0.49, estimate={"reason": reason})
     decision = judge(record | {"inscribed_diameter_ci95_low_m": 100.0})
     assert decision.action == "hold_altitude"
     assert "confidence 0.49" in decision.reason
