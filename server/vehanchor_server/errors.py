@@ -45,10 +45,10 @@ class CallError(ToolError):
         self.code = code
 
     @property
-    def told(self) -> str:
+    def explanation(self) -> str:
         """The message without the code."""
         return str(self).removeprefix(f"{self.code}: ")
 
     def __reduce__(self) -> tuple[type[CallError], tuple[str, str]]:
         """How it comes from a worker process."""
-        return type(self), (self.code, self.told)
+        return type(self), (self.code, self.explanation)

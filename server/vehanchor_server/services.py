@@ -11,7 +11,7 @@ from vehanchor_server.calls.capacity import Capacity
 from vehanchor_server.calls.worker_process import WorkerLimits
 from vehanchor_server.calls.workers import WorkerPool
 from vehanchor_server.images.fetch import Fetcher
-from vehanchor_server.images.path_access import Sandbox
+from vehanchor_server.images.path_access import PathAccess
 from vehanchor_server.images.source import ImageSources
 from vehanchor_server.models import Models
 from vehanchor_server.settings import Settings
@@ -91,7 +91,7 @@ def _services(settings: Settings, n_calls: int, workers: WorkerPool | None) -> S
         settings=settings,
         models=Models(settings),
         sources=ImageSources(
-            sandbox=Sandbox(settings.roots, settings.spelled_roots),
+            paths=PathAccess(settings.roots, settings.spelled_roots),
             fetcher=Fetcher(settings.image_hosts, max_bytes, settings.fetch_timeout_s),
             max_bytes=max_bytes,
         ),

@@ -21,7 +21,7 @@ Detail: TypeAlias = Literal["short", "full"]
 """How much of a record an answer holds: what a model needs, or all of it."""
 
 
-class WantedPictures(NamedTuple):
+class PictureRequest(NamedTuple):
     """Which pictures a call is to make.
 
     Attributes:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster, Window
-    from vehanchor_server.calls.answer import WantedPictures
+    from vehanchor_server.calls.answer import PictureRequest
     from vehanchor_server.calls.capacity import Stop
     from vehanchor_server.calls.job import Job
 
@@ -38,7 +38,7 @@ class Pictures(NamedTuple):
 
 
 def draw_pictures(
-    raster: Raster, job: Job, wanted: WantedPictures, draw: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
+    raster: Raster, job: Job, wanted: PictureRequest, draw: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 ) -> Pictures:
     """Make the pictures of a result from one reading of the image.
 

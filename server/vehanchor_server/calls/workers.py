@@ -42,7 +42,7 @@ Result = TypeVar("Result")
 
 _MIB = 1 << 20
 _ENDS_WITHIN_S = 5.0  # a killed process, unless the system is stuck
-_LOOKS_S = 0.05  # how often a thread that waits for a worker to be ready looks whether it still shall
+_POLL_S = 0.05  # how often a thread that waits for a worker to be ready looks whether it still shall
 _logger = logging.getLogger(__name__)
 
 
@@ -76,7 +76,7 @@ class WorkerPool:
     def ready(self) -> bool:
         """Whether a call can start at once."""
         for worker in self._workers:
-            worker.look()
+            worker.poll_loaded()
         return any(worker.loaded and worker.failure is None for worker in self._workers)
 
     @property
@@ -89,7 +89,7 @@ class WorkerPool:
         """The processes' numbers."""
         return [worker.process.pid for worker in self._workers if worker.process and worker.process.pid]
 
-    def say_once(self, level: int, text: str) -> None:
+    def log_once(self, level: int, text: str) -> None:
         """Log what every worker meets alike."""
         with self._saying:
             if text in self._said:
@@ -129,7 +129,7 @@ class WorkerPool:
             WorkerFailedError: a bug.
         """
         with self._lock:
-            worker = max(self._idle, key=_Worker.warmth)  # there is one: as many calls as workers are admitted
+            worker = max(self._idle, key=_Worker.readiness)  # there is one: as many calls as workers are admitted
             self._idle.remove(worker)
         try:
             return worker.run(task, stop, report, enter)
@@ -145,7 +145,7 @@ class WorkerPool:
         for worker in self._workers:
             worker.kill()
 
-    def leave_nothing(self) -> None:
+    def remove_socket(self) -> None:
         """Remove the workers' socket, for a process that ends without its exit handlers; no worker starts after it."""
         self.close()
         if self.processes:
@@ -201,15 +201,15 @@ class _Worker:
         if self.process is not None and not self.process.is_alive() and self.loaded:
             self.start()
 
-    def warmth(self) -> int:
+    def readiness(self) -> int:
         """How soon it can work: 2 at once, 1 when its models are loaded, 0 when it was started before that."""
         process = self.process
         if process is None or not process.is_alive():
             return 0
-        self.look()
+        self.poll_loaded()
         return 2 if self.loaded else 1
 
-    def look(self) -> None:
+    def poll_loaded(self) -> None:
         """See whether the models are loaded by now; never blocks."""
         if not self.loaded and self._lock.acquire(blocking=False):
             try:
@@ -228,7 +228,7 @@ class _Worker:
         while not self.loaded:
             stop.check()
             with self._lock:
-                self._receive_loaded(_LOOKS_S)
+                self._receive_loaded(_POLL_S)
 
     def _receive_loaded(self, wait_s: float) -> None:
         if self.loaded:
@@ -245,7 +245,7 @@ class _Worker:
                     raise EOFError
                 self.failure, confinement = values
                 self.loaded = True
-                self._pool.say_once(*_told(confinement))
+                self._pool.log_once(*_confinement_message(confinement))
         except (EOFError, OSError, UnpicklingError):
             self._fail("")
             raise EOFError from None
@@ -257,7 +257,7 @@ class _Worker:
             if not reason and self.process is not None:
                 self.process.join(_ENDS_WITHIN_S)
                 reason = f"it ended with exit code {self.process.exitcode} before it could work"
-            self._pool.say_once(logging.ERROR, f"a worker cannot start: {reason}")
+            self._pool.log_once(logging.ERROR, f"a worker cannot start: {reason}")
 
     def run(
         self,
@@ -276,7 +276,7 @@ class _Worker:
         self._start_and_wait(stop)
         assert self.process is not None
         assert self._connection is not None
-        with _KilledOnRequest(self.process, stop) as turn:
+        with _KillOnStop(self.process, stop) as turn:
             stop.check()
             try:
                 self._connection.send(task)
@@ -327,7 +327,7 @@ class _Worker:
     def _listen(
         self,
         connection: Connection,
-        turn: _KilledOnRequest,
+        turn: _KillOnStop,
         report: Callable[[float, str], None],
         enter: Callable[[str], None],
     ) -> Any:
@@ -354,7 +354,7 @@ class _Worker:
         self.loaded = False
 
 
-def _told(confinement: Confinement) -> tuple[int, str]:
+def _confinement_message(confinement: Confinement) -> tuple[int, str]:
     """How workers are confined, for the log."""
     held = [f"Landlock {confinement.landlock}"] * bool(confinement.landlock) + ["seccomp"] * confinement.seccomp
     told = f"workers are confined by {' and '.join(held)}" if held else "workers are not confined"
@@ -375,7 +375,7 @@ def _start_context() -> ForkServerContext | SpawnContext:
     return multiprocessing.get_context("spawn")
 
 
-class _KilledOnRequest:
+class _KillOnStop:
     """One call's turn with a process: a context manager in which a stop request kills it, and after which none does.
 
     A turn that ends before its call is over leaves a process that nobody knows the state of: it is killed, too.
@@ -392,7 +392,7 @@ class _KilledOnRequest:
         self.over = False
         stop.on_request(self._kill)
 
-    def __enter__(self) -> _KilledOnRequest:
+    def __enter__(self) -> _KillOnStop:
         return self
 
     def __exit__(self, *_: object) -> None:

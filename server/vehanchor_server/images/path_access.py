@@ -41,7 +41,7 @@ _MAX_LINKS = 40  # as Linux itself
 _MAX_LISTED = 100_000  # names that are looked at for a list of images
 
 
-class Sandbox:
+class PathAccess:
     """The files that callers may name by path.
 
     Args:

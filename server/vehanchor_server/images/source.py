@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from vehanchor_server.images.fetch import Fetcher
-    from vehanchor_server.images.path_access import Sandbox
+    from vehanchor_server.images.path_access import PathAccess
 
 OpenedImage: TypeAlias = str | bytes | BinaryIO
 """A descriptor's name, bytes, or a file object: what ``vehanchor.imagery.sources.opening.open_raster`` takes."""
@@ -31,12 +31,12 @@ class ImageSources:
     """Where images may come from.
 
     Attributes:
-        sandbox: files by path.
+        paths: files by path.
         fetcher: web servers.
         max_bytes: size of an image that is sent with the call.
     """
 
-    sandbox: Sandbox
+    paths: PathAccess
     fetcher: Fetcher
     max_bytes: int
 
@@ -69,8 +69,8 @@ class ImageSources:
         return tuple(found)
 
     def listed(self, first: int, count: int) -> tuple[list[str], bool]:
-        """Images that callers may name by path, in order, and whether there are more; see ``Sandbox.listed``."""
-        return self.sandbox.listed(first, count)
+        """Images that callers may name by path, in order, and whether there are more; see ``PathAccess.listed``."""
+        return self.paths.listed(first, count)
 
     @contextmanager
     def open(self, image: AnyImage, fetched: bytes | None = None) -> Iterator[OpenedImage]:
@@ -84,7 +84,7 @@ class ImageSources:
             CallError: the image is not allowed, not there, or not what its kind says.
         """
         if isinstance(image, PathImage):
-            with self.sandbox.open(image.path) as file:
+            with self.paths.open(image.path) as file:
                 yield file
         elif isinstance(image, Base64Image):
             yield self._decoded(image.data)

@@ -56,6 +56,6 @@ async def _leave_on_signal(services: Services) -> None:
 def _leave(services: Services) -> None:
     """End the process now: a thread that waits for stdin cannot be woken, and the interpreter would wait for it."""
     if services.workers is not None:
-        services.workers.leave_nothing()
+        services.workers.remove_socket()
     sys.stderr.flush()
     os._exit(0)

@@ -24,7 +24,7 @@ from tests.server.calls.working import TESTS, done, number, ready
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reading import receive
 from vehanchor_server.errors import CallError
-from vehanchor_server.images.path_access import Sandbox
+from vehanchor_server.images.path_access import PathAccess
 from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings
 
@@ -162,7 +162,7 @@ def test_what_a_system_lacks_is_told_and_the_rest_is_done(
 
 
 @pytest.mark.parametrize(
-    "sent", [("value", os.system), ("value", subprocess.run), ("value", Sandbox((), ())), "value", ()]
+    "sent", [("value", os.system), ("value", subprocess.run), ("value", PathAccess((), ())), "value", ()]
 )
 def test_a_server_takes_nothing_but_values_from_its_workers(sent: Any) -> None:
     ours, theirs = multiprocessing.Pipe()
