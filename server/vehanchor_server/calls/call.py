@@ -1,4 +1,4 @@
-"""One call of a tool that looks at an image: a place, the image, the work in a thread or process, its progress."""
+"""Run a call about an image: admission, fetching, work in a thread or process, progress."""
 
 from __future__ import annotations
 
@@ -28,20 +28,18 @@ async def run_call(
     work: Callable[..., Result],
     more: Sequence[AnyImage] = (),
 ) -> Result:
-    """Run the work of a call, if there is a place for it.
+    """Run the work of a call within the server's capacity.
 
     Args:
-        services: of the server.
-        ctx: of the call.
-        image: the caller's argument.
-        work: done in a worker process, or in a thread where the server has none; a function of a module, or a
-            ``functools.partial`` of one, of services, job and opened image. The library's errors that it raises are
-            passed on to the caller.
-        more: other images; where there are any, the work gets them and their bytes as a fourth argument, and opens
-            them itself.
+        services: the server's parts.
+        ctx: the call's context.
+        image: the caller's image argument.
+        work: function of services, job and opened image: a module-level function or a ``functools.partial`` of one.
+            It runs in a worker process, or in a thread if the server has no workers. Library errors reach the caller.
+        more: other images; if any, the work gets them with their bytes as a fourth argument and opens them itself.
 
     Raises:
-        CallError: the call was refused, failed for a reason that its caller can act on, or took too long.
+        CallError: the call was refused, failed with a remedy for the caller, or took too long.
     """
 
     async def call(stop: Stop) -> Result:
@@ -59,11 +57,11 @@ async def run_call(
                     return services.workers.run(task, stop, report, stages.enter)
                 try:
                     return perform(services, task, Job(stop, report, stages.enter))
-                except MemoryError as error:  # of whatever the library does beside decoding and models
+                except MemoryError as error:  # outside decoding and models
                     raise CallError(
                         "out_of_memory",
-                        "this server has too little memory left just now. Try again when less is running, or send a "
-                        "smaller image.",
+                        "this server has too little free memory at the moment. Try again later, or send a smaller "
+                        "image.",
                     ) from error
 
         result = await services.capacity.in_thread(stop, in_thread)

@@ -1,7 +1,7 @@
-"""Reading what a worker sends as what it may be: sent by whoever has taken it over.
+"""Read messages from a worker that may be compromised.
 
-``pickle`` calls what it is told to call. Here that is only a record, a dataclass or an error of ours that this process
-has imported already, so that nothing but values can come out.
+``pickle`` calls any importable object that a message names. This reader allows only records, dataclasses, enums and
+errors of our own packages that this process has already imported, so a message can only produce values.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
 _MAX_BYTES = 64 << 20
-"""Of a message: more than every picture and outline of an answer."""
+"""Limit of a message: more than all pictures and outlines of an answer."""
 
 _PACKAGES = ("vehanchor", "vehanchor_server")
 
 
 def receive(connection: Connection) -> tuple[Any, ...]:
-    """The next message of a worker.
+    """Receive the next message of a worker.
 
     Raises:
         EOFError: the process ended.
-        OSError: its pipe broke, or the message is too large.
-        pickle.UnpicklingError: it is not one that a worker sends.
+        OSError: the pipe broke, or the message is too large.
+        pickle.UnpicklingError: the message is invalid.
     """
     message = connection.recv_bytes(_MAX_BYTES)
     try:
         values = _ValuesOnly(io.BytesIO(message)).load()
-    except Exception as error:  # pickle raises whatever the bytes lead it to
+    except Exception as error:  # pickle raises arbitrary errors
         raise pickle.UnpicklingError(f"{type(error).__name__}: {error}") from error
     if not isinstance(values, tuple) or not values:
         raise pickle.UnpicklingError("no message")
@@ -46,10 +46,10 @@ def receive(connection: Connection) -> tuple[Any, ...]:
 
 class _ValuesOnly(pickle.Unpickler):
     def find_class(self, module_name: str, name: str, /) -> Any:
-        """A class that only holds values.
+        """Return a class that only holds values.
 
         Raises:
-            pickle.UnpicklingError: it is none.
+            pickle.UnpicklingError: the object is not such a class.
         """
         module = sys.modules.get(module_name) if module_name.partition(".")[0] in _PACKAGES else None
         found = getattr(module, name, None)

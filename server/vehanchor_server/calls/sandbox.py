@@ -1,14 +1,14 @@
-"""Confinement of a worker by the system: which files it may read, and what it may ask of the kernel.
+"""Sandbox of a worker: the files that it can read and the system calls that it can make.
 
-What takes over a decoder has the worker's process, and with it whatever its user may do. On Linux the process gives
-most of that up before it loads a model or sees an image, and cannot take it back: Landlock leaves it files to read
-and none to write, and a filter of system calls (seccomp) refuses sockets, other programs, new processes, other
-processes' memory and signals, files' owners and modes, and rarely used doors into the kernel. What is refused fails
-with an error, as it would for lack of rights, so that a library that only tries goes on.
+Code that takes over a decoder has all rights of the worker process. On Linux the process drops most rights before it
+loads a model or sees an image, and cannot regain them. Landlock limits it to reading certain files. A seccomp filter
+refuses sockets, program execution, new processes, memory and signals of other processes, changes of file owners and
+modes, and rarely used kernel interfaces. Refused calls fail with an error, like missing permissions, so that a
+library that merely tries them continues.
 
-The calls are made by ``ctypes``. Of the libraries for Landlock, ``landlock`` and ``py-landlock`` are alphas,
-``landlockpy`` is a beta of a few weeks; ``pyseccomp`` needs the system's libseccomp, which slim images lack and which
-is under the LGPL. Three system calls, and a filter of two instructions a rule, need none of them.
+``ctypes`` makes the system calls. Among the libraries for Landlock, ``landlock`` and ``py-landlock`` are alphas and
+``landlockpy`` is a beta of a few weeks. ``pyseccomp`` needs the system's libseccomp, which slim images lack and which
+is under the LGPL. Three system calls, and a filter with two instructions per rule, need none of them.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Confinement:
-    """How a process is confined.
+    """Confinement of a process.
 
     Attributes:
-        landlock: version of Landlock that keeps it from files; 0 where the system offers none.
-        seccomp: whether its system calls are filtered.
-        lacks: why something is missing, in words; empty where nothing is.
+        landlock: version of Landlock; 0 without Landlock.
+        seccomp: whether system calls are filtered.
+        lacks: reason for missing confinement; empty if complete.
     """
 
     landlock: int = 0
@@ -48,12 +48,12 @@ class Confinement:
 
 
 def confine(readable: Iterable[Path]) -> Confinement:
-    """Give up, in this process and for good, what decoding an image and running a model do not need.
+    """Drop, permanently, all rights of this process that decoding and models do not need.
 
-    Called while the process has one thread: Landlock binds the calling thread and those that it starts.
+    Call it while the process has one thread: Landlock applies to the calling thread and those that it starts.
 
     Args:
-        readable: files and folders that may be read beside those of the system, of Python and of what it imports.
+        readable: files and folders to allow besides those of the system, Python and its packages.
     """
     if sys.platform != "linux":
         return Confinement(lacks=f"{sys.platform} has neither Landlock nor seccomp")
@@ -79,18 +79,18 @@ _SYSTEM_FILES = (
     *("/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/sys/vm"),
     *("/sys/devices/system", "/sys/fs/cgroup", "/dev/null", "/dev/zero", "/dev/random", "/dev/urandom"),
 )
-"""Shared libraries, and where C libraries look for the number of processors, memory and random numbers."""
+"""Shared libraries, and the files that C libraries read for processors, memory and random numbers."""
 
 
 def _needed_files() -> Iterator[Path]:
-    """Files of the system, of Python and of packages: modules are imported and libraries loaded when first needed."""
+    """List files of the system, Python and packages, because modules and libraries load on first use."""
     yield from map(Path, _SYSTEM_FILES)
     yield from map(Path, os.environ.get("LD_LIBRARY_PATH", "").split(":"))
     yield from map(Path, {sys.prefix, sys.base_prefix, sys.exec_prefix, *sysconfig.get_paths().values()})
     yield from (Path(folder) for package in (vehanchor, vehanchor_server) for folder in package.__path__)
     working, home = Path.cwd(), Path.home()
     for entry in map(Path, filter(None, sys.path)):
-        if not (working.is_relative_to(entry) or home.is_relative_to(entry)):  # Python may have put them there itself
+        if not (working.is_relative_to(entry) or home.is_relative_to(entry)):  # Python may have added them itself
             yield entry
 
 
@@ -98,16 +98,16 @@ def _needed_files() -> Iterator[Path]:
 _CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
 _VERSION_FLAG, _PATH_BENEATH = 1, 1
 _READ_FILE, _READ_DIR, _WRITE_FILE = 1 << 2, 1 << 3, 1 << 1
-_FILE_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}  # from which version on there are so many
-_BIND_AND_CONNECT = 0b11  # of TCP, from version 4 on
-_SCOPES = 0b11  # abstract sockets and signals stay within, from version 6 on
+_FILE_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}  # number of rights since a version
+_BIND_AND_CONNECT = 0b11  # TCP, since version 4
+_SCOPES = 0b11  # abstract sockets and signals, since version 6
 
 
 def _restrict_files(libc: ctypes.CDLL, readable: Sequence[Path]) -> int:
-    """Leave this thread, and those that it starts, these files to read and none to write; the version of Landlock.
+    """Limit this thread, and those that it starts, to reading these files; return Landlock's version.
 
     Raises:
-        OSError: the system has no Landlock, or it is switched off or forbidden.
+        OSError: Landlock is missing, disabled or forbidden.
     """
     version = _checked(libc.syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), _VERSION_FLAG))
     n_rights = max(n for since, n in _FILE_RIGHTS.items() if since <= version)
@@ -128,7 +128,7 @@ def _restrict_files(libc: ctypes.CDLL, readable: Sequence[Path]) -> int:
 
 
 def _allow(libc: ctypes.CDLL, ruleset: int, path: Path) -> None:
-    """Allow a file, or what is below a folder, to be read; nothing where there is none, and never everything."""
+    """Allow reading a file or a folder; ignore missing paths and the file system's root."""
     if path.resolve() == Path(path.anchor):
         return
     with suppress(OSError):
@@ -136,7 +136,7 @@ def _allow(libc: ctypes.CDLL, ruleset: int, path: Path) -> None:
         rights = _READ_FILE | (_READ_DIR if path.is_dir() else 0) | (_WRITE_FILE if path == Path(os.devnull) else 0)
         rule = struct.pack("=Qi", rights, descriptor)
         _checked(libc.syscall(_ADD_RULE, ruleset, _PATH_BENEATH, rule, 0))
-        if path != Path("/proc/self"):  # the system forgets an entry of /proc that nobody holds, and the rule with it
+        if path != Path("/proc/self"):  # without an open descriptor, the kernel drops an entry of /proc with its rule
             os.close(descriptor)
 
 
@@ -150,16 +150,16 @@ _CLONE_THREAD = 0x10000
 
 
 class _Machine(NamedTuple):
-    """Numbers of system calls on a kind of processor.
+    """Numbers of system calls on a processor architecture.
 
     Attributes:
-        name: as the audit interface has it.
-        seccomp: of the call itself.
-        refused: of those that work on images does not need.
-        clone: starts threads, and processes.
-        clone3: does so by a structure, which no filter can look into; the C library falls back to the other.
+        name: architecture in the audit interface.
+        seccomp: the call ``seccomp``.
+        refused: calls that image processing does not need.
+        clone: starts threads and processes.
+        clone3: takes a structure that filters cannot read; the C library falls back to ``clone``.
         to_itself: allowed with this process as the first argument.
-        to_none: allowed with 0 there, which means this process.
+        to_none: allowed with 0 as the first argument, which means this process.
     """
 
     name: int
@@ -171,7 +171,7 @@ class _Machine(NamedTuple):
     to_none: tuple[int, ...]
 
 
-_NEW_CALLS = (  # numbered alike everywhere
+_NEW_CALLS = (  # the same numbers on all architectures
     *(424, 434, 438, 440),  # pidfd_send_signal pidfd_open pidfd_getfd process_madvise
     *(425, 426, 427),  # io_uring_setup io_uring_enter io_uring_register
     *(428, 429, 430, 431, 432, 433, 442),  # open_tree move_mount fsopen fsconfig fsmount fspick mount_setattr
@@ -223,14 +223,14 @@ _MACHINES = {
 
 
 def _filter_calls(libc: ctypes.CDLL) -> None:
-    """Refuse system calls from now on, in all threads.
+    """Install the filter of system calls in all threads.
 
     Raises:
-        OSError: the system has no seccomp, forbids it, or is of a kind whose numbers are not known here.
+        OSError: seccomp is missing or forbidden, or the architecture is unknown.
     """
     machine = _MACHINES.get(platform.machine())
     if machine is None or sys.maxsize < 1 << 32:
-        raise OSError(errno.ENOSYS, f"its calls are not known here for {platform.machine()}")
+        raise OSError(errno.ENOSYS, f"no system call numbers for {platform.machine()}")
     instructions = _instructions(machine, os.getpid())
     code = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *each) for each in instructions))
     program = struct.pack("@HP", len(instructions), ctypes.addressof(code))
@@ -238,7 +238,7 @@ def _filter_calls(libc: ctypes.CDLL) -> None:
 
 
 def _instructions(machine: _Machine, pid: int) -> list[tuple[int, int, int, int]]:
-    """The filter: code, how many instructions are passed over if so and if not, and a number."""
+    """Return the filter: code, jump offsets if true and if false, and operand of each instruction."""
     forbidden, unknown = (_RETURN, 0, 0, _REFUSE | errno.EPERM), (_RETURN, 0, 0, _REFUSE | errno.ENOSYS)
     allowed, load_number = (_RETURN, 0, 0, _ALLOW), (_LOAD, 0, 0, _NUMBER_AT)
     load_argument = (_LOAD, 0, 0, _ARGUMENT_AT)
@@ -253,10 +253,10 @@ def _instructions(machine: _Machine, pid: int) -> list[tuple[int, int, int, int]
 
 
 def _checked(result: int) -> int:
-    """What a system call gave.
+    """Return the result of a system call.
 
     Raises:
-        OSError: it failed.
+        OSError: the call failed.
     """
     if result < 0:
         raise OSError(ctypes.get_errno(), _last_error())

@@ -1,4 +1,4 @@
-"""One call's work, and doing it: in this process and thread, or sent to another."""
+"""Task: the work of a call, for this process or a worker."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ Result = TypeVar("Result")
 
 
 class Parts(Protocol):
-    """The parts of a server that work needs: its ``Services``, which hold the workers as well."""
+    """The parts of ``Services`` that a task needs."""
 
     @property
     def sources(self) -> ImageSources:
-        """Where images come from."""
+        """Image sources."""
 
     @property
     def models(self) -> Models:
@@ -32,19 +32,18 @@ class Parts(Protocol):
 
     @property
     def readable(self) -> tuple[Path, ...] | None:
-        """Files and folders that work reads; None leaves it all that the server's user may read."""
+        """Files and folders that workers may read; None for no confinement."""
 
 
 @dataclass(frozen=True)
 class Task(Generic[Result]):
-    """One call's work, as it is sent to a worker.
+    """Work of a call, as sent to a worker.
 
     Attributes:
-        work: does it with the ``Services`` of the process that it runs in; a function of a module, or a
-            ``functools.partial`` of one.
-        image: the caller's argument.
-        fetched: its bytes, if it is a URL.
-        more: other images and their bytes, which the work opens itself, one at a time.
+        work: function of the worker's ``Services``: a module-level function or a ``functools.partial`` of one.
+        image: the caller's image argument.
+        fetched: bytes of a fetched image.
+        more: other images with their bytes, which the work opens one at a time.
     """
 
     work: Callable[..., Result]
@@ -54,10 +53,10 @@ class Task(Generic[Result]):
 
 
 def perform(services: Parts, task: Task[Result], job: Job) -> Result:
-    """Open the image and do the work, in this process and thread.
+    """Open the image and do the work in this thread.
 
     Raises:
-        CallError: the work failed for a reason that its caller can act on.
+        CallError: the work failed with a remedy for the caller.
     """
     with services.sources.open(task.image, task.fetched) as source, library_errors(source):
         return task.work(services, job, source, *((task.more,) if task.more else ()))

@@ -1,4 +1,4 @@
-"""The process of a worker: what it does from its start to its end, and what it may take of the machine."""
+"""Main function and resource limits of a worker process."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ if TYPE_CHECKING:
 
     from vehanchor_server.calls.task import Parts, Task
 
-_IDLE_S = 0.5  # then memory is given back; after each call the next one would wait for its pages
+_IDLE_S = 0.5  # idle time before freed memory is returned, so that consecutive calls reuse it
 _OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")  # OpenCV's, C++'s, ONNX's
 _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class WorkerLimits:
-    """What one worker may use.
+    """Resource limits of one worker.
 
     Attributes:
-        memory_bytes: of data, beside what it has with its models loaded.
-        cpu_s: processor time of a call.
+        memory_bytes: data in addition to the loaded models.
+        cpu_s: processor time per call.
     """
 
     memory_bytes: int
@@ -45,10 +45,10 @@ class WorkerLimits:
 
 
 def serve_tasks(connection: Connection, make_services: Callable[[], Parts], limits: WorkerLimits) -> None:
-    """Confine this process, load the models and do tasks until the server is gone; the main function of a worker."""
+    """Confine this process, load the models and run tasks until the server ends: the main function of a worker."""
     from vehanchor_server.request_log import configure_logging
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # from the keyboard it comes to all, and the server ends its workers
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the server ends its workers
     os.dup2(2, 1)  # stdout belongs to the server's protocol
     configure_logging()
     try:
@@ -88,7 +88,7 @@ def _outcome(services: Parts, task: Task[Any], connection: Connection) -> tuple[
         if isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):
             _logger.warning("a worker ran out of memory", exc_info=True)
             return "exhausted", CallError(
-                "worker_killed", "the work on the image took more memory than this server allows. Send a smaller image."
+                "worker_killed", "the image needs more memory than this server allows. Send a smaller image."
             )
         if isinstance(error, CallError):
             return "refused", error
@@ -96,7 +96,7 @@ def _outcome(services: Parts, task: Task[Any], connection: Connection) -> tuple[
 
 
 def _end_with_server() -> None:
-    """End this process when the server's does, also in the middle of a call."""
+    """End this process when the server ends, even during a call."""
     server = multiprocessing.parent_process()
     assert server is not None
     server.join()
@@ -104,9 +104,9 @@ def _end_with_server() -> None:
 
 
 def _limit_memory(n_bytes: int) -> None:
-    """Limit the data that this process may still take; only on Linux, as no other system counts all of it.
+    """Limit the data that this process can add; only on Linux, as other systems do not count all data.
 
-    Relative to what it has: threads of models reserve 8 MiB each, so a machine with many cores begins with more.
+    The limit is relative to the current data, because threads reserve 8 MiB each and their number varies.
     """
     with contextlib.suppress(ImportError, OSError, ValueError):
         import resource
@@ -116,13 +116,13 @@ def _limit_memory(n_bytes: int) -> None:
 
 
 def _give_back_memory() -> None:
-    """Give freed memory back to the system, where the C library keeps it and can be told (glibc)."""
+    """Return freed memory to the system (glibc only)."""
     with contextlib.suppress(OSError, TypeError, AttributeError):  # TypeError: Windows has no CDLL of itself
         ctypes.CDLL(None).malloc_trim(0)
 
 
 def _limit_cpu(seconds: float) -> None:
-    """Limit the processor time that this process may still take; the system kills it when it is used up."""
+    """Limit the further processor time of this process; the system kills it at the limit."""
     with contextlib.suppress(ImportError, OSError, ValueError):
         import resource
 
