@@ -214,7 +214,7 @@ def _area_in_words(area: AreaMeasurement) -> str:
         return "No object found: no area. Draw a tight box around a visible object."
     if area.area_m2 is None:
         return (
-            f"No area: the object covers {area.mask_area_px} px, but {no_scale_message(area.scale)}, and give its "
+            f"No area: the object covers {area.mask_area_px} px, but {no_scale_message(area.estimate)}, and give its "
             "scale as gsd_m_per_px."
         )
     size = f"{rounded(area.area_m2)} m2{interval(area.area_ci95_low_m2, area.area_ci95_high_m2)}"
@@ -225,5 +225,5 @@ def _area_in_words(area: AreaMeasurement) -> str:
     if area.status == "ok":
         return size + ("as accurate as the given scale." if area.scale_source == "given" else "safe to use.")
     if area.confidence is not None and area.confidence < FALLBACK_CONFIDENCE:
-        return size + unusable_scale(area.scale)
+        return size + unusable_scale(area.estimate)
     return size + "do not rely on it (low mask score); check the overlay, or draw another box."

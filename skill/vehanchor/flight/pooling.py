@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from vehanchor.analysis.exhibits import ScaleAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.flight.photograph import Photograph
     from vehanchor.rulers.evidence import ImageFacts
 
-_SCENE_GAIN = 0.5  # n photographs of the ground say as much as n ** 0.5 places: benchmarks/flights.py, train split
+_SCENE_GAIN = 0.5  # n photographs say as much as n ** 0.5 places: research/benchmarks/flights.py, train split
 _GAINS = {SceneScale.kind: _SCENE_GAIN, "camera": 0.0, "height": 0.0}  # one camera, one take-off: one error
 _OTHER_GAIN = 0.5
 _LEAST = 1e-12
