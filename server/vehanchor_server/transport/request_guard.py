@@ -135,7 +135,7 @@ class RequestGuard:
             refusal = _refusal(refused)
         finally:
             self._n_large_bodies -= body.has_place
-        if refusal is not None and not answered:  # its place is free again: what is left of the body is not kept
+        if refusal is not None and not answered:  # the slot is free; the rest of the body is discarded
             await refusal(scope, receive, send)
 
     def _ask_for_place(self, body: _Body, n_bytes: int) -> None:

@@ -30,9 +30,9 @@ from vehanchor_server.settings import Settings
 
 CONFINE = """
 import json, platform, sys
-from vehanchor_server.calls import confinement
+from vehanchor_server.calls import sandbox
 {before}
-found = confinement.confine([])
+found = sandbox.confine([])
 print(json.dumps([found.landlock, found.seccomp, found.lacks]))
 """
 
@@ -147,8 +147,8 @@ def test_a_worker_can_do_its_work_and_nothing_else(
 @pytest.mark.parametrize(
     ("before", "words", "landlock", "seccomp"),
     [
-        ("confinement._CREATE_RULESET = 4095", "Landlock: Function not implemented", False, True),
-        ("platform.machine = lambda: 'pdp11'", "seccomp: its calls are not known here for pdp11", True, False),
+        ("sandbox._CREATE_RULESET = 4095", "Landlock: Function not implemented", False, True),
+        ("platform.machine = lambda: 'pdp11'", "seccomp: no system call numbers for pdp11", True, False),
         ("sys.platform = 'darwin'", "darwin has neither Landlock nor seccomp", False, False),
     ],
 )

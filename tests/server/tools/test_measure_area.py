@@ -209,7 +209,7 @@ async def test_without_a_segmenter_estimate_gsd_works_and_measure_area_says_so(
         result = await client.call_tool("measure_area", pool_in(images / "pool.png"))
         estimate = await client.call_tool("estimate_gsd", by_path(images / "pool.png"))
     assert text_of(result) == (
-        "model_unavailable: this server's segmenter cannot be loaded (model_not_found). Its operator must look at "
+        "model_unavailable: this server's segmenter cannot be loaded (model_not_found). Its operator must check "
         "--segmenter."
     )
     assert ("/nowhere/secret.onnx" if files else "pass both: ") in caplog.text
