@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from vehanchor.errors import VehAnchorError
 from vehanchor.models.files import read_model
+from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
 from vehanchor.models.zoo import (
     bundled_segmenter,
     fleet_beside,
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from vehanchor.detection.detector import Detector
+    from vehanchor.engine import Engine
     from vehanchor.models.precision import Precision
     from vehanchor.scale.calibration import Calibration
     from vehanchor.segmentation.segmenter import Segmenter
@@ -34,10 +36,8 @@ T = TypeVar("T")
 SLOW_IMPORTS = (
     "vehanchor_server.tools.registry",
     "vehanchor_server.calls.overlay",
-    "vehanchor.measure.area",
+    "vehanchor.engine",
     "vehanchor.pictures.area",
-    "vehanchor.detection.detector",
-    "vehanchor.segmentation.segmenter",
 )
 """Modules that a first call would wait for."""
 
@@ -95,8 +95,10 @@ class Models:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self._detector = _OnDemand("detector", self._load_detector)
-        self._segmenter = _OnDemand("segmenter", self._load_segmenter)
+        self._engine: Engine | None = None
+        self._lock = threading.Lock()
+        self._detector = _OnDemand("detector", lambda: self.engine().detector)
+        self._segmenter = _OnDemand("segmenter", lambda: self.engine().segmenter)
         self._calibration = _OnDemand("calibration", self._load_calibration)
         self._required: list[_OnDemand[Any]] = [self._detector]
         if settings.calibration is not None:
@@ -134,13 +136,13 @@ class Models:
         timer.name, timer.daemon = "vehanchor-preload", True
         timer.start()
 
-    def detector(self) -> Detector:
-        """Return the detector; block while it loads.
+    def detector(self, call: Runtime | None = None) -> Detector:
+        """Return the detector for a call; block while it loads.
 
         Raises:
             CallError: ``model_unavailable``.
         """
-        return self._detector.get()
+        return self._detector.get().under(call or Runtime())
 
     def calibration(self) -> Calibration | None:
         """Return the operator's calibration of the detector, or None.
@@ -150,13 +152,13 @@ class Models:
         """
         return None if self._settings.calibration is None else self._calibration.get()
 
-    def segmenter(self) -> Segmenter:
-        """Return the segmenter; block while it loads.
+    def segmenter(self, call: Runtime | None = None) -> Segmenter:
+        """Return the segmenter for a call; block while it loads.
 
         Raises:
             CallError: ``model_unavailable``.
         """
-        return self._segmenter.get()
+        return self._segmenter.get().under(call or Runtime())
 
     def load_all(self) -> None:
         """Load all models and the slow modules; log failures."""
@@ -171,12 +173,17 @@ class Models:
     def _detector_file(self) -> Path:
         return resolve_model(self._settings.detector, cast("Precision", self._settings.precision))
 
-    def _load_detector(self) -> Detector:
-        from vehanchor.detection.detector import load_detector
-        from vehanchor.models.session import DEFAULT_PROVIDERS
+    def engine(self) -> Engine:
+        """Return the engine of the settings, without loading models."""
+        with self._lock:
+            if self._engine is None:
+                from vehanchor.engine import Engine
 
-        path, providers = self._detector_file(), self._settings.providers or DEFAULT_PROVIDERS
-        return load_detector(path, threads=self._settings.threads, providers=providers)
+                settings = self._settings
+                precision = cast("Precision", settings.precision)
+                runtime = Runtime(settings.threads, settings.providers or DEFAULT_PROVIDERS, precision)
+                self._engine = Engine(settings.detector, settings.segmenter, runtime=runtime)
+            return self._engine
 
     def _load_calibration(self) -> Calibration:
         from vehanchor.scale.calibration import load_calibration
@@ -186,10 +193,3 @@ class Models:
         card = self.detector().card
         calibration.check_detector(card.name, card.sha256)
         return calibration
-
-    def _load_segmenter(self) -> Segmenter:
-        from vehanchor.models.session import DEFAULT_PROVIDERS
-        from vehanchor.segmentation.segmenter import load_segmenter
-
-        paths, providers = resolve_segmenter(self._settings.segmenter), self._settings.providers or DEFAULT_PROVIDERS
-        return load_segmenter(*paths, threads=self._settings.threads, providers=providers)

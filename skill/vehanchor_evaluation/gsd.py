@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.detections import Detections
-from vehanchor.estimate import analyse_scale, open_detector
+from vehanchor.estimate import analyse_image, check_region
 from vehanchor.options import Reference, ScaleOptions
 from vehanchor.rulers.evidence import ImageFacts
 from vehanchor.scale.lengths import kde_mode
@@ -77,7 +77,7 @@ def run_trials(
 ) -> Iterator[ScaleTrial]:
     """Estimate the scale of each image in turn."""
     for image in images:
-        yield ScaleTrial(image, analyse_scale(image.path, options, detector=detector))
+        yield ScaleTrial(image, analyse_image(image.path, detector, options or ScaleOptions()))
 
 
 class ErrorSummary(NamedTuple):
@@ -161,7 +161,7 @@ def check_options(
         CalibrationMismatchError: the calibration was made for another model.
     """
     for options in {id(options): options for options in map(options_of, data.images)}.values():
-        open_detector(detector, options)
+        check_region(detector, options)
 
 
 def with_regions(options: ScaleOptions, regions: Mapping[str, str]) -> Callable[[KnownScaleImage], ScaleOptions]:

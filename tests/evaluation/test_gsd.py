@@ -15,8 +15,8 @@ from tests.known_scale_data import REFERENCE_M, cars, dota_lines, paint, write_g
 from vehanchor.cli import app as cli
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ImageTooLargeError
-from vehanchor.estimate import analyse_scale
 from vehanchor.options import ScaleOptions
+from vehanchor.verbs import analyse_scale
 from vehanchor_evaluation import ablation
 from vehanchor_evaluation.gsd import benchmark_scale, summarise_errors, with_regions
 from vehanchor_evaluation.known_scale import KnownScaleImage, KnownScaleSet

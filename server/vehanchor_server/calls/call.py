@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import anyio.from_thread
 
@@ -14,44 +14,45 @@ from vehanchor_server.errors import CallError
 if TYPE_CHECKING:
     from mcp.server.mcpserver import Context
 
+    from vehanchor_server.calls.answer import Answer
     from vehanchor_server.calls.capacity import Stop
+    from vehanchor_server.calls.task import Record, Work
     from vehanchor_server.images.argument import AnyImage
     from vehanchor_server.services import Services
-
-Result = TypeVar("Result")
 
 
 async def run_call(
     services: Services,
     ctx: Context[Any, Any],
     image: AnyImage,
-    work: Callable[..., Result],
+    work: Work[Record],
+    question: Any,
     more: Sequence[AnyImage] = (),
-) -> Result:
+) -> Answer[Record]:
     """Run the work of a call within the server's capacity.
 
     Args:
         services: the server's parts.
         ctx: the call's context.
         image: the caller's image argument.
-        work: function of services, job and opened image: a module-level function or a ``functools.partial`` of one.
-            It runs in a worker process, or in a thread if the server has no workers. Library errors reach the caller.
-        more: other images; if any, the work gets them with their bytes as a fourth argument and opens them itself.
+        work: work for a worker process, or for a thread if the server has no workers. Library errors reach the caller.
+        question: the caller's other arguments.
+        more: other images; if any, the work gets them with their bytes as a fifth argument and opens them itself.
 
     Raises:
         CallError: the call was refused, failed with a remedy for the caller, or took too long.
     """
 
-    async def call(stop: Stop) -> Result:
+    async def call(stop: Stop) -> Answer[Record]:
         await ctx.report_progress(0, PERCENT_DONE, "reading the image")
         fetched = await services.sources.fetched(image)
         others = await services.sources.fetched_together(more, len(fetched or b""))
-        task = Task(work, image, fetched, others)
+        task = Task(work, question, image, fetched, others)
 
         def report(percent: float, message: str) -> None:
             anyio.from_thread.run(ctx.report_progress, percent, PERCENT_DONE, message)
 
-        def in_thread() -> Result:
+        def in_thread() -> Answer[Record]:
             with Stages() as stages:
                 if services.workers is not None:
                     return services.workers.run(task, stop, report, stages.enter)

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 from opentelemetry import trace
 
+from vehanchor.models.runtime import Cancellation, Runtime
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
-
-    import onnxruntime
 
     from vehanchor_server.calls.capacity import Stop
 
@@ -62,13 +62,11 @@ class Job:
         self._reported = -1
 
     @cached_property
-    def run_options(self) -> onnxruntime.RunOptions:
-        """Options for every run of a model; a stop request ends the run within a layer."""
-        from vehanchor.models.session import stoppable  # late, because ONNX Runtime loads slowly
-
-        options = stoppable()
-        self.stop.on_request(lambda: setattr(options, "terminate", True))
-        return options
+    def runtime(self) -> Runtime:
+        """Runtime for models: it reports tiles, and a stop request ends a run within a layer."""
+        cancellation = Cancellation()
+        self.stop.on_request(cancellation.cancel)
+        return Runtime(progress=self.searched, cancellation=cancellation)
 
     def enter(self, stage: str) -> None:
         """Begin a stage (``decode``, ``segment``, ``detect``, ``scale``, ...) and end the previous one.

@@ -4,29 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import Field
 
 from vehanchor.options import Frame
+from vehanchor.records import GsdEstimate
+from vehanchor_server.calls.answer import PictureRequest
+from vehanchor_server.calls.task import work
 from vehanchor_server.errors import CallError
 from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import AnyImage, ImageArgument
 from vehanchor_server.images.source import library_errors
 from vehanchor_server.tools.scale_answer import scale_answer
+from vehanchor_server.tools.scale_question import ScaleQuestion
 
 if TYPE_CHECKING:
     from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.flight.photograph import Photograph
     from vehanchor.flight.record import Failure
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import FlightEstimate, GsdEstimate
-    from vehanchor_server.calls.answer import Answer, PictureRequest
+    from vehanchor.records import FlightEstimate
+    from vehanchor_server.calls.answer import Answer
     from vehanchor_server.calls.job import Job
     from vehanchor_server.images.source import OpenedImage
     from vehanchor_server.services import Services
-    from vehanchor_server.tools.scale_question import ScaleQuestion
 
 MAX_MORE_IMAGES = 32
 
@@ -51,14 +55,22 @@ def check_flight_question(question: ScaleQuestion) -> None:
         )
 
 
+@dataclass(frozen=True)
+class FlightQuestion:
+    """Scale arguments of a call with more images."""
+
+    scale: ScaleQuestion
+    wanted: PictureRequest
+    same_scale: bool
+
+
+@work(FlightQuestion, GsdEstimate)
 def estimate_with_flight(
     services: Services,
     job: Job,
     source: OpenedImage,
+    question: FlightQuestion,
     more: Sequence[tuple[AnyImage, bytes | None]],
-    question: ScaleQuestion,
-    wanted: PictureRequest,
-    same_scale: bool,
 ) -> Answer[GsdEstimate]:
     """Estimate the scale of an image with the evidence of others, in a worker process or thread.
 
@@ -67,32 +79,32 @@ def estimate_with_flight(
         CallError: the library refused another image, or a model cannot be loaded.
         CallStoppedError: the call was stopped.
     """
-    from vehanchor.estimate import open_detector
+    from vehanchor.estimate import check_region
     from vehanchor.flight.estimate import conclude, search_flight
     from vehanchor.imagery.sources.opening import open_raster
 
-    detector = services.models.detector()
-    asked = question.options(services.settings, services.models)
+    progress = partial(_report_photograph, job, 1 + len(more))
+    detector = services.models.detector(replace(job.runtime, progress=progress))
+    asked = question.scale.options(services.settings, services.models)
     options = replace(asked, frame=Frame())
-    open_detector(detector, options)  # refuse an unknown region before the search
+    check_region(detector, options)
     job.enter("decode")
     for _ in _open_each(services, source, more, []):  # refuse a path before the search
         job.stop.check()
     opened: list[OpenedImage] = []
-    photographs = search_flight(
-        _open_each(services, source, more, opened),
-        detector,
-        options,
-        featured=not same_scale,
-        progress=lambda done, _: job.searched(done, 1 + len(more)),
-        run_options=job.run_options,
-    )
+    images = _open_each(services, source, more, opened)
+    photographs = search_flight(images, detector, options, featured=not question.same_scale)
     members = [_require_readable(found, each) for found, each in zip(photographs, opened, strict=True)]
     _refuse_duplicates(members)
-    flight = conclude(photographs, detector.card, same_scale=same_scale)
+    flight = conclude(photographs, detector.card, same_scale=question.same_scale)
     analysis = replace(members[0].analysis, estimate=_estimate_of_image(flight, asked))
-    with open_raster(source, limits=asked.reading.limits) if any(wanted) else nullcontext() as raster:
-        return scale_answer(raster, analysis, wanted, job)
+    with open_raster(source, limits=asked.reading.limits) if any(question.wanted) else nullcontext() as raster:
+        return scale_answer(raster, analysis, question.wanted, job)
+
+
+def _report_photograph(job: Job, total: int, done: int, _: int) -> None:
+    """Report a finished photograph with the total, which the search does not know."""
+    job.searched(done, total)
 
 
 def _open_each(

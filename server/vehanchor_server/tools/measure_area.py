@@ -4,7 +4,6 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 from mcp.server.apps import client_supports_apps
@@ -18,6 +17,7 @@ from vehanchor_server.app_page import APP_META
 from vehanchor_server.calls.answer import Answer, Detail, PictureRequest
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.task import work
 from vehanchor_server.errors import CallError
 from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import ImageArgument
@@ -70,6 +70,7 @@ class _Question:
 
     targets: tuple[Target, ...]
     scale: ScaleArguments
+    wanted: PictureRequest
 
 
 def measure_area_tool(services: Services) -> StrictTool:
@@ -99,12 +100,11 @@ def measure_area_tool(services: Services) -> StrictTool:
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, AreaMeasurement]:
         question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
-        asked = _Question(
-            _merge_targets(target, targets), ScaleArguments(gsd_m_per_px, scale, question, object_height_m)
-        )
         paged = client_supports_apps(ctx)
         wanted = PictureRequest(include_overlay, paged)
-        answer = await run_call(services, ctx, image, partial(_measure, question=asked, wanted=wanted))
+        by = ScaleArguments(gsd_m_per_px, scale, question, object_height_m)
+        asked = _Question(_merge_targets(target, targets), by, wanted)
+        answer = await run_call(services, ctx, image, _measure, asked)
         first = answer.record
         words = [
             numbered([_area_of_object(record) for record in answer.records]),
@@ -144,9 +144,8 @@ def _distinct_warnings(records: Sequence[AreaMeasurement]) -> list[Notice]:
     return list(dict.fromkeys(notice for record in records for notice in record.warnings))
 
 
-def _measure(
-    services: Services, job: Job, source: OpenedImage, question: _Question, wanted: PictureRequest
-) -> Answer[AreaMeasurement]:
+@work(_Question, AreaMeasurement)
+def _measure(services: Services, job: Job, source: OpenedImage, question: _Question) -> Answer[AreaMeasurement]:
     """Segment the objects and measure them, in a worker process or thread.
 
     Raises:
@@ -161,8 +160,8 @@ def _measure(
     from vehanchor_server.calls.overlay import draw_pictures
 
     prompts = [_prompt(target) for target in question.targets]  # refuse invalid prompts before the work
-    segmenter = services.models.segmenter()
-    options, scale = question.scale.resolve(services)
+    segmenter = services.models.segmenter(job.runtime)
+    options, scale = question.scale.resolve(services, job)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         job.segmenting()
@@ -173,13 +172,11 @@ def _measure(
             scale,
             options,
             object_height_m=question.scale.object_height_m,
-            progress=job.searched,
-            run_options=job.run_options,
         )
         first = found[0]
-        pictures = draw_pictures(raster, job, wanted, lambda seen: draw_area(seen, first))
+        pictures = draw_pictures(raster, job, question.wanted, lambda seen: draw_area(seen, first))
     histogram = None if first.scale is None else length_histogram(first.scale)
-    drawing = drawing_of(first.scale) if wanted.page and first.scale is not None else None
+    drawing = drawing_of(first.scale) if question.wanted.page and first.scale is not None else None
     measured = tuple(each.measurement for each in found)
     return Answer(measured, pictures.overlay, histogram, pictures.page, drawing)
 

@@ -3,7 +3,6 @@
 # No postponed annotations here: the SDK reads the result's schema from them.
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Annotated, Any
 
 from mcp.server.mcpserver import Context
@@ -14,6 +13,7 @@ from vehanchor.records import DistanceMeasurement
 from vehanchor_server.calls.answer import Answer, Detail
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import FrozenModel, Number
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
@@ -99,7 +99,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
     ) -> Annotated[CallToolResult, DistanceMeasurement]:
         question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
         asked = _Question(lines, ScaleArguments(gsd_m_per_px, scale, question, object_height_m))
-        answer = await run_call(services, ctx, image, partial(_measure, question=asked))
+        answer = await run_call(services, ctx, image, _measure, asked)
         first = answer.record
         places = ((point.x, point.y) for line in lines for point in line.points)
         words = [
@@ -118,6 +118,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
     )
 
 
+@work(_Question, DistanceMeasurement)
 def _measure(services: Services, job: Job, source: OpenedImage, question: _Question) -> Answer[DistanceMeasurement]:
     """Measure the lines, in a worker process or thread.
 
@@ -131,7 +132,7 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
     from vehanchor_server.app_page.panel import length_histogram
 
     paths = [read_path([(point.x, point.y) for point in line.points]) for line in question.lines]
-    options, scale = question.scale.resolve(services)
+    options, scale = question.scale.resolve(services, job)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         found = analyse_paths(
@@ -140,8 +141,6 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
             scale,
             options,
             object_height_m=question.scale.object_height_m,
-            progress=job.searched,
-            run_options=job.run_options,
         )
     histogram = None if found[0].scale is None else length_histogram(found[0].scale)
     return Answer(tuple(each.measurement for each in found), None, histogram)

@@ -5,14 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from vehanchor.records import KnownScale
+from vehanchor_server.tools.scale_question import ScaleQuestion
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from vehanchor.measure.resolved_scale import ScaleInput
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import KnownScale
+    from vehanchor_server.calls.job import Job
     from vehanchor_server.services import Services
-    from vehanchor_server.tools.scale_question import ScaleQuestion
 
 _MODEL_SIDE_PX = 1568  # hosts resize larger images for their models
 
@@ -33,19 +35,20 @@ class ScaleArguments:
     question: ScaleQuestion
     object_height_m: float | None = None
 
-    def resolve(self, services: Services) -> tuple[ScaleOptions, ScaleInput]:
+    def resolve(self, services: Services, job: Job) -> tuple[ScaleOptions, ScaleInput]:
         """Return the options and the source of the scale; load the detector only for an estimate.
 
         Raises:
             CallError: a model cannot be loaded.
             VehAnchorError: the arguments contradict each other.
         """
-        from vehanchor.measure.resolved_scale import choose_scale
+        from vehanchor.estimate import check_region
+        from vehanchor.measure.resolved_scale import given_scale
 
         searched = self.gsd_m_per_px is None and self.scale is None
         options = self.question.options(services.settings, services.models if searched else None)
-        detector = services.models.detector() if searched else None
-        return options, choose_scale(self.gsd_m_per_px, self.scale, detector, options)
+        given = given_scale(self.gsd_m_per_px, self.scale, options)
+        return options, check_region(services.models.detector(job.runtime), options) if given is None else given
 
 
 def copy_hint(

@@ -6,7 +6,6 @@ Models need it to give coordinates in an image that they know by path only.
 # No postponed annotations here: the SDK reads the result's schema from them.
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Annotated, Any
 
 import anyio.to_thread
@@ -16,8 +15,10 @@ from pydantic import Field
 
 from vehanchor.errors import PromptError
 from vehanchor.options import Coordinates, Frame, Reading
+from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import Flag, FrozenModel, WholeNumber
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
@@ -75,8 +76,8 @@ def view_image_tool(services: Services) -> StrictTool:
         if image is None:
             return await _list_images(services, page)
         request = _ViewRequest(part, coordinates, long_side_px, grid)
-        seen, jpeg = await run_call(services, ctx, image, partial(_view, request=request))
-        return _result(_words(seen), seen, jpeg)
+        answer = await run_call(services, ctx, image, _view, request)
+        return _result(_words(answer.record), answer.record, answer.overlay)
 
     return StrictTool.read_only(
         view_image,
@@ -102,7 +103,8 @@ def _result(words: str, seen: ViewedImage, jpeg: bytes | None) -> CallToolResult
     return CallToolResult(content=content, structured_content=seen.model_dump(mode="json", exclude_none=True))
 
 
-def _view(services: Services, job: Job, source: OpenedImage, request: _ViewRequest) -> tuple[ViewedImage, bytes]:
+@work(_ViewRequest, ViewedImage)
+def _view(services: Services, job: Job, source: OpenedImage, request: _ViewRequest) -> Answer[ViewedImage]:
     """Draw the picture, in a worker process or thread.
 
     Raises:
@@ -143,7 +145,7 @@ def _view(services: Services, job: Job, source: OpenedImage, request: _ViewReque
             picture_height_px=height,
             grid_px=picture.step_px,
         )
-    return seen, jpeg
+    return Answer((seen,), jpeg)
 
 
 def _bytes(jpeg: bytes) -> Any:

@@ -343,22 +343,20 @@ class ScaleOptions:
         Raises:
             InvalidParameterError: a value has no meaning, or there is no such option.
         """
-        rest = dict(keywords)
-        groups: dict[str, Any] = {}
-        for name, group in _GROUPS.items():
+        return cls().with_keywords(keywords)
+
+    def with_keywords(self, keywords: Mapping[str, Any]) -> ScaleOptions:
+        """The same options with other values of single fields (``OptionKeywords``).
+
+        Raises:
+            InvalidParameterError: a value is invalid, or there is no such option.
+        """
+        rest, groups = dict(keywords), {each.name: getattr(self, each.name) for each in fields(self)}
+        for name, group in groups.items():
             known = {each.name: each.metadata.get("keyword", each.name) for each in fields(group)}
-            groups[name] = group(**{key: rest.pop(word) for key, word in known.items() if word in rest})
+            changes = {key: rest.pop(word) for key, word in known.items() if word in rest}
+            groups[name] = replace(group, **changes) if changes else group
         if rest:
             names = ", ".join(sorted(OptionKeywords.__annotations__))
             raise InvalidParameterError(f"there is no option {next(iter(rest))!r}: the options are {names}")
-        return cls(**groups)
-
-
-_GROUPS: dict[str, type[Any]] = {
-    "search": Search,
-    "lengths": Lengths,
-    "reference": Reference,
-    "frame": Frame,
-    "reading": Reading,
-    "rulers": Rulers,
-}
+        return ScaleOptions(**groups)

@@ -153,18 +153,13 @@ def _print_benchmark(folder: Path) -> None:
 
 def _measure(request: AreaRequest, chosen: ParsedOptions, folder: Path, workers: int) -> None:
     """Measure the benchmark, write the results and print the table."""
-    import os
-
-    from vehanchor.estimate import open_detector
-    from vehanchor.models.zoo import resolve_segmenter
-    from vehanchor.segmentation.segmenter import load_segmenter
+    from vehanchor.estimate import check_region
     from vehanchor_evaluation.area_report import area_markdown, write_area_report
     from vehanchor_evaluation.area_run import measure_benchmark
 
-    options = chosen.options()
-    detector = open_detector(open_shared(chosen, workers), options)
-    threads = chosen.detector.threads or max(1, (os.cpu_count() or 1) // workers)
-    segmenter = load_segmenter(*resolve_segmenter(request.segmenter), threads=threads, providers=detector.providers)
+    engine = open_shared(chosen, workers, request.segmenter)
+    options = engine.options
+    detector, segmenter = check_region(engine.detector, options), engine.segmenter
     with tile_progress(1, lines_on_terminal=False) as step:
         run = measure_benchmark(
             folder,

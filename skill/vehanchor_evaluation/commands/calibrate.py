@@ -106,7 +106,7 @@ def _known_scale(request: CalibrateRequest, chosen: ParsedOptions) -> KnownScale
         raise InvalidParameterError("name the images by one of --photographs, --dota, --table and --geotiff")
     from vehanchor_evaluation.photographs import survey_photographs
 
-    detector = open_shared(chosen, request.workers)
+    detector = open_shared(chosen, request.workers).detector
     data = survey_photographs(request.photographs, detector, chosen.options(), request.lines)
     data = data.chosen(limit=request.limit)
     if not data.images:
@@ -121,7 +121,7 @@ def _from_labels(request: CalibrateRequest, chosen: ParsedOptions) -> tuple[Flee
 
     survey = labelled_vehicles(_known_scale(request, chosen), request.label_classes or (SMALL_VEHICLE,))
     tell_issues(survey.issues)
-    card = None if chosen.detector.detector is None else chosen.open_detector().card
+    card = None if chosen.detector.detector is None else chosen.engine().detector.card
     return survey, calibrate_labelled(survey, card)
 
 
@@ -129,7 +129,7 @@ def _from_detections(request: CalibrateRequest, chosen: ParsedOptions) -> tuple[
     from vehanchor_evaluation.fleet_survey import calibrate_found, found_vehicles
 
     options, data = chosen.options(), _known_scale(request, chosen)
-    detector = open_shared(chosen, request.workers)
+    detector = open_shared(chosen, request.workers).detector
     found = request.search(data, detector, options, chosen, request.cache)
     survey = found_vehicles(data, found, detector.card, options)
     tell_issues(survey.issues)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from vehanchor.batch.known_lengths import KnownLengthTable
     from vehanchor.cli.cli_options import ParsedOptions
     from vehanchor.detection.detector import Detector
+    from vehanchor.engine import Engine
     from vehanchor.options import ScaleOptions
     from vehanchor_evaluation.known_scale import FileIssue, KnownScaleSet
     from vehanchor_evaluation.search import SearchedImage
@@ -157,12 +158,15 @@ class KnownScaleRequest:
                 raise
 
 
-def open_shared(chosen: ParsedOptions, workers: int | None) -> Detector:
-    """Open the detector that the options name, for several images at once: they share the cores."""
+def open_shared(
+    chosen: ParsedOptions, workers: int | None, segmenter: tuple[str | Path, str | Path] | None = None
+) -> Engine:
+    """The engine that the options choose, for several images at once: they share the cores."""
     from vehanchor_evaluation.search import default_workers
 
+    engine = chosen.engine(segmenter=segmenter)
     share = max(1, (os.cpu_count() or 1) // (workers or default_workers()))
-    return replace(chosen.detector, threads=chosen.detector.threads or share).open()
+    return engine.replace(runtime=replace(engine.runtime, threads=engine.runtime.threads or share))
 
 
 def tell_issues(issues: Iterable[FileIssue]) -> None:

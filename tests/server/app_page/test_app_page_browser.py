@@ -256,9 +256,9 @@ def test_the_guard_and_its_cap_are_shown(
     assert float(host.page.locator(".mode-line").get_attribute("x1")) < float(
         host.page.locator(".guard-line").get_attribute("x1")
     )
-    assert "The resolution guard caps the vehicles' confidence." in host.page.get_by_role("img", name="Histogram").get_attribute(
-        "aria-label"
-    )
+    assert "The resolution guard caps the vehicles' confidence." in host.page.get_by_role(
+        "img", name="Histogram"
+    ).get_attribute("aria-label")
 
 
 def test_outliers_are_shown_apart(host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]) -> None:

@@ -20,6 +20,7 @@ from tests.server.conftest import POOL, POOL_BOX
 from tests.server.conversation import ERAS, by_path, error_of, picture_of, text_of
 from tests.tiles import Tiles
 from vehanchor.detection.detector import load_detector
+from vehanchor.models.runtime import Runtime
 from vehanchor_server import models as models_module
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
@@ -52,7 +53,10 @@ async def test_a_call_gives_the_librarys_record_and_a_sentence(
     server: MCPServer[object], images: Path, detector_path: Path, segmenter_paths: SamFiles, era: str
 ) -> None:
     expected = vehanchor.measure_area(
-        images / "pool.png", box=BOX, detector=load_detector(detector_path, threads=1), segmenter=segmenter_paths
+        images / "pool.png",
+        box=BOX,
+        detector=load_detector(detector_path, Runtime(threads=1)),
+        segmenter=segmenter_paths,
     )
     result = await asked(server, pool_in(images / "pool.png"), era)
     assert record_of(result) == expected.model_dump(mode="json")
@@ -67,7 +71,10 @@ async def test_points_say_what_is_on_the_object_and_what_is_beside_it(
 ) -> None:
     points = [(324.0, 378.0, True), (200.0, 400.0, False)]
     expected = vehanchor.measure_area(
-        images / "pool.png", points=points, detector=load_detector(detector_path, threads=1), segmenter=segmenter_paths
+        images / "pool.png",
+        points=points,
+        detector=load_detector(detector_path, Runtime(threads=1)),
+        segmenter=segmenter_paths,
     )
     named: list[dict[str, Any]] = [{"x": 324, "y": 378}, {"x": 200, "y": 400, "label": "exclude"}]
     assert record_of(await asked(server, {**by_path(images / "pool.png"), "target": {"points": named}})) == (

@@ -15,6 +15,7 @@ import vehanchor
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path, error_of, text_of
 from vehanchor.detection.detector import load_detector
+from vehanchor.models.runtime import Runtime
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -40,7 +41,7 @@ async def test_a_call_gives_the_librarys_record_and_a_sentence(
     server: MCPServer[object], images: Path, detector_path: Path
 ) -> None:
     expected = vehanchor.measure_distance(
-        images / "cars.png", [(20, 500), (320, 100)], detector=load_detector(detector_path, threads=1)
+        images / "cars.png", [(20, 500), (320, 100)], detector=load_detector(detector_path, Runtime(threads=1))
     )
     result = await asked(server, "measure_distance", images / "cars.png", lines=[LINE])
     assert record_of(result) == expected.model_dump(mode="json")
