@@ -19,10 +19,9 @@ from vehanchor.models.runtime import Cancellation
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
     from typing import Unpack
 
-    from vehanchor.engine import AreaKeywords, EstimateKeywords, FlightKeywords, MeasureKeywords
+    from vehanchor.engine import AreaKeywords, EstimateKeywords, FlightKeywords, MeasureKeywords, Source
     from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.measure.coordinates import Place
@@ -42,7 +41,7 @@ async def estimate_gsd(
 
 @overload
 async def estimate_gsd(
-    image: list[str] | list[Path] | list[ImageSource] | tuple[ImageSource, ...],
+    image: list[Source] | tuple[Source, ...],
     options: ScaleOptions | None = None,
     **keywords: Unpack[EstimateKeywords],
 ) -> list[GsdEstimate]: ...

@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from vehanchor.segmentation.prompt import Box, Point
 
 T = TypeVar("T")
+Source = TypeVar("Source", bound="ImageSource")
 DetectorSource: TypeAlias = Detector | str | os.PathLike[str]
 SegmenterSource: TypeAlias = Segmenter | tuple[str | os.PathLike[str], str | os.PathLike[str]]
 
@@ -206,7 +207,7 @@ class Engine:
     @overload
     def estimate(
         self,
-        image: list[str] | list[Path] | list[ImageSource] | tuple[ImageSource, ...],
+        image: list[Source] | tuple[Source, ...],
         options: ScaleOptions | None = None,
         **keywords: Unpack[EstimateKeywords],
     ) -> list[GsdEstimate]: ...

@@ -1,4 +1,4 @@
-"""The methods of ``Engine`` as functions, for the bundled models: all engines share the loaded models of the process."""
+"""The methods of ``Engine`` as functions, for the bundled models: engines share the loaded models of a process."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from vehanchor.engine import Engine
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-    from pathlib import Path
     from typing import Unpack
 
     from vehanchor.analysis.exhibits import AreaAnalysis, DistanceAnalysis, ScaleAnalysis
-    from vehanchor.engine import AreaKeywords, EstimateKeywords, FlightKeywords, MeasureKeywords
+    from vehanchor.engine import AreaKeywords, EstimateKeywords, FlightKeywords, MeasureKeywords, Source
     from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.measure.coordinates import Place
@@ -28,7 +27,7 @@ def estimate_gsd(
 
 @overload
 def estimate_gsd(
-    image: list[str] | list[Path] | list[ImageSource] | tuple[ImageSource, ...],
+    image: list[Source] | tuple[Source, ...],
     options: ScaleOptions | None = None,
     **keywords: Unpack[EstimateKeywords],
 ) -> list[GsdEstimate]: ...
