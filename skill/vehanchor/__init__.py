@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 from vehanchor.errors import VehAnchorError
 
 if TYPE_CHECKING:
-    from vehanchor.analysis.exhibits import AreaAnalysis, DistanceAnalysis, ScaleAnalysis
+    from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.batch.files import find_images
     from vehanchor.detection.detector import Detector
     from vehanchor.engine import Engine
@@ -39,7 +40,8 @@ if TYPE_CHECKING:
     __version__: str
 
 _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
-    "analysis.exhibits": ("AreaAnalysis", "DistanceAnalysis", "ScaleAnalysis"),
+    "analysis.measured": ("AreaAnalysis", "DistanceAnalysis"),
+    "analysis.scale": ("ScaleAnalysis",),
     "batch.files": ("find_images",),
     "detection.detector": ("Detector",),
     "engine": ("Engine",),

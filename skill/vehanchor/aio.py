@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from typing import Unpack
 
-    from vehanchor.engine import AreaKeywords, EstimateKeywords, FlightKeywords, MeasureKeywords, Source
+    from vehanchor.engine import AreaKeywords, EstimateKeywords, FlightKeywords, MeasureKeywords
     from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.measure.coordinates import Place
@@ -41,7 +41,7 @@ async def estimate_gsd(
 
 @overload
 async def estimate_gsd(
-    image: list[Source] | tuple[Source, ...],
+    image: list[Any] | tuple[Any, ...],
     options: ScaleOptions | None = None,
     **keywords: Unpack[EstimateKeywords],
 ) -> list[GsdEstimate]: ...

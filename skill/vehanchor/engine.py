@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from typing import Unpack
 
-    from vehanchor.analysis.exhibits import AreaAnalysis, DistanceAnalysis, ScaleAnalysis
+    from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.sources.opening import ImageSource
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
     from vehanchor.segmentation.prompt import Box, Point
 
 T = TypeVar("T")
-Source = TypeVar("Source", bound="ImageSource")
 DetectorSource: TypeAlias = Detector | str | os.PathLike[str]
 SegmenterSource: TypeAlias = Segmenter | tuple[str | os.PathLike[str], str | os.PathLike[str]]
 
@@ -207,7 +207,7 @@ class Engine:
     @overload
     def estimate(
         self,
-        image: list[Source] | tuple[Source, ...],
+        image: list[Any] | tuple[Any, ...],
         options: ScaleOptions | None = None,
         **keywords: Unpack[EstimateKeywords],
     ) -> list[GsdEstimate]: ...

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.analysis.exhibits import ScaleAnalysis
+from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import search
@@ -185,7 +185,7 @@ def conclude(
         p_within_20=decision.p_within_20,
         reason=decision.reason,
         scene_scale=next((_scene_scale(other) for other in others if other.kind == SceneScale.kind), None),
-        scale_source=decision.source,
+        leading_ruler=decision.source,
         rulers=tuple(_ruler_scale(share) for share in decision.rulers),
         n_detections=len(vehicles.fleet.detections.boxes),
         working_scale=vehicles.fleet.working_scale,

@@ -1,4 +1,4 @@
-"""The methods of ``Engine`` as functions, for the bundled models: engines share the loaded models of a process."""
+"""The methods of ``Engine`` as functions; they share the models that the process has loaded."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from typing import Unpack
 
-    from vehanchor.analysis.exhibits import AreaAnalysis, DistanceAnalysis, ScaleAnalysis
-    from vehanchor.engine import AreaKeywords, EstimateKeywords, FlightKeywords, MeasureKeywords, Source
+    from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.engine import AreaKeywords, EstimateKeywords, FlightKeywords, MeasureKeywords
     from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.measure.coordinates import Place
@@ -27,7 +28,7 @@ def estimate_gsd(
 
 @overload
 def estimate_gsd(
-    image: list[Source] | tuple[Source, ...],
+    image: list[Any] | tuple[Any, ...],
     options: ScaleOptions | None = None,
     **keywords: Unpack[EstimateKeywords],
 ) -> list[GsdEstimate]: ...

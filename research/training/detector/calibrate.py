@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from research.training.detector.data import LENGTH_RANGE_PX, is_dev
 from research.training.detector.export import export
-from vehanchor.analysis.exhibits import ScaleAnalysis
+from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector

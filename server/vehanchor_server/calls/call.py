@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import anyio.from_thread
 
@@ -14,46 +14,47 @@ from vehanchor_server.errors import CallError
 if TYPE_CHECKING:
     from mcp.server.mcpserver import Context
 
+    from vehanchor_server.calls.answer import Answer
     from vehanchor_server.calls.capacity import Stop
+    from vehanchor_server.calls.task import Record, Work
     from vehanchor_server.images.argument import AnyImage
     from vehanchor_server.services import Services
-
-Result = TypeVar("Result")
 
 
 async def run_call(
     services: Services,
     ctx: Context[Any, Any],
     image: AnyImage,
-    work: Callable[..., Result],
+    work: Work[Record],
+    question: Any,
     more: Sequence[AnyImage] = (),
-) -> Result:
+) -> Answer[Record]:
     """Run the work of a call, if there is a place for it.
 
     Args:
         services: of the server.
         ctx: of the call.
         image: the caller's argument.
-        work: done in a worker process, or in a thread where the server has none; a function of a module, or a
-            ``functools.partial`` of one, of services, job and opened image. The library's errors that it raises are
-            passed on to the caller.
-        more: other images; where there are any, the work gets them and their bytes as a fourth argument, and opens
+        work: runs in a worker process, or in a thread if the server has none. Errors of the library are passed on
+            to the caller.
+        question: what the work is asked.
+        more: other images; where there are any, the work gets them and their bytes as a fifth argument, and opens
             them itself.
 
     Raises:
         CallError: the call was refused, failed for a reason that its caller can act on, or took too long.
     """
 
-    async def call(stop: Stop) -> Result:
+    async def call(stop: Stop) -> Answer[Record]:
         await ctx.report_progress(0, PERCENT_DONE, "reading the image")
         fetched = await services.sources.fetched(image)
         others = await services.sources.fetched_together(more, len(fetched or b""))
-        task = Task(work, image, fetched, others)
+        task = Task(work, question, image, fetched, others)
 
         def report(percent: float, message: str) -> None:
             anyio.from_thread.run(ctx.report_progress, percent, PERCENT_DONE, message)
 
-        def in_thread() -> Result:
+        def in_thread() -> Answer[Record]:
             with Stages() as stages:
                 if services.workers is not None:
                     return services.workers.run(task, stop, report, stages.enter)

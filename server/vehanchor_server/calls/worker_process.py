@@ -7,7 +7,9 @@ import ctypes
 import logging
 import multiprocessing
 import os
+import select
 import signal
+import sys
 import threading
 import traceback
 from dataclasses import dataclass
@@ -16,6 +18,18 @@ from typing import TYPE_CHECKING, Any
 
 from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.messages import (
+    Broken,
+    Entered,
+    Exhausted,
+    Failed,
+    Loaded,
+    Progressed,
+    Refused,
+    receive_task,
+    send,
+    send_answer,
+)
 from vehanchor_server.calls.sandbox import Confinement, confine
 from vehanchor_server.calls.task import perform
 from vehanchor_server.errors import CallError
@@ -24,10 +38,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from multiprocessing.connection import Connection
 
+    from vehanchor_server.calls.messages import WorkerMessage
     from vehanchor_server.calls.task import Parts, Task
 
 _IDLE_S = 0.5  # then memory is given back; after each call the next one would wait for its pages
 _OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")  # OpenCV's, C++'s, ONNX's
+_MAX_WORDS = 8000
 _logger = logging.getLogger(__name__)
 
 
@@ -44,62 +60,109 @@ class WorkerLimits:
     cpu_s: float
 
 
-def serve_tasks(connection: Connection, make_services: Callable[[], Parts], limits: WorkerLimits) -> None:
-    """Confine this process, load the models and do tasks until the server is gone; the main function of a worker."""
+def serve_tasks(
+    connection: Connection, log: Connection, make_services: Callable[[], Parts], limits: WorkerLimits
+) -> None:
+    """Confine this process, load the models and do tasks until the server is gone; the main function of a worker.
+
+    Args:
+        connection: to the server, for messages.
+        log: the server labels and bounds what is written there.
+        make_services: makes the worker's parts.
+        limits: what the worker may use.
+    """
     from vehanchor_server.request_log import configure_logging
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # from the keyboard it comes to all, and the server ends its workers
-    os.dup2(2, 1)  # stdout belongs to the server's protocol
+    _keep_streams(connection, log)
     configure_logging()
     try:
         services = make_services()
         confinement = _confined(services.readable)
-        threading.Thread(target=_end_with_server, name="vehanchor-server", daemon=True).start()
+        threading.Thread(target=_end_with_server, args=(connection,), name="vehanchor-server", daemon=True).start()
         services.models.load_all()
     except Exception:
-        connection.send(("broken", traceback.format_exc()))
+        send(connection, Broken(traceback=_traceback()))
         return
     _limit_memory(limits.memory_bytes)
-    connection.send(("loaded", services.models.failure, confinement))
+    send(
+        connection,
+        Loaded(
+            failure=services.models.failure,
+            landlock=confinement.landlock,
+            seccomp=confinement.seccomp,
+            lacks=confinement.lacks,
+        ),
+    )
     with contextlib.suppress(EOFError):
         while True:
             if not connection.poll(_IDLE_S):
                 _give_back_memory()
-            task = connection.recv()
+            task = receive_task(connection)
             _limit_cpu(limits.cpu_s)
-            connection.send(_outcome(services, task, connection))
+            failure = _outcome(services, task, connection)
+            if failure is not None:
+                send(connection, failure)
             del task
+
+
+def _keep_streams(connection: Connection, log: Connection) -> None:
+    """Keep the server's connection and its log; close every other descriptor that this process inherited.
+
+    Standard input would be the server's protocol or the operator's terminal, standard error the terminal, and a
+    descriptor of ``multiprocessing`` reaches the process that removes shared memory.
+    """
+    for stream in (1, 2):
+        os.dup2(log.fileno(), stream)
+    log.close()
+    if sys.platform != "linux":  # elsewhere ``multiprocessing`` watches the server by a descriptor of its own
+        return
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    kept = connection.fileno()
+    os.closerange(3, kept)
+    os.closerange(kept + 1, os.sysconf("SC_OPEN_MAX"))
 
 
 def _confined(readable: tuple[Path, ...] | None) -> Confinement:
     return Confinement(lacks="the operator's settings") if readable is None else confine(readable)
 
 
-def _outcome(services: Parts, task: Task[Any], connection: Connection) -> tuple[Any, ...]:
+def _outcome(services: Parts, task: Task[Any], connection: Connection) -> WorkerMessage | None:
+    """Do a task and send its answer; the message that says why there is none."""
+
     def enter(stage: str) -> None:
-        connection.send(("enter", stage))
+        send(connection, Entered(stage=stage))
 
     def report(percent: float, message: str) -> None:
-        connection.send(("report", percent, message))
+        send(connection, Progressed(percent=percent, message=message))
 
     try:
-        return "value", perform(services, task, Job(Stop(), report, enter))
+        send_answer(connection, perform(services, task, Job(Stop(), report, enter)))
+        return None
     except Exception as error:
         if isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):
             _logger.warning("a worker ran out of memory", exc_info=True)
-            return "exhausted", CallError(
-                "worker_killed", "the work on the image took more memory than this server allows. Send a smaller image."
-            )
+            return Exhausted()
         if isinstance(error, CallError):
-            return "refused", error
-        return "failed", traceback.format_exc()
+            return Refused(code=error.code, message=error.told[:_MAX_WORDS])
+        return Failed(traceback=_traceback())
 
 
-def _end_with_server() -> None:
+def _traceback() -> str:
+    return traceback.format_exc()[-_MAX_WORDS:]
+
+
+def _end_with_server(connection: Connection) -> None:
     """End this process when the server's does, also in the middle of a call."""
-    server = multiprocessing.parent_process()
-    assert server is not None
-    server.join()
+    if sys.platform == "linux":
+        hangup = select.poll()
+        hangup.register(connection.fileno(), select.POLLRDHUP)
+        hangup.poll()
+    else:
+        server = multiprocessing.parent_process()
+        assert server is not None
+        server.join()
     os._exit(1)
 
 

@@ -19,10 +19,24 @@ import shutil
 import sys
 import tempfile
 import threading
-from pickle import UnpicklingError
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
-from vehanchor_server.calls.reading import receive
+from vehanchor_server.calls.messages import (
+    Answered,
+    Broken,
+    Entered,
+    Exhausted,
+    Failed,
+    Loaded,
+    MessageError,
+    Progressed,
+    Refused,
+    read_answer,
+    receive,
+    send_task,
+)
+from vehanchor_server.calls.worker_environment import minimal_environment
+from vehanchor_server.calls.worker_log import forward_log
 from vehanchor_server.calls.worker_process import serve_tasks
 from vehanchor_server.errors import CallError
 from vehanchor_server.models import SLOW_IMPORTS
@@ -33,12 +47,10 @@ if TYPE_CHECKING:
     from multiprocessing.context import ForkServerContext, SpawnContext
     from multiprocessing.process import BaseProcess
 
+    from vehanchor_server.calls.answer import Answer
     from vehanchor_server.calls.capacity import Stop
-    from vehanchor_server.calls.sandbox import Confinement
-    from vehanchor_server.calls.task import Parts, Task
+    from vehanchor_server.calls.task import Parts, Record, Task
     from vehanchor_server.calls.worker_process import WorkerLimits
-
-Result = TypeVar("Result")
 
 _MIB = 1 << 20
 _ENDS_WITHIN_S = 5.0  # a killed process, unless the system is stuck
@@ -110,11 +122,11 @@ class WorkerPool:
 
     def run(
         self,
-        task: Task[Result],
+        task: Task[Record],
         stop: Stop,
         report: Callable[[float, str], None],
         enter: Callable[[str], None],
-    ) -> Result:
+    ) -> Answer[Record]:
         """Have a task done by a worker; blocks, and is called in a thread.
 
         Args:
@@ -174,20 +186,25 @@ class _Worker:
             self._reap()
             context = _start_context()
             ours, theirs = context.Pipe()
+            log, written = context.Pipe(duplex=False)
             process = context.Process(
                 target=serve_tasks,
-                args=(theirs, self._pool._make_services, self._pool._limits),
+                args=(theirs, written, self._pool._make_services, self._pool._limits),
                 name="vehanchor-worker",
             )
             process.daemon = True
             try:
-                process.start()
+                with minimal_environment():
+                    process.start()
             except (OSError, EOFError) as error:  # no memory, no process left, or the one that it comes from is gone
                 ours.close()
+                log.close()
                 self._fail(f"no process can be started: {error!r}")
                 return
             finally:
                 theirs.close()
+                written.close()
+            forward_log(log, process.pid or 0)
             self.process, self._connection = process, ours
 
     def kill(self) -> None:
@@ -239,14 +256,14 @@ class _Worker:
                     raise EOFError
                 return
             if self._connection.poll(wait_s):
-                kind, *values = receive(self._connection)
-                if kind == "broken":
-                    self._fail(values[0])
+                message, _ = receive(self._connection)
+                if not isinstance(message, Loaded):
+                    self._fail(message.traceback if isinstance(message, Broken) else f"it sent {message.kind}")
                     raise EOFError
-                self.failure, confinement = values
+                self.failure = message.failure
                 self.loaded = True
-                self._pool.say_once(*_told(confinement))
-        except (EOFError, OSError, UnpicklingError):
+                self._pool.say_once(*_told(message))
+        except (EOFError, OSError, MessageError):
             self._fail("")
             raise EOFError from None
 
@@ -261,11 +278,11 @@ class _Worker:
 
     def run(
         self,
-        task: Task[Result],
+        task: Task[Record],
         stop: Stop,
         report: Callable[[float, str], None],
         enter: Callable[[str], None],
-    ) -> Result:
+    ) -> Answer[Record]:
         """Have a task done.
 
         Raises:
@@ -279,9 +296,9 @@ class _Worker:
         with _KilledOnRequest(self.process, stop) as turn:
             stop.check()
             try:
-                self._connection.send(task)
-                result: Result = self._listen(self._connection, turn, report, enter)
-            except UnpicklingError as error:
+                send_task(self._connection, task)
+                result = self._listen(self._connection, task, turn, report, enter)
+            except MessageError as error:
                 _logger.error("a worker sent what none sends: %s", error)
                 self.process.kill()
                 raise self._ended() from error
@@ -327,21 +344,35 @@ class _Worker:
     def _listen(
         self,
         connection: Connection,
+        task: Task[Record],
         turn: _KilledOnRequest,
         report: Callable[[float, str], None],
         enter: Callable[[str], None],
-    ) -> Any:
+    ) -> Answer[Record]:
         while True:
-            kind, *values = receive(connection)
-            if kind == "report":
-                report(*values)
-            elif kind == "enter":
-                enter(*values)
-            else:
-                turn.over = kind != "exhausted"
-                if kind == "value":
-                    return values[0]
-                raise values[0] if kind in ("refused", "exhausted") else WorkerFailedError(values[0])
+            message, parts = receive(connection)
+            match message:
+                case Progressed():
+                    report(message.percent, message.message)
+                case Entered():
+                    enter(message.stage)
+                case Answered():
+                    answer = read_answer(message, parts, task)
+                    turn.over = True
+                    return answer
+                case Refused():
+                    turn.over = True
+                    raise CallError(message.code, message.message)
+                case Failed():
+                    turn.over = True
+                    raise WorkerFailedError(message.traceback)
+                case Exhausted():
+                    raise CallError(
+                        "worker_killed",
+                        "the work on the image took more memory than this server allows. Send a smaller image.",
+                    )
+                case _:
+                    raise MessageError(f"{message.kind} during a call")
 
     def _reap(self) -> None:
         """Forget the process that ended."""
@@ -354,11 +385,11 @@ class _Worker:
         self.loaded = False
 
 
-def _told(confinement: Confinement) -> tuple[int, str]:
+def _told(loaded: Loaded) -> tuple[int, str]:
     """How workers are confined, for the log."""
-    held = [f"Landlock {confinement.landlock}"] * bool(confinement.landlock) + ["seccomp"] * confinement.seccomp
+    held = [f"Landlock {loaded.landlock}"] * bool(loaded.landlock) + ["seccomp"] * loaded.seccomp
     told = f"workers are confined by {' and '.join(held)}" if held else "workers are not confined"
-    return (logging.WARNING, f"{told} ({confinement.lacks})") if confinement.lacks else (logging.INFO, told)
+    return (logging.WARNING, f"{told} ({loaded.lacks})") if loaded.lacks else (logging.INFO, told)
 
 
 def _start_context() -> ForkServerContext | SpawnContext:

@@ -5,7 +5,7 @@ The library is imported by the call: OpenCV and ONNX Runtime would make the serv
 
 # Annotations are evaluated here on purpose: the SDK reads the result's schema from them.
 
-from functools import partial
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from mcp.server.apps import client_supports_apps
@@ -18,12 +18,14 @@ from vehanchor_server.app_page import APP_META
 from vehanchor_server.calls.answer import Answer, Detail, WantedPictures
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
 from vehanchor_server.tools.elicitation import ask_for_help, with_the_persons_answer
 from vehanchor_server.tools.flight_question import (
+    FlightQuestion,
     MoreImagesArgument,
     SameScaleArgument,
     check_flight_question,
@@ -65,6 +67,14 @@ _DESCRIPTION = (
 )
 
 
+@dataclass(frozen=True)
+class _Question:
+    """A caller's words about the scale, and the pictures that the answer holds."""
+
+    scale: ScaleQuestion
+    wanted: WantedPictures
+
+
 def estimate_gsd_tool(services: Services) -> StrictTool:
     """The tool for a server."""
 
@@ -101,11 +111,12 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         question = with_the_persons_answer(ctx, question)
         paged = client_supports_apps(ctx)
         wanted = WantedPictures(include_overlay, paged)
-        work = partial(_estimate, question=question, wanted=wanted)
         if more_images:
             check_flight_question(question)
-            work = partial(estimate_among, question=question, wanted=wanted, same_scale=same_scale)
-        answer = await run_call(services, ctx, image, work, more_images or ())
+            asked_flight = FlightQuestion(question, wanted, same_scale)
+            answer = await run_call(services, ctx, image, estimate_among, asked_flight, more_images)
+        else:
+            answer = await run_call(services, ctx, image, _estimate, _Question(question, wanted))
         words = describe_estimate(answer.record, detail)
         if not (more_images or services.settings.never_ask):
             asked = ask_for_help(ctx, question, answer.record, words)
@@ -123,9 +134,8 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
     )
 
 
-def _estimate(
-    services: Services, job: Job, source: OpenedImage, question: ScaleQuestion, wanted: WantedPictures
-) -> Answer[GsdEstimate]:
+@work(_Question, GsdEstimate)
+def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Question) -> Answer[GsdEstimate]:
     """Search the image for vehicles and measure them; in a worker's process or thread.
 
     Raises:
@@ -137,12 +147,12 @@ def _estimate(
     from vehanchor.imagery.sources.opening import open_raster
 
     detector = services.models.detector(job.runtime)
-    options = question.options(services.settings, services.models)
+    options = asked.scale.options(services.settings, services.models)
     check_region(detector, options)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         analysis = analyse_raster(raster, detector, options)
-        return scale_answer(raster, analysis, wanted, job)
+        return scale_answer(raster, analysis, asked.wanted, job)
 
 
 def describe_estimate(estimate: GsdEstimate, detail: Detail = "full") -> str:

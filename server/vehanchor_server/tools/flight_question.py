@@ -4,30 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import Field
 
 from vehanchor.options import Frame
+from vehanchor.records import GsdEstimate
+from vehanchor_server.calls.answer import WantedPictures
+from vehanchor_server.calls.task import work
 from vehanchor_server.errors import CallError
 from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import AnyImage, ImageArgument
 from vehanchor_server.images.source import library_errors
 from vehanchor_server.tools.scale_answer import scale_answer
+from vehanchor_server.tools.scale_question import ScaleQuestion
 
 if TYPE_CHECKING:
     from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.flight.photograph import Photograph
     from vehanchor.flight.record import Failure
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import FlightEstimate, GsdEstimate
-    from vehanchor_server.calls.answer import Answer, WantedPictures
+    from vehanchor.records import FlightEstimate
+    from vehanchor_server.calls.answer import Answer
     from vehanchor_server.calls.job import Job
     from vehanchor_server.images.source import OpenedImage
     from vehanchor_server.services import Services
-    from vehanchor_server.tools.scale_question import ScaleQuestion
 
 MAX_MORE_IMAGES = 32
 
@@ -52,14 +55,22 @@ def check_flight_question(question: ScaleQuestion) -> None:
         )
 
 
+@dataclass(frozen=True)
+class FlightQuestion:
+    """A caller's words about the scale of an image among others of its flight."""
+
+    scale: ScaleQuestion
+    wanted: WantedPictures
+    same_scale: bool
+
+
+@work(FlightQuestion, GsdEstimate)
 def estimate_among(
     services: Services,
     job: Job,
     source: OpenedImage,
+    question: FlightQuestion,
     more: Sequence[tuple[AnyImage, bytes | None]],
-    question: ScaleQuestion,
-    wanted: WantedPictures,
-    same_scale: bool,
 ) -> Answer[GsdEstimate]:
     """Measure an image with the evidence of others; in a worker's process or thread.
 
@@ -74,20 +85,20 @@ def estimate_among(
 
     told = partial(_tell_photograph, job, 1 + len(more))
     detector = services.models.detector(replace(job.runtime, progress=told))
-    asked = question.options(services.settings, services.models)
+    asked = question.scale.options(services.settings, services.models)
     options = replace(asked, frame=Frame())
     check_region(detector, options)
     job.enter("decode")
     for _ in _taken(services, source, more, []):  # a path that is refused is told before the work
         job.stop.check()
     opened: list[OpenedImage] = []
-    looks = search_flight(_taken(services, source, more, opened), detector, options, featured=not same_scale)
+    looks = search_flight(_taken(services, source, more, opened), detector, options, featured=not question.same_scale)
     members = [_readable(look, each) for look, each in zip(looks, opened, strict=True)]
     _refuse_twice(members)
-    flight = conclude(looks, detector.card, same_scale=same_scale)
+    flight = conclude(looks, detector.card, same_scale=question.same_scale)
     analysis = replace(members[0].analysis, estimate=_answered(flight, asked))
-    with open_raster(source, limits=asked.reading.limits) if any(wanted) else nullcontext() as raster:
-        return scale_answer(raster, analysis, wanted, job)
+    with open_raster(source, limits=asked.reading.limits) if any(question.wanted) else nullcontext() as raster:
+        return scale_answer(raster, analysis, question.wanted, job)
 
 
 def _tell_photograph(job: Job, total: int, done: int, _: int) -> None:

@@ -4,7 +4,6 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 from mcp.server.apps import client_supports_apps
@@ -18,6 +17,7 @@ from vehanchor_server.app_page import APP_META
 from vehanchor_server.calls.answer import Answer, Detail, WantedPictures
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.task import work
 from vehanchor_server.errors import CallError
 from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import ImageArgument
@@ -70,6 +70,7 @@ class _Question:
 
     targets: tuple[Target, ...]
     by: MeasuredBy
+    wanted: WantedPictures
 
 
 def measure_area_tool(services: Services) -> StrictTool:
@@ -99,10 +100,11 @@ def measure_area_tool(services: Services) -> StrictTool:
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, AreaMeasurement]:
         question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
-        asked = _Question(_named(target, targets), MeasuredBy(gsd_m_per_px, scale, question, object_height_m))
         paged = client_supports_apps(ctx)
         wanted = WantedPictures(include_overlay, paged)
-        answer = await run_call(services, ctx, image, partial(_measure, question=asked, wanted=wanted))
+        by = MeasuredBy(gsd_m_per_px, scale, question, object_height_m)
+        asked = _Question(_named(target, targets), by, wanted)
+        answer = await run_call(services, ctx, image, _measure, asked)
         first = answer.record
         words = [
             numbered([_area_of_object(record) for record in answer.records]),
@@ -142,9 +144,8 @@ def _once(records: Sequence[AreaMeasurement]) -> list[Notice]:
     return list(dict.fromkeys(notice for record in records for notice in record.warnings))
 
 
-def _measure(
-    services: Services, job: Job, source: OpenedImage, question: _Question, wanted: WantedPictures
-) -> Answer[AreaMeasurement]:
+@work(_Question, AreaMeasurement)
+def _measure(services: Services, job: Job, source: OpenedImage, question: _Question) -> Answer[AreaMeasurement]:
     """Segment the object and measure it; in a worker's process or thread.
 
     Raises:
@@ -173,9 +174,9 @@ def _measure(
             object_height_m=question.by.object_height_m,
         )
         first = found[0]
-        pictures = draw_pictures(raster, job, wanted, lambda seen: draw_area(seen, first))
+        pictures = draw_pictures(raster, job, question.wanted, lambda seen: draw_area(seen, first))
     histogram = None if first.scale is None else length_histogram(first.scale)
-    drawing = drawing_of(first.scale) if wanted.page and first.scale is not None else None
+    drawing = drawing_of(first.scale) if question.wanted.page and first.scale is not None else None
     measured = tuple(each.measurement for each in found)
     return Answer(measured, pictures.overlay, histogram, pictures.page, drawing)
 
@@ -210,8 +211,8 @@ def _area_in_words(area: AreaMeasurement) -> str:
         return "No object found there: no area. Draw a box tightly around one that can be seen."
     if area.area_m2 is None:
         return (
-            f"No area: the object covers {area.mask_area_px} px, but {nothing_found(area.scale)}, and give its scale "
-            "as gsd_m_per_px."
+            f"No area: the object covers {area.mask_area_px} px, but {nothing_found(area.estimate)}, and give its "
+            "scale as gsd_m_per_px."
         )
     size = f"{rounded(area.area_m2)} m2{interval(area.area_ci95_low_m2, area.area_ci95_high_m2)}"
     if area.length_m is not None and area.width_m is not None and area.inscribed_diameter_m is not None:
@@ -221,5 +222,5 @@ def _area_in_words(area: AreaMeasurement) -> str:
     if area.status == "ok":
         return size + ("as good as the given scale." if area.scale_source == "given" else "safe to use.")
     if area.confidence is not None and area.confidence < FALLBACK_CONFIDENCE:
-        return size + not_to_be_used(area.scale)
+        return size + not_to_be_used(area.estimate)
     return size + "do not rely on it (the segmenter doubts its mask); look at the overlay, or draw another box."

@@ -3,7 +3,6 @@
 # Annotations are evaluated here on purpose: the SDK reads the result's schema from them.
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Annotated, Any
 
 from mcp.server.mcpserver import Context
@@ -14,6 +13,7 @@ from vehanchor.records import DistanceMeasurement
 from vehanchor_server.calls.answer import Answer, Detail
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import FrozenModel, Number
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
@@ -99,7 +99,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
     ) -> Annotated[CallToolResult, DistanceMeasurement]:
         question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
         asked = _Question(lines, MeasuredBy(gsd_m_per_px, scale, question, object_height_m))
-        answer = await run_call(services, ctx, image, partial(_measure, question=asked))
+        answer = await run_call(services, ctx, image, _measure, asked)
         first = answer.record
         places = ((point.x, point.y) for line in lines for point in line.points)
         words = [
@@ -118,6 +118,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
     )
 
 
+@work(_Question, DistanceMeasurement)
 def _measure(services: Services, job: Job, source: OpenedImage, question: _Question) -> Answer[DistanceMeasurement]:
     """Measure the lines; in a worker's process or thread.
 
@@ -153,11 +154,11 @@ def describe_distance(record: DistanceMeasurement, detail: Detail = "full") -> s
 def _distance_in_words(record: DistanceMeasurement) -> str:
     if record.distance_m is None:
         return (
-            f"No distance: the line is {record.length_px:.0f} px long, but {nothing_found(record.scale)}, and give its "
-            "scale as gsd_m_per_px."
+            f"No distance: the line is {record.length_px:.0f} px long, but {nothing_found(record.estimate)}, and "
+            "give its scale as gsd_m_per_px."
         )
     said = f"{rounded(record.distance_m)} m{interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
     said += f"; {scale_origin(record)}: "
     if record.status == "ok":
         return said + ("as good as the given scale." if record.scale_source == "given" else "safe to use.")
-    return said + not_to_be_used(record.scale)
+    return said + not_to_be_used(record.estimate)

@@ -5,15 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from vehanchor.records import KnownScale
+from vehanchor_server.tools.scale_question import ScaleQuestion
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from vehanchor.measure.resolved_scale import ScaleInput
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import KnownScale
     from vehanchor_server.calls.job import Job
     from vehanchor_server.services import Services
-    from vehanchor_server.tools.scale_question import ScaleQuestion
 
 _SEEN_SIDE_PX = 1568  # hosts reduce larger images for their models
 

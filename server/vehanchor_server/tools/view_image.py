@@ -3,7 +3,6 @@
 # Annotations are evaluated here on purpose: the SDK reads the result's schema from them.
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Annotated, Any
 
 import anyio.to_thread
@@ -13,8 +12,10 @@ from pydantic import Field
 
 from vehanchor.errors import PromptError
 from vehanchor.options import Coordinates, Frame, Reading
+from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import Flag, FrozenModel, WholeNumber
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
@@ -72,8 +73,8 @@ def view_image_tool(services: Services) -> StrictTool:
         if image is None:
             return await _list_images(services, page)
         look = _Look(part, coordinates, long_side_px, grid)
-        seen, jpeg = await run_call(services, ctx, image, partial(_view, look=look))
-        return _result(_words(seen), seen, jpeg)
+        answer = await run_call(services, ctx, image, _view, look)
+        return _result(_words(answer.record), answer.record, answer.overlay)
 
     return StrictTool.read_only(
         view_image,
@@ -99,7 +100,8 @@ def _result(words: str, seen: ViewedImage, jpeg: bytes | None) -> CallToolResult
     return CallToolResult(content=content, structured_content=seen.model_dump(mode="json", exclude_none=True))
 
 
-def _view(services: Services, job: Job, source: OpenedImage, look: _Look) -> tuple[ViewedImage, bytes]:
+@work(_Look, ViewedImage)
+def _view(services: Services, job: Job, source: OpenedImage, look: _Look) -> Answer[ViewedImage]:
     """Draw the picture; in a worker's process or thread.
 
     Raises:
@@ -140,7 +142,7 @@ def _view(services: Services, job: Job, source: OpenedImage, look: _Look) -> tup
             picture_height_px=height,
             grid_px=picture.step_px,
         )
-    return seen, jpeg
+    return Answer((seen,), jpeg)
 
 
 def _bytes(jpeg: bytes) -> Any:

@@ -16,7 +16,7 @@ from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
 from vehanchor.estimate import analyse_raster, check_region, image_facts, networks_sha256
 from vehanchor.flight.components import single_component
 from vehanchor.flight.features import find_features
-from vehanchor.flight.inputs import InputPhotograph, named
+from vehanchor.flight.inputs import InputPhotograph, check_many, named
 from vehanchor.flight.linking import link_photographs
 from vehanchor.flight.photograph import Look, Photograph, chief_member
 from vehanchor.flight.record import Failure, conclude_flight
@@ -58,10 +58,11 @@ def analyse_flight(
     Raises:
         VehAnchorError: as ``Engine.flight``.
     """
-    _check(options)
+    check_many(images)
+    check_options(options)
     check_region(detector, options)
     taken = list(named(images)) if isinstance(images, Sequence) else named(images)
-    kept = _open_journal(None if journal is None else Path(journal), detector, options, lines or {})
+    kept = None if journal is None else open_journal(Path(journal), detector, options, lines or {})
     looks = search_flight(taken, detector, options, featured=not same_scale, journal=kept, lines=lines or {})
     record = conclude(looks, detector.card, same_scale=same_scale)
     if kept is not None:
@@ -112,7 +113,7 @@ def search_flight(
     for done, each in enumerate(taken):
         name, image, _ = each
         tell(done, max(total, done))
-        key = _key(each)
+        key = journal_key(each)
         known = journal.get(key) if journal is not None and key is not None else None
         try:
             own = with_lines_of(options, lines, image) if lines and isinstance(image, str | os.PathLike) else options
@@ -120,7 +121,7 @@ def search_flight(
         except VehAnchorError as error:
             found.append(Failure(name, error))
             continue
-        if known is None and journal is not None and key is not None and key == _key(each):
+        if known is None and journal is not None and key is not None and key == journal_key(each):
             journal.add(key, look)
         found.append(Photograph.of(name, look, detector.card, own, features))
     tell(len(found), len(found))
@@ -153,23 +154,31 @@ def _look(
         return Look.of(image_facts(raster), analysis.detections, analysis), features
 
 
-def _check(options: ScaleOptions) -> None:
+def check_options(options: ScaleOptions) -> None:
+    """Refuse options that belong to one image.
+
+    Raises:
+        InvalidParameterError: a frame, or a line of known length.
+    """
     if options.frame.size is not None:
         raise InvalidParameterError("a frame belongs to one image: a flight has none")
     if options.rulers.known_lengths:
         raise InvalidParameterError("a line of known length belongs to one image: estimate that image by itself")
 
 
-def _key(taken: InputPhotograph) -> Key | None:
+def journal_key(taken: InputPhotograph) -> Key | None:
+    """Key of a photograph in the journal: its name and its file as it is now; None without a file."""
     file = taken.image if taken.film is None else taken.film
     return (taken.name, *Source.of(file)) if isinstance(file, str | os.PathLike) else None
 
 
-def _open_journal(
-    path: Path | None, detector: Detector, options: ScaleOptions, lines: KnownLengthTable
-) -> Journal[Look] | None:
-    if path is None:
-        return None
+def open_journal(path: Path, detector: Detector, options: ScaleOptions, lines: KnownLengthTable) -> Journal[Look]:
+    """Open the findings of an interrupted run.
+
+    Raises:
+        InvalidParameterError: they are those of other options, or the file is no journal.
+        OutputError: it cannot be read or written.
+    """
     choices = asdict(options)
     del choices["frame"]
     if lines:

@@ -14,7 +14,7 @@ from vehanchor.rulers.evidence import ImageFacts, View
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from vehanchor.analysis.exhibits import ScaleAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.detection.card import DetectorCard
     from vehanchor.flight.features import Features
     from vehanchor.options import ScaleOptions

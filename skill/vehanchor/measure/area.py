@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from vehanchor.analysis.exhibits import AreaAnalysis
+from vehanchor.analysis.measured import AreaAnalysis
 from vehanchor.measure.resolved_scale import interval_around, resolve_scale
 from vehanchor.options import ScaleOptions
 from vehanchor.records import (
@@ -82,7 +82,7 @@ def analyse_objects(
         for prompt, mask in zip(prompts, masks, strict=True)
     ]
     return tuple(
-        AreaAnalysis(record, mask, prompt, scale=found.analysis, level=found.plane is None)
+        AreaAnalysis(record, mask, prompt, scale=found.analysis, nadir=found.plane is None)
         for record, prompt, mask in zip(records, prompts, masks, strict=True)
     )
 
@@ -133,7 +133,8 @@ def _conclude(
         image_width_px=raster.width_px,
         image_height_px=raster.height_px,
         frame=_frame(options.frame, raster, gsd, box),
-        scale=estimate,
+        scale=scale.known,
+        estimate=estimate,
         segmenter=card.name,
         segmenter_sha256=card.sha256,
         warnings=(

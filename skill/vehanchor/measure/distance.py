@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.analysis.exhibits import DistanceAnalysis
+from vehanchor.analysis.measured import DistanceAnalysis
 from vehanchor.errors import PromptError
 from vehanchor.measure.coordinates import CoordinateFrame
 from vehanchor.measure.resolved_scale import interval_around, resolve_scale
@@ -78,7 +78,7 @@ def analyse_paths(
     in_image = [_in_image(path, coordinates) for path in paths]
     found = resolve_scale(raster, scale, options, object_height_m=object_height_m)
     return tuple(
-        DistanceAnalysis(_conclude(path, coordinates, found), scale=found.analysis, level=found.plane is None)
+        DistanceAnalysis(_conclude(path, coordinates, found), scale=found.analysis, nadir=found.plane is None)
         for path in in_image
     )
 
@@ -137,6 +137,7 @@ def _conclude(places: Sequence[Place], coordinates: CoordinateFrame, scale: Reso
         path=tuple(ImagePoint(x_px=x, y_px=y) for x, y in places),
         image_width_px=coordinates.width_px,
         image_height_px=coordinates.height_px,
-        scale=estimate,
+        scale=scale.known,
+        estimate=estimate,
         warnings=scale.notices,
     )

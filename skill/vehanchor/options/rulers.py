@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
@@ -165,7 +166,7 @@ class Rulers:
 
 def _ruler_names(names: Any) -> tuple[RulerName, ...]:
     known = get_args(RulerName)
-    if isinstance(names, str) or not all(name in known for name in names):
+    if isinstance(names, str) or not isinstance(names, Collection) or not all(name in known for name in names):
         raise InvalidParameterError(f"rulers is {names!r}: use some of {', '.join(known)}")
     if not names:
         raise InvalidParameterError(f"rulers is {names!r}: use at least one of {', '.join(known)}")
@@ -173,7 +174,7 @@ def _ruler_names(names: Any) -> tuple[RulerName, ...]:
 
 
 def _lines(lines: Any) -> tuple[KnownLength, ...]:
-    if isinstance(lines, str):
+    if isinstance(lines, str) or not isinstance(lines, Iterable):
         raise KnownLengthError(f"known_lengths is {lines!r}: give lines of x1, y1, x2, y2, metres")
     checked = []
     for line in lines:

@@ -99,7 +99,7 @@ async def test_an_image_that_nothing_ties_to_the_others_keeps_its_own_scale_and_
         among = await client.call_tool("estimate_gsd", _among(flight / "near.png", flight / "elsewhere.png"))
     assert own.structured_content is not None
     assert among.structured_content is not None
-    assert [each["code"] for each in among.structured_content["warnings"]] == ["not_tied"]
+    assert [each["code"] for each in among.structured_content["warnings"]] == ["not_linked"]
     assert {**among.structured_content, "warnings": []} == own.structured_content
 
 

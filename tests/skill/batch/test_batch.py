@@ -129,7 +129,14 @@ def test_nothing_found_is_an_error_before_the_work(nothing: list[str], monkeypat
 def test_every_value_of_an_estimate_has_its_column() -> None:
     nested = {"confidence_terms", "frame", "rulers", "scale", "scene_scale", "tilt", "warnings"}
     assert set(GsdEstimate.model_fields) - nested < set(COLUMNS)
-    assert {"file", "confidence_sample", "scene_gsd_m_per_px", "warning_codes", "error_code", "error"} < set(COLUMNS)
+    assert {
+        "file",
+        "confidence_terms_sample",
+        "scene_scale_gsd_m_per_px",
+        "warning_codes",
+        "error_code",
+        "error",
+    } < set(COLUMNS)
     assert COLUMNS["gsd_m_per_px"] is float
     assert COLUMNS["n_vehicles"] is int
     assert COLUMNS["resolution_guard"] is bool
@@ -147,7 +154,7 @@ def test_a_row_holds_what_estimate_gsd_says(detector: Path, table: Path) -> None
     }
     same = set(GsdEstimate.model_fields) & set(COLUMNS)
     assert {name: cars[name] for name in same} == {name: getattr(estimate, name) for name in same}
-    assert cars["confidence_sample"] == estimate.confidence_terms.sample
+    assert cars["confidence_terms_sample"] == estimate.confidence_terms.sample
     assert cars["warning_codes"] == " ".join(notice.code for notice in estimate.warnings)
     assert (empty["status"], empty["gsd_m_per_px"], empty["confidence"]) == ("no_scale", None, 0)
     assert (broken["status"], broken["gsd_m_per_px"], broken["error_code"]) == (None, None, "image_undecodable")
@@ -579,7 +586,7 @@ def test_lines_of_known_length_of_single_images_come_from_a_table(folder: Path, 
     result = _batch(*common, "-o", table, "--known-lengths", lines)
     assert result.exit_code == 0, result.output
     cars, empty = _rows(table)
-    assert (empty["scale_source"], empty["ruler_known_length_agrees"]) == ("known_length", True)
+    assert (empty["leading_ruler"], empty["ruler_known_length_agrees"]) == ("known_length", True)
     assert empty["gsd_m_per_px"] == pytest.approx(0.12, rel=1e-3)
     assert cars["ruler_known_length_gsd_m_per_px"] is None
     assert _batch(*common, "-o", table.with_name("without.jsonl")).exit_code == 0
@@ -616,7 +623,7 @@ def test_images_may_be_addresses(folder: Path, detector: Path, table: Path) -> N
     there, empty, none, here = _rows(table)
     assert there["file"] == f"{base}/cars.png"
     assert {**there, "file": "cars.png"} == here
-    assert empty["scale_source"] == "known_length"
+    assert empty["leading_ruler"] == "known_length"
     assert (none["error_code"], "404" in none["error"]) == ("image_not_found", True)
 
 
