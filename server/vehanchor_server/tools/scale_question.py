@@ -1,4 +1,4 @@
-"""Arguments about an image's scale, which several tools take, and the library's options that follow from them."""
+"""Tool arguments that determine the scale, and their conversion to the library's options."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 
 class FrameSize(FrozenModel):
-    """Size of the resized copy of the image that the caller sees and works in."""
+    """Size of the resized copy in which the caller works."""
 
     width_px: Annotated[WholeNumber, limits_field(FRAME_SIDE)]
     height_px: Annotated[WholeNumber, limits_field(FRAME_SIDE)]
 
 
 class KnownLine(FrozenModel):
-    """A straight line on the ground and its length."""
+    """A straight line of known length on the ground."""
 
     x1: Number
     y1: Number
@@ -59,7 +59,7 @@ MaxTilesArgument: TypeAlias = Annotated[WholeNumber | None, option_field("max_ti
 MaxSecondsArgument: TypeAlias = Annotated[Number | None, option_field("max_seconds")]
 
 EFFORT_ARGUMENTS = ("effort", "max_tiles", "max_seconds")
-"""Arguments of a search that estimate_gsd takes, but does not list: a program gives them, or the operator."""
+"""Arguments that ``estimate_gsd`` hides from models; programs or the operator set them."""
 
 UNLISTED_ARGUMENTS = (
     "region",
@@ -69,32 +69,32 @@ UNLISTED_ARGUMENTS = (
     "focal_35mm",
     "object_height_m",
 )
-"""Arguments that tools that measure take, but do not list: those of a search a model gives to estimate_gsd."""
+"""Arguments that the measuring tools hide from models; models pass them to ``estimate_gsd``."""
 
 
 _Number = TypeVar("_Number", int, float)
 
 
 def _least(*limits: _Number | None) -> _Number | None:
-    """The tightest of limits that are set; None for none."""
+    """Return the smallest limit that is set, or None."""
     return min((limit for limit in limits if limit is not None), default=None)
 
 
 @dataclass(frozen=True)
 class ScaleQuestion:
-    """A caller's words about the scale it asks for.
+    """Arguments of a call that determine an estimate.
 
     Attributes:
         region: where the image was taken.
-        reference_length_m: the length of cars there.
-        frame: the copy that the caller sees.
+        reference_length_m: length of local cars.
+        frame: size of the caller's resized copy.
         known_lengths: lines that the caller has measured.
-        height_m: of the camera above the ground.
-        focal_35mm: its focal length.
-        coordinates: how places are written.
-        effort: how much of a large image is searched; None leaves it to the operator.
-        max_tiles: to search at most; the operator's limit holds, too.
-        max_seconds: to search at most; the operator's limit holds, too.
+        height_m: camera height above ground.
+        focal_35mm: 35 mm equivalent focal length.
+        coordinates: coordinate system.
+        effort: extent of the search in large images; None for the operator's setting.
+        max_tiles: maximum number of tiles; the operator's limit also applies.
+        max_seconds: maximum search time; the operator's limit also applies.
     """
 
     region: str | None = None
@@ -109,13 +109,13 @@ class ScaleQuestion:
     max_seconds: float | None = None
 
     def options(self, settings: Settings, models: Models | None) -> ScaleOptions:
-        """The method's options: thresholds, limits and calibration by the operator, the rest by the caller.
+        """Return the options: thresholds, limits and calibration of the operator, all others of the caller.
 
-        A caller who knows where the image was taken knows more than the operator's calibration, which is then left out.
+        If the caller gives a region or a reference length, the operator's calibration is not used.
 
         Args:
-            settings: the operator's.
-            models: have the calibration; None where the scale is known and no vehicle is searched.
+            settings: the operator's settings.
+            models: source of the calibration; None if the scale is known.
 
         Raises:
             CallError: the calibration cannot be loaded.

@@ -1,12 +1,12 @@
 """Command-line options made from the fields of the option groups, so that every command has them alike.
 
     @scale_command()
-    def estimate(images: ..., chosen: Chosen) -> None:
-        options, detector = chosen.options(), chosen.open_detector()
+    def estimate(images: ..., chosen: ParsedOptions) -> None:
+        engine = chosen.engine()
 
 ``estimate`` then has the options of ``Search``, ``Lengths``, ``Reference``, ``Frame``, ``Reading``, ``Rulers`` and
-``DetectorChoice`` beside its own. They are checked when ``options`` and ``open_detector`` are called, where the command
-can tell its user.
+``DetectorChoice`` beside its own. They are checked when ``options``, ``runtime`` or ``engine`` is called: there the
+command can report an error.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
     from pathlib import Path
 
-    from vehanchor.detection.detector import Detector
+    from vehanchor.engine import Engine
+    from vehanchor.models.runtime import Progress, Runtime
 
 Photograph: TypeAlias = Annotated[
     str,
@@ -63,37 +64,19 @@ class DetectorChoice:
     providers: list[str] | None = field(default=None, metadata=metadata_of(models.PROVIDERS))
 
     @property
-    def path(self) -> Path:
-        """The model's file.
-
-        Raises:
-            ModelNotFoundError: there is none, or none of that precision.
-        """
-        from vehanchor.models.zoo import resolve_model
-
-        return resolve_model(self.detector, self.precision)
-
-    @property
     def names_and_indices(self) -> list[str | int] | None:
         """The classes as the detector takes them: a number is an index."""
         return [int(name) if name.isdecimal() else name for name in self.classes] if self.classes else None
 
-    def open(self) -> Detector:
-        """Load the detector.
+    def runtime(self, progress: Progress | None = None) -> Runtime:
+        """How the models run.
 
         Raises:
-            ModelError: it cannot be used.
-            InvalidParameterError: the threads or the classes have no meaning.
+            InvalidParameterError: the threads or the providers are invalid.
         """
-        from vehanchor.detection.detector import Detector
-        from vehanchor.models.session import DEFAULT_PROVIDERS
+        from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
 
-        return Detector(
-            self.path,
-            classes=self.names_and_indices,
-            threads=self.threads,
-            providers=self.providers or DEFAULT_PROVIDERS,
-        )
+        return Runtime(self.threads, self.providers or DEFAULT_PROVIDERS, self.precision, progress)
 
 
 _GROUPS: tuple[tuple[type[Any], str], ...] = (
@@ -156,9 +139,25 @@ class ParsedOptions:
         typed: dict[str, Any] = {name: self.typed.get(name) for name in DetectorChoice.__dataclass_fields__}
         return DetectorChoice(**typed)
 
-    def open_detector(self) -> Detector:
-        """Load the model; see ``DetectorChoice.open``."""
-        return self.detector.open()
+    def engine(
+        self, *, segmenter: tuple[str | Path, str | Path] | None = None, progress: Progress | None = None
+    ) -> Engine:
+        """The engine that was chosen; it loads a model when it first needs it.
+
+        Raises:
+            InvalidParameterError: a value is invalid.
+            CalibrationFileError: the calibration cannot be read.
+        """
+        from vehanchor.engine import Engine
+
+        choice = self.detector
+        return Engine(
+            choice.detector,
+            segmenter,
+            classes=choice.names_and_indices,
+            options=self.options(),
+            runtime=choice.runtime(progress),
+        )
 
 
 def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:

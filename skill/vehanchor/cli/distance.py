@@ -59,19 +59,15 @@ def _distance(
     with exit_on_error():
         try:
             path, known = [parse_point("--point", text) for text in point or ()], read_scale(scale, image)
-            options = chosen.options()
+            engine = chosen.engine()
             _check_outputs(image, line, overlay)
-            from vehanchor.measure.distance import analyse_distance
-
             with tile_progress(1, lines_on_terminal=as_json) as step:
-                analysis = analyse_distance(
+                analysis = engine.analyse_distance(
                     image,
                     path,
-                    options,
                     gsd_m_per_px=gsd,
                     scale=known,
                     object_height_m=object_height,
-                    detector=chosen.detector.open() if gsd is None and known is None else None,
                     progress=step(0, image),
                 )
             record = analysis.measurement

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
-from vehanchor.estimate import analyse_raster, georeference_notice, image_notices, open_detector
+from vehanchor.estimate import analyse_raster, georeference_notice, image_notices
 from vehanchor.imagery.identity import image_id
 from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT_M
 from vehanchor.records import KnownScale
@@ -23,11 +23,9 @@ from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor.tilt.camera_tilt import metadata_tilt, plane_of_record, plane_with
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     import numpy as np
-    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.analysis.scale import ScaleAnalysis
@@ -113,28 +111,18 @@ class ResolvedScale:
         return "low_confidence" if doubtful else "ok"
 
 
-def choose_scale(
-    gsd_m_per_px: float | None,
-    scale: KnownScale | GsdEstimate | Mapping[str, Any] | None,
-    detector: Detector | str | os.PathLike[str] | None,
-    options: ScaleOptions,
-    *,
-    threads: int | None = None,
-    providers: Sequence[str] | None = None,
-) -> ScaleInput:
-    """Settle what the scale is to come from, before the work.
+def given_scale(
+    gsd_m_per_px: float | None, scale: KnownScale | GsdEstimate | Mapping[str, Any] | None, options: ScaleOptions
+) -> float | KnownScale | None:
+    """Check the scale that a caller gives, before the work; None if the image must be searched for it.
 
     Args:
         gsd_m_per_px: a number that the caller knows.
         scale: an earlier estimate of the same image, or its ``scale``.
-        detector: opened where neither is given.
-        options: every choice of the method.
-        threads: CPU threads of the detector.
-        providers: where it runs.
+        options: of the method.
 
     Raises:
         InvalidParameterError: both are given, or one beside lines of known length, or one has no meaning.
-        ModelError: the detector cannot be used.
     """
     known = [name for name, value in (("gsd_m_per_px", gsd_m_per_px), ("scale", scale)) if value is not None]
     if len(known) > 1:
@@ -147,7 +135,7 @@ def choose_scale(
     if scale is not None:
         return known_scale(scale)
     if gsd_m_per_px is None:
-        return open_detector(detector, options, threads=threads, providers=providers)
+        return None
     return GSD_M_PER_PX.check("gsd_m_per_px", gsd_m_per_px)
 
 
@@ -157,8 +145,6 @@ def resolve_scale(
     options: ScaleOptions,
     *,
     object_height_m: float | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
 ) -> ResolvedScale:
     """Find the scale of an open image, by searching it only where nobody knows its scale.
 
@@ -167,8 +153,6 @@ def resolve_scale(
         scale: what finds the scale of the ground, or is it.
         options: every choice of the method.
         object_height_m: how high above the ground lies what is to be measured; None for on it.
-        progress: of the search.
-        run_options: ONNX Runtime's.
 
     Returns:
         The scale of the ground, or of the level that lies so high above it.
@@ -177,22 +161,16 @@ def resolve_scale(
         InvalidParameterError: the height has no meaning, or nobody knows how high the camera was.
         ScaleMismatchError: the scale was measured on another image.
         TooObliqueError: the horizon is in sight, or nearly so; the object lies above the camera.
-        VehAnchorError: as ``estimate_gsd``.
+        VehAnchorError: as ``Engine.estimate``.
     """
     camera = None if object_height_m is None else camera_above(raster, options, object_height_m)
-    found = _on_the_ground(raster, scale, options, progress, run_options)
+    found = _on_the_ground(raster, scale, options)
     return found if camera is None or object_height_m is None else raised(found, object_height_m, camera)
 
 
-def _on_the_ground(
-    raster: Raster,
-    scale: ScaleInput,
-    options: ScaleOptions,
-    progress: Callable[[int, int], None] | None,
-    run_options: onnxruntime.RunOptions | None,
-) -> ResolvedScale:
+def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> ResolvedScale:
     if isinstance(scale, Detector):
-        analysis = analyse_raster(raster, scale, options, progress=progress, run_options=run_options)
+        analysis = analyse_raster(raster, scale, options)
         found = analysis.estimate
         log_sd = _log_sd(found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px)
         plane = plane_of_record(found)

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     import numpy as np
-    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detections import Detections
     from vehanchor.imagery.metadata.camera import CameraMetadata
     from vehanchor.imagery.raster import Raster
+    from vehanchor.models.runtime import Runtime
     from vehanchor.options import ScaleOptions
     from vehanchor.records import Notice
     from vehanchor.scale.lengths import Interval
@@ -61,8 +61,7 @@ class View:
         resolved_share: of centres ``[n, 2]`` in pixels and the scale at which they were found: the share of the
             resolution down to which there is detail (``vehanchor.imagery.detail``).
         raster: the open image, for a ruler that looks at pixels; None where only what a search has found is kept.
-        providers: where a ruler's own model runs, as the detector's; None for the CPU.
-        run_options: ONNX Runtime's, for a caller that may have to end a running model.
+        runtime: how a ruler's own model runs, as the detector does.
     """
 
     image: ImageFacts
@@ -71,8 +70,7 @@ class View:
     options: ScaleOptions
     resolved_share: Callable[[NDArray[np.float64], float], float]
     raster: Raster | None = None
-    providers: tuple[str, ...] | None = None
-    run_options: onnxruntime.RunOptions | None = None
+    runtime: Runtime | None = None
 
 
 @stored("mark")
