@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detector import Detector
     from vehanchor.engine import Engine
-    from vehanchor.models.precision import Precision
+    from vehanchor.options.models import Precision
     from vehanchor.scale.calibration import Calibration
     from vehanchor.segmentation.segmenter import Segmenter
     from vehanchor_server.settings import Settings

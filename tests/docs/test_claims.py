@@ -55,7 +55,8 @@ def test_the_commands_options_and_variables_it_names_exist(document: Path) -> No
     measured = re.findall(r"`(\w+_(?:m|m2|px|m_per_px|m2|ci95_\w+))`", text)
     choices = {field.name for group in (Search, Lengths, Reference, Frame, Reading) for field in fields_of(group)}
     choices |= set(AreaKeywords.__annotations__)
-    assert not set(measured) - records - choices
+    if document.name != "records-names.md":  # has former names; test_records_names.py reads it
+        assert not set(measured) - records - choices
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=_IDS)

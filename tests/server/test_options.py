@@ -11,7 +11,7 @@ import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.errors import InvalidParameterError
-from vehanchor.measure.resolved_scale import choose_scale
+from vehanchor.measure.resolved_scale import given_scale
 from vehanchor.options import OptionKeywords, ScaleOptions, declared_options
 from vehanchor.options.frame import FRAME, FRAME_SIDE
 from vehanchor.options.given_scale import GSD, OBJECT_HEIGHT
@@ -67,10 +67,10 @@ def test_the_library_takes_what_an_option_declares_and_nothing_beyond(keyword: s
 def test_a_measurement_takes_a_scale_within_its_limits() -> None:
     assert isinstance(GSD.takes, Limits)
     for value in _within(GSD.takes):
-        assert choose_scale(value, None, None, ScaleOptions()) == value
+        assert given_scale(value, None, ScaleOptions()) == value
     for value in _beyond(GSD.takes):
         with pytest.raises(InvalidParameterError, match="gsd_m_per_px"):
-            choose_scale(value, None, None, ScaleOptions())
+            given_scale(value, None, ScaleOptions())
 
 
 def test_a_keyword_has_the_type_of_its_option() -> None:

@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 import typer
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.models.precision import Precision
 from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Rulers, ScaleOptions, Search, models
 from vehanchor.options.frame import FRAME
+from vehanchor.options.models import Precision
 from vehanchor.options.option import Option, metadata_of, option_of
 
 if TYPE_CHECKING:

@@ -10,10 +10,6 @@ from __future__ import annotations
 import platform
 from functools import cache
 from pathlib import Path
-from typing import Literal, TypeAlias
-
-Precision: TypeAlias = Literal["float32", "int8", "auto"]
-"""``auto`` is int8 where the processor is quick with it, and there is such a file."""
 
 _CPU_INFO = Path("/proc/cpuinfo")
 _FEATURES = frozenset({"avx512_vnni", "avx_vnni", "amx_int8", "asimddp"})  # as Linux names them

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypedDict
 
 from vehanchor.errors import InvalidParameterError
+from vehanchor.options.models import PRECISION_WORDS
 from vehanchor.options.option import set_frozen
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
     import onnxruntime
 
-    from vehanchor.models.precision import Precision
+    from vehanchor.options.models import Precision
 
 DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
 
@@ -90,7 +91,7 @@ class Runtime:
         cancellation: ends the call from another thread.
 
     Raises:
-        InvalidParameterError: ``threads`` or ``providers`` is invalid.
+        InvalidParameterError: ``threads``, ``providers`` or ``precision`` is invalid.
     """
 
     threads: int | None = None
@@ -102,6 +103,7 @@ class Runtime:
     def __post_init__(self) -> None:
         set_frozen(self, "threads", _checked_threads(self.threads))
         set_frozen(self, "providers", _checked_providers(self.providers))
+        PRECISION_WORDS.check("precision", self.precision)
 
     @property
     def idle(self) -> Runtime:

@@ -9,7 +9,7 @@ from vehanchor.errors import ModelNotFoundError
 from vehanchor.models.precision import has_byte_dot_products
 
 if TYPE_CHECKING:
-    from vehanchor.models.precision import Precision
+    from vehanchor.options.models import Precision
 
 DEFAULT_DETECTOR = "vehicles"
 _IN_EIGHT_BITS = "-int8"  # ends the name of a bundled detector's file of that precision

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
-from vehanchor.options.option import Option
+from typing import Literal, TypeAlias, get_args
+
+from vehanchor.options.option import Option, Words
+
+Precision: TypeAlias = Literal["float32", "int8", "auto"]
+"""``auto`` is int8 if there is such a file and the processor is fast with it."""
+
+PRECISION_WORDS = Words(get_args(Precision))
 
 DETECTOR = Option("ONNX oriented-box model, or the name of a bundled one. Default: the bundled one.", metavar="FILE")
 PRECISION = Option(
     "Precision of a bundled detector: float32; int8, faster on processors with dot products of bytes (VNNI, Armv8.2); "
-    "auto, int8 on those."
+    "auto, int8 on those.",
+    PRECISION_WORDS,
 )
 CLASSES = Option(
     "Class, by name or index, that counts as a vehicle; repeatable. Default: the model's.", metavar="NAME", flag="class"
 )
 THREADS = Option("CPU threads per model; the result is the same with any number. Default: all cores.", metavar="N")
 PROVIDERS = Option(
-    "Where models run: cpu, cuda, tensorrt, coreml, openvino, directml, or another provider of ONNX Runtime; "
-    "repeatable, in order of preference. Default: cpu.",
+    "Where models run, best first: cpu, cuda, tensorrt, coreml, openvino, directml, or an ONNX Runtime provider; "
+    "repeatable. Default: cpu.",
     metavar="NAME",
     flag="provider",
 )

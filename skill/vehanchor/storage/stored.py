@@ -11,7 +11,6 @@ import base64
 from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
 from pydantic import BaseModel
 
 if TYPE_CHECKING:
@@ -50,6 +49,8 @@ def to_json(value: Any) -> Any:
     Raises:
         TypeError: the value holds something that has no stored name.
     """
+    import numpy as np  # classes are named when they are imported, also for --help
+
     if value is None or (isinstance(value, bool | int | float | str) and type(value).__module__ == "builtins"):
         return value
     if isinstance(value, np.ndarray):
@@ -71,6 +72,8 @@ def from_json(found: Any) -> Any:
     Raises:
         ValueError: it names no stored class, or is no such value.
     """
+    import numpy as np
+
     if isinstance(found, list):
         return tuple(from_json(each) for each in found)
     if not isinstance(found, dict):

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.anyio
         ({"image": {"kind": "path", "path": "/a", "url": "x"}}, "image.path.url: there is no such argument"),
         ({"image": {"kind": "path", "path": ""}}, "image.path: String should have at least 1 character"),
         ({"image": {"kind": "path", "path": "/a"}, "detector": "/etc/passwd"}, "detector: there is no such argument"),
-        ({"image": {"kind": "path", "path": "/a"}, "reference_length_m": -1}, "greater than 0"),
+        ({"image": {"kind": "path", "path": "/a"}, "reference_length_m": -1}, "greater than or equal to 2"),
         ({"image": {"kind": "path", "path": "/a"}, "reference_length_m": "inf"}, "reference_length_m"),
         ({"image": {"kind": "path", "path": "/a"}, "reference_length_m": "nan"}, "reference_length_m"),
         ({"image": {"kind": "path", "path": "/a"}, "frame": {"width_px": 3}}, "frame.height_px: it is required"),
