@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.sources.opening import ImageSource
-    from vehanchor.measure.coordinates import Place
     from vehanchor.measure.resolved_scale import ScaleInput
+    from vehanchor.options.coordinates import Place
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, KnownScale
     from vehanchor.segmentation.prompt import Box, Point
 

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from vehanchor.engine import AreaKeywords, EstimateKeywords, FlightKeywords, MeasureKeywords
     from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.imagery.sources.opening import ImageSource
-    from vehanchor.measure.coordinates import Place
     from vehanchor.options import ScaleOptions
+    from vehanchor.options.coordinates import Place
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate
 
 

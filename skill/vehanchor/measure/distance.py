@@ -13,9 +13,9 @@ import numpy as np
 
 from vehanchor.analysis.measured import DistanceAnalysis
 from vehanchor.errors import PromptError
-from vehanchor.measure.coordinates import CoordinateFrame
 from vehanchor.measure.resolved_scale import interval_around, resolve_scale
 from vehanchor.options import ScaleOptions
+from vehanchor.options.coordinates import CoordinateFrame
 from vehanchor.records import DistanceMeasurement, ImagePoint
 from vehanchor.records.interop import places_of
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from vehanchor.imagery.raster import Raster
-    from vehanchor.measure.coordinates import Place
     from vehanchor.measure.resolved_scale import ResolvedScale, ScaleInput
+    from vehanchor.options.coordinates import Place
 
 MIN_PATH_PX = 2.0
 """Shortest path, pixels of the full image."""

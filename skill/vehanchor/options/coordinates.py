@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from vehanchor.options import Frame
+    from vehanchor.options.frame import Frame
 
 Place: TypeAlias = tuple[float, float]
 """x, y; the first pixel spans 0 to 1."""
