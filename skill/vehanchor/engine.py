@@ -26,6 +26,7 @@ from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.errors import InvalidParameterError
 from vehanchor.estimate import analyse_image, check_region
 from vehanchor.flight.estimate import analyse_flight
+from vehanchor.flight.inputs import check_many
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
 from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
@@ -351,6 +352,7 @@ class Engine:
             OutputError: the journal cannot be written.
             VehAnchorError: as ``estimate``.
         """
+        check_many(images)  # before a model is loaded
         same_scale, journal = keywords.pop("same_scale", False), keywords.pop("journal", None)
         engine, chosen = self._call(options, keywords)
         return analyse_flight(images, engine.detector, chosen, same_scale=same_scale, journal=journal)
