@@ -162,8 +162,8 @@ class Models:
 
     def load_all(self) -> None:
         """Load what the settings name, and what else a first call would wait for; a failure is logged."""
-        for load in (self.detector, self.calibration, self.segmenter):
-            with contextlib.suppress(CallError):  # logged where it was raised
+        for load in (self.detector, self.calibration, self.segmenter, lambda: self.engine().load()):
+            with contextlib.suppress(CallError, VehAnchorError):  # logged where it was raised
                 load()
         for module in SLOW_IMPORTS:
             importlib.import_module(module)
