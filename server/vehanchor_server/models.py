@@ -1,4 +1,4 @@
-"""The operator's models, loaded once and late: a server answers its first questions before they are there."""
+"""The operator's models, loaded once and on demand, so that the server answers its first requests at once."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ SLOW_IMPORTS = (
     "vehanchor.engine",
     "vehanchor.pictures.area",
 )
-"""What a first call would wait for."""
+"""Modules that a first call would wait for."""
 
 _logger = logging.getLogger(__name__)
 
 
 class _OnDemand(Generic[T]):
-    """A model that is loaded when it is first asked for.
+    """A model that is loaded on first use.
 
     Args:
-        name: of the model, and of the setting that names it.
-        load: loads it.
+        name: name of the model and of its setting.
+        load: loads the model.
     """
 
     def __init__(self, name: str, load: Callable[[], T]) -> None:
@@ -61,14 +61,14 @@ class _OnDemand(Generic[T]):
 
     @property
     def ready(self) -> bool:
-        """Whether it is loaded."""
+        """Whether the model is loaded."""
         return self._value is not None
 
     def get(self) -> T:
-        """The model; blocks while it is loaded.
+        """Return the model; block while it loads.
 
         Raises:
-            CallError: ``model_unavailable``; the operator's paths stay in the log.
+            CallError: ``model_unavailable``; only the log has the operator's paths.
         """
         with self._lock:
             if self._value is None:
@@ -80,14 +80,14 @@ class _OnDemand(Generic[T]):
                     raise CallError(
                         "model_unavailable",
                         f"this server's {self._name} cannot be loaded ({error.code}). "
-                        f"Its operator must look at --{self._name}.",
+                        f"Its operator must check --{self._name}.",
                     ) from error
                 self.failure = None
             return self._value
 
 
 class Models:
-    """Loads what the settings name.
+    """The models of the settings.
 
     Args:
         settings: the operator's options.
@@ -104,7 +104,7 @@ class Models:
         if settings.calibration is not None:
             self._required.append(self._calibration)
         if settings.segmenter is not None or bundled_segmenter() is not None:
-            self._required.append(self._segmenter)  # else measure_area says that there is none, and the rest works
+            self._required.append(self._segmenter)  # otherwise measure_area reports that there is none
 
     @property
     def ready(self) -> bool:
@@ -113,15 +113,15 @@ class Models:
 
     @property
     def failure(self) -> str | None:
-        """The code of the error that loading ended with, None without one."""
+        """Error code of the last failed load, or None."""
         return next((model.failure for model in self._required if model.failure), None)
 
     def files(self) -> tuple[Path, ...]:
-        """All files that loading reads, as far as they exist."""
+        """List all existing files that loading reads."""
         settings = self._settings
         found: list[Path] = []
         for resolve in (lambda: (self._detector_file(),), lambda: resolve_segmenter(settings.segmenter)):
-            with contextlib.suppress(VehAnchorError):  # loading will say what is missing
+            with contextlib.suppress(VehAnchorError):  # loading will report a missing file
                 found += resolve()
         beside = [other for path in found[:1] for other in (fleet_beside(path), verifier_beside(path)) if other]
         found += [*beside, *([settings.calibration] if settings.calibration is not None else [])]
@@ -131,13 +131,13 @@ class Models:
         return tuple(found)
 
     def preload(self, delay_s: float = 0.0) -> None:
-        """Load in the background after a while; a failure is logged, and met again by the first call."""
+        """Load in the background after a delay; log failures, which the first call meets again."""
         timer = threading.Timer(delay_s, self.load_all)
         timer.name, timer.daemon = "vehanchor-preload", True
         timer.start()
 
     def detector(self, call: Runtime | None = None) -> Detector:
-        """The detector for a call; blocks while it is loaded.
+        """Return the detector for a call; block while it loads.
 
         Raises:
             CallError: ``model_unavailable``.
@@ -145,7 +145,7 @@ class Models:
         return self._detector.get().under(call or Runtime())
 
     def calibration(self) -> Calibration | None:
-        """The detector's reference length as the operator measured it; None without.
+        """Return the operator's calibration of the detector, or None.
 
         Raises:
             CallError: ``model_unavailable``.
@@ -153,7 +153,7 @@ class Models:
         return None if self._settings.calibration is None else self._calibration.get()
 
     def segmenter(self, call: Runtime | None = None) -> Segmenter:
-        """The segmenter for a call; blocks while it is loaded.
+        """Return the segmenter for a call; block while it loads.
 
         Raises:
             CallError: ``model_unavailable``.
@@ -161,20 +161,20 @@ class Models:
         return self._segmenter.get().under(call or Runtime())
 
     def load_all(self) -> None:
-        """Load what the settings name, and what else a first call would wait for; a failure is logged."""
+        """Load all models and the slow modules; log failures."""
         for load in (self.detector, self.calibration, self.segmenter, lambda: self.engine().load()):
             with contextlib.suppress(CallError, VehAnchorError):  # logged where it was raised
                 load()
         for module in SLOW_IMPORTS:
             importlib.import_module(module)
 
-    # OpenCV and ONNX Runtime are slow to load: not before they are needed.
+    # Import OpenCV and ONNX Runtime late, because they load slowly.
 
     def _detector_file(self) -> Path:
         return resolve_model(self._settings.detector, cast("Precision", self._settings.precision))
 
     def engine(self) -> Engine:
-        """The engine that the settings describe; nothing is loaded yet."""
+        """Return the engine of the settings, without loading models."""
         with self._lock:
             if self._engine is None:
                 from vehanchor.engine import Engine

@@ -1,4 +1,4 @@
-"""One call of a tool that looks at an image: a place, the image, the work in a thread or process, its progress."""
+"""Run a call about an image: admission, fetching, work in a thread or process, progress."""
 
 from __future__ import annotations
 
@@ -29,20 +29,18 @@ async def run_call(
     question: Any,
     more: Sequence[AnyImage] = (),
 ) -> Answer[Record]:
-    """Run the work of a call, if there is a place for it.
+    """Run the work of a call within the server's capacity.
 
     Args:
-        services: of the server.
-        ctx: of the call.
-        image: the caller's argument.
-        work: runs in a worker process, or in a thread if the server has none. Errors of the library are passed on
-            to the caller.
-        question: what the work is asked.
-        more: other images; where there are any, the work gets them and their bytes as a fifth argument, and opens
-            them itself.
+        services: the server's parts.
+        ctx: the call's context.
+        image: the caller's image argument.
+        work: work for a worker process, or for a thread if the server has no workers. Library errors reach the caller.
+        question: the caller's other arguments.
+        more: other images; if any, the work gets them with their bytes as a fifth argument and opens them itself.
 
     Raises:
-        CallError: the call was refused, failed for a reason that its caller can act on, or took too long.
+        CallError: the call was refused, failed with a remedy for the caller, or took too long.
     """
 
     async def call(stop: Stop) -> Answer[Record]:
@@ -60,11 +58,11 @@ async def run_call(
                     return services.workers.run(task, stop, report, stages.enter)
                 try:
                     return perform(services, task, Job(stop, report, stages.enter))
-                except MemoryError as error:  # of whatever the library does beside decoding and models
+                except MemoryError as error:  # outside decoding and models
                     raise CallError(
                         "out_of_memory",
-                        "this server has too little memory left just now. Try again when less is running, or send a "
-                        "smaller image.",
+                        "this server has too little free memory at the moment. Try again later, or send a smaller "
+                        "image.",
                     ) from error
 
         result = await services.capacity.in_thread(stop, in_thread)

@@ -1,8 +1,8 @@
-"""Messages between the server and its workers: data of a fixed schema, bounded before it is parsed.
+"""Messages between the server and its workers: data with a fixed schema and limits.
 
-A worker may be compromised by the image that it decodes. Nothing that it sends may therefore run code in the server:
-a message is a few parts of bytes with their lengths, JSON that pydantic models validate, and pictures as raw bytes.
-The number and the size of the parts are checked before anything is parsed; pydantic's parser bounds the depth.
+An image can compromise the worker that decodes it, so a worker's message must not run code in the server. A message
+has a few parts with their lengths: JSON that pydantic models validate, and pictures as raw bytes. The number and size
+of the parts are checked before parsing; pydantic's parser limits the depth.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ _MAX_WORDS = 8000
 
 
 class MessageError(Exception):
-    """The bytes are no message of this protocol."""
+    """The bytes are not a message of this protocol."""
 
 
 class Loaded(FrozenModel):
-    """The worker's models are loaded, or could not be; how the worker is confined."""
+    """The worker has loaded its models, or failed to; its confinement."""
 
     kind: Literal["loaded"] = "loaded"
     failure: str | None = Field(max_length=80)
@@ -70,7 +70,7 @@ class Progressed(FrozenModel):
 
 
 class Refused(FrozenModel):
-    """The call failed for a reason that its caller can act on."""
+    """The call failed with a remedy for the caller."""
 
     kind: Literal["refused"] = "refused"
     code: str = Field(max_length=40, pattern=r"^[a-z0-9_]+$")
@@ -91,7 +91,7 @@ class Failed(FrozenModel):
 
 
 class Answered(FrozenModel):
-    """The work is done; the records and the pictures follow as parts of the same message."""
+    """The work is done; records and pictures are further parts of the message."""
 
     kind: Literal["answered"] = "answered"
     overlay: bool
@@ -105,7 +105,7 @@ _WORKER_MESSAGE: TypeAdapter[WorkerMessage] = TypeAdapter(Annotated[WorkerMessag
 
 
 class _NamedImage(FrozenModel):
-    """An image of a task; the bytes of an image that was sent or fetched are a part of their own."""
+    """An image of a task; the bytes of a sent or fetched image are a separate part."""
 
     kind: Literal["path", "base64", "url"]
     name: str = ""
@@ -113,7 +113,7 @@ class _NamedImage(FrozenModel):
 
 
 class _TaskHeader(FrozenModel):
-    """A task for a worker; the question and the images' bytes follow as parts of the same message."""
+    """A task for a worker; the question and the images' bytes are further parts of the message."""
 
     work: str
     images: tuple[_NamedImage, ...] = Field(min_length=1)
@@ -141,12 +141,12 @@ def receive(connection: Connection) -> tuple[WorkerMessage, list[bytes]]:
     """Receive the next message of a worker.
 
     Returns:
-        The message, and the parts that follow its header.
+        The message and the parts after its header.
 
     Raises:
         EOFError: the process ended.
-        OSError: its pipe broke, or the message is too large.
-        MessageError: the bytes are no message.
+        OSError: the pipe broke, or the message is too large.
+        MessageError: the bytes are not a message.
     """
     header, *parts = _unpack(connection.recv_bytes(MAX_ANSWER_BYTES))
     if len(header) > MAX_HEADER_BYTES:
@@ -161,12 +161,12 @@ def read_answer(header: Answered, parts: Sequence[bytes], task: Task[Any]) -> An
     """Validate the answer to a task.
 
     Raises:
-        MessageError: it is none to this task.
+        MessageError: the message is not an answer to this task.
     """
     if len(parts) != 1 + header.overlay + header.page_picture or len(parts[0]) > MAX_RECORDS_BYTES:
-        raise MessageError("an answer of other parts than its header says")
+        raise MessageError("an answer whose parts contradict its header")
     if any(len(picture) > MAX_PICTURE_BYTES for picture in parts[1:]):
-        raise MessageError("a picture that is too large")
+        raise MessageError("a picture above the size limit")
     try:
         records = task.work.records.validate_json(parts[0])
     except ValidationError as error:
@@ -193,11 +193,11 @@ def send_task(connection: Connection, task: Task[Any]) -> None:
 
 
 def receive_task(connection: Connection) -> Task[Any]:
-    """Receive the next task; called by a worker.
+    """Receive the next task, in a worker.
 
     Raises:
         EOFError: the server ended.
-        MessageError: the bytes are no task.
+        MessageError: the bytes are not a task.
     """
     header_json, question_json, *attached = _unpack(connection.recv_bytes())
     try:
@@ -221,7 +221,7 @@ def _image(named: _NamedImage, content: bytes | None) -> tuple[AnyImage, bytes |
 
 
 def _pack(parts: Sequence[bytes]) -> bytes:
-    """Join parts behind their number and lengths."""
+    """Join parts after their number and lengths."""
     lengths = [_LENGTH.pack(len(parts)), *(_LENGTH.pack(len(part)) for part in parts)]
     return b"".join((*lengths, *parts))
 
@@ -230,7 +230,7 @@ def _unpack(message: bytes) -> list[bytes]:
     """Split a message into its parts.
 
     Raises:
-        MessageError: the lengths are not those of the bytes that follow.
+        MessageError: the lengths contradict the bytes.
     """
     size = _LENGTH.size
     if len(message) < size or not 1 <= (n_parts := _LENGTH.unpack_from(message)[0]) <= _MAX_PARTS:
@@ -249,6 +249,6 @@ def _unpack(message: bytes) -> list[bytes]:
 
 
 def _summary(error: ValidationError) -> str:
-    """The first of the problems, without the input, which may be hostile."""
+    """Return the first problem, without the possibly hostile input."""
     first = error.errors(include_input=False, include_url=False)[0]
     return f"{error.title}: {'.'.join(map(str, first['loc']))[:200]}: {first['type']}"

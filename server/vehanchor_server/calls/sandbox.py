@@ -1,9 +1,9 @@
-"""Sandbox of a worker: the files that it may read, and the system calls that it may make.
+"""PathAccess of a worker: the files that it can read and the system calls that it can make.
 
-A compromised decoder controls the worker's process and has the rights of its user. On Linux the process therefore
-gives up most rights before it loads a model or sees an image, and cannot take them back. Capabilities are dropped;
-Landlock leaves it files to read and none to write; seccomp leaves it the system calls that decoders and networks make
-(``system_calls``). A refused call fails with an error, as without rights, so a library that only probes goes on.
+A compromised decoder has all rights of the worker process. On Linux the process therefore drops most rights before it
+loads a model or sees an image, and cannot regain them. It drops all capabilities. Landlock limits it to reading certain
+files. Seccomp limits it to the system calls of decoders and networks (``system_calls``). A refused call fails with an
+error, like a missing permission, so that a library that merely probes continues.
 
 ``ctypes`` makes the calls. The libraries ``landlock`` and ``py-landlock`` are alphas, ``landlockpy`` is a beta;
 ``pyseccomp`` needs the system's libseccomp, which slim images lack and which is under the LGPL.
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Confinement:
-    """How a process is confined.
+    """Confinement of a process.
 
     Attributes:
-        landlock: version of Landlock that keeps it from files; 0 where the system offers none.
-        seccomp: whether its system calls are filtered.
-        lacks: why something is missing, in words; empty where nothing is.
+        landlock: version of Landlock; 0 without Landlock.
+        seccomp: whether system calls are filtered.
+        lacks: reason for missing confinement; empty if complete.
     """
 
     landlock: int = 0
@@ -47,12 +47,12 @@ class Confinement:
 
 
 def confine(readable: Iterable[Path]) -> Confinement:
-    """Give up, in this process and for good, what decoding an image and running a model do not need.
+    """Drop, permanently, all rights of this process that decoding and models do not need.
 
-    Called while the process has one thread: Landlock binds the calling thread and those that it starts.
+    Call it while the process has one thread: Landlock applies to the calling thread and those that it starts.
 
     Args:
-        readable: files and folders that may be read beside those of the system, of Python and of what it imports.
+        readable: files and folders to allow besides those of the system, Python and its packages.
     """
     if sys.platform != "linux":
         return Confinement(lacks=f"{sys.platform} has neither Landlock nor seccomp")
@@ -64,19 +64,19 @@ def confine(readable: Iterable[Path]) -> Confinement:
     try:
         landlock = _restrict_files(libc, [*_needed_files(), *readable])
     except OSError as error:
-        lacks.append(f"Landlock: {error.strerror}, so that a worker may read the files of its user")
+        lacks.append(f"Landlock: {error.strerror}, so that a worker can read the files of its user")
     try:
         filter_system_calls(libc)
         seccomp = True
     except OSError as error:
-        lacks.append(f"seccomp: {error.strerror}, so that a worker may open sockets and start programs")
+        lacks.append(f"seccomp: {error.strerror}, so that a worker can open sockets and start programs")
     if lacks:
         lacks.append(f"kernel {platform.release()}")
     return Confinement(landlock, seccomp, "; ".join(lacks))
 
 
 def _drop_capabilities(libc: ctypes.CDLL) -> None:
-    """Give up the rights that a process has beyond those of its user's files; without any, nothing happens."""
+    """Drop all capabilities; without any, do nothing."""
     for capability in range(_MOST_CAPABILITIES):
         libc.prctl(_PR_CAPBSET_DROP, capability, 0, 0, 0)
     header, none = struct.pack("=Ii", _CAPABILITIES_VERSION, 0), bytes(24)
@@ -91,18 +91,18 @@ _SYSTEM_FILES = (
     *(f"/proc/self/{name}" for name in ("cgroup", "fd", "maps", "mountinfo", "stat", "statm", "status")),
     *("/sys/devices/system", "/sys/fs/cgroup", "/dev/null", "/dev/zero", "/dev/random", "/dev/urandom"),
 )
-"""Shared libraries, and where C libraries look for the number of processors, memory and random numbers."""
+"""Shared libraries, and the files that C libraries read for processors, memory and random numbers."""
 
 
 def _needed_files() -> Iterator[Path]:
-    """Files of the system, of Python and of packages: modules are imported and libraries loaded when first needed."""
+    """List files of the system, Python and packages, because modules and libraries load on first use."""
     yield from map(Path, _SYSTEM_FILES)
     yield from map(Path, absolute_folders(os.environ.get("LD_LIBRARY_PATH", "")))
     yield from map(Path, {sys.prefix, sys.base_prefix, sys.exec_prefix, *sysconfig.get_paths().values()})
     yield from (Path(folder) for package in (vehanchor, vehanchor_server) for folder in package.__path__)
     working, home = Path.cwd(), Path.home()
     for entry in map(Path, filter(None, sys.path)):
-        if not (working.is_relative_to(entry) or home.is_relative_to(entry)):  # Python may have put them there itself
+        if not (working.is_relative_to(entry) or home.is_relative_to(entry)):  # Python may have added them itself
             yield entry
 
 
@@ -110,16 +110,16 @@ def _needed_files() -> Iterator[Path]:
 _CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
 _VERSION_FLAG, _PATH_BENEATH = 1, 1
 _READ_FILE, _READ_DIR, _WRITE_FILE = 1 << 2, 1 << 3, 1 << 1
-_FILE_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}  # from which version on there are so many
-_BIND_AND_CONNECT = 0b11  # of TCP, from version 4 on
-_SCOPES = 0b11  # abstract sockets and signals stay within, from version 6 on
+_FILE_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}  # number of rights since a version
+_BIND_AND_CONNECT = 0b11  # TCP, since version 4
+_SCOPES = 0b11  # abstract sockets and signals, since version 6
 
 
 def _restrict_files(libc: ctypes.CDLL, readable: Sequence[Path]) -> int:
-    """Leave this thread, and those that it starts, these files to read and none to write; the version of Landlock.
+    """Limit this thread, and those that it starts, to reading these files; return Landlock's version.
 
     Raises:
-        OSError: the system has no Landlock, or it is switched off or forbidden.
+        OSError: Landlock is missing, disabled or forbidden.
     """
     version = checked(libc.syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), _VERSION_FLAG))
     n_rights = max(n for since, n in _FILE_RIGHTS.items() if since <= version)
@@ -140,7 +140,7 @@ def _restrict_files(libc: ctypes.CDLL, readable: Sequence[Path]) -> int:
 
 
 def _allow(libc: ctypes.CDLL, ruleset: int, path: Path) -> None:
-    """Allow a file, or what is below a folder, to be read; nothing where there is none, and never everything."""
+    """Allow reading a file or a folder; ignore missing paths and the file system's root."""
     if path.resolve() == Path(path.anchor):
         return
     with suppress(OSError):
@@ -148,5 +148,5 @@ def _allow(libc: ctypes.CDLL, ruleset: int, path: Path) -> None:
         rights = _READ_FILE | (_READ_DIR if path.is_dir() else 0) | (_WRITE_FILE if path == Path(os.devnull) else 0)
         rule = struct.pack("=Qi", rights, descriptor)
         checked(libc.syscall(_ADD_RULE, ruleset, _PATH_BENEATH, rule, 0))
-        if not path.is_relative_to("/proc/self"):  # the system forgets an unheld entry of /proc, and the rule with it
+        if not path.is_relative_to("/proc/self"):  # without a descriptor the kernel drops the entry
             os.close(descriptor)

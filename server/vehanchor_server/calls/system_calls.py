@@ -1,8 +1,8 @@
-"""System calls that a worker may make: those that decoders and networks made when they were traced.
+"""System calls that a worker can make: those of decoders and networks in a trace.
 
-The filter (seccomp) allows the calls in ``_ALLOWED``, some of them with some arguments only, and refuses all others
-with an error. ``strace`` of a worker that read JPEG, PNG, WebP, AVIF, JPEG 2000, BMP and GeoTIFF, ran all networks,
-measured and drew, showed 49 of them; the rest are their siblings on other C libraries and processors.
+The seccomp filter allows the calls in ``_ALLOWED``, some with certain arguments only, and refuses all others with
+an error. ``strace`` of a worker that read JPEG, PNG, WebP, AVIF, JPEG 2000, BMP and GeoTIFF, ran all networks, measured
+and drew, showed 49 of them. The others are their equivalents in other C libraries and on other processors.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from typing import NamedTuple
 _SET_MODE_FILTER, _TO_ALL_THREADS = 1, 1
 _ALLOW, _KILL_PROCESS, _REFUSE = 0x7FFF0000, 0x80000000, 0x00050000  # and the error's number
 _LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
-_NUMBER_AT, _MACHINE_AT, _ARGUMENTS_AT = 0, 4, 16  # in struct seccomp_data; an argument has eight bytes
+_NUMBER_AT, _MACHINE_AT, _ARGUMENTS_AT = 0, 4, 16  # in struct seccomp_data; arguments have eight bytes
 _OTHER_NUMBERS = 0x40000000  # of x32, a second set on x86_64
-_FIRST_NEW = 424  # later calls have the same number on every machine; C libraries fall back where there is none
+_FIRST_NEW = 424  # later calls have the same number on all architectures; C libraries fall back
 _CLONE_THREAD = 0x10000
 _CREATE_OR_TRUNCATE = 0o100 | 0o1000 | 0o20000000  # O_CREAT, O_TRUNC, O_TMPFILE
-_OWN_PROCESS = -1  # stands for the number of the process in a rule
+_OWN_PROCESS = -1  # placeholder for the process id in a rule
 
 
 class _Rule(NamedTuple):
     """A condition on one argument of a call.
 
     Attributes:
-        argument: its place, from 0.
-        values: what it may be; with ``bits``, bits that must be set, or must not.
-        bits: ``None`` compares the value; True needs one of the bits, False allows none.
+        argument: index of the argument.
+        values: allowed values; with ``bits``, a bit mask.
+        bits: None compares the value; True requires one of the bits, False forbids them.
     """
 
     argument: int
@@ -45,7 +45,7 @@ _TERMINAL_QUESTIONS = (0x5401, 0x5413, 0x541B, 0x5421, 0x5450, 0x5451)  # TCGETS
 _DESCRIPTOR_COMMANDS = (0, 1, 2, 3, 4, 1030)  # F_DUPFD F_GETFD F_SETFD F_GETFL F_SETFL F_DUPFD_CLOEXEC
 _THREAD_NAMES = (15, 16, 0x53564D41)  # PR_SET_NAME PR_GET_NAME PR_SET_VMA
 
-# Call: its numbers on x86_64 and aarch64 (None where there is none), and a rule on its arguments.
+# Call: numbers on x86_64 and aarch64 (None if missing), and a rule on its arguments.
 _ALLOWED: dict[str, tuple[int | None, int | None, _Rule | None]] = {
     # memory
     "mmap": (9, 222, None),
@@ -129,7 +129,7 @@ _ALLOWED: dict[str, tuple[int | None, int | None, _Rule | None]] = {
     "clock_gettime": (228, 113, None),
     "clock_getres": (229, 114, None),
     "clock_nanosleep": (230, 115, None),
-    # facts of the machine and of the process, and its limits
+    # information on machine and process, and limits
     "getpid": (39, 172, None),
     "uname": (63, 160, None),
     "getrlimit": (97, 163, None),
@@ -149,14 +149,14 @@ _MACHINES = {"x86_64": (0, 0xC000003E, 317), "aarch64": (1, 0xC00000B7, 277)}  #
 
 
 def filter_system_calls(libc: ctypes.CDLL) -> None:
-    """Refuse all other calls from now on, in all threads.
+    """Install the filter in all threads.
 
     Raises:
-        OSError: the system has no seccomp, forbids it, or is of a kind whose numbers are not known here.
+        OSError: seccomp is missing or forbidden, or the architecture is unknown.
     """
     known = _MACHINES.get(platform.machine())
     if known is None or sys.maxsize < 1 << 32:
-        raise OSError(errno.ENOSYS, f"its calls are not known here for {platform.machine()}")
+        raise OSError(errno.ENOSYS, f"no system call numbers for {platform.machine()}")
     column, name, seccomp = known
     instructions = _instructions(column, name, os.getpid())
     code = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *each) for each in instructions))
@@ -165,7 +165,7 @@ def filter_system_calls(libc: ctypes.CDLL) -> None:
 
 
 def _instructions(column: int, machine: int, pid: int) -> list[tuple[int, int, int, int]]:
-    """The filter: code, how many instructions are passed over if so and if not, and a number."""
+    """Return the filter: code, jump offsets if true and if false, and operand of each instruction."""
     forbidden, unknown = (_RETURN, 0, 0, _REFUSE | errno.EPERM), (_RETURN, 0, 0, _REFUSE | errno.ENOSYS)
     allowed = (_RETURN, 0, 0, _ALLOW)
     program = [
@@ -186,18 +186,18 @@ def _instructions(column: int, machine: int, pid: int) -> list[tuple[int, int, i
 
 
 def _checks(rule: _Rule, pid: int) -> list[tuple[int, int, int, int]]:
-    """The instructions that decide by an argument, of which the lower half is looked at."""
+    """Return the instructions that check the lower half of an argument."""
     forbidden, allowed = (_RETURN, 0, 0, _REFUSE | errno.EPERM), (_RETURN, 0, 0, _ALLOW)
     load = (_LOAD, 0, 0, _ARGUMENTS_AT + 8 * rule.argument)
     if rule.bits is not None:
-        so, not_so = (allowed, forbidden) if rule.bits else (forbidden, allowed)
-        return [load, (_ANY_BIT, 0, 1, rule.values[0]), so, not_so]
+        if_set, if_clear = (allowed, forbidden) if rule.bits else (forbidden, allowed)
+        return [load, (_ANY_BIT, 0, 1, rule.values[0]), if_set, if_clear]
     values = [pid if value == _OWN_PROCESS else value for value in rule.values]
     return [load, *((_EQUAL, len(values) - place, 0, value) for place, value in enumerate(values)), forbidden, allowed]
 
 
 def checked(result: int) -> int:
-    """The result of a system call.
+    """Return the result of a system call.
 
     Raises:
         OSError: the call failed.
@@ -208,5 +208,5 @@ def checked(result: int) -> int:
 
 
 def last_error() -> str:
-    """The words for the last error of a system call."""
+    """Return the message of the last error of a system call."""
     return os.strerror(ctypes.get_errno())

@@ -1,4 +1,4 @@
-"""One call's work: its function, the types of what crosses to a worker, and running it in this process."""
+"""Work of a call: its function, the types of its messages to a worker, and its execution in this process."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ Record = TypeVar("Record", bound=BaseModel)
 
 
 class Parts(Protocol):
-    """The parts of a server that work needs: its ``Services``, which hold the workers as well."""
+    """The parts of ``Services`` that a task needs."""
 
     @property
     def sources(self) -> ImageSources:
-        """Where images come from."""
+        """Image sources."""
 
     @property
     def models(self) -> Models:
@@ -37,21 +37,20 @@ class Parts(Protocol):
 
     @property
     def readable(self) -> tuple[Path, ...] | None:
-        """Files and folders that work reads; None leaves it all that the server's user may read."""
+        """Files and folders that workers may read; None for no confinement."""
 
 
 class Work(Generic[Record]):
-    """A kind of work on an image; ``work`` makes one of a function.
+    """A kind of work on an image; the decorator ``work`` creates one from a function.
 
     Args:
-        function: does the work with services, job, opened image and question; for calls with more images it gets
-            these as a fifth argument.
+        function: function of services, job, opened image and question; other images are a fifth argument.
         question: type of the question, a dataclass or pydantic model.
         record: type of the records in the answer.
 
     Attributes:
-        function: as above.
-        name: module and name under which a worker finds this object.
+        function: the function.
+        name: module and name by which a worker finds this object.
     """
 
     def __init__(self, function: Callable[..., Answer[Record]], question: Any, record: type[Record]) -> None:
@@ -62,30 +61,30 @@ class Work(Generic[Record]):
 
     @cached_property
     def question(self) -> TypeAdapter[Any]:
-        """Validates and writes the question."""
+        """Type adapter of the question."""
         return TypeAdapter(self._question)
 
     @cached_property
     def records(self) -> TypeAdapter[tuple[Record, ...]]:
-        """Validates the records of an answer."""
+        """Type adapter of the answer's records."""
         return TypeAdapter(self._records)
 
 
 def work(question: Any, record: type[Record]) -> Callable[[Callable[..., Answer[Record]]], Work[Record]]:
-    """Make a function of a module a kind of work that workers do.
+    """Decorate a module-level function as work for workers.
 
     Args:
-        question: type of what the function is asked.
-        record: type of the records that it answers with.
+        question: type of the question.
+        record: type of the records in the answer.
     """
     return lambda function: Work(function, question, record)
 
 
 def named_work(name: str) -> Work[Any]:
-    """Find the work that the server names; called by a worker.
+    """Find work by its name, in a worker.
 
     Raises:
-        TypeError: the name is of something else.
+        TypeError: the name belongs to another object.
     """
     found = pkgutil.resolve_name(name)
     if not isinstance(found, Work):
@@ -95,14 +94,14 @@ def named_work(name: str) -> Work[Any]:
 
 @dataclass(frozen=True)
 class Task(Generic[Record]):
-    """One call's work, as it is sent to a worker.
+    """Work of a call, as sent to a worker.
 
     Attributes:
         work: the kind of work.
-        question: what the caller wants to know.
-        image: the caller's argument.
-        fetched: its bytes, if it is a URL.
-        more: other images and their bytes, which the work opens itself, one at a time.
+        question: the caller's other arguments.
+        image: the caller's image argument.
+        fetched: bytes of a fetched image.
+        more: other images with their bytes, which the work opens one at a time.
     """
 
     work: Work[Record]
@@ -113,10 +112,10 @@ class Task(Generic[Record]):
 
 
 def perform(services: Parts, task: Task[Record], job: Job) -> Answer[Record]:
-    """Open the image and do the work, in this process and thread.
+    """Open the image and do the work in this thread.
 
     Raises:
-        CallError: the work failed for a reason that its caller can act on.
+        CallError: the work failed with a remedy for the caller.
     """
     with services.sources.open(task.image, task.fetched) as source, library_errors(source):
         return task.work.function(services, job, source, task.question, *((task.more,) if task.more else ()))

@@ -1,4 +1,4 @@
-"""Environment variables of workers: few, because a compromised worker reads all of them."""
+"""Environment variables of workers: a minimum, because a compromised worker can read them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ KEPT = frozenset(
     {
         *("LANG", "LC_ALL", "LC_CTYPE", "TZ", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
         *("ORT_DISABLE_TELEMETRY", "PYTHONHASHSEED", "PYTHONWARNINGS"),
-        *("SYSTEMROOT", "TEMP", "TMP", "NUMBER_OF_PROCESSORS"),  # Windows starts no process without the first
+        *("SYSTEMROOT", "TEMP", "TMP", "NUMBER_OF_PROCESSORS"),  # Windows starts no process without SYSTEMROOT
     }
 )
 SEARCH_PATHS = ("LD_LIBRARY_PATH", "PYTHONPATH")
@@ -24,9 +24,9 @@ _one_at_a_time = threading.Lock()
 
 @contextmanager
 def minimal_environment() -> Iterator[None]:
-    """Leave few variables in this process's environment while a process starts, which inherits them.
+    """Reduce this process's environment to a minimum while a child process starts and inherits it.
 
-    Secrets, such as a token, stay out. Of search paths for libraries and modules only absolute folders stay.
+    Secrets, such as tokens, are removed. Search paths for libraries and modules keep only absolute folders.
     """
     with _one_at_a_time:
         whole = dict(os.environ)
@@ -44,5 +44,5 @@ def minimal_environment() -> Iterator[None]:
 
 
 def absolute_folders(paths: str) -> list[str]:
-    """Folders of a search path that are absolute; an empty entry would be the working directory."""
+    """Return the absolute folders of a search path; an empty entry would mean the working directory."""
     return [entry for entry in paths.split(os.pathsep) if Path(entry).is_absolute()]

@@ -1,4 +1,4 @@
-"""Lines that a worker writes, labelled, bounded and without control characters in the server's log."""
+"""Forward a worker's log lines to the server's log, labelled, limited and without control characters."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _logger = logging.getLogger(__name__)
 
 
 def forward_log(log: Connection, pid: int) -> threading.Thread:
-    """Log what a worker writes until the worker ends, in a thread of its own.
+    """Forward a worker's lines in a separate thread until the worker ends.
 
     Args:
-        log: the end of the pipe that reads; closed in the end.
-        pid: of the worker, for the label.
+        log: reading end of the pipe; the thread closes it.
+        pid: process id of the worker, for the label.
     """
     thread = threading.Thread(target=_forward, args=(log, pid), name=f"vehanchor-log-{pid}", daemon=True)
     thread.start()
@@ -28,7 +28,7 @@ def forward_log(log: Connection, pid: int) -> threading.Thread:
 
 
 def printable(line: bytes) -> str:
-    """A line of a worker as one line of text without control characters, cut at 2,000 bytes."""
+    """Convert a worker's line to text without control characters, cut at 2,000 bytes."""
     text = line[:_MAX_LINE_BYTES].decode("utf-8", "replace").rstrip("\r\n")
     shown = "".join(char if char.isprintable() else f"\\x{ord(char):02x}" for char in text)
     return f"{shown} [cut]" if len(line) > _MAX_LINE_BYTES else shown
@@ -42,4 +42,4 @@ def _forward(log: Connection, pid: int) -> None:
             if n_lines <= _MAX_LINES:
                 _logger.warning("worker %d: %s", pid, printable(line))
             elif n_lines == _MAX_LINES + 1:
-                _logger.warning("worker %d: more than %d lines; the rest is left out", pid, _MAX_LINES)
+                _logger.warning("worker %d: more than %d lines; the rest is omitted", pid, _MAX_LINES)

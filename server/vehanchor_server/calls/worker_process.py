@@ -1,4 +1,4 @@
-"""The process of a worker: what it does from its start to its end, and what it may take of the machine."""
+"""Main function and resource limits of a worker process."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.messages import WorkerMessage
     from vehanchor_server.calls.task import Parts, Task
 
-_IDLE_S = 0.5  # then memory is given back; after each call the next one would wait for its pages
+_IDLE_S = 0.5  # idle time before freed memory is returned, so that consecutive calls reuse it
 _OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")  # OpenCV's, C++'s, ONNX's
 _MAX_WORDS = 8000
 _logger = logging.getLogger(__name__)
@@ -49,11 +49,11 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class WorkerLimits:
-    """What one worker may use.
+    """Resource limits of one worker.
 
     Attributes:
-        memory_bytes: of data, beside what it has with its models loaded.
-        cpu_s: processor time of a call.
+        memory_bytes: data in addition to the loaded models.
+        cpu_s: processor time per call.
     """
 
     memory_bytes: int
@@ -63,17 +63,17 @@ class WorkerLimits:
 def serve_tasks(
     connection: Connection, log: Connection, make_services: Callable[[], Parts], limits: WorkerLimits
 ) -> None:
-    """Confine this process, load the models and do tasks until the server is gone; the main function of a worker.
+    """Confine this process, load the models and run tasks until the server ends: the main function of a worker.
 
     Args:
-        connection: to the server, for messages.
-        log: the server labels and bounds what is written there.
-        make_services: makes the worker's parts.
-        limits: what the worker may use.
+        connection: connection to the server, for messages.
+        log: pipe for log lines, which the server labels and limits.
+        make_services: creates the worker's parts.
+        limits: resource limits of the worker.
     """
     from vehanchor_server.request_log import configure_logging
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # from the keyboard it comes to all, and the server ends its workers
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the server ends its workers
     _keep_streams(connection, log)
     configure_logging()
     try:
@@ -107,15 +107,15 @@ def serve_tasks(
 
 
 def _keep_streams(connection: Connection, log: Connection) -> None:
-    """Keep the server's connection and its log; close every other descriptor that this process inherited.
+    """Keep the server's connection and the log; close all other inherited descriptors.
 
-    Standard input would be the server's protocol or the operator's terminal, standard error the terminal, and a
-    descriptor of ``multiprocessing`` reaches the process that removes shared memory.
+    Standard input can be the server's protocol or the operator's terminal, and standard error can be the terminal. One
+    descriptor of ``multiprocessing`` leads to the process that removes shared memory.
     """
     for stream in (1, 2):
         os.dup2(log.fileno(), stream)
     log.close()
-    if sys.platform != "linux":  # elsewhere ``multiprocessing`` watches the server by a descriptor of its own
+    if sys.platform != "linux":  # elsewhere ``multiprocessing`` watches the server by its own descriptor
         return
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
@@ -129,7 +129,7 @@ def _confined(readable: tuple[Path, ...] | None) -> Confinement:
 
 
 def _outcome(services: Parts, task: Task[Any], connection: Connection) -> WorkerMessage | None:
-    """Do a task and send its answer; the message that says why there is none."""
+    """Run a task and send its answer; otherwise return the message for the failure."""
 
     def enter(stage: str) -> None:
         send(connection, Entered(stage=stage))
@@ -145,7 +145,7 @@ def _outcome(services: Parts, task: Task[Any], connection: Connection) -> Worker
             _logger.warning("a worker ran out of memory", exc_info=True)
             return Exhausted()
         if isinstance(error, CallError):
-            return Refused(code=error.code, message=error.told[:_MAX_WORDS])
+            return Refused(code=error.code, message=error.explanation[:_MAX_WORDS])
         return Failed(traceback=_traceback())
 
 
@@ -154,7 +154,7 @@ def _traceback() -> str:
 
 
 def _end_with_server(connection: Connection) -> None:
-    """End this process when the server's does, also in the middle of a call."""
+    """End this process when the server ends, even during a call."""
     if sys.platform == "linux":
         hangup = select.poll()
         hangup.register(connection.fileno(), select.POLLRDHUP)
@@ -167,9 +167,9 @@ def _end_with_server(connection: Connection) -> None:
 
 
 def _limit_memory(n_bytes: int) -> None:
-    """Limit the data that this process may still take; only on Linux, as no other system counts all of it.
+    """Limit the data that this process can add; only on Linux, as other systems do not count all data.
 
-    Relative to what it has: threads of models reserve 8 MiB each, so a machine with many cores begins with more.
+    The limit is relative to the current data, because threads reserve 8 MiB each and their number varies.
     """
     with contextlib.suppress(ImportError, OSError, ValueError):
         import resource
@@ -179,13 +179,13 @@ def _limit_memory(n_bytes: int) -> None:
 
 
 def _give_back_memory() -> None:
-    """Give freed memory back to the system, where the C library keeps it and can be told (glibc)."""
+    """Return freed memory to the system (glibc only)."""
     with contextlib.suppress(OSError, TypeError, AttributeError):  # TypeError: Windows has no CDLL of itself
         ctypes.CDLL(None).malloc_trim(0)
 
 
 def _limit_cpu(seconds: float) -> None:
-    """Limit the processor time that this process may still take; the system kills it when it is used up."""
+    """Limit the further processor time of this process; the system kills it at the limit."""
     with contextlib.suppress(ImportError, OSError, ValueError):
         import resource
 

@@ -31,7 +31,7 @@ CONFINE = """
 import json, platform, sys
 from vehanchor_server.calls import sandbox as confinement
 {before}
-found = confinement.confine([])
+found = sandbox.confine([])
 print(json.dumps([found.landlock, found.seccomp, found.lacks]))
 """
 
@@ -162,11 +162,11 @@ def test_a_worker_can_do_its_work_and_nothing_else(
     [
         (
             "confinement._CREATE_RULESET = 4095",
-            "Landlock: Function not implemented, so that a worker may read",
+            "Landlock: Function not implemented, so that a worker can read",
             False,
             True,
         ),
-        ("platform.machine = lambda: 'pdp11'", "seccomp: its calls are not known here for pdp11", True, False),
+        ("platform.machine = lambda: 'pdp11'", "seccomp: no system call numbers for pdp11", True, False),
         ("sys.platform = 'darwin'", "darwin has neither Landlock nor seccomp", False, False),
     ],
 )

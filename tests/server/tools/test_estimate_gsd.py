@@ -65,8 +65,8 @@ async def test_no_vehicle_is_a_result_not_an_error(server: MCPServer[object], im
     assert result.structured_content["gsd_m_per_px"] is None
     assert result.structured_content["confidence"] == 0
     assert text_of(result) == (
-        "Nothing of known size was found, confidence 0: no metric scale; take in more cars: from higher up, or over "
-        "streets and car parks, or use another anchor."
+        "No ruler was found, confidence 0: no metric scale; take in more cars: from higher up, or over "
+        "streets and car parks, or use another ruler."
     )
 
 
@@ -166,7 +166,7 @@ def doubtful() -> GsdEstimate:
 def test_few_vehicles_are_too_little_evidence(doubtful: GsdEstimate) -> None:
     words = describe_estimate(doubtful)
     assert "from 3 vehicles: do not rely on it (too little evidence); take in more cars" in words
-    assert words.endswith("or fall back to another anchor.")
+    assert words.endswith("or fall back to another ruler.")
 
 
 def test_a_single_vehicle_is_counted_in_the_singular(doubtful: GsdEstimate) -> None:

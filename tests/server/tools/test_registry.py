@@ -71,7 +71,7 @@ async def test_the_contract_names_every_hint(server: MCPServer[object], era: str
         assert tool.annotations.destructive_hint is False
         assert tool.annotations.open_world_hint is False
     assert instructions is not None
-    assert "whose status is ok" in instructions
+    assert "with status ok" in instructions
     said = " ".join([instructions, *(tool.description or "" for tool in listed)])
     assert said.count("Below 0.5") == said.count("Confidence 0 means") == 1, "the rule stands once"
 
