@@ -156,8 +156,9 @@ def test_a_setting_has_the_help_the_default_and_the_limits_of_its_option(name: s
     takes = option.declared.takes
     assert takes is not None
     if isinstance(takes, Words):
+        most: dict[str, Any] = {name: "most"}
         with pytest.raises(SettingsError, match=name):
-            Settings(**{name: "most"})  # type: ignore[arg-type]
+            Settings(**most)
         return
     assert isinstance(takes, Limits)
     for value in _within(takes):
