@@ -32,7 +32,7 @@ import cv2
 
 from research.results.record import add_record_option, recording
 from vehanchor.batch import run_batch
-from vehanchor.batch.run import Engine
+from vehanchor.batch.run import BatchEngine
 from vehanchor.models.runtime import Runtime
 from vehanchor_scenes import Layout, render_scene
 
@@ -90,7 +90,7 @@ def simulated_cluster(n_nodes: int) -> Iterator[tuple[Any, list[Any]]]:
         cluster.shutdown()
 
 
-def run_rows(folder: Path, engine: Engine, workers: int, doomed: tuple[Any, Any] | None = None) -> Run:
+def run_rows(folder: Path, engine: BatchEngine, workers: int, doomed: tuple[Any, Any] | None = None) -> Run:
     """Run the folder's images; ``doomed`` is a cluster and the node of it that is killed after a third of the rows."""
     seen: list[float] = []
 

@@ -162,8 +162,8 @@ class Models:
 
     def load_all(self) -> None:
         """Load all models and the slow modules; log failures."""
-        for load in (self.detector, self.calibration, self.segmenter):
-            with contextlib.suppress(CallError):  # logged where it was raised
+        for load in (self.detector, self.calibration, self.segmenter, lambda: self.engine().load()):
+            with contextlib.suppress(CallError, VehAnchorError):  # logged where it was raised
                 load()
         for module in SLOW_IMPORTS:
             importlib.import_module(module)

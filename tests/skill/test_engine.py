@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnxruntime
 import pytest
 
 import vehanchor
@@ -197,6 +198,22 @@ def test_a_segmenter_is_two_paths_or_one_that_is_loaded(files: Path, segmenter: 
     assert Engine(segmenter=Segmenter(*segmenter)).segmenter.card == Engine(segmenter=segmenter).segmenter.card
     with pytest.raises(InvalidParameterError, match="give two paths"):
         _ = Engine(segmenter="encoder.onnx").segmenter  # type: ignore[arg-type]
+
+
+def test_load_leaves_no_model_for_the_first_estimate_to_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    real, opened = onnxruntime.InferenceSession, []
+
+    def noted(*args: Any, **keywords: Any) -> Any:
+        opened.append(args)
+        return real(*args, **keywords)
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", noted)
+    engine = Engine(runtime=Runtime(threads=5))  # of no other test: the process has none of these models yet
+    engine.load()
+    n_opened = len(opened)
+    assert n_opened >= 4, "detector, fleet appearance, verifier, scene-scale prior; courts, unless a test had them"
+    assert engine.estimate(_place()).model == engine.detector.card.name
+    assert len(opened) == n_opened
 
 
 def test_load_fails_before_the_work(tmp_path: Path) -> None:

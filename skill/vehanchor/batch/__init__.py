@@ -8,7 +8,7 @@ and ``pool`` serve the long runs of ``vehanchor_evaluation``, too.
 
 from vehanchor.batch.files import find_images
 from vehanchor.batch.row import BatchRow
-from vehanchor.batch.run import BatchSummary, Engine, run_batch
+from vehanchor.batch.run import BatchEngine, BatchSummary, run_batch
 from vehanchor.batch.worker import BatchJob
 
-__all__ = ["BatchJob", "BatchRow", "BatchSummary", "Engine", "find_images", "run_batch"]
+__all__ = ["BatchEngine", "BatchJob", "BatchRow", "BatchSummary", "find_images", "run_batch"]

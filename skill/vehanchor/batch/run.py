@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 
-Engine = Literal["local", "ray"]
+BatchEngine = Literal["local", "ray"]
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def run_batch(
     inputs: Sequence[str],
     output: str | os.PathLike[str],
     *,
-    engine: Engine = "local",
+    engine: BatchEngine = "local",
     address: str | None = None,
     workers: int | None = None,
     detector: str | os.PathLike[str] | None = None,
@@ -184,7 +184,7 @@ def _check_unfinished(table: Path, overwrite: bool) -> None:
 
 
 def _rows(
-    engine: Engine, job: BatchJob, tasks: Sequence[Task], workers: int | None, address: str | None
+    engine: BatchEngine, job: BatchJob, tasks: Sequence[Task], workers: int | None, address: str | None
 ) -> Generator[BatchRow]:
     if not tasks:
         return

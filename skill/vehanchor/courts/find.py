@@ -108,8 +108,7 @@ def propose_courts(
 ) -> Proposed:
     """Propose courts from the network and from a detector with court classes; arguments as in ``find_courts``."""
     proposals = boxes_of_courts(detections, card)
-    # one thread: the network is small, and must not occupy all cores of a single-threaded worker
-    network = load_court_network(replace(runtime or Runtime(), threads=1))
+    network = load_court_network(runtime)
     factors = [] if network is None else coarse_factors(raster, detections)
     if network is not None:
         for factor in factors:

@@ -7,6 +7,7 @@ Matching and fitting of the lines then accept or reject each proposal.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
@@ -127,8 +128,9 @@ class CourtNetwork(LoadedModel):
 
 
 def load_court_network(runtime: Runtime | None = None) -> CourtNetwork | None:
-    """Load the bundled network once for each runtime; None if this installation has none."""
-    path, chosen = bundled_courts(), runtime or Runtime()
+    """Load the bundled network once for each runtime, on one thread; None if this installation has none."""
+    # one thread: the network is small, and must not occupy all cores of a single-threaded worker
+    path, chosen = bundled_courts(), replace(runtime or Runtime(), threads=1)
     return None if path is None else _loaded(path, runtime=chosen.idle).under(chosen)
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 MAX_OUTLINE_POINTS = 200
 PERIMETER_TOLERANCE_PX = 1.2  # steps of the pixel grid up to this size are no part of the object's outline
 _LATTICE_PX = 2_000_000  # larger masks (their bounding box) are reduced before the lattice of half pixels is made
+_EQUAL = 1e-6  # relative difference of distances that are equal but for rounding
 _TOLERANCE_GROWTH = 1.6
 _RIM = 2  # free lattice points around a mask: OpenCV traces no contour at an array's edge. Even: corners stay even
 
@@ -129,8 +130,9 @@ def inscribed_circle(mask: NDArray[np.bool_]) -> Circle | None:
     fine = inside.size <= _LATTICE_PX
     free = 1 - _closed_lattice(1 - inside) if fine else inside
     distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    row, column = np.unravel_index(int(np.argmax(distance)), distance.shape)
-    largest = float(distance[row, column])
+    largest = float(distance.max())
+    # OpenCV's last bit depends on where the array lies in memory: of equal circles, take the first.
+    row, column = np.unravel_index(int(np.argmax(distance >= largest * (1 - _EQUAL))), distance.shape)
     step, origin, diameter = (0.5, 0.0, largest) if fine else (1.0, 0.5, 2 * largest - 1)
     x, y = (float(at) * step + origin - 1 for at in (column, row))  # the border of one pixel taken off again
     return Circle(bounds.x1 + x, bounds.y1 + y, diameter)

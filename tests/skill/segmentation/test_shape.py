@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -254,3 +254,17 @@ def test_an_empty_mask_has_no_shape() -> None:
     empty = np.zeros((7, 9), dtype=bool)
     assert (perimeter(empty), outline_parts(empty), inscribed_circle(empty)) == (0.0, (), None)
     assert len(mask_pieces(empty)) == 0
+
+
+def test_the_first_of_equal_circles_is_taken_wherever_the_mask_lies_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    mask = np.ones((9, 40), dtype=np.bool_)
+    first = inscribed_circle(mask)
+    original = cv2.distanceTransform
+
+    def rounded_otherwise(*arguments: Any) -> Any:
+        distance = original(*arguments)
+        distance[:, : distance.shape[1] // 2] *= np.float32(1 - 1e-7)
+        return distance
+
+    monkeypatch.setattr(cv2, "distanceTransform", rounded_otherwise)
+    assert inscribed_circle(mask) == first
