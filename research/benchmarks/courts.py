@@ -28,13 +28,14 @@ from vehanchor.courts.find import find_courts
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import load_scene_scale
-from vehanchor.estimate import analyse_scale, image_facts
+from vehanchor.estimate import image_facts
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.courts import Courts, evidence_of
 from vehanchor.rulers.evidence import View
+from vehanchor.verbs import analyse_scale
 from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ import numpy as np
 
 from research.results.record import add_record_option, recording, values_table
 from vehanchor.detection.detections import Detections
-from vehanchor.estimate import open_detector
+from vehanchor.engine import Engine
 from vehanchor.flight.components import single_component
 from vehanchor.flight.estimate import conclude, search_flight
 from vehanchor.flight.features import Features, find_features
@@ -39,6 +39,7 @@ from vehanchor.flight.pairs import candidate_pairs
 from vehanchor.flight.photograph import Look, Photograph, chief_member
 from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.runtime import Runtime
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.evidence import ImageFacts
 from vehanchor.storage.stored import from_json, to_json
@@ -127,7 +128,7 @@ def pooled_flight(looks: Sequence[Photograph], detector: Detector) -> FlightEsti
 
 def pooled(data: Path, split: str, flights: int, cache: Path | None) -> None:
     """Print a table."""
-    detector = open_detector(None, ScaleOptions(), threads=1)
+    detector = Engine(runtime=Runtime(threads=1)).detector
     print("| set | region | error of each flight of 24 | median | inside the interval | high over low |")
     print("|---|---|---|---|---|---|")
     every: dict[str, list[float]] = {"unknown": [], "given": []}
@@ -209,7 +210,7 @@ def cut_flight(
 
 def matched(data: Path, flights: int, cache: Path | None) -> None:
     """Print a table: so many flights over each world."""
-    detector = open_detector(None, ScaleOptions(), threads=1)
+    detector = Engine(runtime=Runtime(threads=1)).detector
     print("| world | in components | median | 95th percentile | ratios alone, median | inside the interval | dropped |")
     print("|---|---|---|---|---|---|---|")
     every: list[float] = []
@@ -268,7 +269,7 @@ def cost(number: int) -> None:
     Features are found in eight photographs of 12 Mpx; those of the flights are made up, as many as a photograph has at
     most, along the strips of a survey, so that pairs, matches and the graph are those of a real one.
     """
-    detector = open_detector(None, ScaleOptions(), threads=1)
+    detector = Engine(runtime=Runtime(threads=1)).detector
     ground = cv2.resize(np.random.default_rng(18).integers(0, 256, (150, 200, 3), np.uint8), (4000, 3000))
     looking = []
     for _ in range(_LOOKED_AT):

@@ -26,6 +26,7 @@ from research.results.record import add_record_option, header, recording
 from vehanchor.detection.detector import load_detector
 from vehanchor.estimate import analyse_raster
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 
@@ -94,7 +95,7 @@ def make(data: Path, out: Path, side: int, share: float, town: str, seed: int, o
 
 def search(image: Path, effort: str, threads: int | None, model: str | None) -> str:
     """One line of a table for one image and effort."""
-    detector = load_detector(resolve_model(model), threads=threads)
+    detector = load_detector(resolve_model(model), Runtime(threads=threads))
     options = ScaleOptions.of({"effort": effort})
     started, cpu = time.perf_counter(), time.process_time()
     with networks_seconds(time.thread_time) as networks, open_raster(image, limits=options.reading.limits) as raster:

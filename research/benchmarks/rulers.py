@@ -21,12 +21,13 @@ import numpy as np
 from research.results.record import add_record_option, recording, values_table
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ImageError
-from vehanchor.estimate import analyse_scale
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.evidence import Evidence
 from vehanchor.rulers.fused import fuse_rulers
 from vehanchor.rulers.lognormal import lognormal_evidence
+from vehanchor.verbs import analyse_scale
 from vehanchor_evaluation.table import read_table
 from vehanchor_scenes import render_scene
 
@@ -60,7 +61,7 @@ class Case(NamedTuple):
 
 def see(data: Path, n_images: int, n_scenes: int) -> list[Seen]:
     """Measure val images with labelled cars, and scenes."""
-    detector = Detector(resolve_model(None), threads=1)
+    detector = Detector(resolve_model(None), runtime=Runtime(threads=1))
     items = [
         item
         for table in ("table.csv", "upright.csv")

@@ -34,6 +34,7 @@ from tests.server_process import (
 )
 from vehanchor import estimate_gsd, measure_area
 from vehanchor.detection.detector import load_detector
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model, resolve_segmenter
 from vehanchor.segmentation.segmenter import load_segmenter
 
@@ -52,8 +53,8 @@ class MixedCall(NamedTuple):
 
 def mixed_calls(images: list[Path]) -> list[MixedCall]:
     """Both tools, images by path and in base64, areas by estimated and by given scale, and calls to be refused."""
-    detector = load_detector(resolve_model(), threads=1)
-    segmenter = load_segmenter(*resolve_segmenter(), threads=1)
+    detector = load_detector(resolve_model(), Runtime(threads=1))
+    segmenter = load_segmenter(*resolve_segmenter(), Runtime(threads=1))
     calls: list[MixedCall] = []
     for image in images:
         by_path = {"image": {"kind": "path", "path": str(image)}, **_WHOLE}

@@ -35,14 +35,15 @@ from tests.server_process import (
 )
 from vehanchor import estimate_gsd, measure_area
 from vehanchor.detection.detector import load_detector
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model, resolve_segmenter
 from vehanchor.segmentation.segmenter import load_segmenter
 
 
 async def overhead(n_calls: int, threads: int) -> None:
     """Library and server in turns, so that both meet the same machine."""
-    detector = load_detector(resolve_model(), threads=threads)
-    segmenter = load_segmenter(*resolve_segmenter(), threads=threads)
+    detector = load_detector(resolve_model(), Runtime(threads=threads))
+    segmenter = load_segmenter(*resolve_segmenter(), Runtime(threads=threads))
     with tempfile.TemporaryDirectory() as directory:
         image = write_images(Path(directory).resolve())[0]
         by_path = {"image": {"kind": "path", "path": str(image)}, "detail": "full"}

@@ -27,11 +27,13 @@ from research.results.record import add_record_option, recording
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import search
+from vehanchor.engine import Engine
 from vehanchor.errors import TooObliqueError
-from vehanchor.estimate import analyse_detections, image_facts, open_detector
+from vehanchor.estimate import analyse_detections, image_facts
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.runtime import Runtime
 from vehanchor.options import ScaleOptions
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera import MAX_OFF_NADIR_DEG, equivalent_lens
@@ -83,7 +85,7 @@ def looked_at(image: ImageSource, detector: Detector, cache: Path | None) -> tup
         if known is not None and known.exists():
             found = from_json(json.loads(known.read_text()))
             return facts, found
-        network = load_scene_scale(providers=detector.providers)
+        network = load_scene_scale(detector.runtime)
         scene = None if network is None else network.look(raster)
         detections = search(raster, detector, ScaleOptions().search, scene=scene)
     if known is not None:
@@ -407,7 +409,7 @@ def main() -> None:
     parser.add_argument("--labelled", type=int, default=1, help="nadir: least labelled cars of an image")
     parser.add_argument("--cpu-seconds", type=float, default=900.0, help="courts: then no other ground is begun")
     chosen = add_record_option(parser).parse_args()
-    detector = open_detector(None, ScaleOptions(), threads=1)
+    detector = Engine(runtime=Runtime(threads=1)).detector
     keys = {"warped": ["angles", "areas"], "courts": ["courts", "court_areas"], "real": ["photographs"]}
     with recording("tilt", keys.get(chosen.what, [chosen.what]), chosen.record):
         if chosen.what == "warped":

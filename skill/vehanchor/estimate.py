@@ -11,22 +11,19 @@ from __future__ import annotations
 import hashlib
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.detections import Detections
-from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import search
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
 from vehanchor.models.files import models_sha256, read_model
-from vehanchor.models.session import named_providers
-from vehanchor.models.zoo import bundled_courts, bundled_scene_scale, resolve_model
-from vehanchor.options import ScaleOptions
+from vehanchor.models.zoo import bundled_courts, bundled_scene_scale
 from vehanchor.records import FrameScale, GsdEstimate, KnownScale, Notice, RulerScale, SceneScaleEstimate
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.agreement import disagreements
@@ -41,18 +38,14 @@ from vehanchor.tilt.estimate import estimate_tilt, expected_scale, on_the_plane
 from vehanchor.tilt.vehicle_cue import tilt_notice
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-    from typing import Unpack
-
-    import onnxruntime
+    from collections.abc import Sequence
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.convergence import Convergence
+    from vehanchor.detection.detector import Detector
     from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.sources.opening import ImageSource
-    from vehanchor.options import Frame, OptionKeywords
+    from vehanchor.options import Frame, ScaleOptions
     from vehanchor.rulers.evidence import Evidence
     from vehanchor.rulers.fused import RulerShare
     from vehanchor.rulers.vehicles import VehicleEvidence
@@ -63,144 +56,33 @@ _MODEL_DIGITS = 12
 GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale may differ by this from another before a warning
 
 
-@overload
-def estimate_gsd(
-    image: ImageSource,
-    *,
-    detector: Detector | str | os.PathLike[str] | None = None,
-    threads: int | None = None,
-    providers: Sequence[str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    **options: Unpack[OptionKeywords],
-) -> GsdEstimate: ...
-
-
-@overload
-def estimate_gsd(
-    image: list[str] | list[Path] | list[ImageSource] | tuple[ImageSource, ...],
-    *,
-    detector: Detector | str | os.PathLike[str] | None = None,
-    threads: int | None = None,
-    providers: Sequence[str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    **options: Unpack[OptionKeywords],
-) -> list[GsdEstimate]: ...
-
-
-def estimate_gsd(
-    image: Any,
-    *,
-    detector: Detector | str | os.PathLike[str] | None = None,
-    threads: int | None = None,
-    providers: Sequence[str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    **options: Unpack[OptionKeywords],
-) -> GsdEstimate | list[GsdEstimate]:
-    """Estimate the ground sampling distance of an aerial image from the cars in it, and from what other rulers say.
-
-    Args:
-        image: path, encoded bytes, binary file object, Pillow image, rasterio dataset, or array (H x W x 3 RGB or
-            H x W; uint8, uint16 or float). A list of them gives a list; ``vehanchor.find_images`` makes one of folders
-            and patterns, ``vehanchor batch`` goes on where one of thousands cannot be read.
-        detector: a bundled model's name, the path of an ONNX oriented-box model, or a loaded ``Detector``; default the
-            bundled one.
-        threads: CPU threads for the model; None leaves it to ONNX Runtime. Ignored for a loaded ``Detector``.
-        providers: where models run, in order of preference, as ``["cuda", "cpu"]``: with ``cpu`` among them one that
-            is missing gives way, and the log says so. None for the CPU. Ignored for a loaded ``Detector``.
-        progress: called with (tiles done, tiles in all).
-        **options: the fields of ``vehanchor.options``' groups: ``min_score``, ``nms_iou``, ``search_scales``,
-            ``tile_px``, ``stride_px``, ``effort``, ``max_tiles``, ``max_seconds`` (``Search``), ``aggregation``,
-            ``alpha`` (``Lengths``), ``reference_length_m``, ``region``, ``calibration`` (``Reference``),
-            ``frame_width_px``, ``frame_height_px``, ``coordinates`` (``Frame``), ``bands``, ``limits``, ``bgr``,
-            ``max_megapixels`` (``Reading``), ``rulers``, ``metadata``, ``known_lengths``, ``height_m``,
-            ``focal_35mm`` (``Rulers``).
-
-    Returns:
-        The record, or a list of records; ``gsd_m_per_px`` is None, never a guess, where no ruler finds anything.
-
-    Raises:
-        ImageError: the image cannot be used; see ``vehanchor.errors`` for its kinds.
-        ModelError: the detector cannot be used.
-        InvalidParameterError: an option has no meaning.
-        FrameError: the frame has another aspect ratio than the image.
-        CalibrationError: the calibration cannot be read, or was made for another detector.
-    """
-    chosen = ScaleOptions.of(options)
-    model = open_detector(detector, chosen, threads=threads, providers=providers)
-    if isinstance(image, list | tuple):
-        return [analyse_scale(each, chosen, detector=model, progress=progress).estimate for each in image]
-    return analyse_scale(image, chosen, detector=model, progress=progress).estimate
-
-
-def analyse_scale(
-    image: ImageSource,
-    options: ScaleOptions | None = None,
-    *,
-    detector: Detector | str | os.PathLike[str] | None = None,
-    threads: int | None = None,
-    providers: Sequence[str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
-) -> ScaleAnalysis:
-    """As ``estimate_gsd``, with the detections behind the number.
-
-    Args:
-        image: as in ``estimate_gsd``.
-        options: every choice of the method; None for the defaults.
-        detector: as in ``estimate_gsd``.
-        threads: as in ``estimate_gsd``.
-        providers: as in ``estimate_gsd``.
-        progress: as in ``estimate_gsd``.
-        run_options: ONNX Runtime's, for a caller that may have to end a running model (``terminate``).
-
-    Returns:
-        The record, the detections and which of them were kept.
-
-    Raises:
-        VehAnchorError: as ``estimate_gsd``.
-    """
-    chosen = options or ScaleOptions()
-    model = open_detector(detector, chosen, threads=threads, providers=providers)
-    with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits, bgr=chosen.reading.bgr) as raster:
-        analysis = analyse_raster(raster, model, chosen, progress=progress, run_options=run_options)
-    seen = image if can_be_read_again(image) else None
-    return replace(analysis, image=seen, reading=chosen.reading, ground=raster.ground)
-
-
-def open_detector(
-    detector: Detector | str | os.PathLike[str] | None,
-    options: ScaleOptions,
-    *,
-    threads: int | None = None,
-    providers: Sequence[str] | None = None,
-) -> Detector:
-    """Open the detector that a caller names, after a check that it knows the region of the options: before the work."""
-    if not isinstance(detector, Detector):
-        path = resolve_model(None if detector is None else str(detector))
-        detector = load_detector(path, threads=threads, providers=named_providers(providers))
+def check_region(detector: Detector, options: ScaleOptions) -> Detector:
+    """The detector, after a check that it has a reference length for the options' region: before the work."""
     reference_length(detector.card, options.reference, None)
     return detector
 
 
-def analyse_raster(
-    raster: Raster,
-    detector: Detector,
-    options: ScaleOptions,
-    *,
-    progress: Callable[[int, int], None] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
-) -> ScaleAnalysis:
-    """As ``analyse_scale``, of an image that is open already."""
+def analyse_image(image: ImageSource, detector: Detector, options: ScaleOptions) -> ScaleAnalysis:
+    """Open an image, search it and measure its scale; see ``Engine.analyse_scale``."""
+    reading = options.reading
+    with open_raster(image, bands=reading.bands, limits=reading.limits, bgr=reading.bgr) as raster:
+        analysis = analyse_raster(raster, detector, options)
+    seen = image if can_be_read_again(image) else None
+    return replace(analysis, image=seen, reading=reading, ground=raster.ground)
+
+
+def analyse_raster(raster: Raster, detector: Detector, options: ScaleOptions) -> ScaleAnalysis:
+    """Search an open image and measure its scale; the detector's runtime says how, and for which call."""
     options.frame.check(raster.width_px, raster.height_px)
     options = options.in_pixels(raster.width_px, raster.height_px)
     facts = image_facts(raster)
     aside = metadata_tilt(facts, options)  # a horizon in sight is refused before the work
     weighed = detector.card.votes or not options.rulers.uses(Vehicles.kind)  # else there is nothing to weigh it against
     looks = weighed and options.rulers.uses(SceneScale.kind)
-    network = load_scene_scale(threads=detector.threads, providers=detector.providers) if looks else None
-    scene = None if network is None else network.look(raster, run_options=run_options)
+    network = load_scene_scale(detector.runtime) if looks else None
+    scene = None if network is None else network.look(raster)
     nothing_yet, resolved = replace(_NOT_SEARCHED, scene=scene), partial(resolved_share, raster)
-    view = View(facts, nothing_yet, detector.card, options, resolved, raster, detector.providers, run_options)
+    view = View(facts, nothing_yet, detector.card, options, resolved, raster, detector.runtime)
     if options.rulers.searches:
         detections = search(
             raster,
@@ -208,8 +90,6 @@ def analyse_raster(
             options.search,
             scene=scene,
             convergence=None if aside else partial(_convergence, view),  # lengths differ over a view that is not level
-            progress=progress,
-            run_options=run_options,
         )
         view = replace(view, detections=detections)
     return analyse_detections(view)

@@ -1,18 +1,18 @@
-// ---- The rulers: what each says ----
+// ---- Rulers and their scales ----
 
 const RULERS = {
-  vehicles: "Vehicles", scene_scale: "Look of the ground", camera: "Camera's metadata", known_length: "Known length", height: "Given height",
+  vehicles: "Vehicles", scene_scale: "Scene-scale prior", camera: "Camera metadata", known_length: "Known length", height: "Given height",
   courts: "Sports courts", positions: "Positions",
 };
 
 const hasOtherRulers = (scale) => (scale.rulers ?? []).some(({ kind }) => kind !== "vehicles" && kind !== "scene_scale");
 
-// Vehicles alone, or with the ground's word, need no list: the readings above say it.
+// Vehicles alone, or with the scene-scale prior, need no list.
 function rulersSection(scale) {
   if (!hasOtherRulers(scale)) return undefined;
   const rows = scale.rulers.map((ruler) => {
     const name = RULERS[ruler.kind] ?? ruler.kind.replaceAll("_", " ");
-    const lead = ruler.kind === scale.leading_ruler ? ", leads" : "";
+    const lead = ruler.kind === scale.leading_ruler ? ", leading" : "";
     const bounds = interval(ruler.gsd_ci95_low_m_per_px, ruler.gsd_ci95_high_m_per_px, "m/px");
     return html(
       "li", { class: ruler.agrees ? "agrees" : "disagrees", title: ruler.explanation ?? undefined },

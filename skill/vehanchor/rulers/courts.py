@@ -14,6 +14,7 @@ from vehanchor.errors import TooObliqueError
 from vehanchor.rulers.evidence import Mark
 from vehanchor.rulers.lognormal import LognormalEvidence, lognormal_evidence, no_evidence, on_grid
 from vehanchor.scale.plane import GroundPlane
+from vehanchor.storage.stored import stored
 from vehanchor.tilt.camera_tilt import metadata_tilt, plane_with
 from vehanchor.tilt.court_cue import court_cues
 from vehanchor.tilt.posterior import tilt_posterior
@@ -36,6 +37,7 @@ _MOST_TRIED = 3  # proposals
 _APART = 0.06  # of the log of the scale: a court further than that from the median is something else
 
 
+@stored("courts_evidence")
 @dataclass(frozen=True, eq=False)
 class CourtsEvidence(LognormalEvidence):
     """What courts say, with those that say it.
@@ -67,14 +69,8 @@ class Courts:
         raster, looked = view.raster, metadata_tilt(view.image, view.options)
         if looked is not None:
             plane = plane_with(looked, view.image, 1.0)
-            return evidence_of(
-                find_courts_on(
-                    raster, plane, view.detections, view.card, providers=view.providers, run_options=view.run_options
-                )
-            )
-        proposed = propose_courts(
-            raster, view.detections, view.card, providers=view.providers, run_options=view.run_options
-        )
+            return evidence_of(find_courts_on(raster, plane, view.detections, view.card, runtime=view.runtime))
+        proposed = propose_courts(raster, view.detections, view.card, view.runtime)
         found = find_courts(raster, view.detections, view.card, proposed=proposed)
         sure = any(each.share >= _SURE_OF_A_COURT for each in proposed.proposals)
         if not found and sure and may_be_tilted(view):
@@ -93,21 +89,13 @@ class Courts:
                     view.detections,
                     view.card,
                     most=_MOST_TRIED,
-                    providers=view.providers,
-                    run_options=view.run_options,
+                    runtime=view.runtime,
                 )
                 leans = [tilt_posterior([cue], focal) for cue in court_cues(rough, *size)]
                 followed = (each for each in leans if each is not None and each.tilt_deg >= _LEAST_TILT_DEG)
                 for posterior in followed:  # from there it has to be borne out
                     plane = GroundPlane(1.0, posterior.tilt_deg, posterior.focal_px, *size, posterior.roll_deg)
-                    found = find_courts_on(
-                        raster,
-                        plane,
-                        view.detections,
-                        view.card,
-                        providers=view.providers,
-                        run_options=view.run_options,
-                    )
+                    found = find_courts_on(raster, plane, view.detections, view.card, runtime=view.runtime)
                     if found:
                         return found
             except TooObliqueError:

@@ -10,22 +10,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from vehanchor.storage.stored import stored
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     import numpy as np
-    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detections import Detections
     from vehanchor.imagery.metadata.camera import CameraMetadata
     from vehanchor.imagery.raster import Raster
+    from vehanchor.models.runtime import Runtime
     from vehanchor.options import ScaleOptions
     from vehanchor.records import Notice
     from vehanchor.scale.lengths import Interval
 
 
+@stored("image_facts")
 class ImageFacts(NamedTuple):
     """Facts of an image that need no look at its pixels.
 
@@ -58,8 +61,7 @@ class View:
         resolved_share: of centres ``[n, 2]`` in pixels and the scale at which they were found: the share of the
             resolution down to which there is detail (``vehanchor.imagery.detail``).
         raster: the open image, for a ruler that looks at pixels; None where only what a search has found is kept.
-        providers: where a ruler's own model runs, as the detector's; None for the CPU.
-        run_options: ONNX Runtime's, for a caller that may have to end a running model.
+        runtime: how a ruler's own model runs, as the detector does.
     """
 
     image: ImageFacts
@@ -68,10 +70,10 @@ class View:
     options: ScaleOptions
     resolved_share: Callable[[NDArray[np.float64], float], float]
     raster: Raster | None = None
-    providers: tuple[str, ...] | None = None
-    run_options: onnxruntime.RunOptions | None = None
+    runtime: Runtime | None = None
 
 
+@stored("mark")
 class Mark(NamedTuple):
     """A line that a ruler was laid along, or the place for which it speaks.
 
@@ -91,6 +93,7 @@ class Mark(NamedTuple):
         return cls(((image.width_px / 2, image.height_px / 2),), f"{height_m:.4g} m up")
 
 
+@stored("evidence")
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """One ruler's answer.
