@@ -8,7 +8,7 @@ cars, too.
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,8 +34,11 @@ SCENES: tuple[tuple[float, Layout], ...] = (
 FIRST_SEED = 100
 
 
-def main(folder: Path) -> None:
+def main() -> None:
     """Write the scenes and their truth."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    folder = parser.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)
     for number, (gsd, layout) in enumerate(SCENES):
         scene = render_scene(gsd, width_px=1024, height_px=800, seed=FIRST_SEED + number, layout=layout)
@@ -43,4 +46,4 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main()
