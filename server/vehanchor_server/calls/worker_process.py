@@ -63,7 +63,7 @@ def serve_tasks(connection: Connection, make_services: Callable[[], Parts], limi
         return
     _limit_memory(limits.memory_bytes)
     connection.send(("loaded", services.models.failure, confinement))
-    with contextlib.suppress(EOFError):
+    with contextlib.suppress(EOFError, ConnectionError):  # the server is gone, or has let this worker go
         while True:
             if not connection.poll(_IDLE_S):
                 _give_back_memory()
