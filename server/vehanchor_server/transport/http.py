@@ -83,7 +83,7 @@ def create_app(settings: Settings | None = None) -> Starlette:
         origins=security.allowed_origins,
         max_large_bodies=services.capacity.max_concurrency + _SPARE_BODIES,
     )
-    app.add_middleware(LingeringClose, max_bytes=2 * settings.max_body_bytes)  # outermost: whoever answers early
+    app.add_middleware(LingeringClose, max_bytes=2 * settings.max_body_bytes)  # outermost: any layer may answer early
     app.router.lifespan_context = partial(_closing, services, app.router.lifespan_context)
     app.router.routes += [Route("/healthz", healthz), Route("/readyz", readyz)]  # open to probes, which have no token
     return app
