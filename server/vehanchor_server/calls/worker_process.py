@@ -94,7 +94,7 @@ def serve_tasks(
             lacks=confinement.lacks,
         ),
     )
-    with contextlib.suppress(EOFError):
+    with contextlib.suppress(EOFError, ConnectionError):  # the server ended, or released this worker
         while True:
             if not connection.poll(_IDLE_S):
                 _give_back_memory()
@@ -163,7 +163,7 @@ def _end_with_server(connection: Connection) -> None:
         server = multiprocessing.parent_process()
         assert server is not None
         server.join()
-    os._exit(1)
+    os._exit(0)
 
 
 def _limit_memory(n_bytes: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import errno
+import multiprocessing
 import os
 import signal
 import threading
@@ -33,7 +34,7 @@ from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.capacity import CallStoppedError, Stop
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.task import Task, work
-from vehanchor_server.calls.worker_process import WorkerLimits
+from vehanchor_server.calls.worker_process import WorkerLimits, serve_tasks
 from vehanchor_server.calls.workers import WorkerFailedError, WorkerPool
 from vehanchor_server.errors import CallError
 from vehanchor_server.services import Services, create_services
@@ -359,3 +360,24 @@ def test_the_first_call_is_answered_where_nobody_has_looked_yet_whether_its_work
         assert len(answers) == 1
     finally:
         workers.close()
+
+
+def test_a_worker_whose_server_leaves_without_reading_its_message_ends_without_a_word(
+    tmp_path: Path, detector_path: Path
+) -> None:
+    settings = Settings(roots=(tmp_path, TESTS), detector=str(detector_path), threads=1)
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    log, written = context.Pipe(duplex=False)
+    worker = context.Process(
+        target=serve_tasks, args=(theirs, written, partial(create_services, settings), WorkerLimits(1 << 30, 10))
+    )
+    worker.start()
+    theirs.close()
+    written.close()
+    assert ours.poll(60)  # the worker has sent that its models are loaded; the unread message makes the close a reset
+    ours.close()
+    worker.join(60)
+    assert worker.exitcode == 0
+    with log, open(log.fileno(), closefd=False) as lines:
+        assert "Traceback" not in lines.read()

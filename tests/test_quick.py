@@ -1,0 +1,67 @@
+"""What the quick tests may not do, so that they pass on a busy machine as well."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from pathlib import Path
+
+from tests.conftest import ROOT
+
+CLOCKS = {"monotonic", "perf_counter", "process_time", "time", "thread_time"}
+_OPTIONS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
+LONGER = set(re.findall(r"not (\w+)", _OPTIONS["addopts"]))
+
+
+def _marks(nodes: list[ast.expr]) -> set[str]:
+    return {each.attr for node in nodes for each in ast.walk(node) if isinstance(each, ast.Attribute)}
+
+
+def _quick_tests(tree: ast.Module) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:
+    """The test functions that a plain ``pytest`` runs."""
+    tests = [node for node in tree.body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+    of_all = [
+        node.value
+        for node in tree.body
+        if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "pytestmark" for t in node.targets)
+    ]
+    return [
+        test for test in tests if test.name.startswith("test_") and not _marks([*of_all, *test.decorator_list]) & LONGER
+    ]
+
+
+def _reads_a_clock(node: ast.AST) -> bool:
+    return any(
+        isinstance(each, ast.Call)
+        and isinstance(each.func, ast.Attribute)
+        and isinstance(each.func.value, ast.Name)
+        and (each.func.value.id, each.func.attr) in {("time", clock) for clock in CLOCKS}
+        for each in ast.walk(node)
+    )
+
+
+def _timed(source: str) -> list[str]:
+    """The quick tests that assert something about a clock."""
+    return [
+        test.name
+        for test in _quick_tests(ast.parse(source))
+        if any(isinstance(each, ast.Assert) and _reads_a_clock(each) for each in ast.walk(test))
+    ]
+
+
+def test_no_quick_test_asserts_how_long_something_took() -> None:
+    timed = {str(path.relative_to(ROOT)): _timed(path.read_text(encoding="utf-8")) for path in _test_files()}
+    assert not {path: names for path, names in timed.items() if names}
+
+
+def test_an_assertion_about_a_clock_is_found_unless_its_test_is_a_longer_one() -> None:
+    timed = "def test_a():\n    started = time.monotonic()\n    assert time.monotonic() - started < 1\n"
+    assert _timed(timed) == ["test_a"]
+    assert _timed(f"@pytest.mark.slow\n{timed}") == []
+    assert _timed(f"pytestmark = [pytest.mark.anyio, pytest.mark.slow]\n{timed}") == []
+    assert _timed("def test_a():\n    assert run() == time\n") == []
+
+
+def _test_files() -> list[Path]:
+    return sorted((ROOT / "tests").rglob("test_*.py"))
