@@ -52,7 +52,7 @@ def doctor(
             facts = [
                 ("self-test", "passed" if passed else "FAILED: reinstall, or report this"),
                 ("measured", f"{measured} ({found.status}); true: {found.true_gsd_m_per_px:g} m/px"),
-                ("seconds", f"about {found.seconds:.1f} per megapixel" if found.seconds else "0"),
+                ("seconds", f"{found.seconds:.1f}"),
             ]
             print_table(facts_table("a rendered scene", facts))
         if images:

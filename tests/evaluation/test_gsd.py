@@ -164,7 +164,7 @@ def test_sets_have_rows_and_regions_of_their_own(tmp_path: Path, detector: Path)
         (["--set-region", "eu"], "use SET=REGION"),
         (["--set-region", "eu=atlantis"], "this model knows europe, north_america"),
         (["--set", "asia"], "no image of set 'asia'"),
-        (["--geotiff", tmp_path / "a.png"], "name the images by one of"),
+        (["--geotiff", tmp_path / "a.png"], "give the images with one of"),
     ):
         refused = _run(*arguments, *extra)
         assert refused.exit_code == 2

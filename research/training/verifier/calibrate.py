@@ -1,4 +1,4 @@
-"""The clear score with a second look.
+"""Fit the clear score with a verifier.
 
 ``python -m research.training.verifier.calibrate``, for ``combine --clear-score``.
 

@@ -17,7 +17,7 @@ from mcp.types import CallToolResult
 import vehanchor
 from tests.sam_models import EMPTY, SamFiles, write_sam
 from tests.server.conftest import POOL, POOL_BOX
-from tests.server.conversation import ERAS, by_path, error_of, picture_of, text_of
+from tests.server.conversation import ERAS, by_path, error_of, picture_of, reported, text_of
 from tests.tiles import Tiles
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
@@ -237,7 +237,7 @@ async def test_progress_is_reported_three_to_five_times_and_rises(
     async with Client(server) as client:
         arguments = pool_in(images / "pool_large.png", **more)
         await client.call_tool("measure_area", arguments, progress_callback=on_progress)
-        await anyio.sleep(0.05)
+        await reported(reports)
     assert len(reports) == n_reports
     assert reports == sorted(set(reports))
     assert (reports[0], reports[-1]) == (0, 100)

@@ -106,7 +106,7 @@ MAKERS: tuple[Maker, ...] = (
 
 @dataclass(frozen=True)
 class CameraMetadata:
-    """A camera and its position; None for what the file does not state.
+    """Camera and its position; None for values that the file lacks.
 
     Attributes:
         make: of the camera, from EXIF; empty if unknown.
