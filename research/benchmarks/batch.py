@@ -33,6 +33,7 @@ import cv2
 from research.results.record import add_record_option, recording
 from vehanchor.batch import run_batch
 from vehanchor.batch.run import Engine
+from vehanchor.models.runtime import Runtime
 from vehanchor_scenes import Layout, render_scene
 
 SIDE_PX = 1024
@@ -100,7 +101,7 @@ def run_rows(folder: Path, engine: Engine, workers: int, doomed: tuple[Any, Any]
 
     with tempfile.TemporaryDirectory() as output:
         table = Path(output) / "table.jsonl"
-        run_batch([str(folder)], table, engine=engine, workers=workers, progress=tell)
+        run_batch([str(folder)], table, engine=engine, workers=workers, runtime=Runtime(progress=tell))
         rows = Counter(json.loads(line)["file"] for line in table.read_text().splitlines())
     images = {str(path) for path in folder.glob("*.jpg")}
     came = seen[1:]  # the first call tells that there is none yet

@@ -14,7 +14,7 @@ import typer
 from vehanchor_server.settings import Settings, SettingsError
 
 if TYPE_CHECKING:
-    from vehanchor.options.fields import Choice
+    from vehanchor.options.option import Option
 
 _VIEW_SETTINGS = (  # settings that are also options of ``view``
     "detector",
@@ -42,11 +42,11 @@ def _parameters() -> list[inspect.Parameter]:
 
 def _parameter(setting: Field[Any], kind: Any) -> inspect.Parameter:
     """Convert a setting to a Typer option; the default None (flags: False) lets the environment variable apply."""
-    option_choice: Choice = setting.metadata["choice"]
+    declared: Option = setting.metadata["option"]
     option = typer.Option(
-        f"--{option_choice.flag or setting.name.replace('_', '-')}",
+        f"--{declared.flag or setting.name.replace('_', '-')}",
         help=_help(setting),
-        metavar=option_choice.metavar or None,
+        metavar=declared.metavar or None,
         rich_help_panel=setting.metadata["panel"],
         show_default=False,
     )
@@ -63,7 +63,7 @@ def _parameter(setting: Field[Any], kind: Any) -> inspect.Parameter:
 
 def _help(setting: Field[Any]) -> str:
     """Return the setting's help with its default in brackets."""
-    text: str = setting.metadata["choice"].help
+    text: str = setting.metadata["option"].help
     default = setting.metadata["if_unset"]
     if setting.default and setting.default is not True:
         default = f"{setting.default:g}" if isinstance(setting.default, float) else str(setting.default)

@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import urlsplit
 
-from vehanchor.models.precision import Precision
-from vehanchor.options import DECODED_BYTES_PER_PIXEL, Effort, ImageLimits
-from vehanchor.options.fields import choice
+from vehanchor.errors import InvalidParameterError
+from vehanchor.options import DECODED_BYTES_PER_PIXEL, ImageLimits, Search, declared_option, models
+from vehanchor.options.option import Option, metadata_of, option, option_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -45,7 +45,22 @@ def _words(help_text: str, *, panel: str, metavar: str = "", flag: str = "", if_
         flag: name of the option; empty for the field's own.
         if_unset: meaning of a default of None.
     """
-    return {**choice(help_text, metavar=metavar, flag=flag), "panel": panel, "if_unset": if_unset}
+    return {**option(help_text, metavar=metavar, flag=flag), "panel": panel, "if_unset": if_unset}
+
+
+def _declared(declared: str | Option, *, panel: str) -> dict[str, Any]:
+    """Metadata of a field that is an option of the library: its help and limits are the option's.
+
+    Args:
+        declared: the option, or its keyword.
+        panel: heading in ``--help``.
+    """
+    found = declared_option(declared) if isinstance(declared, str) else declared
+    return {
+        **metadata_of(found),
+        "panel": panel,
+        "if_unset": "",
+    }
 
 
 @dataclass(frozen=True)
@@ -66,45 +81,18 @@ class Settings:
             "Host from which images may be fetched (https); repeatable.", panel=_SOURCES, flag="image-host"
         ),
     )
-    detector: str | None = field(default=None, metadata=_words("Bundled name or path of the detector.", panel=_WORK))
-    precision: str = field(
-        default="float32",
-        metadata=_words("Precision of the bundled detector: float32, int8, or auto for the faster one.", panel=_WORK),
-    )
-    segmenter: tuple[Path, Path] | None = field(
-        default=None,
-        metadata=_words(
-            "ONNX files of the segmenter.", panel=_WORK, metavar="ENCODER DECODER", if_unset="the bundled one"
-        ),
-    )
+    detector: str | None = field(default=None, metadata=_declared(models.DETECTOR, panel=_WORK))
+    precision: str = field(default="float32", metadata=_declared(models.PRECISION, panel=_WORK))
+    segmenter: tuple[Path, Path] | None = field(default=None, metadata=_declared(models.SEGMENTER, panel=_WORK))
     calibration: Path | None = field(  # for callers who give neither region nor reference length
-        default=None,
-        metadata=_words("Calibration file of 'vehanchor calibrate'.", panel=_WORK, metavar="FILE"),
+        default=None, metadata=_declared(models.CALIBRATION, panel=_WORK)
     )
-    threads: int | None = field(default=None, metadata=_words("CPU threads per model.", panel=_WORK))
-    providers: tuple[str, ...] = field(
-        default=(),
-        metadata=_words(
-            "Where models run: cpu, cuda, tensorrt, coreml, openvino, directml; repeatable, in order of preference.",
-            panel=_WORK,
-            flag="provider",
-            if_unset="cpu",
-        ),
-    )
-    min_score: float | None = field(default=None, metadata=_words("Lowest accepted detection score.", panel=_WORK))
-    effort: str = field(
-        default="auto",
-        metadata=_words("Default extent of the search: full, auto or fast.", panel=_WORK),
-    )
-    max_tiles: int | None = field(
-        default=None, metadata=_words("Maximum number of tiles to search per image.", panel=_WORK, if_unset="all")
-    )
-    max_search_s: float | None = field(
-        default=None,
-        metadata=_words(
-            "Seconds after which a search ends with its current detections.", panel=_WORK, if_unset="no limit"
-        ),
-    )
+    threads: int | None = field(default=None, metadata=_declared(models.THREADS, panel=_WORK))
+    providers: tuple[str, ...] = field(default=(), metadata=_declared(models.PROVIDERS, panel=_WORK))
+    min_score: float | None = field(default=Search.min_score, metadata=_declared("min_score", panel=_WORK))
+    effort: str = field(default=Search.effort, metadata=_declared("effort", panel=_WORK))
+    max_tiles: int | None = field(default=Search.max_tiles, metadata=_declared("max_tiles", panel=_WORK))
+    max_search_s: float | None = field(default=Search.max_seconds, metadata=_declared("max_seconds", panel=_WORK))
     max_image_mb: float = field(
         default=ImageLimits.max_bytes / _MIB, metadata=_words("Largest image file, MiB.", panel=_WORK)
     )
@@ -201,16 +189,14 @@ class Settings:
 
     def _check_numbers(self) -> None:
         for each in fields(self):
-            value = getattr(self, each.name)
+            value, declared = getattr(self, each.name), option_of(each)
+            if declared is not None and declared.takes is not None and value is not None:
+                _check(declared, each.name, value)
+                continue
             if isinstance(value, bool) or not isinstance(value, (int, float)):
                 continue
-            if not (math.isfinite(value) and (value > 0 or (each.name == "min_score" and value == 0))):
+            if not (math.isfinite(value) and value > 0):
                 raise SettingsError(f"{each.name} is {value}: use a finite number > 0")
-        for name, words in (("effort", typing.get_args(Effort)), ("precision", typing.get_args(Precision))):
-            if getattr(self, name) not in words:
-                raise SettingsError(f"{name} is {getattr(self, name)!r}: use one of {', '.join(words)}")
-        if self.min_score is not None and self.min_score > 1:
-            raise SettingsError(f"min_score is {self.min_score}: it lies in 0..1")
 
     def _check_authentication(self) -> None:
         if (self.oidc_issuer is None) != (self.oidc_audience is None):
@@ -314,6 +300,19 @@ class Settings:
             elif values[name] is not None:
                 values[name] = form.type(values[name])
         return cls(**values)
+
+
+def _check(declared: Option, name: str, value: Any) -> None:
+    """Check a value as the library does.
+
+    Raises:
+        SettingsError: the option takes no such value.
+    """
+    assert declared.takes is not None
+    try:
+        declared.takes.check(name, value)
+    except InvalidParameterError as error:
+        raise SettingsError(str(error)) from None
 
 
 def _is_web_address(text: str) -> bool:

@@ -22,11 +22,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.batch.pool import finished_in_threads
 from vehanchor.errors import VehAnchorError
+from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ImageLimits
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor.segmentation.prompt import Prompt
-from vehanchor.storage.journal import Journal, Key, Source
+from vehanchor.storage.journal import Journal, Key
 from vehanchor_evaluation.area_errors import AreaErrors, area_errors
 from vehanchor_evaluation.known_scale import FileIssue
 

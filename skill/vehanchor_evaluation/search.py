@@ -18,12 +18,13 @@ from vehanchor.detection.detections import Detections
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.estimate import analyse_detections, analyse_raster, image_facts, networks_sha256
 from vehanchor.imagery.detail import resolved_share
+from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Lengths, ScaleOptions, Search
 from vehanchor.rulers.evidence import ImageFacts, View
 from vehanchor.rulers.vehicles import select
 from vehanchor.scale.defaults import OUTLIER_ALPHA
-from vehanchor.storage.journal import Journal, Source
+from vehanchor.storage.journal import Journal
 from vehanchor.storage.stored import from_json, to_json
 from vehanchor_evaluation.known_scale import DATASET_LIMITS, FileIssue
 

@@ -47,7 +47,7 @@ async def test_the_records_are_those_of_the_verbs(detector: Detector) -> None:
 
 async def test_the_errors_are_those_of_the_verbs() -> None:
     with pytest.raises(InvalidParameterError, match="there is no option 'regoin'"):
-        await vehanchor.aio.estimate_gsd(_place(), regoin="europe")
+        await vehanchor.aio.estimate_gsd(_place(), regoin="europe")  # type: ignore[call-overload]
 
 
 async def test_who_waits_no_more_is_not_kept(detector: Detector, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ arguments. Clients of older revisions, and those without forms, get the low-conf
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from mcp.server.elicitation import render_elicitation_schema
 from mcp.types import ElicitRequest, ElicitRequestFormParams, ElicitResult, InputRequiredResult
@@ -19,6 +19,7 @@ from vehanchor.errors import KnownLengthError
 from vehanchor.options import KnownLength
 from vehanchor.scale.defaults import REGIONS
 from vehanchor_server.errors import CallError
+from vehanchor_server.tools.option_field import limits_field
 from vehanchor_server.tools.scale_question import KnownLine
 
 if TYPE_CHECKING:
@@ -42,13 +43,13 @@ class _ScaleInput(BaseModel):
     model_config = ConfigDict(extra="forbid", str_strip_whitespace=True)
 
     region: Literal[REGIONS] | None = Field(None, title="Region", description="Where the image was taken.")  # type: ignore[valid-type]
-    height_m: float | None = Field(
-        None, gt=0, le=20_000, title="Height, m", description="Camera height above ground, for a nadir view."
-    )
-    focal_35mm: float | None = Field(
+    height_m: Annotated[float | None, limits_field("height_m")] = Field(
         None,
-        gt=0,
-        le=10_000,
+        title="Height, m",
+        description="Camera height above ground, for a nadir view.",
+    )
+    focal_35mm: Annotated[float | None, limits_field("focal_35mm")] = Field(
+        None,
         title="Focal length, mm",
         description="With the height: 35 mm equivalent, if missing in the file.",
     )

@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeVar, cast
 from pydantic import Field
 
 from vehanchor.options import Coordinates, Effort, Frame, KnownLength, Reading, Reference, Rulers, ScaleOptions, Search
+from vehanchor.options.frame import FRAME, FRAME_SIDE
+from vehanchor.options.given_scale import GSD, OBJECT_HEIGHT
+from vehanchor.options.rulers import LINE_LENGTH_M
 from vehanchor.records import KnownScale
-from vehanchor.scale.defaults import REGIONS
 from vehanchor_server.calls.answer import Detail
 from vehanchor_server.frozen import FrozenModel, Number, WholeNumber
+from vehanchor_server.tools.option_field import limits_field, option_field
 
 if TYPE_CHECKING:
     from vehanchor_server.models import Models
@@ -21,8 +24,8 @@ if TYPE_CHECKING:
 class FrameSize(FrozenModel):
     """Size of the resized copy in which the caller works."""
 
-    width_px: WholeNumber = Field(gt=0, le=1_000_000)
-    height_px: WholeNumber = Field(gt=0, le=1_000_000)
+    width_px: Annotated[WholeNumber, limits_field(FRAME_SIDE)]
+    height_px: Annotated[WholeNumber, limits_field(FRAME_SIDE)]
 
 
 class KnownLine(FrozenModel):
@@ -32,79 +35,28 @@ class KnownLine(FrozenModel):
     y1: Number
     x2: Number
     y2: Number
-    metres: Number = Field(gt=0, le=100_000)
+    metres: Annotated[Number, limits_field(LINE_LENGTH_M)]
 
 
-RegionArgument: TypeAlias = Annotated[
-    str | None,
-    Field(
-        max_length=64,
-        description=f"Where it was taken, if known: {', '.join(REGIONS)}.",
-    ),
-]
-ReferenceLengthArgument: TypeAlias = Annotated[
-    Number | None,
-    Field(
-        gt=0,
-        le=100,
-        allow_inf_nan=False,
-        description="Known length of local cars, metres; not with region.",
-    ),
-]
-FrameArgument: TypeAlias = Annotated[FrameSize | None, Field(description="Size of the copy that you see.")]
-CoordinatesArgument: TypeAlias = Annotated[
-    Coordinates,
-    Field(description="Units: pixels (of image or frame), fraction (0 to 1), per_mille (0 to 1000)."),
-]
+RegionArgument: TypeAlias = Annotated[str | None, option_field("region")]
+ReferenceLengthArgument: TypeAlias = Annotated[Number | None, option_field("reference_length_m")]
+FrameArgument: TypeAlias = Annotated[FrameSize | None, option_field(FRAME)]
+CoordinatesArgument: TypeAlias = Annotated[Coordinates, option_field("coordinates")]
 KnownScaleArgument: TypeAlias = Annotated[
     KnownScale | None,
     Field(description="From an earlier answer about this image."),
 ]
-GsdArgument: TypeAlias = Annotated[
-    Number | None,
-    Field(ge=0.0001, le=1000, allow_inf_nan=False, description="Metres per pixel of the full image, if known."),
-]
+GsdArgument: TypeAlias = Annotated[Number | None, option_field(GSD)]
 DetailArgument: TypeAlias = Annotated[Detail, Field(description="full: every field, for programs.")]
 KnownLengthsArgument: TypeAlias = Annotated[
-    tuple[KnownLine, ...] | None,
-    Field(
-        max_length=16,
-        description="Lines of known length; rulers with or without cars.",
-    ),
+    tuple[KnownLine, ...] | None, Field(max_length=16), option_field("known_lengths")
 ]
-HeightArgument: TypeAlias = Annotated[
-    Number | None,
-    Field(gt=0, le=20_000, allow_inf_nan=False, description="Camera height above ground, metres, for a nadir view."),
-]
-FocalLengthArgument: TypeAlias = Annotated[
-    Number | None,
-    Field(
-        gt=0,
-        le=10_000,
-        allow_inf_nan=False,
-        description="With height_m: 35 mm equivalent focal length; default the file's.",
-    ),
-]
-
-ObjectHeightArgument: TypeAlias = Annotated[
-    Number | None,
-    Field(
-        ge=0,
-        le=1000,
-        allow_inf_nan=False,
-        description="Height of the object above ground, such as a roof; needs the camera height or focal length.",
-    ),
-]
-EffortArgument: TypeAlias = Annotated[
-    Effort | None,
-    Field(description="Search extent: full (every tile), auto (ends when more tiles would not help) or fast."),
-]
-MaxTilesArgument: TypeAlias = Annotated[
-    WholeNumber | None, Field(ge=1, le=1_000_000_000, description="Maximum number of tiles to search.")
-]
-MaxSecondsArgument: TypeAlias = Annotated[
-    Number | None, Field(gt=0, le=86_400, allow_inf_nan=False, description="Maximum search time in seconds.")
-]
+HeightArgument: TypeAlias = Annotated[Number | None, option_field("height_m")]
+FocalLengthArgument: TypeAlias = Annotated[Number | None, option_field("focal_35mm")]
+ObjectHeightArgument: TypeAlias = Annotated[Number | None, option_field(OBJECT_HEIGHT)]
+EffortArgument: TypeAlias = Annotated[Effort | None, option_field("effort")]
+MaxTilesArgument: TypeAlias = Annotated[WholeNumber | None, option_field("max_tiles")]
+MaxSecondsArgument: TypeAlias = Annotated[Number | None, option_field("max_seconds")]
 
 EFFORT_ARGUMENTS = ("effort", "max_tiles", "max_seconds")
 """Arguments that ``estimate_gsd`` hides from models; programs or the operator set them."""

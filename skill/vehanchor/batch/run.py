@@ -23,6 +23,7 @@ from vehanchor.estimate import check_region, networks_sha256
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import bundled_models, resolve_model
 from vehanchor.options import ScaleOptions
+from vehanchor.records import SCHEMA_VERSION
 from vehanchor.storage.journal import Journal
 
 if TYPE_CHECKING:
@@ -141,6 +142,7 @@ def _settings(job: BatchJob) -> dict[str, Any]:
         options["lines_of"] = job.known_lengths
     return {
         "vehanchor": version("vehanchor"),
+        "schema_version": SCHEMA_VERSION,
         "networks_sha256": job.networks_sha256,
         "classes": job.classes,
         **options,

@@ -13,11 +13,12 @@ from vehanchor.batch.row import BatchRow
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
 from vehanchor.estimate import analyse_image, check_region, networks_sha256
+from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.addresses import is_address
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
-from vehanchor.storage.journal import Key, Source
+from vehanchor.storage.journal import Key
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -14,7 +14,7 @@ from __future__ import annotations
 import functools
 import inspect
 import typing
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
@@ -22,8 +22,9 @@ import typer
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.models.precision import Precision
-from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
-from vehanchor.options.fields import Choice, choice
+from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Rulers, ScaleOptions, Search, models
+from vehanchor.options.frame import FRAME
+from vehanchor.options.option import Option, metadata_of, option_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
@@ -56,36 +57,11 @@ class DetectorChoice:
         providers: ONNX Runtime execution providers in order of preference; None for the CPU's.
     """
 
-    detector: str | None = field(
-        default=None,
-        metadata=choice("ONNX oriented-box model, or the name of a bundled one. Default: the bundled.", metavar="FILE"),
-    )
-    precision: Precision = field(
-        default="float32",
-        metadata=choice(
-            "Numbers that the bundled model computes with: float32; int8, quicker on processors with dot products of "
-            "bytes (VNNI, Armv8.2); auto, int8 on those. The record names the file."
-        ),
-    )
-    classes: list[str] | None = field(
-        default=None,
-        metadata=choice(
-            "Class, by name or index, that counts as a vehicle; may be repeated.", metavar="NAME", flag="class"
-        ),
-    )
-    threads: int | None = field(
-        default=None,
-        metadata=choice("CPU threads; the result is the same with any. Default: all cores.", metavar="N"),
-    )
-    providers: list[str] | None = field(
-        default=None,
-        metadata=choice(
-            "Where models run: cpu, cuda, tensorrt, coreml, openvino, directml, or another provider of ONNX Runtime by "
-            "name; may be repeated, in order of preference. Default: cpu.",
-            metavar="NAME",
-            flag="provider",
-        ),
-    )
+    detector: str | None = field(default=None, metadata=metadata_of(models.DETECTOR))
+    precision: Precision = field(default="float32", metadata=metadata_of(models.PRECISION))
+    classes: list[str] | None = field(default=None, metadata=metadata_of(models.CLASSES))
+    threads: int | None = field(default=None, metadata=metadata_of(models.THREADS))
+    providers: list[str] | None = field(default=None, metadata=metadata_of(models.PROVIDERS))
 
     @property
     def names_and_indices(self) -> list[str | int] | None:
@@ -122,9 +98,8 @@ _FRAME = inspect.Parameter(
         tuple[int, int] | None,
         typer.Option(
             "--frame",
-            metavar="W H",
-            help="Size, pixels, of a resized copy that you work in: its scale is given, too, and boxes and points are "
-            "read in its pixels.",
+            metavar=FRAME.metavar,
+            help=FRAME.help,
             rich_help_panel=_FIRST_PANEL,
         ),
     ],
@@ -217,7 +192,7 @@ def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., N
 
 
 def option_parameters(group: type[Any], panel: str) -> list[inspect.Parameter]:
-    """The parameters of a Typer command that stand for the fields of a group that have a ``Choice``.
+    """Make the parameters of a Typer command for the options of a group.
 
     Args:
         group: a dataclass.
@@ -227,11 +202,12 @@ def option_parameters(group: type[Any], panel: str) -> list[inspect.Parameter]:
         Keyword-only parameters named as the fields, annotated for Typer.
     """
     kinds = typing.get_type_hints(group, localns={"Calibration": str})
-    return [_parameter(each.name, kinds[each.name], each, panel) for each in fields(group) if "choice" in each.metadata]
+    declared = [(each, option_of(each)) for each in fields(group)]
+    return [_parameter(each, stated, kinds[each.name], panel) for each, stated in declared if stated and stated.cli]
 
 
-def _parameter(name: str, kind: Any, declared: Any, panel: str) -> inspect.Parameter:
-    stated: Choice = declared.metadata["choice"]
+def _parameter(declared: Field[Any], stated: Option, kind: Any, panel: str) -> inspect.Parameter:
+    name = declared.name
     bare = next((option for option in typing.get_args(kind) if option is not type(None)), kind)
     default = None if declared.default is MISSING else declared.default
     flag = stated.flag or _without_unit(name).replace("_", "-")

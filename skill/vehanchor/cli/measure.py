@@ -24,6 +24,7 @@ from vehanchor.cli.terminal import (
     tile_progress,
 )
 from vehanchor.errors import InvalidParameterError, OutputError, PromptError, VehAnchorError
+from vehanchor.options.models import SEGMENTER
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,11 +37,7 @@ _SHORT_SHA = 12
 
 SegmenterFiles: TypeAlias = Annotated[
     tuple[str, str] | None,
-    typer.Option(
-        metavar="ENCODER DECODER",
-        help="ONNX files of a promptable segmenter: SAM, MobileSAM, SAM 2, SAM 3 tracker, EfficientSAM. Default: "
-        "the bundled.",
-    ),
+    typer.Option(metavar=SEGMENTER.metavar, help=SEGMENTER.help),
 ]
 
 MaskFile: TypeAlias = Annotated[

@@ -20,9 +20,10 @@ from vehanchor.flight.inputs import InputPhotograph, check_many, named
 from vehanchor.flight.linking import link_photographs
 from vehanchor.flight.photograph import Look, Photograph, chief_member
 from vehanchor.flight.record import Failure, conclude_flight
+from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
-from vehanchor.storage.journal import Journal, Key, Source
+from vehanchor.storage.journal import Journal, Key
 from vehanchor.storage.stored import from_json, to_json
 
 if TYPE_CHECKING:

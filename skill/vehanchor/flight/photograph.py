@@ -10,6 +10,7 @@ import numpy as np
 from vehanchor.detection.detections import Detections
 from vehanchor.estimate import analyse_detections
 from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from vehanchor.rulers.evidence import Evidence
 
 
+@stored("photograph_findings")
 @dataclass(frozen=True, eq=False)
 class Look:
     """The findings in one photograph, as a journal keeps them.

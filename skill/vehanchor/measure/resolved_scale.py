@@ -14,11 +14,10 @@ from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
 from vehanchor.estimate import analyse_raster, georeference_notice, image_notices
 from vehanchor.imagery.identity import image_id
-from vehanchor.options.fields import number, positive
+from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT_M
 from vehanchor.records import GsdEstimate, KnownScale
 from vehanchor.rulers.camera import equivalent_lens, lens
 from vehanchor.rulers.evidence import ImageFacts
-from vehanchor.scale.defaults import LARGEST_GSD_M_PER_PX, LEAST_GSD_M_PER_PX
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
@@ -36,7 +35,6 @@ if TYPE_CHECKING:
     from vehanchor.records import Notice, ScaleSource, Status
     from vehanchor.rulers.camera import Lens
 
-_HIGHEST_OBJECT_M = 1000.0
 _WIDEST_M_PER_PX = 1e9  # of a scale that is given back: whatever an estimate gives lies below, and its square is finite
 _HEIGHT_LOG_SD = 0.12  # of a height that was told, above ground that may lie elsewhere than the take-off
 
@@ -140,12 +138,7 @@ def given_scale(
         return _as_known(scale)
     if gsd_m_per_px is None:
         return None
-    given = positive("gsd_m_per_px", gsd_m_per_px)
-    if not LEAST_GSD_M_PER_PX <= given <= LARGEST_GSD_M_PER_PX:
-        raise InvalidParameterError(
-            f"gsd_m_per_px is {given:g}: use {LEAST_GSD_M_PER_PX:g} to {LARGEST_GSD_M_PER_PX:g} metres per pixel"
-        )
-    return given
+    return GSD_M_PER_PX.check("gsd_m_per_px", gsd_m_per_px)
 
 
 def _as_known(scale: KnownScale | GsdEstimate | Mapping[str, Any]) -> KnownScale:
@@ -254,8 +247,7 @@ def camera_above(raster: Raster, options: ScaleOptions, object_height_m: float) 
     Raises:
         InvalidParameterError: the object's height has no meaning, or nothing tells the camera's.
     """
-    if not 0 <= number("object_height_m", object_height_m) <= _HIGHEST_OBJECT_M:
-        raise InvalidParameterError(f"object_height_m is {object_height_m:g}: use 0 to {_HIGHEST_OBJECT_M:g}")
+    OBJECT_HEIGHT_M.check("object_height_m", object_height_m)
     chosen, camera = options.rulers, raster.camera if options.rulers.metadata else None
     seen = None if camera is None else lens(ImageFacts(raster.width_px, raster.height_px), camera)
     if chosen.focal_35mm is not None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypedDict
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options.fields import set_frozen
+from vehanchor.options.option import set_frozen
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

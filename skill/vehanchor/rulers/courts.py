@@ -14,6 +14,7 @@ from vehanchor.errors import TooObliqueError
 from vehanchor.rulers.evidence import Mark
 from vehanchor.rulers.lognormal import LognormalEvidence, lognormal_evidence, no_evidence, on_grid
 from vehanchor.scale.plane import GroundPlane
+from vehanchor.storage.stored import stored
 from vehanchor.tilt.camera_tilt import metadata_tilt, plane_with
 from vehanchor.tilt.court_cue import court_cues
 from vehanchor.tilt.posterior import tilt_posterior
@@ -36,6 +37,7 @@ _MOST_TRIED = 3  # proposals
 _APART = 0.06  # of the log of the scale: a court further than that from the median is something else
 
 
+@stored("courts_evidence")
 @dataclass(frozen=True, eq=False)
 class CourtsEvidence(LognormalEvidence):
     """What courts say, with those that say it.

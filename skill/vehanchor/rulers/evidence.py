@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from vehanchor.storage.stored import stored
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from vehanchor.scale.lengths import Interval
 
 
+@stored("image_facts")
 class ImageFacts(NamedTuple):
     """Facts of an image that need no look at its pixels.
 
@@ -70,6 +73,7 @@ class View:
     runtime: Runtime | None = None
 
 
+@stored("mark")
 class Mark(NamedTuple):
     """A line that a ruler was laid along, or the place for which it speaks.
 
@@ -89,6 +93,7 @@ class Mark(NamedTuple):
         return cls(((image.width_px / 2, image.height_px / 2),), f"{height_m:.4g} m up")
 
 
+@stored("evidence")
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """One ruler's answer.
