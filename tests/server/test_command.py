@@ -72,7 +72,7 @@ def sample(field: Field[Any], folder: Path) -> Any:
 @pytest.mark.parametrize("field", fields(Settings), ids=lambda field: str(field.name))
 def test_every_setting_is_in_the_help_with_its_words_and_its_default(shown: list[str], field: Field[Any]) -> None:
     (line,) = [line for line in shown if f"\N{BOX DRAWINGS LIGHT VERTICAL} {flag_of(field)} " in line]
-    assert field.metadata["choice"].help.removesuffix(".") in line
+    assert field.metadata["option"].help.removesuffix(".") in line
     if field.default or field.metadata["if_unset"]:
         default = field.metadata["if_unset"] or str(field.default).removesuffix(".0")
         assert f"[{default}]." in line
@@ -97,7 +97,7 @@ def test_every_setting_is_a_flag_and_a_variable(
 
 
 def flag_of(field: Field[Any]) -> str:
-    return f"--{field.metadata['choice'].flag or field.name.replace('_', '-')}"
+    return f"--{field.metadata['option'].flag or field.name.replace('_', '-')}"
 
 
 def values(field: Field[Any], value: Any) -> list[list[str]]:
