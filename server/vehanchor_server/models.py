@@ -123,8 +123,8 @@ class Models:
         for resolve in (lambda: (self._detector_file(),), lambda: resolve_segmenter(settings.segmenter)):
             with contextlib.suppress(VehAnchorError):  # loading will report a missing file
                 found += resolve()
-        beside = [other for path in found[:1] for other in (fleet_beside(path), verifier_beside(path)) if other]
-        found += [*beside, *([settings.calibration] if settings.calibration is not None else [])]
+        auxiliary = [other for path in found[:1] for other in (fleet_beside(path), verifier_beside(path)) if other]
+        found += [*auxiliary, *([settings.calibration] if settings.calibration is not None else [])]
         for path in [path for path in found if path.suffix == ".onnx"]:
             with contextlib.suppress(VehAnchorError):
                 found += read_model(path).weights

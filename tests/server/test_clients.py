@@ -93,6 +93,6 @@ def test_a_framework_gets_the_librarys_records_and_reads_what_went_wrong(
         assert seen[transport]["tools"] == ["estimate_gsd", "measure_area", "measure_distance", "view_image"]
         *results, shown, refused = seen[transport]["results"]
         assert shown["picture"] == "image/jpeg"
-        assert shown["text"].startswith("Image of 640 x 512 px. All of it in a picture of 640 x 512 px")
+        assert shown["text"].startswith("Image of 640 x 512 px. The picture of 640 x 512 px shows all of it")
         assert [result["record"] for result in results] == [record.model_dump(mode="json") for record in records]
         assert "path_not_allowed" in refused["text"]

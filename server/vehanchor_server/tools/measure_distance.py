@@ -157,8 +157,8 @@ def _distance_in_words(record: DistanceMeasurement) -> str:
             f"No distance: the line is {record.length_px:.0f} px long, but {no_scale_message(record.estimate)}, and "
             "give its scale as gsd_m_per_px."
         )
-    said = f"{rounded(record.distance_m)} m{interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
-    said += f"; {scale_origin(record)}: "
+    text = f"{rounded(record.distance_m)} m{interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
+    text += f"; {scale_origin(record)}: "
     if record.status == "ok":
-        return said + ("as accurate as the given scale." if record.scale_source == "given" else "safe to use.")
-    return said + unusable_scale(record.estimate)
+        return text + ("as accurate as the given scale." if record.scale_source == "given" else "safe to use.")
+    return text + unusable_scale(record.estimate)

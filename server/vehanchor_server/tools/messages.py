@@ -92,10 +92,10 @@ def unusable_scale(estimate: GsdEstimate | None) -> str:
 
 def no_scale_message(estimate: GsdEstimate | None) -> str:
     """Say that there is no scale, and what would help."""
-    said = "no ruler was found, confidence 0: no metric scale"
+    text = "no ruler was found, confidence 0: no metric scale"
     if estimate is None or estimate.reason is None:
-        return f"{said}; use another ruler"
-    return f"{said}; {ADVICE[estimate.reason].helps}, or use another ruler"
+        return f"{text}; use another ruler"
+    return f"{text}; {ADVICE[estimate.reason].helps}, or use another ruler"
 
 
 def scale_origin(measured: AreaMeasurement | DistanceMeasurement) -> str:

@@ -34,8 +34,8 @@ def _plain(node: Any, definitions: dict[str, Any]) -> Any:
         return node
     reference = node.get("$ref")
     if isinstance(reference, str) and reference.startswith(_REFERENCE):
-        beside = {key: value for key, value in node.items() if key != "$ref"}
-        node = {**definitions[reference.removeprefix(_REFERENCE)], **beside}
+        siblings = {key: value for key, value in node.items() if key != "$ref"}
+        node = {**definitions[reference.removeprefix(_REFERENCE)], **siblings}
     result: dict[str, Any] = {}
     for key, value in node.items():
         if key in ("$defs", "discriminator") or (key == "title" and isinstance(value, str)):
@@ -72,27 +72,27 @@ _NOT_LISTED |= {"minItems", "maxItems", "minLength", "maxLength", "minProperties
 _MANY = 3  # an object with more fields keeps only its own description
 
 
-def _listed(node: dict[str, Any], *, said: bool = True) -> dict[str, Any]:
+def _listed(node: dict[str, Any], *, describe: bool = True) -> dict[str, Any]:
     options = [option for option in node.get("anyOf", ()) if option != {"type": "null"}]
     if len(options) == 1 and "anyOf" in options[0]:
-        return _listed({**node, **options[0]}, said=said)
+        return _listed({**node, **options[0]}, describe=describe)
     if len(options) > 1 and all("kind" in option.get("properties", {}) for option in options):
         options = [_of_all_kinds(options)]
     if len(options) == 1:
         node = {**options[0], **{key: value for key, value in node.items() if key != "anyOf"}}
     result: dict[str, Any] = {}
     for key, value in node.items():
-        if key in _NOT_LISTED or (key == "description" and not said):
+        if key in _NOT_LISTED or (key == "description" and not describe):
             continue
         if key == "properties":
-            said_each = "required" not in node or len(value) <= _MANY or "description" not in node
+            describe_each = "required" not in node or len(value) <= _MANY or "description" not in node
             # Callers pass the other fields unchanged.
-            needed = [name for name in value if said_each or name in node["required"]]
-            result[key] = {name: _listed(value[name], said=said_each) for name in needed}
+            needed = [name for name in value if describe_each or name in node["required"]]
+            result[key] = {name: _listed(value[name], describe=describe_each) for name in needed}
         elif key == "anyOf":
-            result[key] = [_listed(option, said=False) for option in value]
+            result[key] = [_listed(option, describe=False) for option in value]
         elif key == "items":
-            result[key] = _listed(value, said=False)
+            result[key] = _listed(value, describe=False)
         else:
             result[key] = value
     return result

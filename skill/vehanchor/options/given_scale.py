@@ -9,7 +9,7 @@ GSD_M_PER_PX = Limits(LEAST_GSD_M_PER_PX, LARGEST_GSD_M_PER_PX)
 OBJECT_HEIGHT_M = Limits(0, 1000)
 
 GSD = Option(
-    "Scale, metres per pixel of the full image, if known: then no vehicle is searched.",
+    "Known metres per pixel of the full image; skips the search.",
     GSD_M_PER_PX,
     metavar="M/PX",
     flag="gsd",

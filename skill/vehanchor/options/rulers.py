@@ -94,7 +94,7 @@ class Rulers:
     known_lengths: tuple[KnownLength, ...] = field(
         default=(),
         metadata=option(
-            "Lines of known length on the ground: their ends, and metres.",
+            "Lines of known length on the ground.",
             metavar="X1 Y1 X2 Y2 METRES",
             flag="known-length",
         ),

@@ -146,7 +146,7 @@ def test_an_answer_of_another_form_is_refused(parts: list[bytes]) -> None:
 
 def test_a_picture_has_a_bound() -> None:
     header = Answered(overlay=True, page_picture=False, histogram=None, drawing=None)
-    with pytest.raises(MessageError, match="too large"):
+    with pytest.raises(MessageError, match="above the size limit"):
         read_answer(header, [b'[{"value":1}]', bytes(messages.MAX_PICTURE_BYTES + 1)], TASK)
 
 

@@ -29,7 +29,7 @@ from vehanchor_server.services import Services
 
 CONFINE = """
 import json, platform, sys
-from vehanchor_server.calls import sandbox as confinement
+from vehanchor_server.calls import sandbox
 {before}
 found = sandbox.confine([])
 print(json.dumps([found.landlock, found.seccomp, found.lacks]))
@@ -161,7 +161,7 @@ def test_a_worker_can_do_its_work_and_nothing_else(
     ("before", "words", "landlock", "seccomp"),
     [
         (
-            "confinement._CREATE_RULESET = 4095",
+            "sandbox._CREATE_RULESET = 4095",
             "Landlock: Function not implemented, so that a worker can read",
             False,
             True,
