@@ -13,6 +13,7 @@ from tests.docs.documents import blocks
 from vehanchor.analysis.exhibits import ScaleAnalysis
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.estimate import analyse_detections
+from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.evidence import ImageFacts, View
 
@@ -32,11 +33,21 @@ def track(monkeypatch: pytest.MonkeyPatch) -> Any:
     return ruler
 
 
-def _analysed(width_px: float, name: str = "ground-track-field", score: float = 0.9) -> ScaleAnalysis:
+TILTED = CameraMetadata(focal_px=900.0, taken_width_px=1000, taken_height_px=800, off_nadir_deg=40.0)
+
+
+def _analysed(
+    width_px: float,
+    name: str = "ground-track-field",
+    score: float = 0.9,
+    camera: CameraMetadata | None = None,
+    **options: Any,
+) -> ScaleAnalysis:
     seen = Objects(np.array([[500.0, 400.0, LENGTH_PX, width_px, 0.3]]), np.array([score]), np.array([1]))
     found = Detections(np.zeros((0, 5)), np.zeros(0), others=seen)
     card = made_card().model_copy(update={"class_names": {0: "small-vehicle", 1: name}})
-    return analyse_detections(View(ImageFacts(1000, 800), found, card, ScaleOptions(), lambda *_: 1.0))
+    facts = ImageFacts(1000, 800, camera=camera)
+    return analyse_detections(View(facts, found, card, ScaleOptions.of(options), lambda *_: 1.0))
 
 
 def test_a_running_track_makes_the_scale_of_an_image_without_cars(track: Any) -> None:
@@ -59,3 +70,13 @@ def test_its_outline_is_there_to_be_drawn(track: Any) -> None:
 def test_another_field_is_no_ruler(other: dict[str, Any]) -> None:
     record = _analysed(**{"width_px": LENGTH_PX * 92.52 / 176.91, **other}).estimate
     assert (record.status, record.gsd_m_per_px) == ("no_scale", None)
+
+
+@pytest.mark.xfail(strict=True, reason="a ruler is measured as if from straight above")
+@pytest.mark.usefixtures("track")
+def test_on_a_tilted_photograph_it_agrees_with_a_known_line_on_the_same_pixels() -> None:
+    reach = LENGTH_PX / 2 * np.array([np.cos(0.3), np.sin(0.3)])
+    ends = np.array([500.0, 400.0]) + [-reach, reach]
+    record = _analysed(LENGTH_PX * 92.52 / 176.91, camera=TILTED, known_lengths=[(*ends.ravel(), 176.91)]).estimate
+    said = {ruler.kind: ruler.gsd_m_per_px for ruler in record.rulers}
+    assert said.pop("known_length") == pytest.approx(said.popitem()[1], rel=0.01)
