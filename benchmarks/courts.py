@@ -28,8 +28,9 @@ from vehanchor.courts.find import find_courts
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import load_scene_scale
-from vehanchor.estimate import analyse_scale, image_facts
+from vehanchor.estimate import analyse_scale
 from vehanchor.imagery.detail import resolved_share
+from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
@@ -173,7 +174,7 @@ def processor_time(card: DetectorCard, rounds: int) -> list[str]:
 
 def _seconds(view: View) -> float:
     begun = time.process_time()
-    Courts().look(view)
+    Courts().measure(view)
     return time.process_time() - begun
 
 

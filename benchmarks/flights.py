@@ -35,9 +35,9 @@ from vehanchor.flight.matching import match
 from vehanchor.flight.pairs import candidate_pairs
 from vehanchor.flight.photograph import Look, Photograph, chief_member
 from vehanchor.flight.record import Failure, conclude_flight
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.evidence import ImageFacts
 from vehanchor.storage.stored import from_json, to_json
 
 if TYPE_CHECKING:

@@ -21,8 +21,8 @@ from vehanchor.errors import ImageError
 from vehanchor.estimate import analyse_scale
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
+from vehanchor.rulers.decision import fuse_rulers
 from vehanchor.rulers.evidence import Evidence
-from vehanchor.rulers.fused import fuse_rulers
 from vehanchor.rulers.lognormal import lognormal_evidence
 from vehanchor_evaluation.table import read_table
 from vehanchor_scenes import render_scene

@@ -30,18 +30,20 @@ from vehanchor.detection.detections import Detections
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import search
 from vehanchor.errors import TooObliqueError
-from vehanchor.estimate import analyse_detections, image_facts, open_detector
+from vehanchor.estimate import analyse_detections, open_detector
 from vehanchor.imagery.detail import resolved_share
+from vehanchor.imagery.facts import ImageFacts, image_facts
 from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.metadata.lens import equivalent_lens
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.camera import MAX_OFF_NADIR_DEG, equivalent_lens
-from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.evidence import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.storage.stored import from_json, to_json
-from vehanchor.tilt.camera_tilt import plane_of_record
-from vehanchor.tilt.vehicle_cue import LEAST_CARS, SURE, tilt_from_vehicles
+from vehanchor.tilt.camera_tilt import MAX_OFF_NADIR_DEG, plane_of_record
+from vehanchor.tilt.estimate import tilt_from_vehicles
+from vehanchor.tilt.vehicle_cue import LEAST_CARS, SURE
 from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:

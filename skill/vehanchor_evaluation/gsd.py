@@ -13,8 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from vehanchor.analysis.exhibits import ScaleAnalysis
 from vehanchor.detection.detections import Detections
 from vehanchor.estimate import analyse_scale, open_detector
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import Reference, ScaleOptions
-from vehanchor.rulers.evidence import ImageFacts
 from vehanchor.scale.lengths import kde_mode
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor_evaluation.dota import SMALL_VEHICLE, labelled_boxes

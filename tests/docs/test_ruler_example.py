@@ -13,9 +13,10 @@ from tests.docs.documents import blocks
 from vehanchor.analysis.exhibits import ScaleAnalysis
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.estimate import analyse_detections
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.evidence import View
 
 LENGTH_PX, GSD = 800.0, 176.91 / 800.0
 

@@ -26,16 +26,6 @@ OBEY = (
 """What the tools that use a scale say of it."""
 
 
-_RULERS = {
-    "scene_scale": "the look of the ground",
-    "camera": "the camera's metadata",
-    "known_length": "known length",
-    "height": "the given height",
-    "courts": "sports courts",
-    "positions": "the metadata's positions",
-}
-
-
 def rounded(value: float) -> str:
     """Three digits, or all before the point."""
     return f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
@@ -52,11 +42,10 @@ def vehicles(number: int) -> str:
 
 
 def sources(estimate: GsdEstimate) -> str:
-    """What a scale was measured by: the rulers that agree with it, the one that leads first; a witness is left out."""
-    agreeing = [ruler for ruler in estimate.rulers if ruler.agrees and ruler.kind != "scene_scale"]
-    names = {"vehicles": vehicles(estimate.n_vehicles), **_RULERS}
+    """The rulers that agree with a scale, the one of the largest weight first; priors are left out."""
+    agreeing = [ruler for ruler in estimate.rulers if ruler.agrees and ruler.sets_scale]
     by_weight = sorted(agreeing, key=lambda ruler: -ruler.weight)
-    words = [names.get(ruler.kind, ruler.kind.replace("_", " ")) for ruler in by_weight]
+    words = [vehicles(estimate.n_vehicles) if ruler.kind == "vehicles" else ruler.label for ruler in by_weight]
     return " and ".join(words) or vehicles(estimate.n_vehicles)
 
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict
 
-from vehanchor.options.rulers import RulerName
 from vehanchor.records import ConfidenceTerms, GsdEstimate, SceneScaleEstimate
+from vehanchor.rulers.registry import ruler_kinds
 
 if TYPE_CHECKING:
     from vehanchor.errors import VehAnchorError
@@ -67,7 +67,7 @@ def _columns() -> dict[str, type]:
     scene: dict[str, type] = dict.fromkeys((f"scene_{name}" for name in SceneScaleEstimate.model_fields), float)
     tilt: dict[str, type] = dict.fromkeys(_OF_TILT, float)
     rulers: dict[str, type] = {}
-    for kind in get_args(RulerName):
+    for kind in ruler_kinds():
         rulers |= {f"ruler_{kind}_gsd_m_per_px": float, f"ruler_{kind}_agrees": bool}
     return {
         "file": str,

@@ -24,6 +24,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.models.precision import Precision
 from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
 from vehanchor.options.fields import Choice, choice
+from vehanchor.rulers.registry import rulers_help
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
@@ -248,7 +249,8 @@ def _parameter(name: str, kind: Any, declared: Any, panel: str) -> inspect.Param
         kind, default = list[str] | None, None
     flags = f"--{flag}/--no-{flag}" if bare is bool else f"--{flag}"
     heading = _FIRST_PANEL if name in _NEEDED_FIRST else panel
-    option = typer.Option(flags, help=stated.help, rich_help_panel=heading, **more)
+    text = rulers_help() if name == "rulers" else stated.help
+    option = typer.Option(flags, help=text, rich_help_panel=heading, **more)
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option])
 
 

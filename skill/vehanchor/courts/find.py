@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from vehanchor.courts.template import Template
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detections import Detections
+    from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
 
 _FAR = Reach(0.0, 1.0, 0.4, 0.04, 27, 3)  # proposals lie on a court's end as often as on its middle
@@ -105,6 +106,7 @@ def propose_courts(
     raster: Raster,
     detections: Detections,
     card: DetectorCard,
+    prior: SceneScalePrior | None = None,
     *,
     providers: tuple[str, ...] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
@@ -113,7 +115,7 @@ def propose_courts(
     proposals = boxes_of_courts(detections, card)
     # one thread: it is small, and a worker of one thread shall not wake all cores for it
     network = load_court_network(threads=1, providers=providers or DEFAULT_PROVIDERS)
-    factors = [] if network is None else coarse_factors(raster, detections)
+    factors = [] if network is None else coarse_factors(raster, prior)
     if network is not None:
         for factor in factors:
             proposals += network.propose(raster, factor, run_options=run_options)
@@ -124,6 +126,7 @@ def find_courts(
     raster: Raster,
     detections: Detections,
     card: DetectorCard,
+    prior: SceneScalePrior | None = None,
     *,
     proposed: Proposed | None = None,
     providers: tuple[str, ...] | None = None,
@@ -133,8 +136,9 @@ def find_courts(
 
     Args:
         raster: the image.
-        detections: what the search has seen, and how large the ground says a pixel is.
+        detections: result of the search.
         card: of the detector.
+        prior: the scene-scale prior; None without one.
         proposed: where they may be; None has them looked for (``propose_courts``).
         providers: where the network runs that looks for them; None for the CPU.
         run_options: ONNX Runtime's, for a caller that may have to end a run.
@@ -143,7 +147,7 @@ def find_courts(
         At most four, the surest first. A court half hidden, or cut by the image's edge, is none.
     """
     proposals, n_sizes = proposed or propose_courts(
-        raster, detections, card, providers=providers, run_options=run_options
+        raster, detections, card, prior, providers=providers, run_options=run_options
     )
     surest = islice(_apart(proposals), _MOST_OF_ONE_SIZE if n_sizes == 1 else _MOST_LOOKED_AT)
     laid = [each for proposal in surest for each in _laid(raster, proposal)]

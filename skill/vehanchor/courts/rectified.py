@@ -96,7 +96,7 @@ def rough_courts_on(
         Courts in the image, each by itself to be borne out on the plane that its shape means.
     """
     level = RectifiedRaster(raster, plane)
-    nothing = replace(detections, others=Objects.joined(), scene=None)  # both are of the image as it is
+    nothing = replace(detections, others=Objects.joined())  # they are of the image as it is
     proposed = propose_courts(level, nothing, card, providers=providers, run_options=run_options)
     surest = sorted(proposed.proposals, key=lambda each: -each.share)[:most]
     rough = [court for each in surest if (court := rough_court(level, each)) is not None]
@@ -126,7 +126,7 @@ def find_courts_on(
         Courts with their corners in the image; their scales are those of its centre, if the plane is the right one.
     """
     level = RectifiedRaster(raster, plane)
-    nothing = replace(detections, others=Objects.joined(), scene=None)  # both are of the image as it is
+    nothing = replace(detections, others=Objects.joined())  # they are of the image as it is
     courts = find_courts(level, nothing, card, providers=providers, run_options=run_options)
     size = raster.width_px, raster.height_px
     found = [

@@ -232,7 +232,6 @@ class _Work:
             fleet.look(self._raster, vehicles.boxes, self._run_options) if fleet else None,
             vehicles.classes,
             _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
-            self._scene,
             len(self.visits),
             because,
         )

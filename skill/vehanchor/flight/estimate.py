@@ -13,7 +13,7 @@ import numpy as np
 
 from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
-from vehanchor.estimate import analyse_raster, image_facts, networks_sha256, open_detector
+from vehanchor.estimate import analyse_view, networks_sha256, open_detector, search_raster
 from vehanchor.flight.components import single_component
 from vehanchor.flight.features import find_features
 from vehanchor.flight.inputs import InputPhotograph, named
@@ -22,6 +22,7 @@ from vehanchor.flight.photograph import Look, Photograph, chief_member
 from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
+from vehanchor.rulers.measurement import with_tilt
 from vehanchor.storage.journal import Journal, Key, Source
 from vehanchor.storage.stored import from_json, to_json
 
@@ -215,8 +216,8 @@ def _look(
         features = find_features(raster) if featured else None
         if known is not None:
             return known, features
-        analysis = analyse_raster(raster, detector, options, run_options=run_options)
-        return Look.of(image_facts(raster), analysis.detections, analysis), features
+        view = with_tilt(search_raster(raster, detector, options, run_options=run_options))
+        return Look.of(view, analyse_view(view)), features
 
 
 def _check(options: ScaleOptions) -> None:

@@ -13,7 +13,7 @@ from vehanchor.options.groups import (
     Reference,
     ScaleOptions,
 )
-from vehanchor.options.rulers import KnownLength, RulerName, Rulers
+from vehanchor.options.rulers import KnownLength, Rulers
 from vehanchor.options.search import Effort, Search
 
 __all__ = [
@@ -27,7 +27,6 @@ __all__ = [
     "OptionKeywords",
     "Reading",
     "Reference",
-    "RulerName",
     "Rulers",
     "ScaleOptions",
     "Search",

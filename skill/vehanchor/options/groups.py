@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, get_args
 
 from vehanchor.errors import FrameError, InvalidParameterError
 from vehanchor.options.fields import choice, positive, set_frozen, whole
-from vehanchor.options.rulers import KnownLength, RulerName, Rulers
+from vehanchor.options.rulers import KnownLength, Rulers
 from vehanchor.options.search import Effort, Search
 from vehanchor.scale.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, OUTLIER_ALPHA, REGIONS, Aggregation
 
@@ -276,7 +276,7 @@ class OptionKeywords(TypedDict, total=False):
     limits: ImageLimits
     bgr: bool
     max_megapixels: float | None
-    rulers: Sequence[RulerName] | None
+    rulers: Sequence[str] | None
     metadata: bool
     known_lengths: Sequence[tuple[float, float, float, float, float]]
     height_m: float | None

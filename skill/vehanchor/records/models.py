@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from vehanchor.options.rulers import RulerName
 from vehanchor.options.search import Stopped
 from vehanchor.records.interop import as_frame, as_html, line_geometry, outline_geometry
 from vehanchor.scale.defaults import Aggregation
@@ -77,13 +76,18 @@ class SceneScaleEstimate(_Record):
 class RulerScale(_Record):
     """What one ruler says of the scale, and its part in the scale that is given out."""
 
-    kind: RulerName = Field(description="Of the ruler.")
+    kind: str = Field(description="Name of the ruler in options and tables.")
+    label: str = Field(description="Name of the ruler in messages and pictures.")
+    sets_scale: bool = Field(description="Whether it can set the scale; a prior only weighs what others say.")
     gsd_m_per_px: float = Field(gt=0, description="What it says by itself, metres per pixel of the full image.")
     gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its own 95 % interval.")
     gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its own 95 % interval.")
     n: int = Field(ge=0, description="How many things it was measured on: vehicles, lines, tiles of the ground.")
     weight: float = Field(
-        ge=0, le=1, description="Its share of the precision among the rulers that agree; 0 for one that does not."
+        ge=0,
+        le=1,
+        description="Its share of the precision among the rulers whose densities make the scale; 0 for the others and "
+        "for one that disagrees.",
     )
     agrees: bool = Field(description="Whether it agrees with the scale that is given out.")
     explanation: str | None = Field(
@@ -158,7 +162,7 @@ class GsdEstimate(_Record):
     scene_scale: SceneScaleEstimate | None = Field(
         description="What the ground itself tells, a witness beside the vehicles; null where nothing looked at it."
     )
-    scale_source: RulerName | None = Field(
+    scale_source: str | None = Field(
         description="The ruler that leads: the one of the largest weight; null without an anchor."
     )
     rulers: tuple[RulerScale, ...] = Field(

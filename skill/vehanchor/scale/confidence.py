@@ -88,8 +88,8 @@ def fleet_doubts(
     * ``scores_unclear``: not a tenth of them reach the score that some cars of every fleet do, less 0.32 over their
       number: of 5 cars none need be a very clear one (2nd percentile of random draws from 113 train images with 20
       and more: 0.69 of 5, 0.72 of 12, 0.74 of 20, 0.75 of all; ``training/verifier/calibrate.py``).
-    * ``looks_alike``: 20 or more whose log odds (``vehanchor.detection.appearance``) have a standard deviation below 0.7:
-      makes, models and paint differ more.
+    * ``looks_alike``: 20 or more whose log odds (``vehanchor.detection.appearance``) have a standard deviation below
+      0.7: makes, models and paint differ more.
     * ``looks_unlike_cars``: 20 or more whose mean log odds are below -3.2, where no fleet of cars was seen.
 
     Args:

@@ -56,40 +56,10 @@ class Votes(NamedTuple):
         return np.asarray(1.0 / (1.0 + np.exp(-odds)))
 
 
-class Fused(NamedTuple):
-    """What all rulers together say of a scale that is given out.
-
-    Attributes:
-        interval: that holds the true scale in 95 of 100 images, and the scale given out.
-        p_within_20: chance that the error of the scale given out is below a fifth.
-    """
-
-    interval: Interval
-    p_within_20: float
-
-
-def fuse(gsd_m_per_px: float, *densities: NDArray[np.float64], sharpness: float = 1.0) -> Fused:
-    """Judge a scale by the product of the rulers' densities.
-
-    Args:
-        gsd_m_per_px: the scale that is given out.
-        *densities: ``[g]`` probabilities each.
-        sharpness: see ``recalibrated``.
-
-    Returns:
-        Its interval, and the chance that it is right.
-    """
-    posterior = product(*densities)
-    low, high = credible_interval(posterior)
-    interval = Interval(min(low, gsd_m_per_px), max(high, gsd_m_per_px))
-    chance = recalibrated(mass_within(posterior, gsd_m_per_px, TOLERANCE), sharpness)
-    return Fused(interval, float(chance))
-
-
 def recalibrated(chance: ArrayLike, sharpness: float) -> NDArray[np.float64]:
-    """Chances as they were borne out: their odds over those of ``USABLE_CHANCE``, to the power ``certainty``.
+    """Scale log-odds around ``USABLE_CHANCE``.
 
-    What is usable stays so, whatever the power; a density that is too flat says too much of what is not.
+    A usable chance stays usable, whatever the factor.
 
     Args:
         chance: ``[...]`` 0..1, mass of a density within the tolerance.

@@ -12,6 +12,7 @@ from tests.analyses import analyse_found, made_card, make_analysis
 from vehanchor.analysis.exhibits import ScaleAnalysis
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import OutputError
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.pictures import scale
@@ -25,7 +26,7 @@ from vehanchor.pictures.scale import (
     read_reduced,
     write_picture,
 )
-from vehanchor.rulers.evidence import ImageFacts, Mark
+from vehanchor.rulers.evidence import Mark
 from vehanchor.tilt.camera_tilt import CameraTilt, tilt_record
 
 

@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from vehanchor.rulers.fused import FusedScale
 
+from vehanchor.rulers.decision import fuse_rulers
 from vehanchor.rulers.evidence import Evidence
-from vehanchor.rulers.fused import FusedScale, fuse_rulers
 from vehanchor.rulers.lognormal import LognormalEvidence, lognormal_evidence, no_evidence
 
 SPREADS = {"vehicles": (0.09, 0.10), "camera": (0.13, 0.05), "known_length": (0.015, 0.05)}

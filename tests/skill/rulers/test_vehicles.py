@@ -10,9 +10,10 @@ from tests.analyses import made_card
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections
 from vehanchor.estimate import analyse_detections
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import Lengths, ScaleOptions
 from vehanchor.records import Notice
-from vehanchor.rulers.evidence import Evidence, ImageFacts, View
+from vehanchor.rulers.evidence import Evidence, View
 from vehanchor.rulers.vehicles import Vehicles, select
 from vehanchor.scale.fusion import Votes, credible_interval
 from vehanchor.scale.lengths import Interval
@@ -34,14 +35,14 @@ def test_the_fleet_is_what_the_outlier_filter_leaves() -> None:
 
 
 def test_vehicles_say_the_reference_length_over_their_modal_length() -> None:
-    evidence = Vehicles().look(_view(_LENGTHS))
+    evidence = Vehicles().measure(_view(_LENGTHS))
     assert evidence.mode_length_px is not None
     assert evidence.gsd_m_per_px == 5.0 / evidence.mode_length_px == pytest.approx(5 / 40.8, rel=0.02)
     assert (evidence.kind, evidence.n) == ("vehicles", 5)
 
 
 def test_no_vehicles_are_no_evidence() -> None:
-    evidence = Vehicles().look(_view([]))
+    evidence = Vehicles().measure(_view([]))
     assert (evidence.gsd_m_per_px, evidence.interval, evidence.n, evidence.confidence) == (None, None, 0, 0.0)
 
 
@@ -78,7 +79,7 @@ def test_among_other_rulers_the_boxes_speak_around_the_papers_scale() -> None:
     votes = Votes(share_at_zero=-2.0, share_slope=6.0, log_sd=0.15, clutter_density=1.0, trust=0.6, chance_wrong=0.02)
     lengths = [*np.linspace(27, 33, 12), 40.0, 41.0, 42.0]  # a few long ones: mean and mode part
     view = _view(lengths)
-    evidence = Vehicles().look(replace(view, card=view.card.model_copy(update={"votes": votes})))
+    evidence = Vehicles().measure(replace(view, card=view.card.model_copy(update={"votes": votes})))
     assert evidence.density is not None
     assert evidence.fusable_density is not None
     assert evidence.gsd_m_per_px is not None

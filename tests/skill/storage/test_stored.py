@@ -8,9 +8,9 @@ import pytest
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.flight.photograph import Look
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.records import Notice
-from vehanchor.rulers.evidence import ImageFacts
 from vehanchor.storage.stored import from_json, to_json
 
 

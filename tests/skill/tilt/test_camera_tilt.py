@@ -11,11 +11,13 @@ from vehanchor.errors import TooObliqueError
 from vehanchor.estimate import analyse_detections
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.pooling import pool
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.evidence import View
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt, plane_with, rectified
+from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt, plane_with
+from vehanchor.tilt.rectified import rectified
 
 WIDTH, HEIGHT, FOCAL, CAR_M, GSD = 3000, 2000, 2400.0, 5.0, 0.05
 CAR_WIDTH_M = CAR_M / 2.21  # as detectors draw it

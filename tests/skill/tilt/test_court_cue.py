@@ -15,13 +15,15 @@ from vehanchor.courts.proposals import Proposal
 from vehanchor.courts.rectified import RectifiedRaster, rough_courts_on
 from vehanchor.courts.template import TENNIS
 from vehanchor.detection.detections import Detections
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers import courts as ruler
-from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.evidence import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.tilt.court_cue import court_cues
-from vehanchor.tilt.posterior import Focal, GimbalCue, tilt_posterior
+from vehanchor.tilt.focal import Focal
+from vehanchor.tilt.posterior import GimbalCue, tilt_posterior
 
 SIZE, FOCAL, GSD = 600, 650.0, 0.1
 NOTHING = Detections(np.zeros((0, 5)), np.zeros(0))

@@ -14,12 +14,14 @@ from vehanchor.courts.template import TENNIS
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import TooObliqueError
 from vehanchor.estimate import analyse_detections
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.camera import Camera
 from vehanchor.rulers.courts import CourtsEvidence, evidence_of
-from vehanchor.rulers.evidence import ImageFacts, View
-from vehanchor.rulers.known_length import GivenHeight, KnownLengths
+from vehanchor.rulers.evidence import View
+from vehanchor.rulers.given_height import GivenHeight
+from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.storage.stored import from_json, to_json
 from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt
@@ -103,7 +105,7 @@ def test_a_court_seen_from_above_leaves_the_ground_level() -> None:
 
 def test_the_height_of_the_camera_is_measured_along_the_joint_tilt() -> None:
     view = _view(NOTHING, replace(CAMERA, height_m=60.0))
-    said = Camera().look(view)
+    said = Camera().measure(view)
     (moved,) = on_the_plane([said], CameraTilt(33.0, 0.0, FOCAL_PX, "metadata, vehicles"), view)
     assert moved.gsd_m_per_px == pytest.approx(60 / GroundPlane(1.0, 33.0, FOCAL_PX, WIDTH, HEIGHT).height_m)
     assert said.gsd_m_per_px is not None
@@ -113,7 +115,7 @@ def test_the_height_of_the_camera_is_measured_along_the_joint_tilt() -> None:
 
 def test_the_height_of_a_camera_that_does_not_say_where_it_looked_is_measured_along_what_courts_say() -> None:
     view = _view(NOTHING, replace(CAMERA, off_nadir_deg=None, height_m=60.0))
-    said = Camera().look(view)
+    said = Camera().measure(view)
     (moved,) = on_the_plane([said], CameraTilt(33.0, 0.0, FOCAL_PX, "courts"), view)
     assert said.gsd_m_per_px == pytest.approx(60 / FOCAL_PX)
     assert moved.gsd_m_per_px == pytest.approx(60 / GroundPlane(1.0, 33.0, FOCAL_PX, WIDTH, HEIGHT).height_m)
@@ -126,7 +128,7 @@ def test_lines_and_heights_of_the_caller_are_measured_along_the_tilt() -> None:
     said = {"known_lengths": [(*ends[0], *ends[1], metres)], "height_m": plane.height_m}
     view = replace(_view(NOTHING, CAMERA), options=ScaleOptions.of(said))
     looked = CameraTilt(35.0, 5.0, FOCAL_PX, "metadata")
-    flat = [KnownLengths().look(view), GivenHeight().look(view)]
+    flat = [KnownLengths().measure(view), GivenHeight().measure(view)]
     for before, moved in zip(flat, on_the_plane(flat, looked, view), strict=True):
         assert before.gsd_m_per_px is not None
         assert before.interval is not None
