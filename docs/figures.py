@@ -1,6 +1,6 @@
-"""Draws the icons, and figures of the concepts page and of the detector's card from real runs.
+"""Draw the icons and the figures of the documentation from real runs.
 
-To be run as ``python docs/figures.py``.
+Run ``python docs/figures.py``.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from vehanchor_scenes import Scene, render_scene
 ROOT = Path(__file__).parent.parent
 IMAGE = ROOT / "examples" / "car_park.jpg"
 SHOWN = ROOT / "examples" / "scenes" / "safe.jpg"
-MEASURED = (  # on that page: the tool, and from where to where, pixels of the image
+MEASURED = (  # on that page: tool, start and end in pixels of the image
     ("Area", (255, 160), (535, 470)),
     ("Distance", (217, 120), (292, 188)),
 )
-ICONS = {  # and their side, pixels
-    ROOT / "server/vehanchor_server/icon.png": 48,  # sent with every greeting, so that it has to be small
+ICONS = {  # file: side in pixels
+    ROOT / "server/vehanchor_server/icon.png": 48,  # small, because every initialisation sends it
     ROOT / "examples/clients/mcpb/icon.png": 512,
 }
 CROP = (slice(250, 510), slice(380, 760))  # rows and columns of the image, pixels
@@ -38,7 +38,7 @@ BLUE, ORANGE, INK = "#0072B2", "#D55E00", "#222222"
 
 
 def draw(analysis: ScaleAnalysis, pixels: np.ndarray) -> Figure:
-    """Boxes, their lengths, the scale: three panels from left to right."""
+    """Draw boxes, lengths and scale in three panels."""
     estimate = analysis.estimate
     assert estimate.gsd_m_per_px is not None
     assert estimate.mode_length_px is not None
@@ -80,7 +80,7 @@ def draw(analysis: ScaleAnalysis, pixels: np.ndarray) -> Figure:
 
 
 def draw_hits_and_misses(scene: Scene) -> Figure:
-    """Detections over the true boxes of a scene: hits green, misses red, false alarms yellow."""
+    """Draw hits (green), misses (red) and false alarms (yellow) on a rendered scene."""
     found = analyse_scale(scene.image).detections.boxes
     boxes = {
         hard: np.array(
@@ -111,7 +111,7 @@ def draw_hits_and_misses(scene: Scene) -> Figure:
 
 
 def photograph_page(image: Path, picture: Path) -> None:
-    """Open ``vehanchor view`` in Chromium, measure an area and a distance as a person does, and keep what is seen."""
+    """Measure an area and a distance on the page of ``vehanchor view`` in Chromium, and save a screenshot."""
     from playwright.sync_api import sync_playwright  # extra browser
 
     command = [sys.executable, "-m", "vehanchor", "view", str(image), "--no-browser"]
@@ -140,7 +140,7 @@ def photograph_page(image: Path, picture: Path) -> None:
 
 
 def draw_icon(side_px: int) -> np.ndarray:
-    """A car from above over a measured length, ``[side_px, side_px, 4]`` BGRA; drawn larger, and reduced."""
+    """Draw a car above a measured length, ``[side_px, side_px, 4]`` BGRA."""
     large = 1024
     icon = np.zeros((large, large, 4), np.uint8)
     ground, paint, glass, line = (

@@ -1,4 +1,4 @@
-"""Brings what lives beside the code into the site: model cards."""
+"""MkDocs hook: insert the model cards."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _BUNDLED = Path(__file__).parent.parent / "skill" / "vehanchor" / "models" / "bu
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Put every bundled model's card, one heading lower, where a page says ``<!-- model cards -->``."""
+    """Replace ``<!-- model cards -->`` by the cards of all bundled models, one heading level lower."""
     if "<!-- model cards -->" not in markdown:
         return markdown
     cards = [card.read_text(encoding="utf-8") for card in sorted(_BUNDLED.glob("*.md"))]

@@ -99,7 +99,7 @@ def judge(record: dict[str, Any], anchor: Ruler, zone: Zone, craft: Craft) -> De
         return Decision(Action.HOLD_ALTITUDE, f"no scale from {anchor.name}: nothing to measure by", anchor.name, zone)
     confidence = record["confidence"]  # null for a scale that was given
     if confidence is not None and confidence < FALLBACK_CONFIDENCE:
-        reason_code = record["scale"]["reason"]
+        reason_code = record["estimate"]["reason"]
         why = f"{reason_code}; {WHAT_HELPS[reason_code]}"
         reason = f"confidence {confidence:.2f} of the scale from {anchor.name} is below {FALLBACK_CONFIDENCE}: {why}"
         return Decision(Action.HOLD_ALTITUDE, reason, anchor.name, zone)

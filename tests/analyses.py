@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vehanchor.analysis.exhibits import ScaleAnalysis
+from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detections import Detections
 from vehanchor.estimate import analyse_detections

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 from vehanchor.errors import VehAnchorError
 
 if TYPE_CHECKING:
-    from vehanchor.analysis.exhibits import AreaAnalysis, DistanceAnalysis, ScaleAnalysis
+    from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.batch.files import find_images
     from vehanchor.detection.detector import Detector
     from vehanchor.estimate import analyse_scale, estimate_gsd

@@ -20,7 +20,7 @@ from vehanchor.options import ScaleOptions
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from vehanchor.analysis.exhibits import DistanceAnalysis
+    from vehanchor.analysis.measured import DistanceAnalysis
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.measure.coordinates import Place
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate

@@ -1,17 +1,17 @@
-"""Every error that VehAnchor raises on purpose.
+"""Errors of VehAnchor.
 
 * VehAnchorError
-  x InvalidParameterError (ValueError)   ``invalid_parameter``  an option without meaning: negative, NaN, unknown
-    - PromptError                        ``invalid_prompt``     a box or point that names nothing in the image
-    - KnownLengthError                   ``invalid_known_length``  a line too short to measure by, or outside
+  x InvalidParameterError (ValueError)   ``invalid_parameter``  an invalid option: negative, NaN, unknown
+    - PromptError                        ``invalid_prompt``     a box or point that cannot select an object
+    - KnownLengthError                   ``invalid_known_length``  a line too short to use, or outside the image
   x FrameError (ValueError)              ``frame_mismatch``     the frame has another aspect ratio than the image
-  x ScaleMismatchError (ValueError)      ``scale_mismatch``     the scale given back was measured on another image
+  x ScaleMismatchError (ValueError)      ``scale_mismatch``     an earlier scale belongs to another image
   x ImageError (ValueError)
     - ImageNotFoundError                 ``image_not_found``    no file there, or it is a directory
     - ImageDecodeError                   ``image_undecodable``  empty, truncated, or not an image at all
     - ImageTooLargeError                 ``image_too_large``    more bytes or declared pixels than the limits allow
-    - ImageFormatError                   ``image_unsupported``  decodable, not measurable: 1 x 1 px, NaN, odd dtype
-    - TooObliqueError                    ``too_oblique``        the horizon is in sight, or nearly so: no scale holds
+    - ImageFormatError                   ``image_unsupported``  decodable, not measurable: 1 x 1 px, NaN, wrong dtype
+    - TooObliqueError                    ``too_oblique``        the horizon is in the image or close: no scale holds
   x ModelError
     - ModelNotFoundError                 ``model_not_found``    no such file, and no model of that name
     - ModelContractError (ValueError)    ``model_contract``     not ONNX, or not a model this code can read
@@ -23,34 +23,34 @@
   x MissingExtraError (ImportError)      ``missing_extra``      an optional dependency is not installed
   x OutputError                          ``output_unwritable``  a result cannot be written: no folder, odd suffix
   x WorkerDiedError                      ``worker_died``        a process of a batch run was killed
-  x OutOfMemoryError (MemoryError)       ``out_of_memory``      this machine has too little memory left just now
+  x OutOfMemoryError (MemoryError)       ``out_of_memory``      this machine has too little free memory now
 
-``code`` is stable: programs may match on it. The message says what was wrong, with the value, and what to do.
+``code`` is stable, so programs may match it. The message names the problem, the value and the remedy.
 """
 
 from __future__ import annotations
 
 
 class VehAnchorError(Exception):
-    """Base of all errors raised on purpose; ``code`` is a stable identifier."""
+    """Base of all errors of VehAnchor; ``code`` is a stable identifier."""
 
     code = "vehanchor_error"
 
 
 class InvalidParameterError(VehAnchorError, ValueError):
-    """An option has no meaning: negative, NaN, out of range, or an unknown name."""
+    """An option is invalid: negative, NaN, out of range, or an unknown name."""
 
     code = "invalid_parameter"
 
 
 class PromptError(InvalidParameterError):
-    """The box or points cannot name an object: outside the image, reversed, empty, not finite, none or both given."""
+    """The box or points cannot select an object: outside the image, reversed, empty, not finite, missing, or both."""
 
     code = "invalid_prompt"
 
 
 class KnownLengthError(InvalidParameterError):
-    """The line of known length cannot be measured by: under five pixels, outside the image, or of no length."""
+    """The line of known length cannot be used: under five pixels, outside the image, or without length."""
 
     code = "invalid_known_length"
 
@@ -62,7 +62,7 @@ class FrameError(VehAnchorError, ValueError):
 
 
 class ScaleMismatchError(VehAnchorError, ValueError):
-    """The scale that was given back was measured on another image."""
+    """The earlier scale belongs to another image."""
 
     code = "scale_mismatch"
 
@@ -86,7 +86,7 @@ class ImageDecodeError(ImageError):
 
 
 class ImageTooLargeError(ImageError):
-    """The file or its declared size is beyond the limits, found out before decoding."""
+    """The file or its declared size exceeds the limits; the check precedes decoding."""
 
     code = "image_too_large"
 
@@ -98,7 +98,7 @@ class ImageFormatError(ImageError):
 
 
 class TooObliqueError(ImageError):
-    """The camera looked so far aside that no scale holds: the horizon is in sight, or a place is too near to it."""
+    """The image is too oblique for a scale: the horizon is visible, or a measured place is too close to it."""
 
     code = "too_oblique"
 
@@ -116,25 +116,25 @@ class ModelNotFoundError(ModelError):
 
 
 class ModelContractError(ModelError, ValueError):
-    """The file is not a model of a kind this code reads; the message says what was found and what is expected."""
+    """The file is not a supported model; the message gives its layout and the expected one."""
 
     code = "model_contract"
 
 
 class ProviderUnavailableError(ModelError):
-    """The installed ONNX Runtime does not have the execution provider asked for."""
+    """The installed ONNX Runtime lacks the requested execution provider."""
 
     code = "provider_unavailable"
 
 
 class CalibrationError(VehAnchorError):
-    """A reference length cannot be measured, or a measured one cannot be used."""
+    """A reference length cannot be measured, or a calibration cannot be used."""
 
     code = "calibration_error"
 
 
 class CalibrationFileError(CalibrationError, ValueError):
-    """There is no calibration file at the path, or it is not one."""
+    """There is no file at the path, or it is not a calibration."""
 
     code = "calibration_unreadable"
 
@@ -164,12 +164,12 @@ class OutputError(VehAnchorError):
 
 
 class WorkerDiedError(VehAnchorError):
-    """A worker process of a batch run was killed, for want of memory as a rule; the rows so far are kept."""
+    """A worker process of a batch run was killed, usually for lack of memory; finished rows are kept."""
 
     code = "worker_died"
 
 
 class OutOfMemoryError(VehAnchorError, MemoryError):
-    """There is too little memory left just now: nothing need be wrong with what was given, a later try may succeed."""
+    """The machine has too little free memory now; the same input may succeed later."""
 
     code = "out_of_memory"

@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, overload
 
-from vehanchor.analysis.exhibits import ScaleAnalysis
+from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.detections import NOT_SEARCHED, Detections
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene_scale import load_scene_scale
@@ -313,7 +313,7 @@ def _record(
         p_within_20=decision.p_within_20,
         reason=decision.reason,
         scene_scale=next((_scene_scale(other) for other in others if other.kind == SceneScale.kind), None),
-        scale_source=decision.source,
+        leading_ruler=decision.source,
         rulers=tuple(_ruler_scale(share) for share in decision.rulers),
         n_detections=len(vehicles.fleet.detections.boxes),
         working_scale=vehicles.fleet.working_scale,

@@ -1,1 +1,1 @@
-"""What is installed, whether it works, and whether it will work on somebody's images."""
+"""Checks of an installation and of a user's images."""

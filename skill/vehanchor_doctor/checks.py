@@ -1,4 +1,4 @@
-"""Checks of an installation: what is there, whether a scene of known scale is measured, how many images of a folder."""
+"""Checks of an installation: versions, a scene of known scale, images of a folder."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _TOLERANCE = 0.15
 
 
 def installed() -> list[tuple[str, str]]:
-    """Names and versions of what is there, and which extra brings what is not."""
+    """List packages and versions; for missing ones, the extra to install."""
     import onnxruntime
 
     rows = [("vehanchor", version("vehanchor")), ("python", f"{platform.python_version()} on {platform.platform()}")]
@@ -30,19 +30,19 @@ def installed() -> list[tuple[str, str]]:
             rows.append((name, version(name)))
         except PackageNotFoundError:
             extra = _EXTRAS.get(name)
-            rows.append((name, f"not there: pip install 'vehanchor[{extra}]'" if extra else "not there: reinstall"))
+            rows.append((name, f"missing: pip install 'vehanchor[{extra}]'" if extra else "missing: reinstall"))
     return [*rows, ("providers", ", ".join(onnxruntime.get_available_providers()))]
 
 
 @dataclass(frozen=True)
 class SelfTest:
-    """A scene of known scale, measured.
+    """Measurement of a scene of known scale.
 
     Attributes:
-        true_gsd_m_per_px: what it was rendered at.
-        gsd_m_per_px: what was measured; None for nothing.
-        status: of the record.
-        seconds: that measuring took.
+        true_gsd_m_per_px: GSD of the rendered scene.
+        gsd_m_per_px: measured GSD; None if there is none.
+        status: status of the record.
+        seconds: duration of the measurement.
     """
 
     true_gsd_m_per_px: float
@@ -52,7 +52,7 @@ class SelfTest:
 
     @property
     def passed(self) -> bool:
-        """Whether the scale may be used and is right."""
+        """Whether the scale is usable and correct."""
         if self.gsd_m_per_px is None or self.status != "ok":
             return False
         return abs(self.gsd_m_per_px / self.true_gsd_m_per_px - 1) <= _TOLERANCE
@@ -73,12 +73,12 @@ def self_test(detector: Detector) -> SelfTest:
 
 @dataclass
 class FolderCheck:
-    """What became of some images.
+    """Result of a trial on some images.
 
     Attributes:
-        n: images that were looked at.
-        n_ok: of them with a scale that may be used.
-        reasons: why the others have none: reasons of records, and codes of errors.
+        n: images tried.
+        n_ok: images with a usable scale.
+        reasons: counts for the others, by the record's reason or the error's code.
     """
 
     n: int = 0
@@ -92,12 +92,12 @@ def check_images(
     progress: Callable[[int, int], None],
     max_megapixels: float | None = None,
 ) -> FolderCheck:
-    """Estimate the scale of images and count.
+    """Estimate the scale of images and count the results.
 
     Args:
         images: paths.
-        detector: finds the vehicles.
-        progress: called with (images done, images in all).
+        detector: vehicle detector.
+        progress: called with (images done, images in total).
         max_megapixels: as in ``estimate_gsd``.
     """
     from vehanchor.errors import VehAnchorError

@@ -1,4 +1,4 @@
-"""``vehanchor doctor``: what is installed, whether it works, and whether it will work on somebody's images."""
+"""Command ``vehanchor doctor``: installed versions, a self-test, and a trial on a user's images."""
 
 from __future__ import annotations
 
@@ -19,22 +19,20 @@ if TYPE_CHECKING:
 def doctor(
     inputs: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[IMAGES]", help="Will it work on my images: files, folders, patterns.", show_default=False
-        ),
+        typer.Argument(metavar="[IMAGES]", help="Images to try: files, folders, patterns.", show_default=False),
     ] = None,
-    sample: Annotated[int, typer.Option(metavar="N", min=1, help="Look at so many of them, taken by chance.")] = 20,
+    sample: Annotated[int, typer.Option(metavar="N", min=1, help="Try N of the images, chosen at random.")] = 20,
     max_megapixels: Annotated[
         float | None,
-        typer.Option(metavar="MP", help="Decode images of up to so many megapixels whole. Default: 100."),
+        typer.Option(metavar="MP", help="Decode images up to this size whole. Default: 100."),
     ] = None,
     provider: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Where models run, as of `estimate`; may be repeated. Default: cpu."),
+        typer.Option(metavar="NAME", help="Where models run, as for `estimate`; repeatable. Default: cpu."),
     ] = None,
     test: Annotated[bool, typer.Option("--test/--no-test", help="Measure a scene of known scale.")] = True,
 ) -> None:
-    """Tell what is installed, test it on a scene of known scale, and say whether it will work on your images."""
+    """List installed versions, measure a scene of known scale, and try VehAnchor on your images."""
     with exit_on_error():
         from vehanchor.batch.files import find_images
         from vehanchor.detection.detector import load_detector
@@ -49,35 +47,33 @@ def doctor(
         if test:
             found = self_test(detector)
             passed = found.passed
-            measured = "nothing" if found.gsd_m_per_px is None else f"{found.gsd_m_per_px:.4g} m/px"
+            measured = "no scale" if found.gsd_m_per_px is None else f"{found.gsd_m_per_px:.4g} m/px"
             facts = [
-                ("self-test", "passed" if passed else "FAILED: reinstall, or report it"),
-                ("measured", f"{measured} ({found.status}) where {found.true_gsd_m_per_px:g} is right"),
-                ("seconds", f"{found.seconds:.1f} a megapixel, about" if found.seconds else "0"),
+                ("self-test", "passed" if passed else "FAILED: reinstall, or report this"),
+                ("measured", f"{measured} ({found.status}); true: {found.true_gsd_m_per_px:g} m/px"),
+                ("seconds", f"about {found.seconds:.1f} per megapixel" if found.seconds else "0"),
             ]
             print_table(facts_table("a rendered scene", facts))
         if images:
             chosen = sorted(random.Random(0).sample(images, min(sample, len(images))))
             print_table(
-                facts_table(
-                    f"{len(chosen)} of {len(images)} images", _advice(_counted(chosen, detector, max_megapixels))
-                )
+                facts_table(f"{len(chosen)} of {len(images)} images", _advice(_check(chosen, detector, max_megapixels)))
             )
         if not passed:
             raise typer.Exit(FAILED_TEST)
 
 
-def _counted(images: Sequence[str], detector: object, max_megapixels: float | None) -> FolderCheck:
+def _check(images: Sequence[str], detector: object, max_megapixels: float | None) -> FolderCheck:
     from vehanchor.detection.detector import Detector
     from vehanchor_doctor.checks import check_images
 
     assert isinstance(detector, Detector)
-    tell = seldom(lambda n, total: f"{n} of {total} images", sys.stderr)
-    return check_images(images, detector, tell, max_megapixels)
+    report = seldom(lambda n, total: f"{n} of {total} images", sys.stderr)
+    return check_images(images, detector, report, max_megapixels)
 
 
 def _advice(check: FolderCheck) -> list[tuple[str, str]]:
-    """How many have a usable scale, and for the others why not and what would help."""
+    """Count images with a usable scale; give the reason and a remedy for the others."""
     from vehanchor.records.advice import ADVICE
 
     facts = [("usable", f"{check.n_ok} of {check.n} ({100 * check.n_ok / max(1, check.n):.0f} %)")]

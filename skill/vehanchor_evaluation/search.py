@@ -11,7 +11,7 @@ from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from vehanchor.analysis.exhibits import ScaleAnalysis
+from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.batch.pool import finished_in_threads
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import InvalidParameterError, VehAnchorError

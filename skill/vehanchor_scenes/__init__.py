@@ -1,8 +1,8 @@
 """Aerial scenes of exactly known ground sampling distance, for demos, tests, benchmarks and training.
 
-A scene is laid out in metres (``layout``: ``streets``, and ``blocks`` between them) with a fleet of a known length
-distribution (``fleet``). It is drawn in tiles (``painter``, ``roofs``, ``sprites``, ``shadows``) at up to three times
-the resolution asked for, averaged down and photographed (``render``). ``truth`` keeps what was drawn, exactly.
+``layout`` lays out a scene in metres (``streets``, with ``blocks`` between them) and ``fleet`` draws vehicles from a
+known length distribution. ``painter``, ``roofs``, ``sprites`` and ``shadows`` draw tiles at up to three times the
+requested resolution. ``render`` downsamples them and applies a camera model. ``truth`` holds the exact ground truth.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:  # on first use, so that the command's help need not wait for OpenCV
+def __getattr__(name: str) -> Any:  # on first use: the command's help does not load OpenCV
     if name in __all__:
         return getattr(importlib.import_module(f"{__name__}.{'render' if name == 'render_scene' else 'truth'}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

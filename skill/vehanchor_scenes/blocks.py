@@ -1,4 +1,4 @@
-"""Fillers of the blocks between streets, by name."""
+"""Builders of the blocks between streets, by name."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from vehanchor_scenes.sports import sports_ground
 from vehanchor_scenes.world import Material
 
 Filler = Callable[[Site, float, float], None]
-"""Fills (0, 0) to (width, depth) of the site's frame."""
+"""Function that builds from (0, 0) to (width, depth) in the site's frame."""
 
 
 def park(site: Site, width: float, depth: float) -> None:
-    """Lawn, paths, trees, perhaps courts."""
+    """Build a park: lawn, paths, trees, perhaps courts."""
     rng, palette = site.rng, site.palette
     site.rect(
         (0, 0, width, depth), jitter(rng, palette.lawn, 6), Material.MEADOW if rng.random() < 0.5 else Material.LAWN
@@ -40,7 +40,7 @@ def park(site: Site, width: float, depth: float) -> None:
 
 
 def courts(site: Site, width: float, depth: float) -> float:
-    """Tennis and basketball courts side by side; returns the width used."""
+    """Build tennis and basketball courts side by side; return the used width."""
     rng = site.rng
     x = 0.0
     surface = jitter(rng, [(72, 116, 92), (158, 88, 66), (84, 110, 150), (70, 104, 128)][int(rng.integers(4))], 8)

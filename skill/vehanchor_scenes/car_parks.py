@@ -1,4 +1,4 @@
-"""Car parks, and halls with their yards."""
+"""Car parks, and halls with yards."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vehanchor_scenes.world import Material, Rect, Rgb
 
 
 def car_park(site: Site, width: float, depth: float) -> None:
-    """A surface car park: rows of bays, aisles, islands with trees."""
+    """Build a surface car park: rows of bays, aisles, islands with trees."""
     rng = site.rng
     tone = rng.uniform(0.85, 1.25)
     red, green, blue = (int(min(c * tone, 190)) for c in site.palette.asphalt)
@@ -86,7 +86,7 @@ def _rows(site: Site, width: float, depth: float) -> None:
 
 
 def bays(site: Site, x0: float, x1: float, head: float, side: int, slant: float, filled: float, line: Rgb) -> None:
-    """One row of bays; their heads lie on y = head and they open towards ``side``."""
+    """Build a row of bays whose heads lie on y = head and which open towards ``side``."""
     rng, fleet = site.rng, site.fleet
     length, width = fleet.bay_length_m, fleet.bay_width_m
     pitch = width / math.cos(slant)
@@ -102,7 +102,7 @@ def bays(site: Site, x0: float, x1: float, head: float, side: int, slant: float,
         if index == count:
             break
         middle = np.array([x + pitch / 2, head])
-        if rng.random() < 0.5:  # drips of oil
+        if rng.random() < 0.5:  # oil stains
             spot = middle + direction * rng.uniform(1.0, 3.8)
             angles = np.linspace(0, 2 * np.pi, 9, endpoint=False)
             radius = rng.uniform(0.2, 0.6)
@@ -128,7 +128,7 @@ def bays(site: Site, x0: float, x1: float, head: float, side: int, slant: float,
 
 
 def halls(site: Site, width: float, depth: float) -> None:
-    """A big hall or supermarket with its yard or car park."""
+    """Build a large hall or supermarket with its yard or car park."""
     rng = site.rng
     along = depth * rng.uniform(0.38, 0.5)
     hall = flat_roof_rgb(site.rng)

@@ -1,6 +1,6 @@
-"""``vehanchor scene``, for the command line to mount.
+"""Command ``vehanchor scene``.
 
-Whatever is slow to load (OpenCV) is imported when a scene is drawn: help comes at once.
+OpenCV, which loads slowly, is imported when a scene is drawn: the help appears at once.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from vehanchor.errors import OutputError
 
 
 class LayoutChoice(StrEnum):
-    """The layouts, as Typer takes choices; the renderer's ``Layout`` lives where OpenCV is loaded."""
+    """Layouts as a Typer choice; importing the renderer's ``Layout`` would load OpenCV."""
 
     urban = "urban"
     parking = "parking"
@@ -26,19 +26,19 @@ class LayoutChoice(StrEnum):
 
 def scene(
     out: Annotated[
-        Path, typer.Argument(metavar="OUT.png", help="The image, .png or .jpg; its truth is written beside it.")
+        Path, typer.Argument(metavar="OUT.png", help="Image to write, .png or .jpg; its ground truth goes next to it.")
     ],
     gsd: Annotated[float, typer.Option(metavar="M/PX", help="Ground sampling distance, metres per pixel: 0.005 to 2.")],
     size: Annotated[tuple[int, int], typer.Option(metavar="W H", help="Size of the image, pixels.")] = (1024, 1024),
-    seed: Annotated[int, typer.Option(metavar="N", help="The same seed and options draw the same picture.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", help="The same seed and options give the same image.")] = 0,
     vehicles: Annotated[
         int | None,
-        typer.Option(metavar="N", help="At most so many cars; 0 for none at all. Default: as many as the place has."),
+        typer.Option(metavar="N", help="Most cars; 0 removes all vehicles. Default: as many as the place has."),
     ] = None,
     fleet: Annotated[float, typer.Option(metavar="M", help="Mean length of the cars, metres: 2 to 8.")] = 4.6,
     layout: Annotated[LayoutChoice | None, typer.Option(help="Kind of place. Default: the seed decides.")] = None,
 ) -> None:
-    """Render an aerial scene of exactly known scale, with its truth: GSD, oriented boxes (DOTA text), masks."""
+    """Render an aerial scene of exactly known scale, with ground truth: GSD, oriented boxes (DOTA text), masks."""
     with exit_on_error():
         from vehanchor.pictures.scale import check_picture_path
         from vehanchor_scenes.render import render_scene

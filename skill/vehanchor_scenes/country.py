@@ -1,4 +1,4 @@
-"""Fields, vineyards, orchards, meadows, woods, farms."""
+"""Countryside blocks: fields, vineyards, orchards, meadows, woods, farms."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vehanchor_scenes.world import Material, Rgb
 
 
 def field(site: Site, width: float, depth: float) -> None:
-    """Arable land with furrows or tramlines."""
+    """Build arable land with furrows or tramlines."""
     rng, palette = site.rng, site.palette
     kinds: tuple[tuple[Rgb, Material], ...] = (
         (palette.soil, Material.SOIL),
@@ -45,7 +45,7 @@ def field(site: Site, width: float, depth: float) -> None:
 
 
 def vineyard(site: Site, width: float, depth: float) -> None:
-    """Rows of vines on soil."""
+    """Build rows of vines on soil."""
     rng, palette = site.rng, site.palette
     site.rect((0, 0, width, depth), palette.meadow, Material.MEADOW)
     edge = rng.uniform(2, 4)
@@ -59,7 +59,7 @@ def vineyard(site: Site, width: float, depth: float) -> None:
     green = palette.leaves[int(rng.integers(len(palette.leaves)))]
     for y in np.arange(edge + 1.2, broad - edge - 1.0, spacing):
         start = edge + 0.5
-        while start < long - edge - 2:  # with gaps where plants died
+        while start < long - edge - 2:  # gaps of dead plants
             stop = min(start + rng.exponential(40) + 3, long - edge - 0.5)
             count = max(int((stop - start) / 1.2), 3)
             xs = np.linspace(start, stop, count)
@@ -72,7 +72,7 @@ def vineyard(site: Site, width: float, depth: float) -> None:
 
 
 def orchard(site: Site, width: float, depth: float) -> None:
-    """Trees on a lattice."""
+    """Build an orchard: trees on a lattice."""
     rng, palette = site.rng, site.palette
     site.rect((0, 0, width, depth), palette.meadow, Material.MEADOW)
     plot = (1.5, 1.5, width - 1.5, depth - 1.5)
@@ -88,7 +88,7 @@ def orchard(site: Site, width: float, depth: float) -> None:
 
 
 def meadow(site: Site, width: float, depth: float) -> None:
-    """Rough grass with bushes and trodden ground."""
+    """Build rough grass with bushes and trodden ground."""
     rng, palette = site.rng, site.palette
     site.rect((0, 0, width, depth), jitter(rng, palette.meadow, 8), Material.MEADOW)
     for _ in range(int(rng.poisson(width * depth / 500))):
@@ -103,14 +103,14 @@ def meadow(site: Site, width: float, depth: float) -> None:
 
 
 def wood(site: Site, width: float, depth: float) -> None:
-    """Dense trees."""
+    """Build a wood: dense trees."""
     rng, palette = site.rng, site.palette
     site.rect((0, 0, width, depth), jitter(rng, palette.meadow, 6), Material.MEADOW)
     site.grove((2.5, 2.5, width - 2.5, depth - 2.5), rng.uniform(0.02, 0.05))
 
 
 def _track(site: Site, width: float, depth: float) -> None:
-    """A dirt track across, two ruts."""
+    """Add a dirt track of two ruts across the block."""
     rng = site.rng
     a, b = rng.uniform(0.15, 0.85, 2)
     xs = np.linspace(0, 1, 16)
@@ -130,7 +130,7 @@ def _tree_line(site: Site, width: float) -> None:
 
 
 def farm(site: Site, width: float, depth: float) -> None:
-    """A yard with house, barns, machines, cars, and a pool perhaps."""
+    """Build a farmyard with house, barns, machines, cars and perhaps a pool."""
     rng, palette = site.rng, site.palette
     meadow(site, width, depth)
     if min(width, depth) < 55:

@@ -1,4 +1,4 @@
-"""The vehicles of a scene: how long, how wide, of which body and colour."""
+"""Vehicles of a scene: length, width, body and colour."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from vehanchor_scenes.truth import VehicleKind
 
-# (mean length in m, standard deviation, share, bodies) before scaling to the mean asked for. Together: mean 4.544 m,
+# (mean length in m, standard deviation, share, bodies) before scaling to the requested mean. Mixture: mean 4.544 m,
 # standard deviation 8.7 % of it, mode 1.010 x the mean.
 _CLASSES: tuple[tuple[float, float, float, tuple[str, ...]], ...] = (
     (3.72, 0.13, 0.07, ("city",)),
@@ -23,7 +23,7 @@ _CUMULATIVE = np.cumsum(_SHARES) / _SHARES.sum()
 _MAX_DEVIATION = 2.5
 
 _WIDTH_PER_LENGTH = 0.40
-_WIDTH_FOLLOWS_LENGTH = 0.55  # a short car is narrower, but not in proportion
+_WIDTH_FOLLOWS_LENGTH = 0.55  # short cars are narrower, but less than in proportion
 _WIDTH_SD = 0.02
 
 # Shares of paint as seen on European car parks: white, silver, grey, black, blue, red, green, beige, yellow/orange.
@@ -51,7 +51,7 @@ _LARGE: tuple[tuple[str, tuple[float, float], tuple[float, float]], ...] = (
 
 @dataclass(frozen=True)
 class VehicleModel:
-    """One vehicle before it is placed."""
+    """Vehicle before it is placed."""
 
     kind: VehicleKind
     body: str
@@ -61,7 +61,7 @@ class VehicleModel:
 
 
 class Fleet:
-    """Draws vehicles; small ones have the mean length given."""
+    """Random source of vehicles; small ones have the given mean length."""
 
     def __init__(self, mean_length_m: float, rng: np.random.Generator) -> None:
         self.mean_length_m = mean_length_m
@@ -70,27 +70,27 @@ class Fleet:
 
     @property
     def max_length_m(self) -> float:
-        """No small vehicle is longer."""
+        """Length of the longest small vehicle."""
         return (_CLASSES[-1][0] + _MAX_DEVIATION * _CLASSES[-1][1]) * self._scale
 
     @property
     def max_width_m(self) -> float:
-        """No small vehicle is wider."""
+        """Width of the widest small vehicle."""
         typical = _WIDTH_FOLLOWS_LENGTH * self.max_length_m + (1 - _WIDTH_FOLLOWS_LENGTH) * self.mean_length_m
         return _WIDTH_PER_LENGTH * typical * (1 + _WIDTH_SD * _MAX_DEVIATION)
 
     @property
     def bay_length_m(self) -> float:
-        """Of a parking bay that suits the fleet."""
+        """Length of a parking bay that suits the fleet."""
         return max(5.0, 1.1 * self.mean_length_m)
 
     @property
     def bay_width_m(self) -> float:
-        """Of a parking bay that suits the fleet."""
+        """Width of a parking bay that suits the fleet."""
         return max(2.5, 0.54 * self.mean_length_m)
 
     def small(self) -> VehicleModel:
-        """A car or van."""
+        """Draw a car or van."""
         rng = self._rng
         mean, sd, _, bodies = _CLASSES[int(np.searchsorted(_CUMULATIVE, rng.random()))]
         deviation = _bounded(rng)
@@ -101,7 +101,7 @@ class Fleet:
         return VehicleModel("small-vehicle", body, length, _WIDTH_PER_LENGTH * typical * spread, self._paint(body))
 
     def large(self, *bodies: str) -> VehicleModel:
-        """A truck, bus, articulated lorry or caravan (any of the bodies named)."""
+        """Draw a truck, bus, articulated lorry or caravan, or one of the named bodies."""
         rng = self._rng
         choices = [entry for entry in _LARGE if not bodies or entry[0] in bodies]
         body, (shortest, longest), (narrowest, widest) = choices[rng.integers(len(choices))]

@@ -1,4 +1,4 @@
-"""Where people live: houses with gardens, flats, town houses."""
+"""Residential blocks: houses with gardens, flats, town houses."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vehanchor_scenes.world import Material, Rect
 
 
 def houses(site: Site, width: float, depth: float) -> None:
-    """Two rows of lots back to back, or one."""
+    """Build one row of lots, or two back to back."""
     site.rect((0, 0, width, depth), site.palette.lawn, Material.LAWN)
     if depth < 34:
         _lots(site, width, depth)
@@ -29,7 +29,7 @@ def _lots(site: Site, width: float, depth: float) -> None:
 
 
 def garden(site: Site, width: float, depth: float) -> None:
-    """A house, its drive with cars, and its garden; the street is at y = 0."""
+    """Build a house, its drive with cars, and its garden; the street is at y = 0."""
     rng, palette = site.rng, site.palette
     _garden_ground(site, width, depth)
     drive = rng.uniform(3.0, 5.6) if width > 13 else 2.8
@@ -68,7 +68,7 @@ def garden(site: Site, width: float, depth: float) -> None:
 
 
 def _garden_ground(site: Site, width: float, depth: float) -> None:
-    """Lawn, meadow or bare soil, with blots of another."""
+    """Cover a garden with lawn, meadow or bare soil, and patches of another."""
     rng, palette = site.rng, site.palette
     ground = rng.random()
     if ground < 0.45:
@@ -90,7 +90,7 @@ def _garden_ground(site: Site, width: float, depth: float) -> None:
 
 
 def _garden_plants(site: Site, width: float, depth: float, back: float, *, left: bool) -> None:
-    """Trees and bushes along the borders, and away from the drive; ``back`` is where the house ends."""
+    """Plant trees and bushes along the borders, away from the drive; ``back`` is the rear of the house."""
     rng, palette = site.rng, site.palette
     for _ in range(int(rng.poisson(width * depth / 75 * palette.greenery))):
         if rng.random() < 0.75:
@@ -111,7 +111,7 @@ def _garden_plants(site: Site, width: float, depth: float, back: float, *, left:
 
 
 def house(site: Site, width: float, depth: float) -> None:
-    """A small house, straight or L-shaped."""
+    """Build a small house, straight or L-shaped."""
     rng, palette = site.rng, site.palette
     turned = site.at(width / 2, depth / 2, rng.normal(0, 0.02)).at(-width / 2, -depth / 2)
     rgb = jitter(rng, palette.roofs[int(rng.integers(len(palette.roofs)))], 10, 0.07)
@@ -146,7 +146,7 @@ def _drive_cars(site: Site, x: float, width: float, end: float) -> None:
 
 
 def _garden_things(site: Site, width: float, depth: float, behind: float) -> None:
-    """Pool, shed, parasols, trampoline, table, beds: some as large as a car."""
+    """Add a pool, shed, parasols, trampoline, table and beds, some as large as a car."""
     rng, palette = site.rng, site.palette
     space = depth - behind
     if space > 8.5 and width > 13 and rng.random() < palette.pools:
@@ -192,7 +192,7 @@ def _garden_things(site: Site, width: float, depth: float, behind: float) -> Non
 
 
 def flats(site: Site, width: float, depth: float) -> None:
-    """Blocks of flats in lawns, with parking."""
+    """Build blocks of flats in lawns, with parking."""
     rng, palette = site.rng, site.palette
     site.rect((0, 0, width, depth), palette.lawn, Material.LAWN)
     parking = site.fleet.bay_length_m + 6.5
@@ -235,7 +235,7 @@ def flats(site: Site, width: float, depth: float) -> None:
 
 
 def town(site: Site, width: float, depth: float) -> None:
-    """A closed perimeter of town houses round courtyards."""
+    """Build a closed perimeter of town houses around courtyards."""
     rng, palette = site.rng, site.palette
     site.rect((0, 0, width, depth), jitter(rng, palette.paving, 6, 0.08), Material.PAVING)
     deep = min(rng.uniform(10, 13), depth / 2 - 3)

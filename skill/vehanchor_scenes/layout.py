@@ -1,4 +1,4 @@
-"""Lays out a world: streets first, then what stands between them."""
+"""Layout of a world: streets first, then the blocks between them."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ _PLANS: dict[Layout, _Plan] = {
         {"sports_ground": 0.5, "park": 0.06, "houses": 0.2, "car_park": 0.16, "flats": 0.08},
     ),
 }
-_MARGIN_M = 45.0  # beyond the view: what stands there may cast a shadow in
+_MARGIN_M = 45.0  # around the view: objects there can cast shadows into it
 _MIN_EXTENT_M = 150.0
 
 
 def lay_out(rng: np.random.Generator, layout: Layout, width_m: float, height_m: float, fleet: Fleet) -> World:
-    """Fills a view of that size, and a margin around it.
+    """Build a world that covers a view of this size and a margin around it.
 
     Small views are centred on a vehicle, if there is one.
     """
@@ -75,7 +75,7 @@ def lay_out(rng: np.random.Generator, layout: Layout, width_m: float, height_m: 
 
 
 def _in_reach(frame: Frame, block: Block, width: float, height: float) -> bool:
-    """Whether a block may show in the view, or cast a shadow in."""
+    """Test whether a block is in the view or can cast a shadow into it."""
     x0, y0, x1, y1 = block.rect
     (centre,) = frame.points([((x0 + x1) / 2, (y0 + y1) / 2)])
     outside = np.maximum(np.abs(centre - (width / 2, height / 2)) - (width / 2, height / 2), 0)
@@ -83,7 +83,7 @@ def _in_reach(frame: Frame, block: Block, width: float, height: float) -> bool:
 
 
 def _fill(site: Site, block: Block, name: str) -> None:
-    """Turns the block so that y = 0 is a side on a street, the longest such side for preference."""
+    """Build a block in a frame whose line y = 0 is its longest side on a street."""
     x0, y0, x1, y1 = block.rect
     width, height = x1 - x0, y1 - y0
     left, top, right, bottom = block.streets

@@ -1,4 +1,4 @@
-"""Draws one window of a world: ground, shadows, vehicles, roofs, trees, from the ground up."""
+"""Painter of one window of a world, from the ground up: ground, shadows, vehicles, roofs, trees."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from vehanchor_scenes.world import Box, Material, PlacedVehicle, Roof, Stain, Su
 _F = NDArray[np.float32]
 _U8 = NDArray[np.uint8]
 
-_SHADE = (0.40, 0.44, 0.52)  # what the sky alone lights, against sun and sky; bluish
+_SHADE = (0.40, 0.44, 0.52)  # light of the sky relative to sun and sky; bluish
 _VEHICLE_SHADOW_HEIGHT_M = {"van": 1.7, "suv": 1.3, "truck": 2.9, "bus": 2.9, "semitrailer": 3.3, "caravan": 2.3}
 
-# Amplitudes of fine, middle and coarse noise, and what the coarse noise adds to red, green and blue.
+# Amplitudes of fine, middle and coarse noise, and the coarse noise's contribution to red, green and blue.
 _TEXTURES: dict[Material, tuple[float, float, float, float, float, float]] = {
     Material.PLAIN: (0.02, 0.02, 0.02, 0, 0, 0),
     Material.ASPHALT: (0.05, 0.030, 0.055, 2, 1, -1),
@@ -39,18 +39,18 @@ _TEXTURES: dict[Material, tuple[float, float, float, float, float, float]] = {
     Material.COURT: (0.025, 0.02, 0.03, 0, 0, 0),
     Material.CROP: (0.08, 0.09, 0.06, 10, 4, 0),
 }
-_LOOKS = 9  # crowns drawn; the last two are conical
+_LOOKS = 9  # crown sprites; the last two are conical
 
 
 @dataclass(eq=False)
 class Painter:
-    """Draws tiles of one world; holds the textures and sprites they share."""
+    """Painter of tiles of one world; holds their shared textures and sprites."""
 
     world: World
     sun: Sun
     rng: np.random.Generator
     px_per_m: float
-    """Of the canvas, before it is averaged down."""
+    """Resolution of the canvas before downsampling."""
     _sprites: dict[tuple[str, int], tuple[_F, float, float]] = field(default_factory=dict)
     _hulls: dict[int, NDArray[np.float64]] = field(default_factory=dict)
 
@@ -74,7 +74,7 @@ class Painter:
         }
 
     def paint(self, x: float, y: float, width: int, height: int) -> Tile:
-        """Draws the window of the canvas that starts at (x, y) metres and has width x height pixels."""
+        """Draw the window of width x height pixels of the canvas that starts at (x, y) metres."""
         step = 1 / self.px_per_m
         noise = (
             sample_noise(self._fine, 0.03, x, y, step, width, height),
@@ -190,7 +190,7 @@ class Painter:
             return
         x0, y0, x1, y1 = window
         cos, sin = math.cos(vehicle.angle), math.sin(vehicle.angle)
-        # Canvas pixel -> metres from the vehicle's centre, along and across -> the sprite's pixel.
+        # Canvas pixel -> metres along and across from the vehicle's centre -> sprite pixel.
         per_length = columns / (sprite_length * (1 + 2 * VEHICLE_PAD)) * sprite_length / model.length_m * tile.step
         per_width = rows / (sprite_width + 2 * VEHICLE_PAD * sprite_length) * sprite_width / model.width_m * tile.step
         cx, cy = (vehicle.x - tile.x) / tile.step - x0 - 0.5, (vehicle.y - tile.y) / tile.step - y0 - 0.5
@@ -212,7 +212,7 @@ class Painter:
         target[:] = np.clip(blend + 0.5, 0, 255).astype(np.uint8)
 
     def _vehicle_sprite(self, model: VehicleModel, angle: float) -> tuple[_F, float, float]:
-        """The body's sprite for the sun's octant, with the length and width it was drawn at."""
+        """Get the body's sprite for the sun's octant, with the length and width of its drawing."""
         octant = round((angle - self.sun.azimuth) / (math.pi / 4)) % 8
         key = (model.body, octant)
         if key not in self._sprites:
@@ -271,7 +271,7 @@ def _bounds(
 
 
 def _darken(rgb: _U8, shadow: _U8) -> None:
-    """Leaves of the light what the sky gives where there is shadow."""
+    """Reduce the light in shadows to that of the sky."""
     for channel, share in enumerate(_SHADE):
         table = np.rint(255 * (1 - (1 - share) * np.arange(256) / 255)).astype(np.uint8)
         rgb[:, :, channel] = cv2.multiply(rgb[:, :, channel], cv2.LUT(shadow, table), scale=1 / 255)

@@ -1,4 +1,4 @@
-"""Rasters without bias: polygons by the pixel-centre rule, periodic noise sampled in metres."""
+"""Unbiased rasterisation of polygons by the pixel-centre rule, and periodic noise sampled in metres."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ _SMOOTH_BELOW = 0.34
 
 
 def polygon_area(points: NDArray[np.float64]) -> float:
-    """Area of a simple polygon [N,2] by the shoelace formula, in the square of the points' unit."""
+    """Compute the area of a simple polygon [N,2] by the shoelace formula, in the square of the points' unit."""
     x, y = points[:, 0], points[:, 1]
     return float(abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2)
 
 
 def polygon_mask(points: NDArray[np.float64], width: int, height: int) -> NDArray[np.bool_]:
-    """Which pixels have their centre inside the polygon (even-odd rule).
+    """Rasterise a polygon: pixels whose centre lies inside (even-odd rule).
 
-    ``cv2.fillPoly`` also fills every pixel that an edge touches, half a pixel too much on each side; this does not, so
-    the pixels' sum is an unbiased estimate of the area.
+    The number of pixels is an unbiased estimate of the area. ``cv2.fillPoly`` also fills every pixel that an edge
+    touches, half a pixel too much on each side.
 
     Args:
         points: [N,2] in pixels; pixel (i, j) covers [j, j+1] x [i, i+1].
-        width: of the mask.
-        height: of the mask.
+        width: width of the mask.
+        height: height of the mask.
 
     Returns:
         [height, width] mask.
@@ -49,7 +49,7 @@ def polygon_mask(points: NDArray[np.float64], width: int, height: int) -> NDArra
 
 
 def clip_polygon(points: NDArray[np.float64], x0: float, y0: float, x1: float, y1: float) -> NDArray[np.float64]:
-    """The part of a polygon inside a rectangle (Sutherland-Hodgman); may be empty [0,2]."""
+    """Clip a polygon to a rectangle (Sutherland-Hodgman); the result may be empty [0,2]."""
     current = points
     for axis, bound, sign in ((0, x0, 1.0), (0, x1, -1.0), (1, y0, 1.0), (1, y1, -1.0)):
         if len(current) == 0:
@@ -68,7 +68,7 @@ def clip_polygon(points: NDArray[np.float64], x0: float, y0: float, x1: float, y
 
 
 def noise_texture(rng: np.random.Generator, size: int, exponent: float) -> NDArray[np.float32]:
-    """Periodic noise [size, size] with amplitude spectrum f ** -exponent, zero mean, unit variance."""
+    """Create periodic noise [size, size] with amplitude spectrum f ** -exponent, zero mean, unit variance."""
     spectrum = np.fft.rfft2(rng.standard_normal((size, size)))
     frequency = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None, :])
     frequency[0, 0] = 1.0
@@ -81,22 +81,22 @@ def noise_texture(rng: np.random.Generator, size: int, exponent: float) -> NDArr
 def sample_noise(
     texture: NDArray[np.float32], texel: float, x: float, y: float, step: float, width: int, height: int
 ) -> NDArray[np.float32]:
-    """A periodic texture laid over the world, sampled at the pixels of a window.
+    """Sample a periodic texture, laid over the world, at the pixels of a window.
 
     Args:
-        texture: square, periodic.
-        texel: the size of one of its pixels, in metres.
+        texture: square and periodic.
+        texel: size of one of its pixels, in metres.
         x: left edge of the window, in metres.
         y: top edge of the window, in metres.
         step: pixel size of the window, in metres.
-        width: of the window, in pixels.
-        height: of the window, in pixels.
+        width: width of the window, in pixels.
+        height: height of the window, in pixels.
 
     Returns:
-        [height, width]; fades out as pixels grow past the texture's period, where averaging would leave nothing.
+        [height, width]; fades to 0 for pixels larger than the texture's period, as averaging would.
     """
     size = texture.shape[0]
-    # OpenCV interpolates at 16-bit coordinates: coarser pixels take every n-th texel of a decimated texture.
+    # OpenCV interpolates at 16-bit coordinates: coarser pixels sample a decimated texture.
     factor = 1
     while step / (texel * factor) > 4 and factor * 8 <= size:
         factor *= 2
@@ -108,7 +108,7 @@ def sample_noise(
         return np.zeros((height, width), dtype=np.float32)
     left, top = (x / texel + scale / 2 - 0.5) % size, (y / texel + scale / 2 - 0.5) % size
     flags, border = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.BORDER_WRAP
-    if scale < _SMOOTH_BELOW:  # many pixels per texel: cubic, which OpenCV does not wrap
+    if scale < _SMOOTH_BELOW:  # many pixels per texel: cubic interpolation, which OpenCV does not wrap
         columns = np.arange(-2, math.ceil(left % 1 + scale * width) + 3) + math.floor(left)
         rows = np.arange(-2, math.ceil(top % 1 + scale * height) + 3) + math.floor(top)
         texture = np.ascontiguousarray(texture[np.ix_(rows % size, columns % size)])

@@ -1,4 +1,4 @@
-"""Renders a scene: lays out a world, paints it in tiles, looks at it through a camera, and keeps the truth."""
+"""Rendering of scenes: layout, painting in tiles, camera model, ground truth."""
 
 from __future__ import annotations
 
@@ -35,28 +35,28 @@ def render_scene(
     mean_vehicle_length_m: float = 4.6,
     layout: Layout | None = None,
 ) -> Scene:
-    """Renders an aerial scene of exactly known ground sampling distance.
+    """Render an aerial scene of exactly known ground sampling distance.
 
-    The fleet is a mixture of five classes from city cars to vans whose lengths have the mean given, a standard
-    deviation of 8.7 % of it, and their mode at 1.010 times the mean. The arguments alone determine every byte.
+    The fleet mixes five classes from city cars to vans. Their lengths have the given mean, a standard deviation of
+    8.7 % of it, and a mode of 1.010 times it. The arguments determine every byte of the result.
 
-    Views of less than 60 m are moved so that a small vehicle is near their centre, if the place has any.
+    Views of less than 60 m are moved so that a small vehicle is near their centre, if the scene has any.
 
     Args:
         gsd_m_per_px: size of a pixel on the ground, 0.005 to 2.
-        width_px: of the image, 16 to 16384.
-        height_px: of the image, 16 to 16384.
-        seed: not negative; determines the place, its colours, the sun and the camera.
-        n_vehicles: None for as many as the place has; 0 for none at all, large ones included; otherwise at most that
-            many small vehicles, and the same share of the large ones.
-        mean_vehicle_length_m: the fleet's mean length, 2 to 8.
-        layout: ``urban``, ``parking``, ``countryside`` or ``sports``; None: the seed decides among the first three.
+        width_px: image width, 16 to 16384.
+        height_px: image height, 16 to 16384.
+        seed: at least 0; determines the place, its colours, the sun and the camera.
+        n_vehicles: most small vehicles; large ones are thinned by the same share. 0 removes all vehicles, None keeps
+            them all.
+        mean_vehicle_length_m: mean length of the fleet, 2 to 8.
+        layout: ``urban``, ``parking``, ``countryside`` or ``sports``; None: the seed chooses from the first three.
 
     Returns:
-        The image and the truth about it.
+        The image and its ground truth.
 
     Raises:
-        InvalidParameterError: a parameter out of range, NaN, or an unknown layout.
+        InvalidParameterError: a parameter is out of range or NaN, or the layout is unknown.
     """
     _check_all(gsd_m_per_px, width_px, height_px, seed, n_vehicles, mean_vehicle_length_m, layout)
     place_rng, thin_rng, paint_rng, camera_rng = np.random.default_rng(seed).spawn(4)
@@ -65,7 +65,7 @@ def render_scene(
     fleet = Fleet(mean_vehicle_length_m, place_rng)
     width_m, height_m = width_px * gsd_m_per_px, height_px * gsd_m_per_px
     world = lay_out(place_rng, layout or chosen, width_m, height_m, fleet)
-    x0, y0 = _look_at(world, width_m, height_m, thin_rng)
+    x0, y0 = _view_corner(world, width_m, height_m, thin_rng)
     _thin(world, (x0, y0, x0 + width_m, y0 + height_m), n_vehicles, thin_rng)
 
     painter = Painter(world, sun, paint_rng, _oversampling(gsd_m_per_px) / gsd_m_per_px)
@@ -114,14 +114,14 @@ def _check(name: str, value: float, low: float, high: float) -> None:
 
 
 def _oversampling(gsd_m_per_px: float) -> int:
-    """How many times finer than asked for a scene is drawn, before it is averaged down."""
+    """Choose how many times finer than requested a scene is drawn before downsampling."""
     return 3 if gsd_m_per_px >= 0.5 else 2 if gsd_m_per_px >= 0.02 else 1
 
 
 def _paint(
     painter: Painter, x0: float, y0: float, gsd_m_per_px: float, width_px: int, height_px: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """The view from (x0, y0) metres on, uint8 [H,W,3], and how much of each pixel crowns cover, uint8 [H,W]."""
+    """Paint the view from (x0, y0) metres on: uint8 [H,W,3], and the cover by crowns, uint8 [H,W]."""
     over = _oversampling(gsd_m_per_px)
     image = np.zeros((height_px, width_px, 3), dtype=np.uint8)
     crowns = np.zeros((height_px, width_px), dtype=np.uint8)
@@ -137,8 +137,8 @@ def _paint(
     return image, crowns
 
 
-def _look_at(world: World, width: float, height: float, rng: np.random.Generator) -> tuple[float, float]:
-    """The view's top left corner; a view too small to be sure of a vehicle is moved to one near its centre."""
+def _view_corner(world: World, width: float, height: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Choose the view's top left corner; small views move to the vehicle nearest to their centre."""
     jitter = rng.uniform(-0.2, 0.2, 2)
     if max(width, height) >= _SMALL_VIEW_M or not world.vehicles:
         return 0.0, 0.0
@@ -150,7 +150,7 @@ def _look_at(world: World, width: float, height: float, rng: np.random.Generator
 
 
 def _thin(world: World, view: tuple[float, float, float, float], limit: int | None, rng: np.random.Generator) -> None:
-    """Leaves at most ``limit`` small vehicles in view, and the same share of all others."""
+    """Remove vehicles: keep at most ``limit`` small ones in view, and the same share of all others."""
     if limit is None:
         return
     left, top, right, bottom = view
@@ -167,10 +167,10 @@ def _thin(world: World, view: tuple[float, float, float, float], limit: int | No
 
 
 def _photograph(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Applies lens, haze, sensor and compression."""
+    """Apply lens, haze, sensor and compression."""
     sigma = float(rng.uniform(0.45, 0.85))
     image = cast("NDArray[np.uint8]", cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
-    if rng.random() < 0.35:  # sharpened by whoever processed it
+    if rng.random() < 0.35:  # sharpened in post-processing
         soft = cv2.GaussianBlur(image, (0, 0), 1.2, borderType=cv2.BORDER_REFLECT)
         amount = float(rng.uniform(0.3, 0.9))
         image = cast("NDArray[np.uint8]", cv2.addWeighted(image, 1 + amount, soft, -amount, 0))

@@ -1,4 +1,4 @@
-"""Roofs: faces shaded by the sun, courses of tiles, chimneys, windows, solar panels, machinery."""
+"""Roofs: shaded faces, courses of tiles, chimneys, windows, solar panels, machinery."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PARAPET_M = 0.7
 
 
 def paint_roof(tile: Tile, roof: Roof, sun: Sun) -> None:
-    """Draws a roof over the tile; its outline is exact."""
+    """Draw a roof with an exact outline onto a tile."""
     corners = tile.pixels(np.vstack([roof.corners(part) for part in roof.parts]))
     window = tile.window(corners.min(axis=0) - 1, corners.max(axis=0) + 1)
     if window is None:
@@ -54,7 +54,7 @@ def paint_roof(tile: Tile, roof: Roof, sun: Sun) -> None:
 
 
 def _part(roof: Roof, part: Rect, u: _F, v: _F, light: tuple[float, float, float], step: float) -> tuple[_F, _F, _F]:
-    """Distance inside the outline, height, and shading of one rectangle's roof."""
+    """Compute distance inside the outline, height and shading of one rectangle's roof."""
     left, top, right, bottom = part
     distances = [u - np.float32(left), np.float32(right) - u, v - np.float32(top), np.float32(bottom) - v]
     inset = np.minimum(np.minimum(distances[0], distances[1]), np.minimum(distances[2], distances[3])).astype(
@@ -62,7 +62,7 @@ def _part(roof: Roof, part: Rect, u: _F, v: _F, light: tuple[float, float, float
     )
     if roof.style == "flat":
         shade = np.ones_like(inset)
-        # The parapet is bright; its shadow falls inside, from the sides that face the sun.
+        # The parapet is bright; on the sides towards the sun its shadow falls inside.
         reach = _PARAPET_M / math.tan(max(math.asin(light[2]), 0.2))
         horizontal = math.hypot(light[0], light[1])
         sunward = ((-1, 0, 0), (1, 0, 1), (0, -1, 2), (0, 1, 3))
@@ -102,7 +102,7 @@ def _part(roof: Roof, part: Rect, u: _F, v: _F, light: tuple[float, float, float
 
 
 def _rectangle(picture: _F, u: _F, v: _F, box: Rect, rgb: Rgb, step: float, opacity: float = 1.0) -> None:
-    """Blends an upright (in the roof's frame) rectangle, given by its centre and size."""
+    """Blend in an axis-aligned rectangle of the roof's frame, given by its centre and size."""
     x, y, w, h = box
     inset = np.minimum(w / 2 - np.abs(u - np.float32(x)), h / 2 - np.abs(v - np.float32(y)))
     cover = np.clip(inset / step + 0.5, 0, 1)[:, :, None] * opacity * min(1.0, w / step, h / step)
@@ -110,7 +110,7 @@ def _rectangle(picture: _F, u: _F, v: _F, box: Rect, rgb: Rgb, step: float, opac
 
 
 def _raised(picture: _F, roof: Roof, u: _F, v: _F, sun: Sun, box: Rect, height: float, rgb: Rgb, step: float) -> None:
-    """A block on the roof, with its shadow."""
+    """Draw a block on the roof, with its shadow."""
     x, y, w, h = box
     dx, dy = sun.shadow(height)
     cos, sin = math.cos(roof.frame.angle), math.sin(roof.frame.angle)
@@ -132,7 +132,7 @@ def _pitched_fittings(picture: _F, roof: Roof, u: _F, v: _F, sun: Sun, rng: np.r
     side = float(rng.choice([-1, 1]))
 
     def place(along: float, across: float) -> tuple[float, float]:
-        """Shares of the half extents, along and across the ridge."""
+        """Convert shares of the half extents along and across the ridge to a position."""
         cx, cy = (x0 + x1) / 2, (y0 + y1) / 2
         return (cx + along * w / 2, cy + across * h / 2) if along_x else (cx + across * w / 2, cy + along * h / 2)
 
@@ -162,7 +162,7 @@ def _pitched_fittings(picture: _F, roof: Roof, u: _F, v: _F, sun: Sun, rng: np.r
 
 
 def _spot(part: Rect, rng: np.random.Generator, size: tuple[float, float]) -> Rect:
-    """Somewhere on a flat roof, away from its edge: centre and size."""
+    """Draw a position on a flat roof, away from its edge: centre and size."""
     x0, y0, x1, y1 = part
     margin = 1.6
     sx, sy = min(size[0], x1 - x0 - 2 * margin - 0.2), min(size[1], y1 - y0 - 2 * margin - 0.2)
@@ -179,7 +179,7 @@ def _flat_fittings(
     area = w * h
     if min(w, h) < 5:
         return
-    for _ in range(int(rng.poisson(min(area / 500, 4)))):  # sheets of another age
+    for _ in range(int(rng.poisson(min(area / 500, 4)))):  # newer or older sheets
         box = _spot(part, rng, (rng.uniform(3, 10), rng.uniform(3, 10)))
         _rectangle(
             picture, u, v, box, cast("Rgb", tuple(int(c * rng.uniform(0.88, 1.08)) for c in roof.rgb)), step, 0.6
@@ -203,7 +203,7 @@ def _flat_fittings(
         _raised(picture, roof, u, v, sun, _spot(part, rng, size), rng.uniform(0.5, 1.4), (grey, grey, grey), step)
     for _ in range(int(rng.poisson(min(area / 150, 10)))):
         _raised(picture, roof, u, v, sun, _spot(part, rng, (0.5, 0.5)), 0.5, (150, 150, 150), step)
-    if area > 120 and rng.random() < 0.4:  # stairs or lift
+    if area > 120 and rng.random() < 0.4:  # staircase or lift
         _raised(
             picture,
             roof,

@@ -1,4 +1,4 @@
-"""Where shadows fall: outlines of vehicles, trees and roofs, swept along the light; all in metres."""
+"""Shadows: outlines of vehicles, trees and roofs swept along the light, in metres."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from vehanchor_scenes.world import PlacedVehicle, Roof, Tree
 
 
 def swept(points: NDArray[np.float64], offset: tuple[float, float]) -> NDArray[np.float64]:
-    """The convex hull of a convex outline and its shadow."""
+    """Compute the convex hull of a convex outline and its shadow."""
     both = np.vstack([points, points + offset]).astype(np.float32)
     return cast("NDArray[np.float64]", cv2.convexHull(both).reshape(-1, 2).astype(np.float64))
 
 
 def roof_shadows(roof: Roof, sun: Sun) -> list[NDArray[np.float64]]:
-    """The convex hull of each part's walls, ridge and their shadows."""
+    """Compute the convex hull of each part's walls, ridge and their shadows."""
     hulls = []
     for part in roof.parts:
         corners = roof.corners(part)
@@ -40,7 +40,7 @@ def roof_shadows(roof: Roof, sun: Sun) -> list[NDArray[np.float64]]:
 
 
 def tree_reach(tree: Tree, reach: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Two corners of the box that a crown and its shadow stay in; ``reach`` is the shadow of 1 m of height."""
+    """Compute two corners of the bounding box of a crown and its shadow; ``reach`` is the shadow of 1 m of height."""
     radius = tree.radius * CROWN_SPAN
     centre = np.array([tree.x, tree.y])
     ends = np.array([centre, centre + tree.height * reach])
@@ -48,7 +48,7 @@ def tree_reach(tree: Tree, reach: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def vehicle_corners(vehicle: PlacedVehicle, grow: float = 1.0) -> NDArray[np.float64]:
-    """The corners [4,2] of a vehicle, with a margin of ``grow - 1`` of its length added to both of its sizes."""
+    """Compute a vehicle's corners [4,2]; length and width grow by ``grow - 1`` times the length."""
     cos, sin = math.cos(vehicle.angle), math.sin(vehicle.angle)
     margin = (grow - 1) * vehicle.model.length_m
     along = np.array([cos, sin]) * (vehicle.model.length_m + margin) / 2
@@ -61,7 +61,7 @@ def vehicle_corners(vehicle: PlacedVehicle, grow: float = 1.0) -> NDArray[np.flo
 
 
 def vehicle_outline(vehicle: PlacedVehicle) -> NDArray[np.float64]:
-    """An octagon a little inside the body, as the base of its shadow."""
+    """Compute an octagon slightly inside the body, the base of its shadow."""
     corners = vehicle_corners(vehicle)
     inner = []
     for index in range(4):
@@ -73,6 +73,6 @@ def vehicle_outline(vehicle: PlacedVehicle) -> NDArray[np.float64]:
 
 
 def vehicle_reach(vehicle: PlacedVehicle, reach: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points [8,2] whose box a vehicle and its shadow stay in; ``reach`` is the shadow of 1 m of height."""
+    """Compute points [8,2] that bound a vehicle and its shadow; ``reach`` is the shadow of 1 m of height."""
     corners = vehicle_corners(vehicle)
     return cast("NDArray[np.float64]", np.vstack([corners, corners + 3.5 * reach]))

@@ -1,4 +1,4 @@
-"""Puts things down in a local frame: the vocabulary that streets and blocks are written in."""
+"""Site: a local frame of the world, with methods that place surfaces, objects and vehicles."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ WHITE: Rgb = (222, 222, 216)
 
 
 def jitter(rng: np.random.Generator, rgb: Rgb, spread: float = 6.0, gain: float = 0.05) -> Rgb:
-    """A colour near the one given."""
+    """Vary a colour at random."""
     brightness, red, green, blue = rng.standard_normal(4).tolist()
     scale, shift, hue = 1 + brightness * gain, brightness * spread / 3, spread / 6
     values = (c * scale + shift + hue * tint for c, tint in zip(rgb, (red, green, blue), strict=True))
@@ -39,7 +39,7 @@ def jitter(rng: np.random.Generator, rgb: Rgb, spread: float = 6.0, gain: float 
 
 
 def flat_roof_rgb(rng: np.random.Generator) -> Rgb:
-    """Of a flat roof: gravel, membrane or bitumen."""
+    """Draw the colour of a flat roof: gravel, membrane or bitumen."""
     tones: tuple[Rgb, ...] = (
         (204, 200, 192),
         (176, 172, 164),
@@ -53,7 +53,7 @@ def flat_roof_rgb(rng: np.random.Generator) -> Rgb:
 
 @dataclass(frozen=True)
 class Palette:
-    """The colours of a region."""
+    """Colours and vegetation of a region."""
 
     asphalt: Rgb
     paving: Rgb
@@ -66,13 +66,13 @@ class Palette:
     pitched: float
     """Share of small houses with a pitched roof."""
     greenery: float
-    """How many trees, about 0.5 to 1.5."""
+    """Density of trees, about 0.5 to 1.5."""
     pools: float
     """Share of gardens with a pool."""
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Palette:
-        """One of several kinds of region, varied."""
+        """Draw one of several kinds of region, with variation."""
         greens: tuple[Rgb, ...] = ((96, 110, 78), (84, 102, 72), (108, 116, 80), (76, 92, 70), (104, 110, 88))
         if rng.random() < 0.35:  # cooler and darker, towards conifers
             greens = ((76, 92, 72), (68, 84, 66), (88, 102, 76), (96, 106, 82))
@@ -101,7 +101,7 @@ class Palette:
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A frame of a world, and what is needed to build in it."""
+    """Local frame of a world, with its random generator, fleet and palette."""
 
     world: World
     frame: Frame
@@ -109,28 +109,28 @@ class Site:
     fleet: Fleet
     palette: Palette
     kept_free: list[tuple[Frame, Rect]] = field(default_factory=list)
-    """Where no tree grows: buildings, pools, courts."""
+    """Rectangles without trees: buildings, pools, courts."""
 
     def at(self, x: float, y: float, angle: float = 0.0) -> Site:
-        """The same, seen from a frame placed inside this one."""
+        """Create the site of a frame inside this one."""
         return replace(self, frame=self.frame.at(x, y, angle))
 
     # Ground
 
     def polygon(self, points: ArrayLike, rgb: Rgb, material: Material) -> None:
-        """A surface."""
+        """Add a polygonal surface."""
         self.world.surfaces.append(Surface(self.frame.points(points), rgb, material))
 
     def rect(self, rect: Rect, rgb: Rgb, material: Material) -> None:
-        """A rectangular surface x0, y0, x1, y1."""
+        """Add a rectangular surface x0, y0, x1, y1."""
         self.polygon(_corners(rect), rgb, material)
 
     def blob(self, x: float, y: float, rx: float, ry: float, rgb: Rgb, material: Material, rough: float = 0.12) -> None:
-        """An irregular round surface."""
+        """Add an irregular round surface."""
         self.polygon(_blob(self.rng, x, y, rx, ry, rough), rgb, material)
 
     def line(self, x0: float, y0: float, x1: float, y1: float, width: float = 0.12, rgb: Rgb = WHITE) -> None:
-        """A painted line."""
+        """Add a painted line."""
         length = math.hypot(x1 - x0, y1 - y0)
         nx, ny = -(y1 - y0) / length * width / 2, (x1 - x0) / length * width / 2
         self.polygon(
@@ -138,15 +138,15 @@ class Site:
         )
 
     def stain(self, points: ArrayLike, level: int) -> None:
-        """Darkens (below 128) or lightens what lies below."""
+        """Darken (level below 128) or lighten the ground."""
         self.world.stains.append(Stain(self.frame.points(points), level))
 
     def stain_rect(self, rect: Rect, level: int) -> None:
-        """A rectangular stain."""
+        """Add a rectangular stain."""
         self.stain(_corners(rect), level)
 
     def crack(self, x: float, y: float, length: float, angle: float, level: int = 104, width: float = 0.12) -> None:
-        """A wandering dark line."""
+        """Add a crack: an irregular dark line."""
         steps = max(int(length / 1.5), 2)
         turns = angle + np.cumsum(self.rng.normal(0, 0.25, steps))
         strides = np.stack([np.cos(turns), np.sin(turns)], axis=1) * length / steps
@@ -155,28 +155,28 @@ class Site:
         self.stain(np.vstack([path + normal, (path - normal)[::-1]]), level)
 
     def target(self, category: Category, *polygons: ArrayLike, area: float | None = None) -> None:
-        """Something to be masked: polygons whose union has that area (default: the only polygon's)."""
+        """Add an object to be masked: polygons whose union has that area (default: the area of the only polygon)."""
         placed = tuple(self.frame.points(polygon) for polygon in polygons)
         self.world.targets.append(Target(category, placed, polygon_area(placed[0]) if area is None else area))
 
-    # Things that stand
+    # Upright objects
 
     def box(self, rect: Rect, height: float, rgb: Rgb, *, leafy: bool = False) -> None:
-        """A low upright block."""
+        """Add a low upright block."""
         self.world.boxes.append(Box(self.frame.points(_corners(rect)), height, rgb, leafy))
 
     def disc(self, x: float, y: float, radius: float, height: float, rgb: Rgb) -> None:
-        """A low round thing."""
+        """Add a low cylinder."""
         angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
         circle = np.stack([x + radius * np.cos(angles), y + radius * np.sin(angles)], axis=1)
         self.world.boxes.append(Box(self.frame.points(circle), height, rgb))
 
     def pole(self, x: float, y: float, height: float = 7.0) -> None:
-        """A lamp post: almost only its shadow is seen."""
+        """Add a lamp post, of which little more than the shadow is visible."""
         self.box((x - 0.07, y - 0.07, x + 0.07, y + 0.07), height, (120, 120, 120))
 
     def wall(self, x0: float, y0: float, x1: float, y1: float, *, hedge: bool = False) -> None:
-        """A garden wall or hedge from point to point."""
+        """Add a garden wall or hedge between two points."""
         length, angle = math.hypot(x1 - x0, y1 - y0), math.atan2(y1 - y0, x1 - x0)
         if length < 0.5:
             return
@@ -199,7 +199,7 @@ class Site:
         return int(red * 0.88), int(green * 0.88), int(blue * 0.88)
 
     def tree(self, x: float, y: float, radius: float | None = None, *, conical: bool = False) -> None:
-        """A tree, its trunk at (x, y), unless that place is kept free."""
+        """Add a tree with its trunk at (x, y), unless that place is kept free."""
         rng = self.rng
         (place,) = self.frame.points([(x, y)])
         if any(_within(place, frame, rect) for frame, rect in self.kept_free):
@@ -207,24 +207,24 @@ class Site:
         radius = float(np.clip(rng.lognormal(0.85, 0.35), 1.0, 5.5)) if radius is None else radius
         leaves = self.palette.leaves
         rgb = jitter(rng, leaves[int(rng.integers(len(leaves)))], 10, 0.10)
-        if rng.random() < 0.015:  # in blossom, or purple foliage
+        if rng.random() < 0.015:  # blossom or purple foliage
             rgb = jitter(rng, (128, 84, 104), 10)
         look = int(rng.integers(7, 9)) if conical else int(rng.integers(0, 7))
         height = radius * (rng.uniform(3.2, 4.6) if conical else rng.uniform(1.5, 2.3)) + 0.8
         self.world.trees.append(Tree(float(place[0]), float(place[1]), radius, float(height), rgb, look))
 
     def bush(self, x: float, y: float) -> None:
-        """A shrub."""
+        """Add a shrub."""
         self.tree(x, y, float(self.rng.uniform(0.4, 1.1)))
 
     def grove(self, rect: Rect, density: float) -> None:
-        """Trees strewn over a rectangle, density per square metre."""
+        """Scatter trees over a rectangle, at a density per square metre."""
         x0, y0, x1, y1 = rect
         for _ in range(int(self.rng.poisson(max(x1 - x0, 0) * max(y1 - y0, 0) * density))):
             self.tree(self.rng.uniform(x0, x1), self.rng.uniform(y0, y1))
 
     def roof(self, parts: tuple[Rect, ...], style: str, eaves: float, rgb: Rgb) -> None:
-        """A building over one or two rectangles of its frame."""
+        """Add a building over one or two rectangles of its frame."""
         pitch = float(self.rng.uniform(0.32, 0.62))
         self.world.roofs.append(Roof(self.frame, parts, style, pitch, eaves, rgb, int(self.rng.integers(2**31))))
         self.kept_free.extend((self.frame, (x0 - 0.4, y0 - 0.4, x1 + 0.4, y1 + 0.4)) for x0, y0, x1, y1 in parts)
@@ -235,7 +235,7 @@ class Site:
         self.target("building", *(_corners(part) for part in parts), area=area)
 
     def pool(self, x: float, y: float, angle: float = 0.0) -> None:
-        """A swimming pool with its rim."""
+        """Add a swimming pool with its rim."""
         rng = self.rng
         site = self.at(x, y, angle)
         length, width = rng.uniform(6, 12), rng.uniform(3, 5)
@@ -270,7 +270,7 @@ class Site:
     # Vehicles
 
     def vehicle(self, model: VehicleModel, x: float, y: float, angle: float) -> None:
-        """Places a vehicle, its front towards ``angle``."""
+        """Add a vehicle that points towards ``angle``."""
         (place,) = self.frame.points([(x, y)])
         self.world.vehicles.append(PlacedVehicle(model, float(place[0]), float(place[1]), self.frame.angle + angle))
 

@@ -1,4 +1,4 @@
-"""Tennis and basketball courts as they lie in parks and schools: worn, played on, fenced and marked for other games."""
+"""Tennis and basketball courts as in parks and schools: worn, in use, fenced, with lines of other games."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _RING_STEPS = 24
 
 
 class _Basketball(NamedTuple):
-    """Metres, outside the lines: FIBA's rules, and those of NBA and NCAA in feet."""
+    """Dimensions in metres, outside the lines: FIBA's rules, and those of NBA and NCAA in feet."""
 
     length: float
     width: float
@@ -43,13 +43,13 @@ _BASKET_FROM_END_M, _RING_M = 1.575, 1.8
 
 
 class _Paint:
-    """Lines of one game on one court: its colour, its wear, its width."""
+    """Painter of the lines of one game on one court."""
 
     def __init__(self, site: Site, rgb: Rgb, width: float, wear: float) -> None:
         self.site, self.rgb, self.width, self.wear = site, rgb, width, wear
 
     def line(self, x0: float, y0: float, x1: float, y1: float, width: float | None = None) -> None:
-        """Paint a line whose centre runs from point to point; where it is worn, in pieces."""
+        """Paint a line whose centre connects two points; worn lines consist of pieces."""
         width = width or self.width
         if self.wear <= 0:
             self.site.line(x0, y0, x1, y1, width, self.rgb)
@@ -67,14 +67,14 @@ class _Paint:
             self.line(x0, y0, x1, y1)
 
     def outline(self, length: float, width: float) -> None:
-        """Paint a rectangle that measures that much outside its lines."""
+        """Paint a rectangle of this size to the outside of its lines."""
         x, y = (length - self.width) / 2, (width - self.width) / 2
         for a, b, c, d in ((-x, -y, x, -y), (-x, y, x, y), (-x, -y, -x, y), (x, -y, x, y)):
             self.line(a, b, c, d)
 
 
 def sports_ground(site: Site, width: float, depth: float) -> None:
-    """Lay courts in rows, on one slab or several, with grass, trees and benches around."""
+    """Lay out courts in rows on one or more slabs, with grass, trees and benches around."""
     rng, palette = site.rng, site.palette
     site.rect((0, 0, width, depth), jitter(rng, palette.lawn, 6), Material.LAWN)
     y = rng.uniform(3, 8)
@@ -96,7 +96,7 @@ def sports_ground(site: Site, width: float, depth: float) -> None:
 
 
 def _slab(site: Site, broad: float, surface: Rgb) -> None:
-    """The surfaced enclosure, 35 m long, with its fence."""
+    """Add the surfaced enclosure, 35 m long, with its fence."""
     rng = site.rng
     half_x, half_y = 17.5, broad / 2
     site.rect((-half_x, -half_y, half_x, half_y), surface, Material.COURT)
@@ -104,7 +104,7 @@ def _slab(site: Site, broad: float, surface: Rgb) -> None:
     site.kept_free.append((site.frame, (-half_x, -half_y, half_x, half_y)))
     for _ in range(int(rng.integers(0, 5))):
         site.crack(rng.uniform(-16, 16), rng.uniform(-half_y, half_y), rng.uniform(4, 16), rng.uniform(0, 6.3), 112)
-    if rng.random() < 0.6:  # of the mesh little more than the foot and the shadow is seen
+    if rng.random() < 0.6:  # little more than the fence's foot and shadow is visible
         fence: Rgb = (70, 78, 74)
         for x in (-half_x, half_x):
             site.box((x - 0.05, -half_y, x + 0.05, half_y), rng.uniform(0.3, 1.2), fence)
@@ -114,16 +114,16 @@ def _slab(site: Site, broad: float, surface: Rgb) -> None:
 
 
 def place_court(site: Site, kind: CourtKind, inner: Rgb, wear: float) -> None:
-    """Paint one court of exact size around the origin, its long axis along x, and what stands and lies on it."""
+    """Paint one court of exact size around the origin, with its long axis along x and with objects on it."""
     rng = site.rng
     length, width = _TENNIS_M if kind == "tennis" else _BASKETBALL[kind][:2]
     site.rect((-length / 2, -width / 2, length / 2, width / 2), inner, Material.COURT)
-    if rng.random() < 0.3:  # damp or rubbed
+    if rng.random() < 0.3:  # damp or worn
         site.blob(rng.uniform(-10, 10), rng.uniform(-4, 4), rng.uniform(1, 5), rng.uniform(1, 3), inner, Material.COURT)
         site.stain_rect((-2, -3, rng.uniform(0, 8), 3), int(rng.integers(112, 142)))
     if rng.random() < 0.2:
         _other_game(site)
-    tone = float(rng.uniform(0.35, 1.0))  # how white the paint still is
+    tone = float(rng.uniform(0.35, 1.0))  # remaining whiteness of the paint
     rgb = tuple(int(tone * white + (1 - tone) * ground) for white, ground in zip(WHITE, inner, strict=True))
     paint = _Paint(site, (rgb[0], rgb[1], rgb[2]), float(rng.uniform(0.05, 0.1)), wear)
     if kind == "tennis":
@@ -182,7 +182,7 @@ def _basketball(paint: _Paint, court: _Basketball) -> None:
 
 
 def _other_game(site: Site) -> None:
-    """Lines of pickleball or volleyball, in a colour of their own."""
+    """Paint lines of pickleball or volleyball in another colour."""
     rng = site.rng
     rgb: Rgb = ((206, 190, 80), (90, 130, 190), (190, 90, 80))[int(rng.integers(3))]
     paint = _Paint(site, rgb, 0.05, 0.0)

@@ -1,8 +1,8 @@
-"""Vehicles and tree crowns as small pictures, to be scaled and turned into place.
+"""Sprites of vehicles and tree crowns, which the painter scales and rotates.
 
-A vehicle's sprite spans exactly its length and width. Its four channels, all premultiplied by the first:
-coverage, share of the paint's colour that is seen (shaded), grey added (glass, tyres, lamps), red added (rear lamps).
-A crown's sprite spans [-1.25, 1.25] radii and has two: coverage and light.
+A vehicle's sprite spans exactly its length and width. Its four channels, premultiplied by the first, are coverage,
+visible share of the shaded paint, added grey (glass, tyres, lamps) and added red (rear lamps). A crown's sprite spans
+[-1.25, 1.25] radii and has two channels: coverage and light.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 CROWN_SPAN = 1.25
-VEHICLE_PAD = 0.03  # a transparent margin, as a share of the length, on every side of a vehicle's sprite
+VEHICLE_PAD = 0.03  # transparent margin on every side of a vehicle's sprite, as a share of the length
 
 _F = NDArray[np.float32]
 _Reals = NDArray[np.floating[Any]]
@@ -23,39 +23,39 @@ _Reals = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class Sun:
-    """Where the light comes from."""
+    """Direction of the sunlight."""
 
     azimuth: float
-    """The direction shadows fall in the image, radians from +x towards +y."""
+    """Direction of shadows in the image, radians from +x towards +y."""
     elevation: float
-    """Above the horizon, radians."""
+    """Angle above the horizon, radians."""
 
     def shadow(self, height: float) -> tuple[float, float]:
-        """The offset of the shadow of a point at that height."""
+        """Compute the offset of the shadow of a point at this height."""
         reach = height / np.tan(self.elevation)
         return float(reach * np.cos(self.azimuth)), float(reach * np.sin(self.azimuth))
 
     def light(self, turn: float = 0.0) -> tuple[float, float, float]:
-        """The unit vector towards the sun, seen from a frame turned by ``turn``."""
+        """Compute the unit vector towards the sun in a frame rotated by ``turn``."""
         flat, angle = -np.cos(self.elevation), self.azimuth - turn
         return float(flat * np.cos(angle)), float(flat * np.sin(angle)), float(np.sin(self.elevation))
 
 
 @dataclass(frozen=True)
 class _Car:
-    """Stations along a car, as shares of its length from the front, and half-widths as shares of its own."""
+    """Shape of a car: positions along it as shares of its length from the front, half widths as shares of its own."""
 
     glass_front: float
     roof_front: float
     roof_rear: float
     glass_rear: float
     roof_half_width: float = 0.70
-    bonnet: float = 0.86  # height of its leading edge, m
+    bonnet: float = 0.86  # height of the leading edge, m
     boot: float = 1.0
     bed: bool = False
 
 
-_BASE_HALF_WIDTH = 0.90  # of the greenhouse, where it stands on the body; a share as in _Car
+_BASE_HALF_WIDTH = 0.90  # of the greenhouse at its base; a share as in _Car
 
 _CARS = {
     "city": _Car(0.17, 0.34, 0.86, 0.955, boot=0.9),
@@ -69,7 +69,7 @@ _CARS = {
 
 
 def _soft(distance: _F, width: float) -> _F:
-    """Coverage from a signed distance (positive inside): a ramp one pixel wide, one half on the edge."""
+    """Convert a signed distance (positive inside) to coverage: a ramp one pixel wide, 0.5 at the edge."""
     return cast("_F", np.clip(distance / width + 0.5, 0, 1).astype(np.float32))
 
 
@@ -78,17 +78,17 @@ def _band(value: _F, low: float, high: float, width: float) -> _F:
 
 
 def vehicle_sprite(body: str, length: float, width: float, px_per_m: float, light: tuple[float, float, float]) -> _F:
-    """Draws a vehicle that points to +x.
+    """Draw a vehicle that points to +x.
 
     Args:
         body: a body of the fleet.
         length: in metres; the outline touches exactly +-length / 2.
-        width: in metres; likewise.
+        width: in metres; the outline touches exactly +-width / 2.
         px_per_m: resolution.
-        light: towards the sun, in the vehicle's frame.
+        light: unit vector towards the sun, in the vehicle's frame.
 
     Returns:
-        [rows, columns, 4], see the module.
+        [rows, columns, 4]; see the module.
     """
     px = 1 / px_per_m
     pad = VEHICLE_PAD * length
@@ -103,7 +103,7 @@ def vehicle_sprite(body: str, length: float, width: float, px_per_m: float, ligh
 
 
 def _lit(height: _F, px: float, light: tuple[float, float, float]) -> _F:
-    """Lambert shading of a height map, 1 on the level."""
+    """Compute the Lambert shading of a height map; 1 for horizontal surfaces."""
     blur = max(0.05 / px, 0.4)
     height = cast("_F", cv2.GaussianBlur(height, (0, 0), blur, borderType=cv2.BORDER_REPLICATE))
     slope_v, slope_u = np.gradient(height, px)
@@ -122,7 +122,7 @@ def _car(
     inset = _car_inset(body, u, v, t, across, length, width)
     cover = _soft(inset, px)
 
-    # Greenhouse: at its base almost as wide as the body, at the roof narrower.
+    # Greenhouse: almost as wide as the body at its base, narrower at the roof.
     base_front = car.glass_front - 0.025 * (1 - np.clip(across, 0, 1) ** 2)
     rise = np.minimum((t - base_front) / (car.roof_front - car.glass_front), 1.0)
     fall = np.minimum((car.glass_rear - t) / max(car.glass_rear - car.roof_rear, 0.01), 1.0)
@@ -139,7 +139,7 @@ def _car(
     if body == "van":
         glass *= 1 - _soft(((t - 0.30) * length).astype(np.float32), px)
     paint = shade * (1 - glass)
-    # The screens mirror some sky: brighter towards the roof.
+    # Windscreens reflect the sky: brighter towards the roof.
     grey = glass * (38 + 26 * np.clip(rise, 0, 1) * (t < 0.5) + 14 * (shade - 0.8))
     if car.bed:
         bed = _band(t * length, 0.655 * length, 0.965 * length, px) * _soft(
@@ -156,7 +156,7 @@ def _car(
 
 
 def _car_inset(body: str, u: _F, v: _F, t: _F, across: _Reals, length: float, width: float) -> _F:
-    """Distance inside the outline, metres: rounded at front and rear, a little narrower towards both."""
+    """Compute the distance inside the outline in metres; front and rear are rounded and slightly narrower."""
     half_length, half_width = length / 2, width / 2
     rounding = 0.10 * width if body == "van" else 0.17 * width
     front = half_length - rounding * np.clip(across, 0, 1.2) ** 3.5
@@ -168,7 +168,7 @@ def _car_inset(body: str, u: _F, v: _F, t: _F, across: _Reals, length: float, wi
 
 
 def _car_glass(car: _Car, t: _F, across: _Reals, base_front: _Reals, length: float, half_width: float, px: float) -> _F:
-    """Share of glass: the two screens, and the side windows between their pillars."""
+    """Compute the share of glass: windscreen, rear window, and side windows between their pillars."""
     base_half, roof_half = _BASE_HALF_WIDTH, car.roof_half_width
     in_cabin = _soft(
         (np.minimum(np.minimum(t - base_front, car.glass_rear - t) * length, (base_half - across) * half_width)).astype(
@@ -198,7 +198,7 @@ def _car_glass(car: _Car, t: _F, across: _Reals, base_front: _Reals, length: flo
 def _car_trim(
     car: _Car, paint: _Reals, grey: _Reals, t: _F, across: _Reals, length: float, half_width: float, px: float
 ) -> _Reals:
-    """Draws seam, grille and lamps into ``paint`` and ``grey``; returns the red of the rear lamps."""
+    """Draw seams, grille and lamps into ``paint`` and ``grey``; return the red of the rear lamps."""
     seam = _band(t * length, car.glass_front * length - 0.10, car.glass_front * length - 0.05, px)
     paint *= 1 - 0.35 * seam * _soft(((0.86 - across) * half_width).astype(np.float32), px)
     grille = _band(t * length, 0.0, 0.07, px) * _soft(((0.55 - across) * half_width).astype(np.float32), px)
@@ -257,16 +257,16 @@ def _heavy(body: str, u: _F, v: _F, length: float, width: float, px: float, ligh
 
 
 def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool = False) -> _F:
-    """Draws a crown of leaf clusters, lit by the sun.
+    """Draw a crown of leaf clusters in sunlight.
 
     Args:
-        rng: draws the clusters.
+        rng: random generator of the clusters.
         size: rows and columns.
-        sun: lights them.
-        conical: a conifer or cypress.
+        sun: direction of the light.
+        conical: whether the tree is a conifer or cypress.
 
     Returns:
-        [size, size, 2], see the module.
+        [size, size, 2]; see the module.
     """
     axis = (((np.arange(size) + 0.5) / size * 2 - 1) * CROWN_SPAN).astype(np.float32)
     height = np.full((size, size), -1.0, dtype=np.float32)
@@ -298,7 +298,7 @@ def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool
     slope_y, slope_x = np.gradient(cv2.GaussianBlur(surface, (0, 0), max(0.5, size / 110)), step)
     slope_x, slope_y = np.clip(slope_x, -2.5, 2.5), np.clip(slope_y, -2.5, 2.5)
     lambert = (light[2] - light[0] * slope_x - light[1] * slope_y) / np.sqrt(1 + slope_x**2 + slope_y**2)
-    # Clusters shade those behind them.
+    # Clusters cast shadows on those behind them.
     lit = np.ones_like(surface)
     rise = np.tan(sun.elevation)
     for distance in (0.06, 0.12, 0.2, 0.3, 0.42):

@@ -1,4 +1,4 @@
-"""The street grid: a region split again and again by ever smaller streets, with their markings and traffic."""
+"""Street grid: a region split recursively by smaller and smaller streets, with markings and traffic."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from vehanchor_scenes.world import Material, Rect
 
 @dataclass(frozen=True)
 class StreetPlan:
-    """Sizes of a layout's streets and blocks, and how busy they are."""
+    """Sizes of a layout's streets and blocks, and their traffic."""
 
     block_size: tuple[float, float]
-    """Blocks at most this large are not split: drawn per block."""
+    """Largest block that is not split; drawn for each block."""
     carriages: tuple[float, ...]
-    """Width of the carriageway by depth of the split; the last for all deeper ones."""
+    """Width of the carriageway by depth of the split; the last value applies to all deeper splits."""
     pavement: float
     parking: float
-    """Share of wide enough streets with cars along the kerb."""
+    """Share of streets with cars along the kerb, among streets wide enough."""
     traffic: float
     """Driving cars per 100 m and lane."""
     marked: bool
@@ -29,7 +29,7 @@ class StreetPlan:
 
 @dataclass(eq=False)
 class Street:
-    """A straight street; in its own frame it runs along +x from 0 to ``length``, its axis at y = 0."""
+    """Straight street; in its own frame it runs along +x from 0 to ``length`` with its axis at y = 0."""
 
     x: float
     y: float
@@ -40,17 +40,17 @@ class Street:
     depth: int
     parking: bool
     junctions: list[tuple[float, float, int]] = field(default_factory=list)
-    """Streets that end here: position along, half width, side (+1: larger y)."""
+    """Streets that end here: position along the street, half width, side (+1: larger y)."""
 
     @property
     def half(self) -> float:
-        """From the axis to the edge of the blocks."""
+        """Distance from the axis to the edge of the blocks."""
         return self.carriage / 2 + self.pavement
 
 
 @dataclass(frozen=True)
 class Block:
-    """A rectangle between streets, and which of its sides (left, top, right, bottom) lie on one."""
+    """Rectangle between streets, and which of its sides (left, top, right, bottom) lie on a street."""
 
     rect: Rect
     streets: tuple[Street | None, Street | None, Street | None, Street | None]
@@ -59,7 +59,7 @@ class Block:
 def divide(
     site: Site, rect: Rect, plan: StreetPlan, sides: tuple[Street | None, ...] = (None,) * 4, depth: int = 0
 ) -> tuple[list[Street], list[Block]]:
-    """Splits a rectangle into blocks with streets between them."""
+    """Split a rectangle into blocks with streets between them."""
     rng = site.rng
     x0, y0, x1, y1 = rect
     width, height = x1 - x0, y1 - y0
@@ -86,7 +86,7 @@ def divide(
     for other in (top, bottom) if vertical else (left, right):
         if other is not None:
             along = (street.y - other.y) if other.vertical else (street.x - other.x)
-            # A vertical street's own y axis points to -x, so sides are told apart in its own frame.
+            # A vertical street's y axis points to -x, so sides are given in the street's frame.
             beyond = other in (top, left)
             side = (1 if beyond else -1) * (-1 if other.vertical else 1)
             other.junctions.append((along, street.half, side))
@@ -111,7 +111,7 @@ def divide(
 
 
 def build_street(site: Site, street: Street, plan: StreetPlan, layer: str) -> None:
-    """Draws a street; all streets' ``base`` comes first, then ``carriage``, then ``marks``, so that junctions join."""
+    """Draw one layer of a street; drawing all streets' ``base``, then ``carriage``, then ``marks`` joins junctions."""
     own = site.at(street.x, street.y, math.pi / 2 if street.vertical else 0.0)
     half, length = street.carriage / 2, street.length
     if layer == "base":
@@ -151,7 +151,7 @@ def _carriageway(own: Site, street: Street) -> None:
 def _free(
     street: Street, start: float, stop: float, margin: float, side: int | None = None
 ) -> list[tuple[float, float]]:
-    """The stretches between start and stop without a junction (on that side, or any)."""
+    """Compute the stretches between start and stop without a junction on that side, or on any."""
     stretches, position = [], start
     for along, half, where in sorted(street.junctions):
         if side is not None and where != side:
@@ -200,7 +200,7 @@ def _markings(own: Site, street: Street, plan: StreetPlan) -> None:
 
 
 def _wear(own: Site, street: Street) -> None:
-    """Wheel tracks, patches, cracks, covers."""
+    """Add wheel tracks, patches, cracks and manhole covers."""
     rng = own.rng
     half, length = street.carriage / 2, street.length
     lane = min(half - (_lane(own) if street.parking else 0), 3.4)
@@ -225,7 +225,7 @@ def _wear(own: Site, street: Street) -> None:
 
 
 def _furniture(own: Site, street: Street) -> None:
-    """Trees and lamp posts on the pavement."""
+    """Add trees and lamp posts on the pavement."""
     rng = own.rng
     if street.pavement < 1.2:
         return
@@ -243,7 +243,7 @@ def _furniture(own: Site, street: Street) -> None:
 
 
 def _lane(own: Site) -> float:
-    """Width of the carriageway that cars at the kerb take."""
+    """Draw the width of the carriageway taken by cars at the kerb."""
     return own.fleet.max_width_m + 0.35
 
 
@@ -257,7 +257,7 @@ def _traffic(own: Site, street: Street, plan: StreetPlan) -> None:
             heading = 0.0 if side > 0 else math.pi
             for start, stop in _free(street, 8, length - 8, 5.5, side):
                 position = start
-                # Whether a car fits must not depend on its length, or short ones would be preferred.
+                # Whether a car fits must not depend on its length: that would favour short ones.
                 while position + slot < stop:
                     model = fleet.small()
                     if rng.random() < filled:
@@ -273,7 +273,7 @@ def _traffic(own: Site, street: Street, plan: StreetPlan) -> None:
     if free_half < fleet.max_width_m / 2 + 0.25:
         return
     both_ways = free_half >= 1.2 * fleet.max_width_m
-    if not both_ways:  # too narrow to pass: one lane, one way
+    if not both_ways:  # too narrow for two cars: one lane, one way
         lanes = [0.0]
     elif street.carriage >= 12.5 and not street.parking:
         lanes = [1.65, 4.95]

@@ -1,4 +1,4 @@
-"""One window of the canvas: its pixels, and metres to its coordinates."""
+"""Tile: one window of the canvas, with its pixels and conversion from metres."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _F = NDArray[np.float32]
 _U8 = NDArray[np.uint8]
 
 SUBPIXEL_BITS = 4
-_FAR_PX = 6000.0  # polygons reaching farther out of a tile are clipped first: OpenCV's coordinates are finite
+_FAR_PX = 6000.0  # polygons that extend farther beyond a tile are clipped: OpenCV's coordinates are finite
 
 
 @dataclass(eq=False)
 class Tile:
-    """A window of the canvas, ``step`` metres a pixel, from (x, y) on."""
+    """Window of the canvas from (x, y) on, at ``step`` metres per pixel."""
 
     x: float
     y: float
@@ -34,7 +34,7 @@ class Tile:
     noise: tuple[_F, _F, _F]
 
     def pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Metres to the tile's continuous pixel coordinates."""
+        """Convert metres to the tile's continuous pixel coordinates."""
         return (points - (self.x, self.y)) / self.step
 
     def window(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> tuple[int, int, int, int] | None:
@@ -44,7 +44,7 @@ class Tile:
         return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
 
     def fixed(self, points: NDArray[np.float64]) -> NDArray[np.int32] | None:
-        """Metres to OpenCV's fixed-point coordinates, where integers are pixel centres; None for nothing in reach."""
+        """Convert metres to OpenCV's fixed-point coordinates (integers are pixel centres); None if out of reach."""
         pixels = self.pixels(points)
         if np.abs(pixels).max() > _FAR_PX:
             pixels = clip_polygon(pixels, -16, -16, self.width + 16, self.height + 16)
@@ -53,7 +53,7 @@ class Tile:
         return cast("NDArray[np.int32]", np.rint((pixels - 0.5) * 2**SUBPIXEL_BITS).astype(np.int32))
 
     def fill(self, image: _U8, points: NDArray[np.float64], value: int | Rgb) -> None:
-        """Fills an outline, given in metres, on a picture of the tile's size."""
+        """Fill an outline, given in metres, in an image of the tile's size."""
         outline = self.fixed(points)
         if outline is not None:
             cv2.fillPoly(image, [outline], value, cv2.LINE_AA, SUBPIXEL_BITS)

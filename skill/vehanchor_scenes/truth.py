@@ -1,4 +1,4 @@
-"""The truth of a rendered scene: all it contains, and the files that say so."""
+"""Ground truth of a rendered scene, and its files."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ _JPEG_QUALITY = 95
 
 @dataclass(frozen=True)
 class SceneVehicle:
-    """One drawn vehicle, bumper to bumper, without its shadow.
+    """Drawn vehicle, bumper to bumper, without its shadow.
 
-    Pixel coordinates are continuous: the image spans [0, width] x [0, height], the first pixel's centre is (0.5, 0.5).
+    Pixel coordinates are continuous: the image spans [0, width] x [0, height], and the first pixel's centre is
+    (0.5, 0.5).
     """
 
     kind: VehicleKind
@@ -37,12 +38,12 @@ class SceneVehicle:
     length_px: float
     width_px: float
     angle_rad: float
-    """Direction of the long axis towards the front, from +x, clockwise as seen (y points down)."""
+    """Direction of the long axis towards the front, clockwise from +x (y points down)."""
     difficult: bool = False
-    """Cut by the image's edge, or more than 40 % hidden by a tree."""
+    """Whether the image's edge cuts it, or a tree hides more than 40 % of it."""
 
     def corners(self) -> NDArray[np.float64]:
-        """The four corners [4,2] in pixels: front left, front right, rear right, rear left."""
+        """Compute the corners [4,2] in pixels: front left, front right, rear right, rear left."""
         along = np.array([np.cos(self.angle_rad), np.sin(self.angle_rad)]) * self.length_px / 2
         across = np.array([-np.sin(self.angle_rad), np.cos(self.angle_rad)]) * self.width_px / 2
         centre = np.array([self.x_px, self.y_px])
@@ -52,26 +53,26 @@ class SceneVehicle:
 
 @dataclass(frozen=True)
 class SceneObject:
-    """One masked object and its areas."""
+    """Masked object and its areas."""
 
     category: Category
     instance: int
     """Its value in the category's mask; 1, 2, ..."""
     area_m2: float
-    """Of the part that the image shows: the mask's pixels times the squared GSD."""
+    """Visible area: the mask's pixels times the squared GSD."""
     full_area_m2: float
-    """The whole outline, also what lies outside the image or below a tree."""
+    """Area of the whole outline, including parts outside the image or below a tree."""
 
 
 @dataclass(frozen=True, eq=False)
 class SceneCourt:
-    """One painted court of exact size.
+    """Painted court of exact size.
 
     Attributes:
-        kind: what is played on it, by whose rules.
-        corners: ``[4, 2]`` of its outline, outside the lines, in pixels; the first and the second bound a long side.
-        hidden_share: of its area inside the image below trees, 0..1.
-        cut: by the image's edge.
+        kind: game and rules.
+        corners: ``[4, 2]`` corners of its outline, outside the lines, in pixels; the first two bound a long side.
+        hidden_share: 0..1, share of its area in the image below trees.
+        cut: whether the image's edge cuts it.
     """
 
     kind: CourtKind
@@ -82,19 +83,19 @@ class SceneCourt:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A rendered image and the truth about it.
+    """Rendered image and its ground truth.
 
     Attributes:
         image: [H,W,3] RGB.
         gsd_m_per_px: size of a pixel on the ground.
-        vehicles: every drawn vehicle whose centre is inside the image.
-        masks: category -> [H,W] instance numbers, 0 where there is none. Pools are their water, buildings their roofs,
-            both without what trees hide; courts are the whole surfaced enclosure; fields and parking lots the whole
-            ground, whatever stands on it.
-        objects: what the masks hold, with areas.
-        seed: the scene's seed.
-        parameters: the other arguments of ``render_scene``, and what was drawn from the seed.
-        courts: those whose centre is inside the image.
+        vehicles: drawn vehicles whose centre is inside the image.
+        masks: category -> [H,W] instance numbers, 0 for the background. Pools are water and buildings are roofs, both
+            without parts below trees. Courts are the whole surfaced enclosure. Fields and parking lots are the whole
+            ground, including objects on it.
+        objects: objects in the masks, with areas.
+        seed: seed of the scene.
+        parameters: the other arguments of ``render_scene``, and values drawn from the seed.
+        courts: courts whose centre is inside the image.
     """
 
     image: NDArray[np.uint8]
@@ -107,7 +108,7 @@ class Scene:
     courts: tuple[SceneCourt, ...] = ()
 
     def dota_text(self) -> str:
-        """The vehicles in DOTA's format: a ``gsd:`` line, then four corners, class and 1 if difficult, per line."""
+        """Format the vehicles as DOTA text: a ``gsd:`` line, then four corners, class and 1 if difficult per line."""
         lines = [f"gsd:{self.gsd_m_per_px:.10g}"]
         for vehicle in self.vehicles:
             corners = " ".join(f"{value:.3f}" for value in vehicle.corners().ravel())
@@ -115,22 +116,22 @@ class Scene:
         return "\n".join(lines) + "\n"
 
     def write(self, path: Path) -> list[Path]:
-        """Writes the image and, beside it, everything that is known about it.
+        """Write the image and its ground truth.
 
         Args:
-            path: of the image, ending in ``.png``, ``.jpg`` or ``.jpeg``; its folder exists.
+            path: path of the image, ending in ``.png``, ``.jpg`` or ``.jpeg``, in an existing folder.
 
         Returns:
-            The files written: the image, ``<stem>.json`` (scale, size, parameters, areas), ``<stem>.txt`` (vehicles,
+            The written files: the image, ``<stem>.json`` (scale, size, parameters, areas), ``<stem>.txt`` (vehicles in
             DOTA format) and one 16-bit ``<stem>_<category>.png`` per category.
 
         Raises:
-            InvalidParameterError: another suffix.
-            OSError: the files cannot be written.
+            InvalidParameterError: the path has another suffix.
+            OSError: a file cannot be written.
         """
         path = Path(path)
         if path.suffix.lower() not in _SUFFIXES:
-            raise InvalidParameterError(f"a scene is written as {', '.join(_SUFFIXES)}, not as {path.name!r}")
+            raise InvalidParameterError(f"the path of a scene must end in {', '.join(_SUFFIXES)}, got {path.name!r}")
         written = [_write_image(path, np.ascontiguousarray(self.image[:, :, ::-1]))]
         record = {
             "gsd_m_per_px": self.gsd_m_per_px,
@@ -159,7 +160,7 @@ class Scene:
 
 
 def _write_image(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> Path:
-    """Encodes in memory, so that any path that Python can write works."""
+    """Encode in memory and let Python write, because OpenCV cannot open every path."""
     quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if path.suffix.lower() != ".png" else []
     _, encoded = cv2.imencode(path.suffix.lower(), image, quality)
     path.write_bytes(encoded.tobytes())

@@ -1,4 +1,4 @@
-"""The primitives of a scene, in metres: what the layout puts down and the renderer draws."""
+"""Primitives of a scene in metres: the layout creates them, the renderer draws them."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from vehanchor_scenes.truth import Category, CourtKind
 
 Rgb = tuple[int, int, int]
 Rect = tuple[float, float, float, float]
-"""x0, y0, x1, y1 in some frame."""
+"""x0, y0, x1, y1 in a local frame."""
 
 
 class Material(IntEnum):
-    """How a surface's colour varies; the renderer holds the amplitudes."""
+    """Materials, which decide how a surface's colour varies; the renderer holds the amplitudes."""
 
     PLAIN = 0
     ASPHALT = 1
@@ -35,14 +35,14 @@ class Material(IntEnum):
 
 @dataclass(frozen=True)
 class Frame:
-    """A local coordinate system: its origin and the direction of its x axis, in the frame of the image."""
+    """Local coordinate system: its origin and the direction of its x axis in the frame of the image."""
 
     x: float
     y: float
     angle: float
 
     def points(self, local: ArrayLike) -> NDArray[np.float64]:
-        """Local coordinates [N,2] to those of the image."""
+        """Convert local coordinates [N,2] to the frame of the image."""
         xy = np.asarray(local, dtype=np.float64).reshape(-1, 2)
         cos, sin = math.cos(self.angle), math.sin(self.angle)
         placed = np.empty_like(xy)
@@ -51,14 +51,14 @@ class Frame:
         return placed
 
     def at(self, x: float, y: float, angle: float = 0.0) -> Frame:
-        """A frame placed inside this one."""
+        """Create a frame inside this one."""
         (origin,) = self.points([(x, y)])
         return Frame(float(origin[0]), float(origin[1]), self.angle + angle)
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A flat polygon on the ground; later ones cover earlier ones."""
+    """Flat polygon on the ground; later ones cover earlier ones."""
 
     points: NDArray[np.float64]
     rgb: Rgb
@@ -67,7 +67,7 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class Stain:
-    """A polygon that darkens (level < 128) or lightens the ground below it."""
+    """Polygon that darkens (level < 128) or lightens the ground."""
 
     points: NDArray[np.float64]
     level: int
@@ -75,7 +75,7 @@ class Stain:
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A low thing with vertical sides: wall, shed, container, hedge, parasol; also a bare pole's shadow."""
+    """Low object with vertical sides: wall, shed, container, hedge, parasol, or a pole's shadow."""
 
     points: NDArray[np.float64]
     height: float
@@ -85,7 +85,7 @@ class Box:
 
 @dataclass(frozen=True)
 class PlacedVehicle:
-    """A vehicle and where it is."""
+    """Vehicle with its position and direction."""
 
     model: VehicleModel
     x: float
@@ -95,7 +95,7 @@ class PlacedVehicle:
 
 @dataclass(frozen=True, eq=False)
 class PlacedCourt:
-    """Where a court's outline is: ``[4, 2]`` corners, the first two at the ends of a long side."""
+    """Court with its outline: ``[4, 2]`` corners, the first two at the ends of a long side."""
 
     kind: CourtKind
     corners: NDArray[np.float64]
@@ -103,7 +103,7 @@ class PlacedCourt:
 
 @dataclass(frozen=True)
 class Roof:
-    """A roof over one or two rectangles (given in its own frame as x0, y0, x1, y1)."""
+    """Roof over one or two rectangles (x0, y0, x1, y1 in its own frame)."""
 
     frame: Frame
     parts: tuple[Rect, ...]
@@ -117,14 +117,14 @@ class Roof:
     seed: int
 
     def corners(self, part: Rect) -> NDArray[np.float64]:
-        """The corners [4,2] of one of its rectangles, in the frame of the image."""
+        """Compute the corners [4,2] of one of its rectangles in the frame of the image."""
         x0, y0, x1, y1 = part
         return self.frame.points([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
 
 
 @dataclass(frozen=True)
 class Tree:
-    """A crown: its radius, its top above ground, its look."""
+    """Tree crown: its radius, its height above ground, and the number of its sprite (``look``)."""
 
     x: float
     y: float
@@ -136,7 +136,7 @@ class Tree:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Something masked: one or more polygons whose union is the object."""
+    """Masked object: the union of one or more polygons."""
 
     category: Category
     polygons: tuple[NDArray[np.float64], ...]
@@ -145,7 +145,7 @@ class Target:
 
 @dataclass(eq=False)
 class World:
-    """Everything there is."""
+    """All primitives of a scene."""
 
     surfaces: list[Surface] = field(default_factory=list)
     stains: list[Stain] = field(default_factory=list)

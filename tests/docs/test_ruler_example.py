@@ -10,7 +10,7 @@ import pytest
 from tests.analyses import made_card
 from tests.conftest import ROOT
 from tests.docs.documents import blocks
-from vehanchor.analysis.exhibits import ScaleAnalysis
+from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.estimate import analyse_detections
 from vehanchor.imagery.facts import ImageFacts
@@ -54,7 +54,7 @@ def _analysed(
 def test_a_running_track_makes_the_scale_of_an_image_without_cars(track: Any) -> None:
     record = _analysed(LENGTH_PX * 92.52 / 176.91).estimate
     assert record.gsd_m_per_px == pytest.approx(GSD, rel=0.005)
-    assert (record.scale_source, record.n_vehicles) == (track.kind, 0)
+    assert (record.leading_ruler, record.n_vehicles) == (track.kind, 0)
     assert record.rulers[0].explanation is not None
     assert record.rulers[0].explanation.startswith("A running track of 800 px says 0.2211 m/px")
 

@@ -53,7 +53,7 @@ def test_what_is_installed_is_told_and_what_is_missing_by_its_extra(monkeypatch:
     assert code == 0
     assert re.search(r"vehanchor\s+0\.", out)
     assert "CPUExecutionProvider" in out
-    assert re.search(r"rasterio\s+not there: pip install 'vehanchor\[geo\]'", out)
+    assert re.search(r"rasterio\s+missing: pip install 'vehanchor\[geo\]'", out)
 
 
 def test_it_says_of_a_folder_how_many_will_do_and_what_helps_the_others(tmp_path: Path) -> None:

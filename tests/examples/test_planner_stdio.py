@@ -31,7 +31,7 @@ def _record(**changes: Any) -> dict[str, Any]:
         "inscribed_diameter_m": 10.0,
         "inscribed_diameter_ci95_low_m": 8.5,
         "inscribed_center": {"x_px": 40.5, "y_px": 30.5},
-        "scale": {"resolution_guard": False},
+        "estimate": {"resolution_guard": False},
     }
     return record | changes
 

@@ -22,10 +22,10 @@ import httpx2
 import pytest
 from mcp import Client, MCPError
 
-from benchmarks.server_process import http_server, write_images
 from tests.conftest import ROOT
 from tests.needs import needed_program
 from tests.packaging.server_calls import free_port
+from tests.server_process import http_server, write_images
 from vehanchor import estimate_gsd
 
 pytestmark = [pytest.mark.nginx, pytest.mark.timeout(900)]

@@ -73,7 +73,7 @@ def test_it_is_small_and_holds_all_it_needs(wheel: Path) -> None:
     assert {f"{package}/py.typed" for package in PACKAGES} <= set(names)
     inside = {name for name in names if name.startswith((*(f"{package}/" for package in PACKAGES), "vehanchor-"))}
     assert inside == set(names), f"more than the five packages: {sorted(set(names) - inside)}"
-    assert not any("tests/" in name or "training/" in name for name in names)
+    assert not any("tests/" in name or "research/" in name for name in names)
 
 
 def test_it_carries_the_schemas_that_its_command_writes(wheel: Path, run: Run) -> None:

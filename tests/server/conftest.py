@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -13,12 +13,14 @@ from mcp.server import MCPServer
 from tests.models import blank_image, paint_vehicles, write_detector
 from tests.sam_models import SamFiles, write_sam
 from tests.server.conversation import ERAS
+from tests.tiles import Tiles, watched_tiles
 from vehanchor_server.app import create_server
 from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings
 
 LENGTH_PX = 33.0
 N_VEHICLES = 24
+N_TILES_LARGE = 25  # of large.png
 POOL = (300, 330, 348, 426)  # x and y of its corners; the test segmenter finds it to the pixel by POOL_BOX
 POOL_BOX = {"x_min": 294.0, "y_min": 324.0, "x_max": 354.0, "y_max": 432.0}
 _POOL_RGB = (40, 140, 210)
@@ -110,38 +112,23 @@ def images(_images: Path) -> Path:
     return _images
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def settings(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Settings:
     return Settings(roots=(images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, in_process=True)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def services(settings: Settings) -> Services:
     return create_services(settings)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def server(services: Services) -> MCPServer[object]:
     return create_server(services)
 
 
 @pytest.fixture
-def slow_tiles(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
-    """Makes every tile take a given time: how long a call runs is then no matter of the machine."""
-    import time
-
-    from vehanchor.detection.detector import Detector
-
-    original = Detector.detect_tile
-    delay = [0.0]
-
-    def slowed(self: Detector, *args: object, **kwargs: object) -> object:
-        time.sleep(delay[0])
-        return original(self, *args, **kwargs)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(Detector, "detect_tile", slowed)
-
-    def set_delay(seconds: float) -> None:
-        delay[0] = seconds
-
-    return set_delay
+def tiles() -> Iterator[Tiles]:
+    """The tiles of every call, to be held and counted."""
+    with watched_tiles() as watched:
+        yield watched

@@ -1,15 +1,18 @@
 from __future__ import annotations
 
-import time
+import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import anyio
+import anyio.to_thread
 import numpy as np
 import pytest
 
 import vehanchor
 import vehanchor.aio
 from tests.models import blank_image, paint_vehicles, write_detector
+from tests.tiles import watched_tiles
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError
 
@@ -48,21 +51,35 @@ async def test_the_errors_are_those_of_the_verbs() -> None:
 
 
 async def test_who_waits_no_more_is_not_kept(detector: Detector, monkeypatch: pytest.MonkeyPatch) -> None:
-    original, n_tiles = Detector.detect_tile, []
+    returned, in_thread, thread_ended = anyio.Event(), anyio.to_thread.run_sync, threading.Event()
 
-    def slowed(self: Detector, *args: object, **kwargs: object) -> object:
-        n_tiles.append(1)
-        time.sleep(0.3)
-        return original(self, *args, **kwargs)  # type: ignore[arg-type]
+    async def noted(work: Callable[[], object], *, abandon_on_cancel: bool) -> object:
+        def to_its_end() -> object:
+            try:
+                return work()
+            finally:
+                thread_ended.set()
 
-    monkeypatch.setattr(Detector, "detect_tile", slowed)
-    started = time.monotonic()
-    with anyio.move_on_after(0.1) as scope:
-        await vehanchor.aio.estimate_gsd(_place(), detector=detector, tile_px=128, stride_px=96)
-    assert scope.cancelled_caught
-    assert time.monotonic() - started < 1
-    await anyio.sleep(1.5)
-    assert len(n_tiles) <= 3, "the search went on"
+        return await in_thread(to_its_end, abandon_on_cancel=abandon_on_cancel)
+
+    async def estimate() -> None:
+        try:
+            await vehanchor.aio.estimate_gsd(_place(), detector=detector, tile_px=128, stride_px=96)
+        finally:
+            returned.set()
+
+    with watched_tiles() as tiles:
+        async with anyio.create_task_group() as group:
+            with tiles.held(), monkeypatch.context() as patches:
+                patches.setattr("vehanchor.aio.anyio.to_thread.run_sync", noted)
+                group.start_soon(estimate)
+                while tiles.n_begun == 0:
+                    await anyio.sleep(0.01)
+                group.cancel_scope.cancel()
+                with anyio.CancelScope(shield=True):
+                    await returned.wait()  # although its tile is still held
+        await anyio.to_thread.run_sync(thread_ended.wait)
+    assert tiles.n_begun == 1, "the search went on"
 
 
 def test_all_three_verbs_have_a_twin() -> None:

@@ -22,7 +22,7 @@ const sizeOf = (record) => {
 
 // What spares the search: the scale of this result, in whatever form it has one.
 function knownScale(record) {
-  const scale = scaleOf(record)?.scale ?? call.arguments.scale;
+  const scale = record.scale ?? call.arguments.scale;
   if (scale) return { scale };
   return record.gsd_m_per_px === null ? undefined : { gsd_m_per_px: record.gsd_m_per_px };
 }

@@ -4,7 +4,7 @@ const isArea = (record) => "mask_area_px" in record;
 const forPeople = (part) => (part.annotations?.audience ?? ["user"]).includes("user");
 const textOf = (result) => (result.content ?? []).filter((part) => part.type === "text" && forPeople(part))
   .map((part) => part.text).join(" ");
-const scaleOf = (record) => (isArea(record) ? record.scale : record);
+const scaleOf = (record) => (isArea(record) ? record.estimate : record);
 
 // The whole record, wherever a short answer has it; the first of several.
 const recordOf = (result) =>

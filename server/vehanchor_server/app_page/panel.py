@@ -14,7 +14,7 @@ from pydantic import Field
 from vehanchor_server.frozen import FrozenModel
 
 if TYPE_CHECKING:
-    from vehanchor.analysis.findings import ScaleFindings
+    from vehanchor.analysis.scale import ScaleAnalysis
 
 PANEL_KEY = "vehanchor/panel"
 
@@ -96,7 +96,7 @@ def panel_meta(
     return {PANEL_KEY: data.model_dump(mode="json")}
 
 
-def drawing_of(analysis: ScaleFindings) -> Drawing:
+def drawing_of(analysis: ScaleAnalysis) -> Drawing:
     """What an estimate rests on, to a tenth of a pixel."""
     import numpy as np  # not before a call needs it, as everything that computes
 
@@ -119,7 +119,7 @@ def drawing_of(analysis: ScaleFindings) -> Drawing:
     )
 
 
-def length_histogram(analysis: ScaleFindings) -> LengthHistogram | None:
+def length_histogram(analysis: ScaleAnalysis) -> LengthHistogram | None:
     """Bins of a round width over all lengths and the guard's, and the density whose peak is P_mode.
 
     Returns:

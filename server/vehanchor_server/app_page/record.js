@@ -1,7 +1,7 @@
 // ---- The record in words ----
 
 function recordSection(record) {
-  const scale = isArea(record) ? record.scale : record;
+  const scale = isArea(record) ? record.estimate : record;
   const rows = [["Image", `${whole(record.image_width_px)} × ${whole(record.image_height_px)} px`]];
   const add = (name, value) => value !== undefined && rows.push([name, value]);
   if (isArea(record)) {

@@ -7,7 +7,7 @@ function rulersSection(scale) {
   if (!hasOtherRulers(scale)) return undefined;
   const rows = scale.rulers.map((ruler) => {
     const name = ruler.label[0].toUpperCase() + ruler.label.slice(1);
-    const lead = ruler.kind === scale.scale_source ? ", leads" : "";
+    const lead = ruler.kind === scale.leading_ruler ? ", leads" : "";
     const bounds = interval(ruler.gsd_ci95_low_m_per_px, ruler.gsd_ci95_high_m_per_px, "m/px");
     return html(
       "li", { class: ruler.agrees ? "agrees" : "disagrees", title: ruler.explanation ?? undefined },

@@ -46,7 +46,7 @@ function readings(record) {
     const around = record.perimeter_m === null ? undefined : `outline ${number(record.perimeter_m)} m`;
     tiles.push(reading("Length × width", `${number(record.length_m)} × ${number(record.width_m)}`, "m", around));
   }
-  const scale = record.scale ?? record;
+  const scale = scaleOf(record) ?? record;
   if (record.scale_source === "given") tiles.push(reading("Scale", number(record.gsd_m_per_px), "m/px", "given by the caller"));
   else tiles.push(scaleReading(scale));
   return html("dl", { class: "readings" }, ...tiles.map((tile) => trusted(record, tile)));

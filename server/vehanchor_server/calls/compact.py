@@ -28,7 +28,7 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
         "mode_length_px",
         "p_within_20",
         "reason",
-        "scale_source",
+        "leading_ruler",
         "image_width_px",
         "image_height_px",
         "frame",
@@ -103,7 +103,7 @@ def _short(record: BaseModel) -> dict[str, Any]:
             value = {key: each for key, each in value.items() if key not in _KNOWN_TO_THE_CALLER}
         if value is not None or name in _SAID_WHEN_NULL:
             short[name] = _rounded(name, value)
-    reason = getattr(getattr(record, "scale", None), "reason", None)
+    reason = getattr(getattr(record, "estimate", None), "reason", None)
     if reason is not None:
         short["reason"] = reason
     if (short.get("frame") or {}).get("bounding_box"):
@@ -113,7 +113,7 @@ def _short(record: BaseModel) -> dict[str, Any]:
 
 def _estimate(record: BaseModel) -> GsdEstimate | None:
     """The estimate of the scale, where one was made for the record."""
-    return record if isinstance(record, GsdEstimate) else getattr(record, "scale", None)
+    return record if isinstance(record, GsdEstimate) else getattr(record, "estimate", None)
 
 
 def _known_scale(record: BaseModel) -> dict[str, Any] | None:

@@ -212,8 +212,8 @@ def _area_in_words(area: AreaMeasurement) -> str:
         return "No object found there: no area. Draw a box tightly around one that can be seen."
     if area.area_m2 is None:
         return (
-            f"No area: the object covers {area.mask_area_px} px, but {nothing_found(area.scale)}, and give its scale "
-            "as gsd_m_per_px."
+            f"No area: the object covers {area.mask_area_px} px, but {nothing_found(area.estimate)}, and give its "
+            "scale as gsd_m_per_px."
         )
     size = f"{rounded(area.area_m2)} m2{interval(area.area_ci95_low_m2, area.area_ci95_high_m2)}"
     if area.length_m is not None and area.width_m is not None and area.inscribed_diameter_m is not None:
@@ -223,5 +223,5 @@ def _area_in_words(area: AreaMeasurement) -> str:
     if area.status == "ok":
         return size + ("as good as the given scale." if area.scale_source == "given" else "safe to use.")
     if area.confidence is not None and area.confidence < FALLBACK_CONFIDENCE:
-        return size + not_to_be_used(area.scale)
+        return size + not_to_be_used(area.estimate)
     return size + "do not rely on it (the segmenter doubts its mask); look at the overlay, or draw another box."

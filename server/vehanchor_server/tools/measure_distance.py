@@ -155,11 +155,11 @@ def describe_distance(record: DistanceMeasurement, detail: Detail = "full") -> s
 def _distance_in_words(record: DistanceMeasurement) -> str:
     if record.distance_m is None:
         return (
-            f"No distance: the line is {record.length_px:.0f} px long, but {nothing_found(record.scale)}, and give its "
-            "scale as gsd_m_per_px."
+            f"No distance: the line is {record.length_px:.0f} px long, but {nothing_found(record.estimate)}, and "
+            "give its scale as gsd_m_per_px."
         )
     said = f"{rounded(record.distance_m)} m{interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
     said += f"; {scale_origin(record)}: "
     if record.status == "ok":
         return said + ("as good as the given scale." if record.scale_source == "given" else "safe to use.")
-    return said + not_to_be_used(record.scale)
+    return said + not_to_be_used(record.estimate)

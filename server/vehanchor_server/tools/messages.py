@@ -93,6 +93,6 @@ def scale_origin(measured: AreaMeasurement | DistanceMeasurement) -> str:
     scale = f"scale {rounded(measured.gsd_m_per_px)} m/px"
     if measured.confidence is None:
         return f"{scale} as given"
-    if measured.scale is None:
+    if measured.estimate is None:
         return f"{scale} given back, confidence {measured.confidence:.2f}"
-    return f"{scale}, confidence {measured.confidence:.2f} from {sources(measured.scale)}"
+    return f"{scale}, confidence {measured.confidence:.2f} from {sources(measured.estimate)}"

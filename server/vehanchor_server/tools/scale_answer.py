@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from vehanchor_server.calls.answer import Answer
 
 if TYPE_CHECKING:
-    from vehanchor.analysis.exhibits import ScaleAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.imagery.raster import Raster
     from vehanchor.records import GsdEstimate
     from vehanchor_server.calls.answer import WantedPictures

@@ -26,6 +26,7 @@ from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.auth import token_verifier
 from vehanchor_server.transport.connections import BACKLOG, MAX_HEAD_BYTES, ConnectionLimits, LimitedProtocol
+from vehanchor_server.transport.lingering_close import LingeringClose
 from vehanchor_server.transport.request_guard import RequestGuard
 from vehanchor_server.transport.supervisor import end_with_supervisor
 
@@ -80,6 +81,7 @@ def create_app(settings: Settings | None = None) -> Starlette:
         origins=security.allowed_origins,
         max_large_bodies=services.capacity.max_concurrency + _SPARE_BODIES,
     )
+    app.add_middleware(LingeringClose, max_bytes=2 * settings.max_body_bytes)  # outermost: whoever answers early
     app.router.lifespan_context = partial(_closing, services, app.router.lifespan_context)
     app.router.routes += [Route("/healthz", healthz), Route("/readyz", readyz)]  # open to probes, which have no token
     return app

@@ -126,15 +126,17 @@ class RequestGuard:
             answered = True
             await send(message)
 
+        refusal = None
         try:
             await self._app(scope, counted, sent)
         except _HungUpError:
             pass  # who hung up in the middle of a body needs no answer, and the log no traceback
         except _RefusedError as refused:
-            if not answered:
-                await _refusal(refused)(scope, receive, send)
+            refusal = _refusal(refused)
         finally:
             self._n_large_bodies -= body.has_place
+        if refusal is not None and not answered:  # its place is free again: what is left of the body is not kept
+            await refusal(scope, receive, send)
 
     def _ask_for_place(self, body: _Body, n_bytes: int) -> None:
         """Take a place for a large body.

@@ -28,7 +28,7 @@ from vehanchor.storage.atomic import check_apart
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from vehanchor.analysis.exhibits import DistanceAnalysis
+    from vehanchor.analysis.measured import DistanceAnalysis
     from vehanchor.records import DistanceMeasurement
 
 

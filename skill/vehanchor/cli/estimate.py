@@ -33,7 +33,7 @@ from vehanchor.records.advice import ADVICE
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from vehanchor.analysis.exhibits import ScaleAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
     from vehanchor.records import GsdEstimate, RulerScale, TiltEstimate

@@ -185,9 +185,9 @@ def _photographs_table(photographs: Sequence[FlightPhotograph], names: Sequence[
 
 
 def _hangs_on(photograph: FlightPhotograph) -> str:
-    if not photograph.anchors:
+    if not photograph.supported_by:
         return "-"
-    first = photograph.anchors[0]
+    first = photograph.supported_by[0]
     if first.photograph == photograph.photograph:
         return f"{first.ruler} of its own"
     between = f" through {len(first.through)} more" if first.through else ""

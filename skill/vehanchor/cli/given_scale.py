@@ -72,8 +72,6 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
 
         return photograph_in(read_record(path), image).scale
     found = record.get("scale", record) if isinstance(record, dict) else record
-    while isinstance(found, dict) and isinstance(found.get("scale"), dict):  # of a measurement: the scale of its scale
-        found = found["scale"]
     try:
         return KnownScale.model_validate(found)
     except ValidationError:

@@ -28,7 +28,7 @@ from vehanchor.errors import InvalidParameterError, OutputError, PromptError, Ve
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from vehanchor.analysis.exhibits import AreaAnalysis
+    from vehanchor.analysis.measured import AreaAnalysis
     from vehanchor.options import ScaleOptions
     from vehanchor.records import AreaMeasurement, KnownScale
 
@@ -225,10 +225,10 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
             ),
         ]
     facts.append(("mask", f"{record.mask_area_px} px, score {record.mask_score:.2f}"))
-    if record.scale is None:
+    if record.estimate is None:
         facts.append(("scale", f"{record.gsd_m_per_px:.4g} m/px, {record.scale_source}"))
     else:
-        scale = record.scale
+        scale = record.estimate
         facts += [
             ("scale", scale_text(scale.gsd_m_per_px, scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)),
             ("confidence", f"{scale.confidence:.2f}   {STATUS_TEXTS[scale.status]}"),

@@ -1,4 +1,4 @@
-"""The directions in which most edges of a patch run: a court's lines, its fence and its slab are at right angles."""
+"""Main directions of the edges in a patch; a court's lines, fence and slab are at right angles."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ if TYPE_CHECKING:
 
 _QUARTER = math.pi / 2
 _BINS = 45  # of a quarter turn: 2 degrees each
-_SMOOTH_PX = 1.2  # steps of a line as wide as a pixel have directions of their own
-_SUPPORT_PX = 8  # rows of which the smoothed edges of another one are made, and some
-_CLEAREST = 160.0  # of Scharr's sums, ten grey levels in all: one shadow's edge must not outweigh all painted lines
-_NO_EDGE = 0.7  # share of the patch that is texture and noise: rounded grey levels have directions of their own
-_SECOND = 0.8  # share of the strongest direction from which another one is looked at, too
+_SMOOTH_PX = 1.2  # the pixel steps of a thin line have spurious directions
+_SUPPORT_PX = 8  # rows that affect the smoothed edges of a row, with a margin
+_CLEAREST = 160.0  # in Scharr sums, about ten grey levels: one shadow's edge must not outweigh all painted lines
+_NO_EDGE = 0.7  # share of the patch that is texture and noise; rounded grey levels have spurious directions
+_SECOND = 0.8  # share of the strongest direction that a second one needs
 _APART_BINS = 5
 
 
 def axes(grey: NDArray[np.float32], x: float, y: float, radius: float) -> list[float]:
-    """Find how a rectangle of lines may be turned, from the gradients around a place.
+    """Find the possible orientations of a rectangle of lines from the gradients around a point.
 
     Args:
         grey: ``[h, w]`` grey levels.
-        x: of the place, pixels (the first pixel's centre is 0).
-        y: of the place.
-        radius: pixels around it that count.
+        x: column of the point (0 is the centre of the first pixel).
+        y: row of the point.
+        radius: radius of the neighbourhood, pixels.
 
     Returns:
-        One or two angles, radians in 0 to a quarter turn, the clearest first; its perpendicular belongs to each.
+        One or two angles, radians from 0 to a quarter turn, the strongest first; each includes its perpendicular.
     """
     across, down = _gradients(grey, x, y, radius)
     steepness = np.hypot(across, down)
@@ -58,7 +58,7 @@ def axes(grey: NDArray[np.float32], x: float, y: float, radius: float) -> list[f
 def _gradients(
     grey: NDArray[np.float32], x: float, y: float, radius: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Scharr's sums of each pixel within a radius of a place, across and down; only rows around it are smoothed."""
+    """Compute horizontal and vertical Scharr gradients within a radius of a point; only nearby rows are smoothed."""
     top, left = max(math.floor(y - radius), 0), max(math.floor(x - radius), 0)
     bottom, right = min(math.ceil(y + radius) + 1, grey.shape[0]), min(math.ceil(x + radius) + 1, grey.shape[1])
     first = max(top - _SUPPORT_PX, 0)

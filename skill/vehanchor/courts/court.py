@@ -1,4 +1,4 @@
-"""A sports court that was found and measured."""
+"""Measured sports court."""
 
 from __future__ import annotations
 
@@ -13,22 +13,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Court:
-    """A court that was found and measured.
+    """Court that was found and measured in an image.
 
     Attributes:
         kind: ``tennis``, ``basketball_fiba``, ``basketball_nba`` or ``basketball_ncaa``.
-        corners: ``[4, 2]`` of its outline, pixels of the image (0 is its left and upper edge); the first two bound a
-            long side.
-        length_m: what its rules say of the long sides.
-        width_m: of the short ones.
-        gsd_m_per_px: the scale by its area.
-        log_sd: standard deviation of the scale's log by the pixels alone.
-        score: of the template on the lines, 1 at most.
-        coverage: 0..1, share of its lines that is seen where it should be.
-        distortion: how far it is from the rules' shape.
-        shape: ``[4, 2]`` the corners as they are seen in perspective, in the order of ``corners``; None for one of too
-            few pixels for that.
-        shape_sd_px: standard deviation of each of these along either axis.
+        corners: ``[4, 2]`` corners of its outline, pixels of the image (0 is the left and upper edge); the first two
+            bound a long side.
+        length_m: length of the long sides by the rules of the game.
+        width_m: length of the short sides by the rules of the game.
+        gsd_m_per_px: GSD from its area.
+        log_sd: standard deviation of the GSD's logarithm from the pixels alone.
+        score: match of the template with the lines, at most 1.
+        coverage: 0..1, share of its lines found where they should be.
+        distortion: deviation from the shape in the rules.
+        shape: ``[4, 2]`` corners fitted in perspective, in the order of ``corners``; None if the court is too small.
+        shape_sd_px: standard deviation of each of these corners along either axis.
     """
 
     kind: str

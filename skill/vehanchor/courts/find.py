@@ -1,4 +1,4 @@
-"""Courts of an image: proposed on coarse views, matched and fitted by their lines on finer ones, and judged."""
+"""Courts of an image: proposed at low resolution, then matched, fitted and verified by their lines."""
 
 from __future__ import annotations
 
@@ -34,32 +34,32 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
 
-_FAR = Reach(0.0, 1.0, 0.4, 0.04, 27, 3)  # proposals lie on a court's end as often as on its middle
+_FAR = Reach(0.0, 1.0, 0.4, 0.04, 27, 3)  # proposals lie at a court's end as often as at its centre
 _NEAR = Reach(math.radians(4), math.radians(2), 0.045, 0.015, 3, 1)
 _THERE = Reach(0.0, 1.0, 0.01, 0.01, 1, 1)
 _MOST_COURTS = 4
-_MOST_LOOKED_AT, _MOST_OF_ONE_SIZE = 20, 6  # proposals, the surest; fewer where the ground says how large courts are
-_MOST_IN_VAIN = 4  # of what has lines like a court, one after the other
+_MOST_LOOKED_AT, _MOST_OF_ONE_SIZE = 20, 6  # best proposals to try; fewer if the scale is known
+_MOST_IN_VAIN = 4  # rejected candidates in a row before the search ends
 _PERSPECTIVE_PX = 150.0  # least length of a court for a homography
-_FITTED_PX = 220.0  # a court is fitted at the coarsest resolution at which it is at least so long, if there is one
-_AROUND = 0.6  # of a court's length: where the directions of its lines are looked for
-_LEAST_PX = 60.0  # length of a court in the image: of a shorter one lines are a pixel or two apart, and much looks so
-_MATCHED_PX = 72.0  # least length of a court whose lines are looked for, where there are so many pixels
-_MARGIN = 1.5  # of the patch that is read, over the court's half diagonal
+_FITTED_PX = 220.0  # a court is fitted at the coarsest resolution that makes it this long, if there is one
+_AROUND = 0.6  # of a court's length: radius for the directions of its lines
+_LEAST_PX = 60.0  # least length of a court; in shorter ones the lines are a pixel or two apart, as in many textures
+_MATCHED_PX = 72.0  # least length of a court for matching, if the image has that resolution
+_MARGIN = 1.5  # half side of the patch, in half diagonals of the court
 
 _WORTH_A_FIT = 0.3
-_LEAST_NEAR = 0.45  # of the score before the fit: every court had 0.57 or more (RESULTS.md)
-_LEAST_SCORE = 0.55  # 0.50 is the most that came of 232 training images without a court (RESULTS.md)
+_LEAST_NEAR = 0.45  # of the score before the fit; every court had at least 0.57
+_LEAST_SCORE = 0.55  # the maximum over 232 training images without a court is 0.50
 _ROUGH_COVERAGE = 0.5
-_LEAST_COVERAGE = 0.64  # roofs with grids came to 0.63
-_LEAST_COVERAGE_WITH_ARCS, _SEEN_ARCS = 0.68, 0.5  # straight lines alone make grids on yards and car parks, too
+_LEAST_COVERAGE = 0.64  # roofs with grids reached 0.63
+_LEAST_COVERAGE_WITH_ARCS, _SEEN_ARCS = 0.68, 0.5  # straight lines also form grids in yards and car parks
 _SEEN_LINE = 0.4
 _UNSEEN_LINES = 2
 _MOST_DISTORTION = 0.06
 
 
 class _Patch(NamedTuple):
-    """Grey levels around a court: reduced by ``factor``, its first pixel at (left, top) of the reduced image."""
+    """Grey levels around a court, reduced by ``factor``; its first pixel is at (left, top) of the reduced image."""
 
     grey: NDArray[np.float32]
     factor: int
@@ -67,22 +67,22 @@ class _Patch(NamedTuple):
     top: int
 
     def inside(self, pose: Pose) -> Pose:
-        """A pose of the image in the patch's pixels."""
+        """Convert a pose from the image to the patch."""
         x, y = ((value + 0.5) / self.factor - 0.5 for value in (pose.x, pose.y))
         return Pose(x - self.left, y - self.top, pose.angle, pose.px_per_m / self.factor)
 
     def in_image(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points of the patch, counted from its first pixel's centre, in the image, counted from that one's corner."""
+        """Convert points from the patch (0 is a pixel's centre) to the image (0 is its left and upper edge)."""
         return np.asarray((points + (self.left, self.top) + 0.5) * self.factor)
 
     def outside(self, pose: Pose) -> Pose:
-        """A pose of the patch in the image's pixels."""
+        """Convert a pose from the patch to the image."""
         x, y = ((value + 0.5) * self.factor - 0.5 for value in (pose.x + self.left, pose.y + self.top))
         return Pose(x, y, pose.angle, pose.px_per_m * self.factor)
 
 
 class _Laid(NamedTuple):
-    """A game's lines laid over those of a patch: how well, and where; its templates, the one that was laid first."""
+    """Match of a game's template with a patch: score, pose, and the game's templates, the matched one first."""
 
     score: float
     patch: _Patch
@@ -91,11 +91,11 @@ class _Laid(NamedTuple):
 
 
 class Proposed(NamedTuple):
-    """Where courts may be.
+    """Proposals of courts in an image.
 
     Attributes:
         proposals: in no order.
-        n_sizes: at how many reductions of the image they were looked for.
+        n_sizes: number of reduction factors that were searched.
     """
 
     proposals: Sequence[Proposal]
@@ -111,9 +111,9 @@ def propose_courts(
     providers: tuple[str, ...] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> Proposed:
-    """Say where courts may be, by the network and by a detector that knows courts; as ``find_courts``."""
+    """Propose courts from the network and from a detector with court classes; arguments as in ``find_courts``."""
     proposals = boxes_of_courts(detections, card)
-    # one thread: it is small, and a worker of one thread shall not wake all cores for it
+    # one thread: the network is small, and must not occupy all cores of a single-threaded worker
     network = load_court_network(threads=1, providers=providers or DEFAULT_PROVIDERS)
     factors = [] if network is None else coarse_factors(raster, prior)
     if network is not None:
@@ -132,19 +132,19 @@ def find_courts(
     providers: tuple[str, ...] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> tuple[Court, ...]:
-    """Find and measure the courts that lie whole in an image.
+    """Find and measure the courts that lie completely inside an image.
 
     Args:
         raster: the image.
-        detections: result of the search.
-        card: of the detector.
-        prior: the scene-scale prior; None without one.
-        proposed: where they may be; None has them looked for (``propose_courts``).
+        detections: detections of the image.
+        card: model card of the detector.
+        prior: scene-scale prior; None without one.
+        proposed: proposals of courts; None calls ``propose_courts``.
         providers: where the network runs that looks for them; None for the CPU.
         run_options: ONNX Runtime's, for a caller that may have to end a run.
 
     Returns:
-        At most four, the surest first. A court half hidden, or cut by the image's edge, is none.
+        At most four courts, the highest score first. Half hidden courts and courts at the image's edge are left out.
     """
     proposals, n_sizes = proposed or propose_courts(
         raster, detections, card, prior, providers=providers, run_options=run_options
@@ -166,9 +166,9 @@ def find_courts(
 
 
 def _apart(proposals: Sequence[Proposal]) -> Iterator[Proposal]:
-    """The surest first, without what lies within a quarter of a court's length of a surer one of like size.
+    """Yield proposals by falling score, without those within a quarter court length of a better one of like size.
 
-    One after the other: of the thousands in a large image the first few settle it.
+    This is lazy because large images have thousands of proposals and the first few suffice.
     """
     kept: list[Proposal] = []
     for one in sorted(proposals, key=lambda each: -each.share):
@@ -182,20 +182,20 @@ def _apart(proposals: Sequence[Proposal]) -> Iterator[Proposal]:
 
 
 def measure_court(raster: Raster, proposal: Proposal) -> Court | None:
-    """Match, fit and judge what may be a court; None where its lines do not bear it out.
+    """Match, fit and verify a proposal; None if its lines do not support a court.
 
     Args:
         raster: the image.
-        proposal: where it may be. That it names the wrong game does no harm.
+        proposal: the proposal; it may name the wrong game.
     """
     courts = (_measured(raster, each) for each in _laid(raster, proposal))
     return next((court for court in courts if court is not None), None)
 
 
 def rough_court(raster: Raster, proposal: Proposal) -> Court | None:
-    """Lay a template in perspective over what may be a court, seen from aside; None where too few lines bear it out.
+    """Fit a template in perspective to a proposal in an oblique view; None if too few lines support it.
 
-    What comes is a guess at its shape, not a court: judge it where it is seen from straight above.
+    The result is a rough shape. Verify it in a rectified view before using it as a court.
     """
     for _, patch, start, game in _laid(raster, proposal):
         ((score, pose),) = match(patch.grey, game[:1], start, _NEAR)
@@ -212,9 +212,9 @@ def rough_court(raster: Raster, proposal: Proposal) -> Court | None:
 
 
 def _laid(raster: Raster, proposal: Proposal) -> list[_Laid]:
-    """Where templates lie best near a proposal, the game that fits best first; none where there are too few lines."""
+    """Match the templates of all games near a proposal, the best first; empty if there are too few lines."""
     games = ((TENNIS,), BASKETBALL)[:: -1 if proposal.which else 1]
-    firsts = [game[0] for game in games]  # each stands for its game while it is searched for
+    firsts = [game[0] for game in games]  # the first template represents its game in the search
     patch = _read(raster, proposal.pose, firsts[0], _matched_factor(proposal))
     start = patch.inside(proposal.pose)
     turned = axes(patch.grey, start.x, start.y, _AROUND * firsts[0].length_m * start.px_per_m)
@@ -225,13 +225,13 @@ def _laid(raster: Raster, proposal: Proposal) -> list[_Laid]:
 
 
 def _matched_factor(proposal: Proposal) -> int:
-    """The coarsest reduction at which a court so large still shows its lines."""
+    """Compute the largest reduction at which a court of this size still shows its lines."""
     length_px = LENGTHS_M[proposal.which] * proposal.pose.px_per_m
     return int(2 ** max(0, math.floor(math.log2(length_px / _MATCHED_PX))))
 
 
 def _measured(raster: Raster, laid: _Laid) -> Court | None:
-    """The court of the template that fits best near where its game was laid."""
+    """Measure the court near a match with the game's best template; None if the lines do not support it."""
     _, patch, pose, templates = laid
     ((near, pose),) = match(patch.grey, templates[:1], pose, _NEAR)
     if near < _LEAST_NEAR:
@@ -247,11 +247,11 @@ def _measured(raster: Raster, laid: _Laid) -> Court | None:
     corners = patch.in_image(project(seen.matrix, template.outline))
     if (corners < 0).any() or (corners > (raster.width_px, raster.height_px)).any():
         return None
-    return _judged(template, seen, patch, corners, score) if _borne_out(template, seen) else None
+    return _judged(template, seen, patch, corners, score) if _is_supported(template, seen) else None
 
 
 def _judged(template: Template, seen: Fit, patch: _Patch, corners: NDArray[np.float64], score: float) -> Court | None:
-    """The court whose lines are seen, if it keeps the rules' shape where it may shear or is seen in perspective."""
+    """Build the court if an affine or perspective fit keeps the shape in the rules; else None."""
     in_perspective = template.length_m * seen.px_per_m >= _PERSPECTIVE_PX
     sheared = fit(patch.grey, template, seen.matrix, HOMOGRAPHY if in_perspective else AFFINE)
     if not sheared.distortion <= _MOST_DISTORTION:
@@ -266,7 +266,7 @@ def _judged(template: Template, seen: Fit, patch: _Patch, corners: NDArray[np.fl
 
 
 def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tuple[Fit, _Patch]:
-    """Fit at the resolution of the match and, where there are more pixels, at finer ones."""
+    """Fit at the resolution of the match, then at finer ones while the image has more pixels."""
     seen = fit(patch.grey, template, pose_matrix(pose), SIMILARITY)
     while patch.factor > 1 and template.length_m * seen.px_per_m < _FITTED_PX:
         finer = _read(raster, patch.outside(_pose(seen.matrix)), template, patch.factor // 2)
@@ -275,7 +275,7 @@ def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tu
     return seen, patch
 
 
-def _borne_out(template: Template, seen: Fit) -> bool:
+def _is_supported(template: Template, seen: Fit) -> bool:
     lines, arcs = np.split(seen.line_coverage, [len(template.lines)])
     unseen = int((lines < _SEEN_LINE).sum())
     return (
@@ -287,7 +287,7 @@ def _borne_out(template: Template, seen: Fit) -> bool:
 
 
 def _read(raster: Raster, pose: Pose, template: Template, factor: int) -> _Patch:
-    """The patch that holds a court wherever it is searched, as far as the image reaches."""
+    """Read the patch that covers the whole search range of a court, clipped to the image."""
     half = math.hypot(template.length_m, template.width_m) / 2 * pose.px_per_m / factor * _MARGIN + _FAR.place
     x, y = (pose.x + 0.5) / factor, (pose.y + 0.5) / factor
     width, height = raster.width_px // factor, raster.height_px // factor
@@ -301,7 +301,7 @@ def _read(raster: Raster, pose: Pose, template: Template, factor: int) -> _Patch
 
 
 def _pose(matrix: NDArray[np.float64]) -> Pose:
-    """The pose of a similarity."""
+    """Convert a similarity matrix to a pose."""
     (a, _, x), (c, _, y) = matrix[:2]
     return Pose(float(x), float(y), math.atan2(c, a), math.hypot(a, c))
 
@@ -312,7 +312,7 @@ def _pose_of(court: Court) -> Pose:
 
 
 def _lies_in(pose: Pose, court: Court) -> bool:
-    """Whether the centre of one lies in the middle of another."""
+    """Test whether a pose's centre lies in the central part of a court."""
     corners = court.corners - court.corners.mean(axis=0)
     outline = np.asarray(court.corners.mean(axis=0) + 0.6 * corners, np.float32)
     return cv2.pointPolygonTest(outline, (pose.x, pose.y), measureDist=False) >= 0

@@ -1,4 +1,4 @@
-"""A court to a fraction of a pixel: every piece of its lines pulls the template to where it is seen."""
+"""Subpixel fit of a court: every piece of its lines pulls the template to its observed position."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from vehanchor.courts.match import Pose
     from vehanchor.courts.template import Template
 
-_PIECE_M = 2.4  # of a line, over which its profile is averaged: a player hides one, not all
+_PIECE_M = 2.4  # length of line over which the profile is averaged; a player hides one piece, not all
 _STEP_PX = 0.25
 _FLANK_PX = 2.0
 _REACHES_PX = (4.0, 3.0, 2.5, 2.0, 2.0, 2.0)
@@ -25,7 +25,7 @@ _NEAR_PX = 0.8
 _TUKEY_PX = 1.5
 _EPSILON = 1e-4
 
-# Small motions of a court in its own metres: along, across, size, turn; stretch, shear; two of perspective.
+# Small motions of a court in its own metres: along, across, size, rotation; stretch, shear; two of perspective.
 _MOTIONS = np.zeros((8, 3, 3))
 _MOTIONS[0, 0, 2] = _MOTIONS[1, 1, 2] = 1
 _MOTIONS[2, 0, 0] = _MOTIONS[2, 1, 1] = 1
@@ -38,14 +38,14 @@ SIMILARITY, AFFINE, HOMOGRAPHY = 4, 6, 8
 
 
 class Fit(NamedTuple):
-    """How well a template lies on what is seen.
+    """Fitted template and its quality.
 
     Attributes:
         matrix: ``[3, 3]`` from metres on the court to pixels.
-        coverage: 0..1, share of the lines' length that is seen where it should be.
-        line_coverage: ``[lines]`` of each.
-        log_sd: standard deviation of the log of the size, from the residuals.
-        distortion: how far the court is from its rules' shape: log of the stretch, and the shear.
+        coverage: 0..1, share of the lines' length found where it should be.
+        line_coverage: ``[lines]`` coverage of each line.
+        log_sd: standard deviation of the log size, from the residuals.
+        distortion: deviation from the shape in the rules: the larger of log stretch and shear.
         corner_sd_px: standard deviation of its corners along either axis, from the residuals.
     """
 
@@ -58,26 +58,26 @@ class Fit(NamedTuple):
 
     @property
     def px_per_m(self) -> float:
-        """Pixels for each metre at the court's centre: the root of its area's scale."""
+        """Pixels per metre at the court's centre: square root of the scale of areas."""
         (a, b, x), (c, d, y), (e, f, w) = self.matrix
         determinant = (a - x * e / w) * (d - y * f / w) - (b - x * f / w) * (c - y * e / w)
         return math.sqrt(abs(determinant)) / abs(float(w))
 
 
 def pose_matrix(pose: Pose) -> NDArray[np.float64]:
-    """Metres on a court to pixels: ``[3, 3]``."""
+    """Build the matrix ``[3, 3]`` from metres on a court to pixels."""
     cos, sin = math.cos(pose.angle) * pose.px_per_m, math.sin(pose.angle) * pose.px_per_m
     return np.array([[cos, -sin, pose.x], [sin, cos, pose.y], [0.0, 0.0, 1.0]])
 
 
 def project(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lay points ``[n, 2]`` through a matrix ``[3, 3]``, or through each of ``[k, 3, 3]``."""
+    """Project points ``[n, 2]`` through a matrix ``[3, 3]``, or through each of ``[k, 3, 3]``."""
     moved = points @ matrix[..., :2].swapaxes(-1, -2) + matrix[..., None, :, 2]
     return np.asarray(moved[..., :2] / moved[..., 2:])
 
 
 class _Pieces(NamedTuple):
-    """The pieces of a template: ``[n, 2]`` ends and middles in metres, ``[n]`` lengths, and the line of each."""
+    """Pieces of a template: ``[n, 2]`` ends and middles in metres, ``[n]`` lengths and line indices."""
 
     starts: NDArray[np.float64]
     ends: NDArray[np.float64]
@@ -101,16 +101,13 @@ def _cut(template: Template) -> _Pieces:
 
 
 def fit(grey: NDArray[np.float32], template: Template, matrix: NDArray[np.float64], freedom: int) -> Fit:
-    """Move a template until its lines lie on what is seen.
+    """Fit a template to the lines of an image.
 
     Args:
         grey: ``[h, w]`` grey levels.
-        template: of the court.
-        matrix: ``[3, 3]`` from metres to pixels, right to a few pixels.
-        freedom: 4 keeps the court's shape, 6 lets it shear, 8 sees it in perspective.
-
-    Returns:
-        The template where it fits best.
+        template: template of the court.
+        matrix: ``[3, 3]`` from metres to pixels, correct to a few pixels.
+        freedom: degrees of freedom: 4 similarity, 6 affine, 8 homography.
     """
     pieces = _cut(template)
     offsets, strengths, jacobian = np.zeros(0), np.zeros(0), np.zeros((0, freedom))
@@ -152,13 +149,13 @@ def _judged(
 
 
 def _corner_motions(template: Template, matrix: NDArray[np.float64], freedom: int) -> NDArray[np.float64]:
-    """``[8, freedom]``: by how many pixels the corners' coordinates move for a unit of each motion."""
+    """Compute the motion of the corners' coordinates in pixels for a unit of each motion: ``[8, freedom]``."""
     moved = _moved(matrix, template.outline, freedom).reshape(freedom, -1)
     return np.ascontiguousarray(moved.T / _EPSILON)
 
 
 def _moved(matrix: NDArray[np.float64], points: NDArray[np.float64], freedom: int) -> NDArray[np.float64]:
-    """``[freedom, n, 2]``: by how many pixels points of the court move for an epsilon of each motion."""
+    """Compute the motion of court points in pixels for an epsilon of each motion: ``[freedom, n, 2]``."""
     return project(matrix @ _NUDGES[:freedom], points) - project(matrix, points)
 
 
@@ -172,14 +169,14 @@ def _distortion(matrix: NDArray[np.float64]) -> float:
 def _seen(
     grey: NDArray[np.float32], pieces: _Pieces, matrix: NDArray[np.float64], reach_px: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How far beside each piece a line is seen, pixels along its normal, and how clearly, 0..1."""
+    """Measure the offset of the visible line from each piece, in pixels along its normal, and its strength, 0..1."""
     starts, ends = project(matrix, pieces.starts), project(matrix, pieces.ends)
     count = int(np.clip(np.hypot(*(ends - starts).T).max(), 2, 64))
     at = (np.arange(count) + 0.5)[:, None, None] / count
     points = (1 - at) * starts + at * ends  # [count, pieces, 2]
     across = np.arange(-reach_px - _FLANK_PX, reach_px + _FLANK_PX + _STEP_PX / 2, _STEP_PX)
     normals = _normals(starts, ends)
-    where = np.empty((2, count, len(starts), len(across)), np.float32)  # an axis a plane: a third of the time of pairs
+    where = np.empty((2, count, len(starts), len(across)), np.float32)  # planes take a third of the time of pairs
     for axis, plane in enumerate(where):
         np.add(points[:, :, None, axis], across * normals[:, None, axis], out=plane)
     x, y = where.reshape(2, count, -1)
@@ -209,7 +206,7 @@ def _normals(starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[
 
 
 def _jacobian(pieces: _Pieces, matrix: NDArray[np.float64], freedom: int) -> NDArray[np.float64]:
-    """``[pieces, freedom]``: pixels along each piece's normal for a unit of each motion."""
+    """Compute the motion of each piece along its normal in pixels for a unit of each motion: ``[pieces, freedom]``."""
     normals = _normals(project(matrix, pieces.starts), project(matrix, pieces.ends))
     moved = _moved(matrix, pieces.middles, freedom)
     return np.ascontiguousarray((moved * normals).sum(axis=2).T / _EPSILON)
@@ -218,7 +215,7 @@ def _jacobian(pieces: _Pieces, matrix: NDArray[np.float64], freedom: int) -> NDA
 def _solve(
     jacobian: NDArray[np.float64], offsets: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """The motion that brings the pieces to where they are seen, outliers left out (Tukey's biweight)."""
+    """Solve for the motion that moves the pieces onto the lines, without outliers (Tukey's biweight)."""
     if (weights > 0).sum() <= jacobian.shape[1]:
         return None
     motion: NDArray[np.float64] = np.zeros(jacobian.shape[1])

@@ -1,4 +1,4 @@
-"""Where a court lies: its whole template laid over the lines of a patch, at every place, angle and size nearby."""
+"""Template matching of courts: the whole template is tried at every nearby position, angle and size."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ if TYPE_CHECKING:
 
     from vehanchor.courts.template import Template
 
-_HALF_LINE_PX = 2  # a line is brighter than what lies so far to either side of it
+_HALF_LINE_PX = 2  # a line is brighter than the pixels this far to either side
 _LEAST_CONTRAST = 3.0  # grey levels
 _CONTRAST_PER_TEXTURE = 1.5
 _TEXTURE_PX, _SMOOTH_PX = 15, 5
 _MARGIN_M = 1.5
-_LONG = 0.35  # of a court's length: its longer lines alone tell where all of them are looked at
-_LOOKED_AT = 48  # places and sizes of an angle
+_LONG = 0.35  # share of a court's length; only its longer lines select the candidates for all lines
+_LOOKED_AT = 48  # candidate positions and sizes for each angle
 
 
 class Pose(NamedTuple):
-    """A court in an image.
+    """Position, angle and size of a court in an image.
 
     Attributes:
-        x: of its centre, pixels (the first pixel's centre is 0).
-        y: of its centre.
-        angle: of its long axis, radians from +x towards +y.
-        px_per_m: pixels for each metre.
+        x: column of its centre (0 is the centre of the first pixel).
+        y: row of its centre.
+        angle: direction of its long axis, radians from +x towards +y.
+        px_per_m: pixels per metre.
     """
 
     x: float
@@ -42,13 +42,13 @@ class Pose(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """How far around a pose is searched, and how finely.
+    """Range and step of the search around a pose.
 
     Attributes:
         angle: radians to either side.
         angle_step: radians.
-        log_size: to either side.
-        log_size_step: of the log.
+        log_size: logarithm of the size ratio to either side.
+        log_size_step: step of that logarithm.
         place: pixels to either side.
         place_step: pixels.
     """
@@ -62,13 +62,13 @@ class Reach(NamedTuple):
 
 
 def ridges(grey: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Find thin bright lines by how much they are brighter than both of their sides, next to the texture around.
+    """Find thin bright lines: pixels brighter than both sides, relative to the surrounding texture.
 
     Args:
         grey: ``[h, w]`` grey levels.
 
     Returns:
-        ``[h, w]`` in 0..1, for lines along rows and along columns.
+        Two ``[h, w]`` maps in 0..1: lines along rows, and lines along columns.
     """
     texture = cv2.blur(cv2.absdiff(grey, cv2.blur(grey, (_SMOOTH_PX, _SMOOTH_PX))), (_TEXTURE_PX, _TEXTURE_PX))
     contrast = np.maximum(texture * np.float32(_CONTRAST_PER_TEXTURE), np.float32(_LEAST_CONTRAST))
@@ -82,7 +82,7 @@ def ridges(grey: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.f
 def _clearness(
     grey: NDArray[np.float32], beside: NDArray[np.float32], contrast: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """By how much a pixel is brighter than what lies beside it, over the contrast of a line, 0..1; into ``beside``."""
+    """Divide a pixel's excess over its neighbours by a line's contrast, clipped to 0..1; overwrites ``beside``."""
     clear = np.divide(np.subtract(grey, beside, out=beside), contrast, out=beside)
     cv2.threshold(clear, 0.0, 0.0, cv2.THRESH_TOZERO, dst=clear)
     cv2.threshold(clear, 1.0, 0.0, cv2.THRESH_TRUNC, dst=clear)
@@ -96,18 +96,18 @@ def match(
     reach: Reach,
     angles: Sequence[float] | None = None,
 ) -> list[tuple[float, Pose]]:
-    """Lay templates over the lines near a pose.
+    """Match templates with the lines near a pose.
 
     Args:
-        grey: ``[h, w]`` grey levels around it.
-        templates: of the courts that it may be.
-        start: where to search; its size is that of the first template, that of the others makes courts as long.
-        reach: how far.
-        angles: around which it is searched, radians; None for the pose's own.
+        grey: ``[h, w]`` grey levels around the pose.
+        templates: templates of the possible courts.
+        start: centre of the search; its size belongs to the first template, the others are scaled to the same length.
+        reach: range of the search.
+        angles: centres of the angular search, radians; None for the pose's own angle.
 
     Returns:
-        For each template the best score and its pose: the share of the template under which there are lines, less that
-        of where no line should be. 1 at most.
+        The best score and pose for each template. The score, at most 1, is the share of the template that lies on
+        lines, minus the share of its blank segments that does.
     """
     best = [(-1.0, start)] * len(templates)
     sizes = [
@@ -140,10 +140,10 @@ def _steps(reach: float, step: float) -> NDArray[np.float64]:
 
 
 def _turned_sums(grey: NDArray[np.float32], start: Pose, angle: float, half_x: int, half_y: int) -> NDArray[np.float32]:
-    """The lines around a pose, turned so that the court lies along rows, summed from the left and from the top, flat.
+    """Compute cumulative sums of the lines around a pose, rotated so that the court lies along rows; flattened.
 
-    Rows of ``2 half_x + 2``: first ``2 half_y + 1`` of lines along rows, then ``2 half_y + 2`` of those across, whose
-    last column is empty.
+    Rows have ``2 half_x + 2`` values. The first ``2 half_y + 1`` rows hold lines along rows, the next ``2 half_y + 2``
+    lines across, whose last column is empty.
     """
     cos, sin = np.cos(angle), np.sin(angle)
     x, y = start.x - cos * half_x + sin * half_y, start.y - sin * half_x - cos * half_y
@@ -157,19 +157,19 @@ def _turned_sums(grey: NDArray[np.float32], start: Pose, angle: float, half_x: i
     along, across = ridges(np.asarray(turned, np.float32))
     rows, columns = along.shape
     sums = np.zeros((2 * rows + 1, columns + 1), np.float32)
-    np.cumsum(cv2.dilate(along, np.ones((3, 1))), axis=1, out=sums[:rows, 1:])  # a pixel off still counts
+    np.cumsum(cv2.dilate(along, np.ones((3, 1))), axis=1, out=sums[:rows, 1:])  # tolerates an offset of one pixel
     np.cumsum(cv2.dilate(across, np.ones((1, 3))), axis=0, out=sums[rows + 1 :, :-1])
     return sums.ravel()
 
 
 class _Lines(NamedTuple):
-    """The lines of a template that are laid, painted ones and blanks.
+    """Segments of a template for matching: painted lines and blanks.
 
     Attributes:
-        metres: ``[lines, 4]`` their ends.
-        shares: ``[lines]`` of the score, negative where no line should be.
-        along: ``[lines]`` whether they run along the court.
-        long: indices of those that are painted and long: by them alone it is told where to look at all.
+        metres: ``[lines, 4]`` end points.
+        shares: ``[lines]`` shares of the score, negative for blanks.
+        along: ``[lines]`` whether a segment runs along the court.
+        long: indices of the long painted lines, which select the candidates.
     """
 
     metres: NDArray[np.float64]
@@ -189,14 +189,14 @@ def _lines(template: Template) -> _Lines:
 
 
 class _Ends(NamedTuple):
-    """Where the sums of a template's lines are read, for a court at the patch's centre and around it.
+    """Indices into the cumulative sums for the segments of a template at and around the patch's centre.
 
     Attributes:
-        first: ``[sizes, lines]`` index of each line's beginning.
-        last: of its end.
-        weights: ``[sizes, lines]``, 1 over its pixels, times its share of the lines; negative where none should be.
-        shift: ``[places, places]`` what is added to an index for a court so far down and across.
-        long: ``first``, ``last`` and ``weights`` of the lines that are painted and long, at the first of the places.
+        first: ``[sizes, lines]`` index of each segment's start.
+        last: ``[sizes, lines]`` index of each segment's end.
+        weights: ``[sizes, lines]`` share of the score divided by the length in pixels; negative for blanks.
+        shift: ``[places, places]`` offsets of the indices for a court that far down and across.
+        long: ``first``, ``last`` and ``weights`` of the long painted lines at the first position.
     """
 
     first: NDArray[np.intp]
@@ -209,7 +209,7 @@ class _Ends(NamedTuple):
     def of(
         cls, template: Template, sizes: NDArray[np.float64], places: NDArray[np.intp], half_x: int, half_y: int
     ) -> _Ends:
-        """Those of a template in every size."""
+        """Compute the indices of a template for every size."""
         lines, shares, along, long = _lines(template)
         pixels = np.rint(lines[None] * sizes[:, None, None]).astype(np.intp)
         x1, y1, x2, y2 = np.moveaxis(pixels, 2, 0)
@@ -223,7 +223,7 @@ class _Ends(NamedTuple):
         return cls(first, last, weights, shift, of_long)
 
     def best(self, sums: NDArray[np.float32]) -> tuple[float, int, int, int]:
-        """The best score, and the indices of its size, row and column, of all places of the centre."""
+        """Find the best score over all positions, and the indices of its size, row and column."""
         first, last, weights = self.long
         everywhere = self._everywhere(sums)
         seen = everywhere[last]
@@ -239,7 +239,7 @@ class _Ends(NamedTuple):
         return float(scores[top]), int(size[top]), row, column
 
     def _everywhere(self, sums: NDArray[np.float32]) -> NDArray[np.float32]:
-        """``[index, places, places]``: from each index on, the sums at all places; a view of them."""
+        """Create a view ``[index, places, places]`` of the sums at all positions from each index on."""
         shift, width = self.shift - self.shift[0, 0], sums.itemsize
         strides = width, width * int(shift[1, 0]), width * int(shift[0, 1])
         return as_strided(sums, (len(sums) - int(shift[-1, -1]), *shift.shape), strides, writeable=False)

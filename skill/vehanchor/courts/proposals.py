@@ -1,7 +1,7 @@
-"""Where courts may be: a small network on coarse views of an image, and boxes of a detector that knows courts.
+"""Proposals of courts from a small network on reduced images, and from detectors with court classes.
 
-The network sees the image at 0.38 to 0.88 m/px, where a court is 27 to 62 px long and its lines are all but gone: what
-it proposes is measured by its lines elsewhere, and stands or falls by them.
+The network sees the image at 0.38 to 0.88 m/px, where a court is 27 to 62 px long and its lines are hardly visible.
+Matching and fitting of the lines then accept or reject each proposal.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
 
-_CELL_PX = 8  # side of the network's cells, and what its length is told in: training/courts/network.py
+_CELL_PX = 8  # side of the network's cells, and the unit of its lengths: research/training/courts/network.py
 _LENGTH_PX = 44.0
-_SEEN_BEST_M = 0.58  # metres per pixel, in the middle of what it was trained on: training/courts/data.py
-_FACTORS = (2, 4, 8, 16)  # an octave of scales each: images of 0.02 to 0.44 m/px
-_MOST_PIXELS_UNASKED = 1_500_000  # of an image in which all factors are searched, whatever the ground says
-_TILE_PX, _STRIDE_PX = 1088, 960  # of the reduced image: they overlap by two courts
+_SEEN_BEST_M = 0.58  # metres per pixel, the middle of its training range: research/training/courts/data.py
+_FACTORS = (2, 4, 8, 16)  # one octave of scales each: images of 0.02 to 0.44 m/px
+_MOST_PIXELS_UNASKED = 1_500_000  # up to this image size all factors are searched, whatever the scene-scale prior
+_TILE_PX, _STRIDE_PX = 1088, 960  # of the reduced image; tiles overlap by two courts
 _LEAST_SHARE = 0.25
 _MIN_SIDE_PX = 24
 _NAMES = {"tennis": 0, "basketball": 1}
@@ -48,13 +48,13 @@ LENGTHS_M = (TENNIS.length_m, BASKETBALL[0].length_m)
 
 
 class Proposal(NamedTuple):
-    """A court that may be there.
+    """Candidate for a court.
 
     Attributes:
         which: 0 for tennis, 1 for basketball.
-        share: 0..1, how sure its finder is.
+        share: 0..1, score of the network or the detector.
         pose: in pixels of the image.
-        factor: by which the image was reduced where it was seen.
+        factor: reduction factor at which the candidate was found.
     """
 
     which: int
@@ -64,11 +64,13 @@ class Proposal(NamedTuple):
 
 
 def coarse_factors(raster: Raster, prior: SceneScalePrior | None) -> list[int]:
-    """By what an image is reduced to look for courts: in a large one by what the ground says, where it was looked at.
+    """Choose the reduction factors for the court network.
+
+    For large images the scene-scale prior, if there is one, selects a single factor.
 
     Args:
         raster: the image.
-        prior: the scene-scale prior; None without one.
+        prior: scene-scale prior; None without one.
 
     Returns:
         Factors, the finest first.
@@ -82,18 +84,18 @@ def coarse_factors(raster: Raster, prior: SceneScalePrior | None) -> list[int]:
 
 
 class CourtNetwork:
-    """The network that proposes courts.
+    """Network that proposes courts.
 
     Args:
         path: ONNX file with an input ``tiles`` ``[n, 3, h, w]`` uint8 RGB, sides multiples of 8, and an output
-            ``courts`` ``[n, 5, h / 8, w / 8]``: shares of tennis and basketball, cosine and sine of twice the angle,
-            log of the length over 44 px.
+            ``courts`` ``[n, 5, h / 8, w / 8]``: scores of tennis and basketball, cosine and sine of twice the angle,
+            log of the length divided by 44 px.
         threads: CPU threads; None leaves it to ONNX Runtime.
         providers: ONNX Runtime execution providers in order of preference.
 
     Raises:
         ModelNotFoundError: there is no such file.
-        ModelContractError: it is another kind of file.
+        ModelContractError: the file is not a court network.
     """
 
     def __init__(self, path: Path, *, threads: int | None = None, providers: Sequence[str] = DEFAULT_PROVIDERS) -> None:
@@ -101,12 +103,12 @@ class CourtNetwork:
         self._session = open_session(path, content=read_model(path).content, threads=threads, providers=providers)
         names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
         if names != ["tiles", "courts"]:
-            raise ModelContractError(f"{path} has {', '.join(names)}: expected the input tiles, the output courts")
+            raise ModelContractError(f"{path} has {', '.join(names)}: expected the input tiles and the output courts")
 
     def propose(
         self, raster: Raster, factor: int, *, run_options: onnxruntime.RunOptions | None = None
     ) -> list[Proposal]:
-        """Look for courts in an image reduced by a factor; in a large one by the file's overviews where it has any.
+        """Propose courts in an image reduced by a factor; large images are read from the file's overviews if possible.
 
         Args:
             raster: the image.
@@ -114,7 +116,7 @@ class CourtNetwork:
             run_options: ONNX Runtime's, for a caller that may have to end a run.
 
         Returns:
-            What may be courts, in no order; one in the overlap of two tiles may come twice.
+            Proposals in no order; a court in the overlap of two tiles can occur twice.
         """
         width, height = raster.width_px // factor, raster.height_px // factor
         read = read_reduced_window if raster.width_px * raster.height_px < ANYTIME_PIXELS else read_preview
@@ -133,7 +135,7 @@ class CourtNetwork:
 def load_court_network(
     *, threads: int | None = None, providers: tuple[str, ...] = DEFAULT_PROVIDERS
 ) -> CourtNetwork | None:
-    """Load the bundled network, or the one that is loaded already; None where this installation has none."""
+    """Load the bundled network, or reuse the loaded one; None if this installation has none."""
     path = bundled_courts()
     return None if path is None else _loaded(path, threads=threads, providers=providers)
 
@@ -144,7 +146,7 @@ def _loaded(path: Path, *, threads: int | None, providers: tuple[str, ...]) -> C
 
 
 def _peaks(seen: NDArray[np.float32], factor: int, left: int, top: int) -> list[Proposal]:
-    """The cells of a tile that are surer than their neighbours; (left, top) is its corner in the reduced image."""
+    """Find the cells of a tile that score above their neighbours; (left, top) is its corner in the reduced image."""
     found = []
     for which, shares in enumerate(seen[:2]):
         highest = cv2.dilate(shares, np.ones((3, 3)))
@@ -159,7 +161,7 @@ def _peaks(seen: NDArray[np.float32], factor: int, left: int, top: int) -> list[
 
 
 def _between(shares: NDArray[np.float32], at: int) -> float:
-    """How far beside a cell a peak lies, in cells: the shares around it fall off like a normal density."""
+    """Interpolate the offset of a peak from its cell, in cells, assuming that scores fall like a normal density."""
     if not 0 < at < len(shares) - 1:
         return 0.0
     before, here, after = np.log(np.maximum(shares[at - 1 : at + 2], 1e-6))
@@ -168,14 +170,14 @@ def _between(shares: NDArray[np.float32], at: int) -> float:
 
 
 def boxes_of_courts(detections: Detections, card: DetectorCard) -> list[Proposal]:
-    """Courts that the detector itself has seen: classes ``tennis court`` and ``basketball court``, as DOTA names them.
+    """Convert the detector's boxes of DOTA's classes ``tennis court`` and ``basketball court`` to proposals.
 
     Args:
-        detections: its other objects.
-        card: its classes' names.
+        detections: detections with objects of other classes.
+        card: model card of the detector, with its class names.
 
     Returns:
-        One for each box.
+        One proposal per box.
     """
     found = []
     for box, score, index in zip(

@@ -1,4 +1,4 @@
-"""Courts in an image of a camera that looked aside: found in a view of the ground as if seen from straight above."""
+"""Courts in oblique images, found in a rectified view of the ground."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
     from vehanchor.detection.detections import Detections
     from vehanchor.scale.plane import GroundPlane
 
-_FARTHEST = 1.2  # of the image's size, from its centre: what lies further off shows too little of a court
+_FARTHEST = 1.2  # from the centre, in image sizes; courts farther away are too small
 _MARGIN_PX = 2
 
 
 class RectifiedRaster(Raster):
-    """An image as if seen from straight above, at the scale of its centre; only what a window needs is read.
+    """Rectified view of an image at the scale of its centre; each window reads only the pixels it needs.
 
     Args:
         raster: the image.
-        plane: the ground in it; its scale does not matter.
+        plane: ground plane of the image; its scale does not matter.
     """
 
     def __init__(self, raster: Raster, plane: GroundPlane) -> None:
@@ -45,7 +45,7 @@ class RectifiedRaster(Raster):
         self._to_image = np.asarray(move, dtype=np.float64)
 
     def in_image(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where points ``[n, 2]`` of this view lie in the image; 0 is the left and upper edge of both."""
+        """Convert points ``[n, 2]`` of this view to the image; 0 is the left and upper edge of both."""
         return project(self._to_image, points)
 
     def _read_stored(self, window: Window) -> StoredPixels:
@@ -81,22 +81,22 @@ def rough_courts_on(
     providers: tuple[str, ...] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> list[Court]:
-    """Guess at the shapes of courts where nobody knows how far aside the camera looked.
+    """Find courts that can be recognised only in perspective; the tilt is unknown.
 
     Args:
         raster: the image.
-        plane: the ground in it, right to ten degrees or so; its scale does not matter.
-        detections: what the search has seen.
-        card: of the detector.
-        most: proposals that are looked at, the surest.
+        plane: ground plane of the image, correct to about ten degrees; its scale does not matter.
+        detections: detections of the search.
+        card: model card of the detector.
+        most: number of proposals to try, the highest scores first.
         providers: as in ``find_courts``.
         run_options: as in ``find_courts``.
 
     Returns:
-        Courts in the image, each by itself to be borne out on the plane that its shape means.
+        Courts in the image; verify each on the ground plane that its shape implies.
     """
     level = RectifiedRaster(raster, plane)
-    nothing = replace(detections, others=Objects.joined())  # they are of the image as it is
+    nothing = replace(detections, others=Objects.joined())  # they refer to the unrectified image
     proposed = propose_courts(level, nothing, card, providers=providers, run_options=run_options)
     surest = sorted(proposed.proposals, key=lambda each: -each.share)[:most]
     rough = [court for each in surest if (court := rough_court(level, each)) is not None]
@@ -112,21 +112,21 @@ def find_courts_on(
     providers: tuple[str, ...] | None = None,
     run_options: onnxruntime.RunOptions | None = None,
 ) -> tuple[Court, ...]:
-    """As ``find_courts``, of a camera that looked aside.
+    """Find courts as ``find_courts`` does, in an oblique image.
 
     Args:
         raster: the image.
-        plane: the ground in it, right to some five degrees; its scale does not matter.
-        detections: what the search has seen.
-        card: of the detector.
+        plane: ground plane of the image, correct to about five degrees; its scale does not matter.
+        detections: detections of the search.
+        card: model card of the detector.
         providers: as in ``find_courts``.
         run_options: ONNX Runtime's.
 
     Returns:
-        Courts with their corners in the image; their scales are those of its centre, if the plane is the right one.
+        Courts with corners in the image. Their GSD holds at the image's centre if the plane is correct.
     """
     level = RectifiedRaster(raster, plane)
-    nothing = replace(detections, others=Objects.joined())  # they are of the image as it is
+    nothing = replace(detections, others=Objects.joined())  # they refer to the unrectified image
     courts = find_courts(level, nothing, card, providers=providers, run_options=run_options)
     size = raster.width_px, raster.height_px
     found = [

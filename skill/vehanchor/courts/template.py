@@ -1,7 +1,7 @@
-"""What is painted on courts, in metres, by the rules of the games.
+"""Painted lines of courts in metres, by the rules of the games.
 
-The origin is the centre of the court, x runs along it. Rules measure to the outside of lines; what a fit finds is their
-middle, so half a line's usual width is taken off.
+The origin is the centre of the court, and x runs along it. Rules measure to the outside of lines, a fit finds their
+middle. The templates are therefore smaller by half a line's usual width.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ _ARC_STEPS = 16
 
 
 class Line(NamedTuple):
-    """A straight piece of paint.
+    """Straight painted line.
 
     Attributes:
-        x1: of one end, metres along the court from its centre.
-        y1: of that end, metres across.
-        x2: of the other end.
-        y2: of that end.
+        x1: first end, metres along the court from its centre.
+        y1: first end, metres across.
+        x2: second end, metres along.
+        y2: second end, metres across.
     """
 
     x1: float
@@ -37,21 +37,21 @@ class Line(NamedTuple):
 
     @property
     def length_m(self) -> float:
-        """Metres from end to end."""
+        """Length in metres."""
         return float(np.hypot(self.x2 - self.x1, self.y2 - self.y1))
 
 
 @dataclass(frozen=True)
 class Template:
-    """One kind of court.
+    """Template of one kind of court.
 
     Attributes:
         kind: ``tennis``, ``basketball_fiba``, ``basketball_nba`` or ``basketball_ncaa``.
-        length_m: outside the lines, along the court.
-        width_m: outside the lines, across it.
-        lines: straight ones along or across the court, by which it is found.
-        blank: where between and beside them no line runs: what has lines there, too, is a car park or a roof.
-        arcs: the other paint, in short straight pieces.
+        length_m: length to the outside of the lines.
+        width_m: width to the outside of the lines.
+        lines: straight lines along or across the court, used to find it.
+        blank: segments without paint between and around the lines; lines there indicate a car park or a roof.
+        arcs: all other paint, as short straight pieces.
     """
 
     kind: str
@@ -63,7 +63,7 @@ class Template:
 
     @property
     def outline(self) -> NDArray[np.float64]:
-        """``[4, 2]`` its corners, metres; the first two bound a long side."""
+        """Corners ``[4, 2]`` in metres; the first two bound a long side."""
         return np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * [self.length_m / 2, self.width_m / 2]
 
 
@@ -113,7 +113,7 @@ def _pieces(points: NDArray[np.float64]) -> list[Line]:
 
 
 TENNIS = _tennis()
-"""ITF, Rules of Tennis, rule 1: 23.77 x 10.97 m with the doubles' lines, singles 8.23 m, service lines 6.40 m from the
+"""ITF, Rules of Tennis, rule 1: 23.77 x 10.97 m for doubles, 8.23 m wide for singles, service lines 6.40 m from the
 net."""
 
 BASKETBALL = tuple(_basketball(kind) for kind in ("basketball_fiba", "basketball_nba", "basketball_ncaa"))

@@ -24,7 +24,7 @@ class FleetNetwork(AuxiliaryModel[FleetCard]):
     """
 
     named = "fleet network"
-    trained_by = "training/fleet"
+    trained_by = "research/training/fleet"
     chip_shape = (1, *CHIP_SHAPE)
     outputs = ("log_odds", "log_length")
     card_type = FleetCard

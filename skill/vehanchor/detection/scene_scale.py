@@ -59,7 +59,7 @@ class SceneLevel(NamedTuple):
 
 @dataclass(frozen=True)
 class SceneCalibration:
-    """From a network's answers to a density that can be believed (``training/scene_scale/calibrate.py``).
+    """From a network's answers to a density that can be believed (``research/training/scene_scale/calibrate.py``).
 
     Attributes:
         first_log_gsd: natural log of metres per pixel of the first bin's centre.

@@ -116,7 +116,7 @@ class Verifier(AuxiliaryModel[VerifierCard]):
     """A network from chips of candidates to the logit of a car: ``chips [n, 3, 48, 48]`` to ``logit [n]``."""
 
     named = "second look"
-    trained_by = "training/verifier"
+    trained_by = "research/training/verifier"
     chip_shape = (3, CHIP_PX, CHIP_PX)
     outputs = ("logit",)
     card_type = VerifierCard

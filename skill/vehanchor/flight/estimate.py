@@ -16,7 +16,7 @@ from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
 from vehanchor.estimate import analyse_view, networks_sha256, open_detector, search_raster
 from vehanchor.flight.components import single_component
 from vehanchor.flight.features import find_features
-from vehanchor.flight.inputs import InputPhotograph, named
+from vehanchor.flight.inputs import InputPhotograph, check_many, named
 from vehanchor.flight.linking import link_photographs
 from vehanchor.flight.photograph import Look, Photograph, chief_member
 from vehanchor.flight.record import Failure, conclude_flight
@@ -118,10 +118,11 @@ def analyse_flight(
         lines: of known length in single photographs, which are paths or addresses; see ``read_known_lengths``.
     """
     chosen = options or ScaleOptions()
-    _check(chosen)
+    check_many(images)
+    check_options(chosen)
     model = open_detector(detector, chosen, threads=threads, providers=providers)
     taken = list(named(images)) if isinstance(images, Sequence) else named(images)
-    kept = _open_journal(None if journal is None else Path(journal), model, chosen, lines or {})
+    kept = None if journal is None else open_journal(Path(journal), model, chosen, lines or {})
     looks = search_flight(
         taken, model, chosen, featured=not same_scale, journal=kept, progress=progress, lines=lines or {}
     )
@@ -178,7 +179,7 @@ def search_flight(
     for done, each in enumerate(taken):
         name, image, _ = each
         tell(done, max(total, done))
-        key = _key(each)
+        key = journal_key(each)
         known = journal.get(key) if journal is not None and key is not None else None
         try:
             own = with_lines_of(options, lines, image) if lines and isinstance(image, str | os.PathLike) else options
@@ -186,7 +187,7 @@ def search_flight(
         except VehAnchorError as error:
             found.append(Failure(name, error))
             continue
-        if known is None and journal is not None and key is not None and key == _key(each):
+        if known is None and journal is not None and key is not None and key == journal_key(each):
             journal.add(key, look)
         found.append(Photograph.of(name, look, detector.card, own, features))
     tell(len(found), len(found))
@@ -220,23 +221,31 @@ def _look(
         return Look.of(view, analyse_view(view)), features
 
 
-def _check(options: ScaleOptions) -> None:
+def check_options(options: ScaleOptions) -> None:
+    """Refuse options that belong to one image.
+
+    Raises:
+        InvalidParameterError: a frame, or a line of known length.
+    """
     if options.frame.size is not None:
         raise InvalidParameterError("a frame belongs to one image: a flight has none")
     if options.rulers.known_lengths:
         raise InvalidParameterError("a line of known length belongs to one image: estimate that image by itself")
 
 
-def _key(taken: InputPhotograph) -> Key | None:
+def journal_key(taken: InputPhotograph) -> Key | None:
+    """Key of a photograph in the journal: its name and its file as it is now; None without a file."""
     file = taken.image if taken.film is None else taken.film
     return (taken.name, *Source.of(file)) if isinstance(file, str | os.PathLike) else None
 
 
-def _open_journal(
-    path: Path | None, detector: Detector, options: ScaleOptions, lines: KnownLengthTable
-) -> Journal[Look] | None:
-    if path is None:
-        return None
+def open_journal(path: Path, detector: Detector, options: ScaleOptions, lines: KnownLengthTable) -> Journal[Look]:
+    """Open the findings of an interrupted run.
+
+    Raises:
+        InvalidParameterError: they are those of other options, or the file is no journal.
+        OutputError: it cannot be read or written.
+    """
     choices = asdict(options)
     del choices["frame"]
     if lines:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vehanchor.errors import InvalidParameterError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
     from vehanchor.imagery.sources.opening import ImageSource
 
@@ -25,6 +26,20 @@ class InputPhotograph(NamedTuple):
     name: str
     image: ImageSource
     film: str | None = None
+
+
+def check_many(images: Any) -> None:
+    """Refuse one photograph where many are expected: its characters, bytes or rows are no photographs.
+
+    Raises:
+        InvalidParameterError: the images are a path, bytes, an array, or no collection at all.
+    """
+    one = isinstance(images, str | bytes | os.PathLike | InputPhotograph) or hasattr(images, "__array__")
+    if one or not isinstance(images, Iterable):
+        shown = repr(images) if isinstance(images, str | os.PathLike) else f"a {type(images).__name__}"
+        raise InvalidParameterError(
+            f"images is {shown}: give a list of photographs; vehanchor.find_images makes one of a folder or a pattern"
+        )
 
 
 def named(images: Iterable[ImageSource | InputPhotograph]) -> Iterator[InputPhotograph]:

@@ -15,7 +15,7 @@ from vehanchor.rulers.evidence import View
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from vehanchor.analysis.exhibits import ScaleAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.flight.features import Features

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from vehanchor.analysis.exhibits import ScaleAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.flight.photograph import Photograph
     from vehanchor.imagery.facts import ImageFacts
 

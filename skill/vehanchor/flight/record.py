@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.analysis.exhibits import ScaleAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.detection.card import DetectorCard
     from vehanchor.errors import VehAnchorError
     from vehanchor.flight.components import Component
@@ -176,7 +176,7 @@ def _failed(failure: Failure) -> FlightPhotograph:
         gsd_ci95_high_m_per_px=None,
         confidence=None,
         component=None,
-        anchors=(),
+        supported_by=(),
         scale=None,
         east_m=None,
         north_m=None,
@@ -216,7 +216,7 @@ def _photograph(
         gsd_ci95_high_m_per_px=high,
         confidence=confidence,
         component=number,
-        anchors=anchors,
+        supported_by=anchors,
         scale=_given_back(photograph, gsd, low, high, confidence),
         east_m=None,
         north_m=None,

@@ -117,7 +117,7 @@ def _photographs(photographs: Sequence[FlightPhotograph], short: Mapping[str, st
             _scale(each.gsd_m_per_px, each.gsd_ci95_low_m_per_px, each.gsd_ci95_high_m_per_px),
             "-" if each.confidence is None else f"{each.confidence:.2f}",
             "-" if each.component is None else str(each.component),
-            "; ".join(_anchor(anchor, each) for anchor in each.anchors) or "-",
+            "; ".join(_anchor(anchor, each) for anchor in each.supported_by) or "-",
             each.status if each.error is None else f"{each.error_code}: {each.error}",
         )
         for each in photographs

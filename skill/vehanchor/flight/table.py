@@ -12,7 +12,8 @@ from vehanchor.batch.row import BatchRow
 from vehanchor.batch.run import BatchSummary, journal_path
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.errors import OutputError
-from vehanchor.flight.estimate import analyse_flight
+from vehanchor.flight.estimate import check_options, conclude, journal_key, open_journal, search_flight
+from vehanchor.flight.inputs import named
 from vehanchor.flight.project import estimate_in_flight
 
 if TYPE_CHECKING:
@@ -58,11 +59,14 @@ def run_same_scale(
     lines = lines_in(known_lengths, images)
     if overwrite:
         journal.unlink(missing_ok=True)
-    record = analyse_flight(
-        images, options, same_scale=True, detector=detector, journal=journal, progress=progress, lines=lines
-    )
+    check_options(options)
+    kept, photographs = open_journal(journal, detector, options, lines), list(named(images))
+    n_resumed = sum(journal_key(each) in kept for each in photographs)
+    looks = search_flight(photographs, detector, options, journal=kept, progress=progress, lines=lines)
+    record = conclude(looks, detector.card, same_scale=True)
     write_table(table, (_row(record, each) for each in record.photographs))
-    return BatchSummary(table, len(images), 0, Counter(each.status for each in record.photographs))
+    kept.remove()
+    return BatchSummary(table, len(images), n_resumed, Counter(each.status for each in record.photographs))
 
 
 def _row(flight: FlightEstimate, photograph: FlightPhotograph) -> BatchRow:

@@ -1,1 +1,1 @@
-"""Images in: decoding, windows, tiles, georeference, how much detail there is."""
+"""Image input: sources, formats, metadata, windows, tiles, resolved detail."""

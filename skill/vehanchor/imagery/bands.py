@@ -1,4 +1,4 @@
-"""The bands of an image: which are red, green and blue, and of what type their values may be."""
+"""Bands of an image: the choice of red, green and blue, and the supported pixel types."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 DTYPES = (np.uint8, np.uint16, np.float32, np.float64)
-"""What stored pixels are read as."""
+"""Supported types of stored pixels."""
 
 BandChoice: TypeAlias = tuple[int, int, int] | None
-"""Which bands the caller wants as red, green and blue, counted from 1; None leaves it to ``choose_bands``."""
+"""Bands that the caller wants as red, green and blue, counted from 1; None for the default of ``choose_bands``."""
 
 
 class ChosenBands(NamedTuple):
-    """Red, green and blue as bands counted from 0, and what to tell about the choice."""
+    """Bands for red, green and blue, counted from 0, and notices about the choice."""
 
     channels: tuple[int, int, int]
     notes: tuple[RasterNote, ...]
@@ -31,37 +31,37 @@ def choose_bands(n_bands: int, wanted: BandChoice) -> ChosenBands:
     """Choose three of an image's bands.
 
     Raises:
-        InvalidParameterError: a wanted band is not there.
+        InvalidParameterError: a wanted band is missing.
     """
     if wanted is not None:
         if max(wanted) > n_bands:
-            raise InvalidParameterError(f"bands={wanted!r} asks for more than the image has: {n_bands}")
+            raise InvalidParameterError(f"bands={wanted!r} names a band above {n_bands}, the image's number of bands")
         return ChosenBands((wanted[0] - 1, wanted[1] - 1, wanted[2] - 1), ())
     if n_bands < 3:  # the second of two is alpha
         return ChosenBands((0, 0, 0), ())
     if n_bands <= 4:  # the fourth is alpha or near infrared
         return ChosenBands((0, 1, 2), ())
-    message = f"the image has {n_bands} bands; the first three are read as red, green and blue: choose with bands"
+    message = f"the image has {n_bands} bands; the first three are read as red, green and blue: set bands for others"
     return ChosenBands((0, 1, 2), (RasterNote("bands_selected", message),))
 
 
 def merge_bands(planes: list[NDArray[Any]]) -> NDArray[Any]:
-    """Three bands ``[h, w]`` as one contiguous ``[h, w, 3]``."""
+    """Merge three bands ``[h, w]`` into one contiguous ``[h, w, 3]``."""
     return cv2.merge([np.ascontiguousarray(plane) for plane in planes])
 
 
 def check_dtype(dtype: np.dtype[Any]) -> None:
-    """Make sure that values of a type can be measured.
+    """Check a pixel type.
 
     Raises:
-        ImageFormatError: they cannot.
+        ImageFormatError: the type is unsupported.
     """
     if dtype not in DTYPES:
         raise ImageFormatError(f"pixels of {dtype} cannot be measured; convert them to uint8, uint16 or float32")
 
 
 def check_finite(values: NDArray[Any]) -> None:
-    """Make sure that all values are numbers.
+    """Check that all values are finite.
 
     Raises:
         ImageFormatError: some are NaN or infinite.

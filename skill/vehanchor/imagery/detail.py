@@ -1,7 +1,7 @@
-"""How much of an image's resolution is real: an enlarged image has pixels, but no detail finer than its original's.
+"""Resolved detail: the share of an image's resolution that holds real detail, which upsampling reduces.
 
-An image enlarged by r holds nothing above 1 / (2 r) cycles per pixel, whatever the interpolation: its spectrum falls
-off a step there, while that of a photograph goes on falling slowly.
+An image enlarged by r has no power above 1 / (2 r) cycles per pixel, whatever the interpolation. Its spectrum drops in
+a step there, while that of a photograph falls slowly.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 
 PATCH_PX = 64
 _MAX_PATCHES = 16
-_LEAST_POWER = 1e-3  # of a cell of the spectrum, in grey levels squared: far below what rounding to 8 bits leaves
-_LOWEST_CUT = 5  # cycles per patch: below, a patch holds too few
-_EMPTY = -2.2  # decades below the usual fall; 2 in 100 photographs of the train split lie lower
+_LEAST_POWER = 1e-3  # per cell of the spectrum, grey levels squared: far below the rounding noise of 8 bits
+_LOWEST_CUT = 5  # cycles per patch; lower frequencies have too few cycles
+_EMPTY = -2.2  # decades below the usual decline; 2 % of the photographs in the train split are lower
 
 
 def _rings() -> NDArray[np.intp]:
-    """Ring of each cell of the discrete Fourier transform of a patch: the larger of the two frequencies."""
+    """Assign each cell of a patch's discrete Fourier transform to a ring: the larger of its two frequencies."""
     frequency = np.abs(np.fft.fftfreq(PATCH_PX, 1 / PATCH_PX))
     return np.asarray(np.maximum(frequency[:, None], frequency[None, :]), dtype=np.intp)
 
 
 def ring_spectrum(patches: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:
-    """Mean power of patches by frequency.
+    """Compute the mean power of patches by frequency.
 
-    The rings are squares and not circles, since resampling cuts rows and columns each for itself.
+    The rings are square because resampling filters rows and columns separately.
 
     Args:
         patches: ``[64, 64, 3]`` uint8 RGB each.
@@ -58,17 +58,17 @@ def ring_spectrum(patches: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:
 
 
 def spectrum_share(spectrum: NDArray[np.float64]) -> float:
-    """The share of the resolution down to which there is detail.
+    """Compute the share of the resolution that holds detail.
 
-    At each frequency c from low to high, the power in c .. 1.5 c is compared with that in c/4 .. c/2. In photographs
-    power falls with the square of the frequency and a little more; in an enlarged image it falls a hundred times lower
-    where the original's detail ends. Blur does the same: what is lacking is the same, too.
+    For each frequency c, from low to high, compare the power in c .. 1.5 c with the power in c/4 .. c/2. In photographs
+    power falls slightly faster than the square of the frequency. In an enlarged image it falls a hundred times lower
+    where the original's detail ends. Blur has the same effect, and the same detail is missing.
 
     Args:
-        spectrum: as ``ring_spectrum`` gives it.
+        spectrum: result of ``ring_spectrum``.
 
     Returns:
-        The first c at which next to nothing is left, over the highest frequency; 1 where that never happens.
+        The first c with almost no power, divided by the highest frequency; 1 if there is none.
     """
     highest = len(spectrum) - 1
     logs = np.log10(spectrum + _LEAST_POWER)
@@ -76,22 +76,22 @@ def spectrum_share(spectrum: NDArray[np.float64]) -> float:
         first, last = min(cut, highest - 2), min(highest, math.ceil(1.5 * cut))
         fine = float(np.mean(logs[first : last + 1]))
         coarse = float(np.log10(np.mean(spectrum[round(cut / 4) : round(cut / 2) + 1]) + _LEAST_POWER))
-        usual_fall = 2 * math.log10(math.sqrt(first * last) / (cut * math.sqrt(1 / 8)))
-        if fine - coarse + usual_fall < _EMPTY:
+        usual_decline = 2 * math.log10(math.sqrt(first * last) / (cut * math.sqrt(1 / 8)))
+        if fine - coarse + usual_decline < _EMPTY:
             return cut / highest
     return 1.0
 
 
 def resolved_share(raster: Raster, centres: NDArray[np.float64], scale: float = 1.0) -> float:
-    """The share of the resolution down to which there is detail around vehicles.
+    """Compute the share of the resolution that holds detail around vehicles.
 
     Args:
         raster: the image.
-        centres: ``[n, 2]`` x, y of vehicles in pixels of the image; 16 of them at most are looked at.
-        scale: of the copy of the image in which they were found: 1, 0.5, 0.25 or 0.125.
+        centres: ``[n, 2]`` x, y of vehicles in pixels of the image; at most 16 are used.
+        scale: of the reduced image in which they were found: 1, 0.5, 0.25 or 0.125.
 
     Returns:
-        ``spectrum_share`` of that copy; 1 without vehicles and for a copy of less than 64 px.
+        ``spectrum_share`` of the reduced image; 1 without vehicles or if a side is below 64 px.
     """
     factor = round(1 / scale)
     width, height = raster.width_px // factor, raster.height_px // factor

@@ -1,4 +1,4 @@
-"""What is refused before anything is decoded: by its bytes, by the size that it declares."""
+"""Checks before decoding: file size, declared image size, memory that decoding takes."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ if TYPE_CHECKING:
     from vehanchor.options import ImageLimits
 
 MIN_SIDE_PX = 16
-"""Smallest side of an image that can be measured: a car of 5 m is 17 px long at 0.3 m/px, the coarsest scale of use."""
+"""Smallest side of a measurable image: a 5 m car is 17 px long at 0.3 m/px, the coarsest usable GSD."""
 
 UNPACKED_BYTES = 3
-"""Of a pixel of a JPEG that is read by windows, on the disk."""
+"""Bytes on disk for each pixel of a JPEG that is read by windows."""
 
-_SCANS_OF_LARGEST = 25  # an image of the largest size may be stored in so many scans, a smaller one in more
-_BLOCK_COPIES = 2  # a strip or tile is decoded into one buffer, and from there into one for each band
-_SAMPLES_PER_PIXEL = 4  # of a block as large as an image may be
+_SCANS_OF_LARGEST = 25  # allowed for an image of the largest size; smaller images may have more
+_BLOCK_COPIES = 2  # the decoder copies a strip or tile from one buffer into one for each band
+_SAMPLES_PER_PIXEL = 4  # in a block of the largest allowed image size
 
 
 def check_bytes(n_bytes: int, limits: ImageLimits) -> None:
-    """Make sure that an encoded image may be held in memory.
+    """Check the size of an encoded image.
 
     Raises:
-        ImageTooLargeError: it may not.
+        ImageTooLargeError: it exceeds ``limits.max_bytes``.
     """
     if n_bytes > limits.max_bytes:
         raise ImageTooLargeError(f"the image has {n_bytes} bytes, the limit is {limits.max_bytes}")
 
 
 def check_side(width_px: int, height_px: int, hint: str = "") -> None:
-    """Make sure that an image is large enough to be measured.
+    """Check that an image is large enough to measure.
 
     Raises:
-        ImageFormatError: it is not; ``hint`` is said, too.
+        ImageFormatError: a side is too short; the message ends with ``hint``.
     """
     if min(width_px, height_px) < MIN_SIDE_PX:
         raise ImageFormatError(
@@ -45,11 +45,11 @@ def check_side(width_px: int, height_px: int, hint: str = "") -> None:
 
 
 def check_windowed_size(name: str, width_px: int, height_px: int, limits: ImageLimits) -> None:
-    """Make sure that an image may be read by windows, and is large enough to be measured.
+    """Check the declared size of an image that is read by windows.
 
     Raises:
-        ImageTooLargeError: it declares too many pixels.
-        ImageFormatError: too few.
+        ImageTooLargeError: the image declares too many pixels.
+        ImageFormatError: the image is too small to measure.
     """
     if width_px * height_px > limits.max_windowed_pixels:
         raise ImageTooLargeError(
@@ -59,17 +59,17 @@ def check_windowed_size(name: str, width_px: int, height_px: int, limits: ImageL
 
 
 def check_block(name: str, block_px: int, samples: int, sample_bytes: int, limits: ImageLimits) -> None:
-    """Make sure that a strip or tile, which is decoded as a whole, is not what the limits were to prevent.
+    """Check the size of a strip or tile, because decoders decode it whole.
 
     Args:
-        name: what to call the image.
-        block_px: its pixels.
-        samples: bands that are stored together in it.
-        sample_bytes: bytes of one of them, decoded.
-        limits: what to refuse.
+        name: format or name of the image in the message.
+        block_px: pixels of the block.
+        samples: bands stored together in the block.
+        sample_bytes: decoded bytes of one sample.
+        limits: limits to apply.
 
     Raises:
-        ImageTooLargeError: it is.
+        ImageTooLargeError: decoding the block would exceed the limits.
     """
     decoded = _BLOCK_COPIES * block_px * samples * sample_bytes
     if block_px * samples > _SAMPLES_PER_PIXEL * limits.max_pixels or decoded > limits.max_decoded_bytes:
@@ -81,13 +81,12 @@ def check_block(name: str, block_px: int, samples: int, sample_bytes: int, limit
 
 
 def read_checked_header(read_at: ReadAt, limits: ImageLimits) -> ImageHeader:
-    """Read what an image says of itself, and hold its declared size against the limits.
+    """Read an image's header and check its declared size.
 
     Raises:
-        ImageDecodeError: not an image of a known format, or its header is broken.
-        ImageTooLargeError: it declares too many pixels to be decoded whole, a TIFF to be read at all; or decoding it
-            takes too much memory, or goes over it too often.
-        ImageFormatError: too few to be measured.
+        ImageDecodeError: the format is unknown, or the header is damaged.
+        ImageTooLargeError: the image has too many pixels or scans, or decoding it takes too much memory.
+        ImageFormatError: the image is too small to measure.
     """
     header = read_header(read_at)
     check_header(header, limits)
@@ -95,11 +94,11 @@ def read_checked_header(read_at: ReadAt, limits: ImageLimits) -> ImageHeader:
 
 
 def check_header(header: ImageHeader, limits: ImageLimits) -> None:
-    """Hold what an image declares against the limits; one that can be read by windows may be larger than others.
+    """Check an image's header; images that can be read by windows may be larger.
 
     Raises:
         ImageTooLargeError: see ``read_checked_header``.
-        ImageFormatError: too few pixels to be measured.
+        ImageFormatError: the image is too small to measure.
     """
     windowed = header.windowed and (
         header.format != "JPEG" or UNPACKED_BYTES * header.width_px * header.height_px <= limits.max_unpacked_bytes
@@ -122,6 +121,6 @@ def check_header(header: ImageHeader, limits: ImageLimits) -> None:
     ):
         raise ImageTooLargeError(
             f"the {header.format} of {header.width_px} x {header.height_px} px has {header.n_scans} scans, each "
-            "decoded over the whole image; save it again"
+            "covering the whole image; save it again as a baseline JPEG"
         )
     check_windowed_size(header.format, header.width_px, header.height_px, limits)

@@ -1,4 +1,4 @@
-"""Images' names as people read them."""
+"""Short image names for people."""
 
 from __future__ import annotations
 
@@ -13,13 +13,10 @@ if TYPE_CHECKING:
 
 
 def under_one_folder(names: Sequence[str]) -> tuple[str, list[str]]:
-    """Shorten images' names for people: the folder that all of them lie in, and each name below it.
-
-    Args:
-        names: as records have them.
+    """Split image names into their common folder and the names relative to it.
 
     Returns:
-        The folder, empty where there is none but the current or where one is an address, and the names.
+        The folder and the names; the folder is empty if the images share none or if a name is an address.
     """
     if any(map(is_address, names)):
         return "", list(names)

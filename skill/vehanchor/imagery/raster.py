@@ -1,4 +1,4 @@
-"""An image that is read by windows: 8-bit RGB of any part of it, turned upright, whatever it is stored as."""
+"""Raster: an image that is read by windows as upright 8-bit RGB, whatever its stored form."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.camera import CameraMetadata
     from vehanchor.imagery.metadata.georeference import Ground
 
-# EXIF orientation -> (rows and columns swap, then flip up-down, flip left-right) that shows the stored image upright.
+# EXIF orientation -> (swap rows and columns, then flip up-down, flip left-right) that turns the stored image upright.
 _ORIENTATIONS = {
     1: (False, False, False),
     2: (False, False, True),
@@ -34,7 +34,7 @@ _ORIENTATIONS = {
 
 @dataclass(frozen=True)
 class Window:
-    """A rectangle of pixels in the oriented frame; (x_px, y_px) is its top left pixel."""
+    """Rectangle of pixels in the oriented frame; (x_px, y_px) is its top left pixel."""
 
     x_px: int
     y_px: int
@@ -43,30 +43,30 @@ class Window:
 
 
 class RasterNote(NamedTuple):
-    """Something about the image that its user should know: ``bands_selected`` or ``pixels_stretched``."""
+    """Notice about the image for its user: ``bands_selected`` or ``pixels_stretched``."""
 
     code: str
     message: str
 
 
 class StoredPixels(NamedTuple):
-    """Pixels as stored: ``[h, w, 3]`` RGB of any of ``bands.DTYPES``, and which of them hold data (None: all)."""
+    """Pixels as stored: ``[h, w, 3]`` RGB in one of ``bands.DTYPES``, and a mask of valid pixels (None: all)."""
 
     rgb: NDArray[Any]
     valid: NDArray[np.bool_] | None
 
 
 class Raster(ABC):
-    """An open image. Reads are safe from any thread, but from one at a time; close it, or use it as a context manager.
+    """Open image. Any thread may read, one at a time. Close it, or use it as a context manager.
 
     Attributes:
         width_px: width of the oriented frame.
         height_px: height of the oriented frame.
-        source: the path as given, or "bytes", "file", "array", "dataset".
-        georeference_gsd_m_per_px: the scale that the file itself carries, None without one.
-        warnings: what its user should know.
-        camera: what the file says of its camera; None where it says nothing, and for what is no file.
-        ground: where on the ground the image lies; None where nothing tells.
+        source: the given path or address, or "bytes", "file", "array", "image", "DataArray", "dataset".
+        georeference_gsd_m_per_px: GSD by the file's georeference; None without one.
+        warnings: notices for the user.
+        camera: camera metadata of the file; None if it has none or the source is no file.
+        ground: georeference of the image; None without one.
     """
 
     camera: CameraMetadata | None = None
@@ -92,14 +92,14 @@ class Raster(ABC):
         self._stretch: Stretch | None = None
 
     def read(self, window: Window | None = None) -> NDArray[np.uint8]:
-        """Read a window, or everything: [h, w, 3] uint8 RGB, contiguous; pixels without data are black.
+        """Read a window, or the whole image: [h, w, 3] uint8 RGB, contiguous; pixels without data are black.
 
-        The result may be a read-only view of the caller's own array where nothing had to be converted.
+        The result can be a read-only view of the caller's array if no conversion was needed.
 
         Raises:
-            InvalidParameterError: the window is empty or not wholly inside.
-            ImageDecodeError: the file is damaged here (rasters read by windows).
-            ImageFormatError: the values here cannot be shown.
+            InvalidParameterError: the window is empty or not inside the image.
+            ImageDecodeError: the file is damaged in this window.
+            ImageFormatError: the values in this window cannot be converted.
         """
         if window is None:
             window = Window(0, 0, self.width_px, self.height_px)
@@ -108,21 +108,21 @@ class Raster(ABC):
             and 0 <= window.y_px < window.y_px + window.height_px <= self.height_px
         ):
             raise InvalidParameterError(f"{window} is not inside the image of {self.width_px} x {self.height_px} px")
-        return self._shown(self._read_stored(stored_window(window, self.width_px, self.height_px, self._orientation)))
+        return self._to_rgb(self._read_stored(stored_window(window, self.width_px, self.height_px, self._orientation)))
 
-    def _shown(self, stored: StoredPixels) -> NDArray[np.uint8]:
-        """Stored pixels as 8-bit RGB, turned upright."""
+    def _to_rgb(self, stored: StoredPixels) -> NDArray[np.uint8]:
+        """Convert stored pixels to upright 8-bit RGB."""
         shown = to_uint8(stored.rgb, self._stretch)
         if stored.valid is not None:
             shown[~stored.valid] = 0
         return np.ascontiguousarray(oriented(shown, self._orientation))
 
-    def read_overview(self, window: Window, factor: int) -> NDArray[np.uint8] | None:  # noqa: ARG002 - of others
-        """Read a window of the image reduced by a factor from copies that the file keeps; None where it keeps none.
+    def read_overview(self, window: Window, factor: int) -> NDArray[np.uint8] | None:  # noqa: ARG002 - for subclasses
+        """Read a window of the reduced image from the file's overviews; None if it has none.
 
         Args:
-            window: in pixels of the reduced image, ``width_px // factor`` columns and ``height_px // factor`` rows.
-            factor: 2 or more.
+            window: in pixels of the reduced image, which has ``width_px // factor`` x ``height_px // factor``.
+            factor: reduction factor, 2 or more.
         """
         return None
 
@@ -139,16 +139,16 @@ class Raster(ABC):
 
     @abstractmethod
     def _read_stored(self, window: Window) -> StoredPixels:
-        """The pixels of a window of the stored frame."""
+        """Read a window of the stored frame."""
 
     def _choose_stretch(self, sample: NDArray[Any]) -> None:
-        """Decide from stored values (any shape) how all of them are shown."""
+        """Choose the stretch from a sample of stored values (any shape)."""
         self._stretch = choose_stretch(sample)
         if self._stretch is not None and self._stretch != UNIT_RANGE:
             low, high = self._stretch
             message = (
                 f"{sample.dtype} values {low:g} to {high:g} (percentiles {STRETCH_PERCENTILES[0]:g} and"
-                f" {STRETCH_PERCENTILES[1]:g}) are shown as 0 to 255"
+                f" {STRETCH_PERCENTILES[1]:g}) become 0 to 255"
             )
             self.warnings = (*self.warnings, RasterNote("pixels_stretched", message))
 
@@ -157,8 +157,8 @@ def oriented(stored: NDArray[np.uint8], orientation: int) -> NDArray[np.uint8]:
     """Turn a stored image ``[h, w, 3]`` upright, as a view.
 
     Args:
-        stored: the pixels as the file holds them.
-        orientation: as EXIF counts them, 1 to 8.
+        stored: pixels in the file's orientation.
+        orientation: EXIF orientation, 1 to 8.
     """
     swap, up_down, left_right = _ORIENTATIONS[orientation]
     turned = stored.swapaxes(0, 1) if swap else stored
@@ -166,7 +166,7 @@ def oriented(stored: NDArray[np.uint8], orientation: int) -> NDArray[np.uint8]:
 
 
 def stored_window(window: Window, width_px: int, height_px: int, orientation: int) -> Window:
-    """Where a window of the oriented frame, ``width_px`` x ``height_px``, lies in the stored one."""
+    """Map a window of the oriented frame, ``width_px`` x ``height_px``, to the stored frame."""
     swap, up_down, left_right = _ORIENTATIONS[orientation]
     x = width_px - window.x_px - window.width_px if left_right else window.x_px
     y = height_px - window.y_px - window.height_px if up_down else window.y_px
@@ -176,7 +176,7 @@ def stored_window(window: Window, width_px: int, height_px: int, orientation: in
 
 
 def outer_sides(window: Window, width_px: int, height_px: int) -> tuple[bool, bool, bool, bool]:
-    """Which sides of a window, left, top, right and bottom, are those of its image, ``width_px`` x ``height_px``."""
+    """Test whether the left, top, right and bottom of a window lie on the border of its image."""
     return (
         window.x_px == 0,
         window.y_px == 0,

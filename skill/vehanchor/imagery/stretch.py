@@ -1,4 +1,4 @@
-"""Which stored values are shown as black and as white: how depths above 8 bits become 8-bit pictures."""
+"""Contrast stretch: conversion of stored values above 8 bits to 8-bit images."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 STRETCH_PERCENTILES = (2.0, 98.0)
-"""Percentiles of the whole image shown as 0 and 255, the cut that GIS viewers use. One range for all three bands:
-colours keep their balance."""
+"""Percentiles of the whole image that become 0 and 255, as in GIS viewers. All three bands share one range, which
+keeps the colour balance."""
 
 SAMPLE_PX = 1 << 20
-"""Pixels from which the percentiles are taken at most; smaller images give all of theirs."""
+"""Most pixels in the sample for the percentiles; smaller images are used whole."""
 
 
 class Stretch(NamedTuple):
-    """The stored values shown as 0 and 255."""
+    """Stored values that become 0 and 255."""
 
     low: float
     high: float
@@ -31,25 +31,25 @@ UNIT_RANGE = Stretch(0.0, 1.0)
 
 
 def choose_stretch(sample: NDArray[Any]) -> Stretch | None:
-    """Decide which values of an image become 0 and 255.
+    """Choose the values of an image that become 0 and 255.
 
     Args:
-        sample: values of the image, of any shape, finite.
+        sample: finite values of the image, of any shape.
 
     Returns:
-        None where the values are shown as they are: uint8.
+        The stretch; None for uint8, which needs none.
 
     Raises:
-        ImageFormatError: floats too far apart to be scaled.
+        ImageFormatError: the range of the floats is too large to scale.
     """
     if sample.dtype == np.uint8:
         return None
-    if sample.size == 0:  # no data anywhere: every choice shows black
+    if sample.size == 0:  # no data: every stretch gives black
         return UNIT_RANGE
     least, most = float(sample.min()), float(sample.max())
     if sample.dtype.kind == "f" and least >= 0 and most <= 1:
         return UNIT_RANGE
-    # "nearest": no arithmetic between values, so that the largest floats do not overflow
+    # "nearest" does no arithmetic between values, so the largest floats do not overflow
     low, high = (float(value) for value in np.percentile(sample, STRETCH_PERCENTILES, method="nearest"))
     if low == high:
         low, high = least, most
@@ -61,7 +61,7 @@ def choose_stretch(sample: NDArray[Any]) -> Stretch | None:
 
 
 def to_uint8(pixels: NDArray[Any], stretch: Stretch | None) -> NDArray[np.uint8]:
-    """Show stored values of any shape as 0..255; uint8 without a stretch is returned itself."""
+    """Convert stored values of any shape to 0..255; without a stretch, return them unchanged."""
     if stretch is None:
         return pixels
     if pixels.dtype == np.uint16:
@@ -72,7 +72,7 @@ def to_uint8(pixels: NDArray[Any], stretch: Stretch | None) -> NDArray[np.uint8]
 
 
 def _scaled(values: NDArray[np.float64], stretch: Stretch) -> NDArray[np.uint8]:
-    """``low..high`` as 0..255; works in place on ``values``."""
+    """Scale ``low..high`` to 0..255; overwrites ``values``."""
     np.clip(values, stretch.low, stretch.high, out=values)
     values -= stretch.low
     values *= 255 / (stretch.high - stretch.low)

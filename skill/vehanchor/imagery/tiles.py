@@ -1,4 +1,4 @@
-"""The tile grid: overlapping tiles that cover an image, each visited once, at full resolution or reduced."""
+"""Tile grid: overlapping tiles that cover an image at full or reduced resolution."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 TILE_SIZE_PX = 1024  # paper, section III-B
 TILE_OVERLAP = 0.25  # paper, section III-B: stride 768 px at 1024 px
-_BLOCK_PX = 1024  # side of what is read at once for a reduced window: 3 MiB
+_BLOCK_PX = 1024  # side of a block of a reduced window, 3 MiB
 
 
 def _starts(extent: int, tile: int, stride: int) -> list[int]:
-    """Tile origins along one axis; the last tile is flush with the edge."""
+    """Compute tile origins along one axis; the last tile ends at the image's edge."""
     if extent <= tile:
         return [0]
     return [*range(0, extent - tile, stride), extent - tile]
@@ -29,16 +29,16 @@ def _starts(extent: int, tile: int, stride: int) -> list[int]:
 def tile_grid(
     width_px: int, height_px: int, *, tile_px: int = TILE_SIZE_PX, stride_px: int | None = None
 ) -> list[Window]:
-    """Tiles of an image in reading order.
+    """Lay out the tiles of an image in reading order.
 
     Args:
         width_px: image width.
         height_px: image height.
-        tile_px: side of a tile; images smaller than that give one tile of their own size.
+        tile_px: side of a tile; a smaller image has one tile of its own size.
         stride_px: step between tiles, at most ``tile_px``; default three quarters of it (25 % overlap).
 
     Returns:
-        Windows inside the image that cover every pixel, none twice.
+        Distinct windows that cover every pixel of the image.
     """
     step = round(tile_px * (1 - TILE_OVERLAP)) if stride_px is None else stride_px
     return [
@@ -49,14 +49,14 @@ def tile_grid(
 
 
 def read_reduced_window(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
-    """Read a window of a raster reduced by a whole factor, each pixel the mean of ``factor`` x ``factor`` of its.
+    """Read a window of a raster reduced by a whole factor; each pixel is the mean of ``factor`` x ``factor`` pixels.
 
-    Read block by block: the memory is that of the result and one block, however large the factor.
+    The image is read block by block, so memory holds only the result and one block.
 
     Args:
         raster: the image.
-        window: in pixels of the reduced image, of ``width_px // factor`` columns and ``height_px // factor`` rows.
-        factor: 1 reads the window as it is.
+        window: in pixels of the reduced image, which has ``width_px // factor`` x ``height_px // factor``.
+        factor: reduction factor; 1 reads the window unreduced.
 
     Returns:
         ``[h, w, 3]`` uint8 RGB.
@@ -78,15 +78,17 @@ def read_reduced_window(raster: Raster, window: Window, factor: int) -> NDArray[
 
 
 def read_preview(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
-    """Read a window of a raster reduced by a whole factor, as fast as the file allows: where to look, not to measure.
+    """Read a window of a raster reduced by a whole factor, from the file's overviews if it has any.
+
+    Overviews are fast but can be resampled in other ways: use previews for search, not for measurement.
 
     Args:
         raster: the image.
         window: as in ``read_reduced_window``.
-        factor: as there.
+        factor: as in ``read_reduced_window``.
 
     Returns:
-        ``[h, w, 3]`` uint8 RGB, of the file's overviews where it has any.
+        ``[h, w, 3]`` uint8 RGB.
     """
-    seen = raster.read_overview(window, factor)
-    return read_reduced_window(raster, window, factor) if seen is None else seen
+    overview = raster.read_overview(window, factor)
+    return read_reduced_window(raster, window, factor) if overview is None else overview

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from vehanchor.analysis.exhibits import AreaAnalysis
+from vehanchor.analysis.measured import AreaAnalysis
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
 from vehanchor.measure.resolved_scale import choose_scale, interval_around, resolve_scale
@@ -221,7 +221,7 @@ def analyse_objects(
         for prompt, mask in zip(prompts, masks, strict=True)
     ]
     return tuple(
-        AreaAnalysis(record, mask, prompt, scale=found.analysis, level=found.plane is None)
+        AreaAnalysis(record, mask, prompt, scale=found.analysis, nadir=found.plane is None)
         for record, prompt, mask in zip(records, prompts, masks, strict=True)
     )
 
@@ -285,7 +285,8 @@ def _conclude(
         image_width_px=raster.width_px,
         image_height_px=raster.height_px,
         frame=_frame(options.frame, raster, gsd, box),
-        scale=estimate,
+        scale=scale.known,
+        estimate=estimate,
         segmenter=card.name,
         segmenter_sha256=card.sha256,
         warnings=(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.analysis.exhibits import DistanceAnalysis
+from vehanchor.analysis.measured import DistanceAnalysis
 from vehanchor.errors import PromptError
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
 from vehanchor.measure.coordinates import CoordinateFrame
@@ -203,7 +203,7 @@ def analyse_paths(
         raster, scale, options, object_height_m=object_height_m, progress=progress, run_options=run_options
     )
     return tuple(
-        DistanceAnalysis(_conclude(path, coordinates, found), scale=found.analysis, level=found.plane is None)
+        DistanceAnalysis(_conclude(path, coordinates, found), scale=found.analysis, nadir=found.plane is None)
         for path in in_image
     )
 
@@ -262,6 +262,7 @@ def _conclude(places: Sequence[Place], coordinates: CoordinateFrame, scale: Reso
         path=tuple(ImagePoint(x_px=x, y_px=y) for x, y in places),
         image_width_px=coordinates.width_px,
         image_height_px=coordinates.height_px,
-        scale=estimate,
+        scale=scale.known,
+        estimate=estimate,
         warnings=scale.notices,
     )

@@ -20,6 +20,7 @@ from vehanchor.options.fields import number, positive
 from vehanchor.records import GsdEstimate, KnownScale
 from vehanchor.rulers.camera import height_log_sd
 from vehanchor.rulers.given_height import HEIGHT_LOG_SD
+from vehanchor.scale.defaults import LARGEST_GSD_M_PER_PX, LEAST_GSD_M_PER_PX
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
@@ -33,13 +34,14 @@ if TYPE_CHECKING:
     import onnxruntime
     from numpy.typing import NDArray
 
-    from vehanchor.analysis.exhibits import ScaleAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.imagery.metadata.lens import Lens
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
     from vehanchor.records import Notice, ScaleSource, Status
 
 _HIGHEST_OBJECT_M = 1000.0
+_WIDEST_M_PER_PX = 1e9  # of a scale that is given back: whatever an estimate gives lies below, and its square is finite
 
 ScaleInput: TypeAlias = Detector | float | KnownScale
 """What finds the scale, or what it is."""
@@ -70,7 +72,8 @@ class ResolvedScale:
         source: where it comes from.
         analysis: of the vehicles behind it; None where none was searched.
         notices: doubts about the image and the scale.
-        plane: the ground, where the camera looked aside: the scale is that of its centre; None where one scale holds.
+        plane: the ground plane of a tilted camera, whose scale holds at the image's centre; None if one scale holds.
+        known: the scale of the ground, to give back; None for a number, and without a scale.
     """
 
     gsd_m_per_px: float | None
@@ -80,6 +83,7 @@ class ResolvedScale:
     analysis: ScaleAnalysis | None
     notices: tuple[Notice, ...]
     plane: GroundPlane | None = None
+    known: KnownScale | None = None
 
     def gsd_over(self, mask: NDArray[np.bool_], left: int, top: int) -> float | None:
         """Metres per pixel over a mask: root of the mean area that its pixels show; None without a scale or a mask.
@@ -151,7 +155,12 @@ def choose_scale(
         return _as_known(scale)
     if gsd_m_per_px is None:
         return open_detector(detector, options, threads=threads, providers=providers)
-    return positive("gsd_m_per_px", gsd_m_per_px)
+    given = positive("gsd_m_per_px", gsd_m_per_px)
+    if not LEAST_GSD_M_PER_PX <= given <= LARGEST_GSD_M_PER_PX:
+        raise InvalidParameterError(
+            f"gsd_m_per_px is {given:g}: use {LEAST_GSD_M_PER_PX:g} to {LARGEST_GSD_M_PER_PX:g} metres per pixel"
+        )
+    return given
 
 
 def _as_known(scale: KnownScale | GsdEstimate | Mapping[str, Any]) -> KnownScale:
@@ -160,8 +169,11 @@ def _as_known(scale: KnownScale | GsdEstimate | Mapping[str, Any]) -> KnownScale
             raise InvalidParameterError("scale is an estimate without an anchor: there is no scale in it to give back")
         scale = scale.scale
     if isinstance(scale, Mapping):
+        found = scale.get("scale", scale)  # of a whole estimate its scale
+        if found is None:
+            raise InvalidParameterError("scale is an estimate without a scale: there is none in it to give back")
         try:
-            scale = KnownScale.model_validate(dict(scale))
+            scale = KnownScale.model_validate(found)
         except ValidationError as error:
             wrong = error.errors()[0]
             place = ".".join(map(str, wrong["loc"])) or "scale"
@@ -174,6 +186,8 @@ def _as_known(scale: KnownScale | GsdEstimate | Mapping[str, Any]) -> KnownScale
         )
     if not scale.gsd_ci95_low_m_per_px <= scale.gsd_m_per_px <= scale.gsd_ci95_high_m_per_px:
         raise InvalidParameterError("scale is not what an estimate gave: its value lies outside its interval")
+    if not 1 / _WIDEST_M_PER_PX <= scale.gsd_ci95_low_m_per_px <= scale.gsd_ci95_high_m_per_px <= _WIDEST_M_PER_PX:
+        raise InvalidParameterError(f"scale is not what an estimate gave: {scale.gsd_m_per_px:g} m/px is no image's")
     return scale
 
 
@@ -222,7 +236,9 @@ def _on_the_ground(
         found = analysis.estimate
         log_sd = _log_sd(found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px)
         plane = plane_of_record(found)
-        return ResolvedScale(found.gsd_m_per_px, log_sd, found.confidence, "estimated", analysis, found.warnings, plane)
+        return ResolvedScale(
+            found.gsd_m_per_px, log_sd, found.confidence, "estimated", analysis, found.warnings, plane, found.scale
+        )
     told = image_notices(raster)
     own = raster.georeference_gsd_m_per_px
     if isinstance(scale, KnownScale):
@@ -235,7 +251,7 @@ def _on_the_ground(
         log_sd = _log_sd(scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)
         notices = (*told, *georeference_notice(own, scale.gsd_m_per_px, "the one given back is"))
         plane = _given_plane(raster, scale) or _plane(raster, options, scale.gsd_m_per_px)
-        return ResolvedScale(scale.gsd_m_per_px, log_sd, scale.confidence, "reused", None, notices, plane)
+        return ResolvedScale(scale.gsd_m_per_px, log_sd, scale.confidence, "reused", None, notices, plane, scale)
     notices = (*told, *georeference_notice(own, scale, "the one given is"))
     return ResolvedScale(scale, 0.0, None, "given", None, notices, _plane(raster, options, scale))
 

@@ -128,7 +128,7 @@ def _share_arena() -> None:
     """Give the small models of this process one arena: each takes it in turn, and together they keep what one needs.
 
     Without any, runs ask the system for every layer's memory anew and leave twice as much behind; with one for each
-    model, as ONNX Runtime has it by default, all keep their own (``benchmarks/RESULTS.md``).
+    model, as ONNX Runtime has it by default, all keep their own (``research/results/server.json``, ``arena``).
     """
     memory = onnxruntime.OrtMemoryInfo(
         "Cpu", onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, onnxruntime.OrtMemType.DEFAULT

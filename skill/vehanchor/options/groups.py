@@ -138,6 +138,8 @@ class Reference:
                     f"reference_length_m is {length:g}: a vehicle has {LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m"
                 )
             set_frozen(self, "reference_length_m", length)
+        if self.region is not None and not isinstance(self.region, str):
+            raise InvalidParameterError(f"region is {self.region!r}: give one name, such as {REGIONS[0]}")
         if self.calibration is not None:
             from vehanchor.scale.calibration import as_calibration
 
@@ -244,6 +246,8 @@ class Reading:
             except (TypeError, ValueError):
                 raise InvalidParameterError(f"bands is {self.bands!r}: give three, from 1") from None
             set_frozen(self, "bands", tuple(whole("bands", band) for band in (first, second, third)))
+        if not isinstance(self.limits, ImageLimits):
+            raise InvalidParameterError(f"limits is {self.limits!r}: give vehanchor.ImageLimits(...)")
         if not isinstance(self.bgr, bool):
             raise InvalidParameterError(f"bgr is {self.bgr!r}: use True or False")
         if self.max_megapixels is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -152,7 +152,7 @@ def _ruler_names(names: Any) -> tuple[str, ...]:
 
 
 def _lines(lines: Any) -> tuple[KnownLength, ...]:
-    if isinstance(lines, str):
+    if isinstance(lines, str) or not isinstance(lines, Iterable):
         raise KnownLengthError(f"known_lengths is {lines!r}: give lines of x1, y1, x2, y2, metres")
     checked = []
     for line in lines:

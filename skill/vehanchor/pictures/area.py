@@ -14,8 +14,8 @@ from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.analysis.findings import AreaFindings
     from vehanchor.options import ImageLimits
+    from vehanchor.pictures.drawable import DrawableArea
     from vehanchor.records import AreaMeasurement
 
 PROMPT_RGB = (240, 228, 66)  # Okabe and Ito's yellow
@@ -24,7 +24,7 @@ _TINT = 0.35
 _SUBPIXEL_BITS = 4
 
 
-def draw_area(image: NDArray[np.uint8], analysis: AreaFindings) -> NDArray[np.uint8]:
+def draw_area(image: NDArray[np.uint8], analysis: DrawableArea) -> NDArray[np.uint8]:
     """Draw what a measurement rests on, under a caption with area, scale and confidence.
 
     Args:
@@ -42,7 +42,7 @@ def draw_area(image: NDArray[np.uint8], analysis: AreaFindings) -> NDArray[np.ui
     return finish(canvas, analysis, _size(record), f"; mask score {record.mask_score:.2f}{_low_mask(record)}")
 
 
-def full_mask(analysis: AreaFindings, limits: ImageLimits) -> NDArray[np.uint8]:
+def full_mask(analysis: DrawableArea, limits: ImageLimits) -> NDArray[np.uint8]:
     """The mask as large as the image: ``[h, w, 3]``, 255 on the object and 0 elsewhere.
 
     Raises:
@@ -65,7 +65,7 @@ def _line_px(picture: NDArray[np.uint8]) -> int:
     return int(np.clip(round(max(picture.shape[:2]) / 500), 1, 3))
 
 
-def _draw_mask(picture: NDArray[np.uint8], analysis: AreaFindings, scale: NDArray[np.float64]) -> None:
+def _draw_mask(picture: NDArray[np.uint8], analysis: DrawableArea, scale: NDArray[np.float64]) -> None:
     """Tint the object and draw the line around it, from the mask itself: the record's outline is simplified."""
     mask, window = analysis.segmentation.mask, analysis.segmentation.window
     left, top = (round(at * factor) for at, factor in zip((window.x_px, window.y_px), scale, strict=True))
@@ -88,7 +88,7 @@ def _draw_mask(picture: NDArray[np.uint8], analysis: AreaFindings, scale: NDArra
     )
 
 
-def _draw_prompt(picture: NDArray[np.uint8], analysis: AreaFindings, scale: NDArray[np.float64]) -> None:
+def _draw_prompt(picture: NDArray[np.uint8], analysis: DrawableArea, scale: NDArray[np.float64]) -> None:
     prompt, line = analysis.prompt, _line_px(picture)
     fine = 1 << _SUBPIXEL_BITS
     if prompt.box is not None:

@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from vehanchor.analysis.findings import DistanceFindings
+    from vehanchor.pictures.drawable import DrawableDistance
 
 
-def draw_distance(image: NDArray[np.uint8], analysis: DistanceFindings) -> NDArray[np.uint8]:
+def draw_distance(image: NDArray[np.uint8], analysis: DrawableDistance) -> NDArray[np.uint8]:
     """Draw a measured line and what its length rests on, under a caption with length, scale and confidence.
 
     The length stands beside the middle of the line, too, where it is one to use.

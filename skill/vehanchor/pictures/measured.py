@@ -21,7 +21,7 @@ from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.analysis.findings import AreaFindings, DistanceFindings, ScaleFindings
+    from vehanchor.pictures.drawable import DrawableMeasurement, DrawableScale
     from vehanchor.pictures.scale import CaptionLine
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
 
@@ -42,7 +42,7 @@ class Canvas(NamedTuple):
     scale: NDArray[np.float64]
 
 
-def open_canvas(image: NDArray[np.uint8], record: Measured, scale: ScaleFindings | None) -> Canvas:
+def open_canvas(image: NDArray[np.uint8], record: Measured, scale: DrawableScale | None) -> Canvas:
     """Copy an image, with what the scale rests on drawn over it.
 
     Args:
@@ -58,7 +58,7 @@ def open_canvas(image: NDArray[np.uint8], record: Measured, scale: ScaleFindings
     return Canvas(picture, factors)
 
 
-def finish(canvas: Canvas, analysis: AreaFindings | DistanceFindings, size: str, doubt: str = "") -> NDArray[np.uint8]:
+def finish(canvas: Canvas, analysis: DrawableMeasurement, size: str, doubt: str = "") -> NDArray[np.uint8]:
     """Add the bar, where the scale holds all over, and the caption: size, scale, and first what speaks against them.
 
     Args:
@@ -72,7 +72,7 @@ def finish(canvas: Canvas, analysis: AreaFindings | DistanceFindings, size: str,
     """
     record, picture = analysis.measurement, with_margins(canvas.picture)
     against = _against(record)
-    if record.gsd_m_per_px is not None and analysis.level and not against:
+    if record.gsd_m_per_px is not None and analysis.nadir and not against:
         draw_scale_bar(picture, record.gsd_m_per_px / float(canvas.scale[0]))
     lines: list[CaptionLine] = [[(None, f"not to be used: {against}")]] if against else []
     lines.append([(MEASURED_RGB, size)])
@@ -93,5 +93,5 @@ def _against(record: Measured) -> str:
     """Why the scale is not to be used; empty where it is, and where there is none."""
     if record.confidence is None or record.gsd_m_per_px is None or record.confidence >= FALLBACK_CONFIDENCE:
         return ""
-    reason = None if record.scale is None else record.scale.reason
+    reason = None if record.estimate is None else record.estimate.reason
     return f"the scale's confidence is below {FALLBACK_CONFIDENCE}" if reason is None else ADVICE[reason].why

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from vehanchor.analysis.findings import ScaleFindings
+    from vehanchor.pictures.drawable import DrawableScale
     from vehanchor.records import GsdEstimate
 
 _KEPT, _KEPT_DARK, _DROPPED = "#56B4E9", "#0072B2", "#E69F00"  # Okabe and Ito: blues, orange
@@ -43,7 +43,7 @@ def require_plots() -> type[Figure]:
     return Figure
 
 
-def plot_scale(analysis: ScaleFindings) -> Figure:
+def plot_scale(analysis: DrawableScale) -> Figure:
     """Plot how vehicle lengths became a scale, and what all rulers say of it.
 
     Args:
@@ -90,7 +90,7 @@ def _title(estimate: GsdEstimate) -> str:
     return f"{estimate.gsd_m_per_px:.4g} m/px{interval},  confidence {estimate.confidence:.2f}"
 
 
-def _plot_lengths(figure: Figure, axes: Axes, analysis: ScaleFindings) -> None:
+def _plot_lengths(figure: Figure, axes: Axes, analysis: DrawableScale) -> None:
     """Draw the lengths, their density, the mode, the guard, and the interval of the vehicles' scale in pixels."""
     estimate, (gsd, mode) = analysis.estimate, _scale_and_mode(analysis)
     guard = analysis.guard_length_px
@@ -121,7 +121,7 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: ScaleFindings) -> None:
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9, frameon=False)
 
 
-def _scale_and_mode(analysis: ScaleFindings) -> tuple[float, float]:
+def _scale_and_mode(analysis: DrawableScale) -> tuple[float, float]:
     """The vehicles' own scale and ``P_mode``, where some were found."""
     gsd, mode = analysis.vehicles.gsd_m_per_px, analysis.vehicles.mode_length_px
     assert gsd is not None
@@ -129,7 +129,7 @@ def _scale_and_mode(analysis: ScaleFindings) -> tuple[float, float]:
     return gsd, mode
 
 
-def _vehicles_interval(analysis: ScaleFindings) -> tuple[float, float] | None:
+def _vehicles_interval(analysis: DrawableScale) -> tuple[float, float] | None:
     """The interval of the scale where it is the vehicles', else their own, metres per pixel."""
     estimate, own = analysis.estimate, analysis.vehicles
     low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
@@ -160,7 +160,7 @@ def _bin_edges(kept: NDArray[np.float64], shortest: float, longest: float) -> ND
     return np.asarray(first + width * np.arange(max(1, int(np.ceil((longest - first) / width))) + 1))
 
 
-def _draw_lengths(axes: Axes, analysis: ScaleFindings, right_px: float) -> None:
+def _draw_lengths(axes: Axes, analysis: DrawableScale, right_px: float) -> None:
     """Histogram of kept and dropped, and the density of the kept in the histogram's units."""
     lengths = analysis.detections.boxes[:, 2]
     kept, dropped = lengths[analysis.kept], lengths[~analysis.kept]

@@ -14,19 +14,19 @@ from vehanchor.scale.fusion import GRID, product
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from vehanchor.analysis.findings import ScaleFindings
+    from vehanchor.pictures.drawable import DrawableScale
 
 _INK = "#222222"
 _PAD = 1.25  # beyond the widest interval, as a factor
 _DRAWN = 0.004  # of the highest point: below it a curve is not drawn
 
 
-def has_densities(analysis: ScaleFindings) -> bool:
+def has_densities(analysis: DrawableScale) -> bool:
     """Whether there is more than one thing to draw, or one other than vehicles."""
     return set(ruler_densities((analysis.vehicles, *analysis.others))) not in (set(), {Vehicles.kind})
 
 
-def plot_rulers(axes: Axes, analysis: ScaleFindings) -> None:
+def plot_rulers(axes: Axes, analysis: DrawableScale) -> None:
     """Draw the densities of all rulers, each to its own height, the product of them, and the scale with its interval.
 
     Args:

@@ -20,8 +20,8 @@ from vehanchor.storage.atomic import whole_file
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.analysis.findings import ScaleFindings
     from vehanchor.imagery.raster import Raster
+    from vehanchor.pictures.drawable import DrawableScale
     from vehanchor.records import GsdEstimate
 
 CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
@@ -43,7 +43,7 @@ _JPEG_QUALITY = 92
 _ROWS_A_READ = 1024  # of the image, in strips as wide as it
 
 
-def draw_overlay(image: NDArray[np.uint8], analysis: ScaleFindings) -> NDArray[np.uint8]:
+def draw_overlay(image: NDArray[np.uint8], analysis: DrawableScale) -> NDArray[np.uint8]:
     """Draw what an estimate rests on: kept vehicles in blue, outliers crossed in orange, other rulers in green, a bar.
 
     The bar has a round length; rulers that were laid along something are drawn there. Small images are enlarged and
@@ -156,7 +156,7 @@ def _picture_factor(width_px: int, height_px: int) -> float:
     return min(max(1.0, MIN_WIDTH_PX / width_px), MAX_SIDE_PX / longest)
 
 
-def draw_vehicles(picture: NDArray[np.uint8], analysis: ScaleFindings, scale: NDArray[np.float64]) -> None:
+def draw_vehicles(picture: NDArray[np.uint8], analysis: DrawableScale, scale: NDArray[np.float64]) -> None:
     """Kept vehicles in blue, dropped outliers crossed in orange; ``scale`` is pixels of the picture per image pixel."""
     boxes = analysis.detections.boxes
     if not len(boxes):
@@ -223,7 +223,7 @@ def with_interval(value: float, low: float | None, high: float | None, unit: str
     return f"{value:.4g} {unit}{interval}"
 
 
-def _caption_lines(analysis: ScaleFindings) -> list[CaptionLine]:
+def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
     """Scale, interval and confidence, or first why there is none to use; the legend of both colours."""
     estimate = analysis.estimate
     n_dropped = estimate.n_detections - estimate.n_vehicles
@@ -248,7 +248,7 @@ def _caption_lines(analysis: ScaleFindings) -> list[CaptionLine]:
     return lines
 
 
-def _rulers_line(analysis: ScaleFindings) -> CaptionLine:
+def _rulers_line(analysis: DrawableScale) -> CaptionLine:
     """What each ruler says, behind a swatch where it was laid along something; nothing where vehicles are the only."""
     heard = [ruler for ruler in analysis.estimate.rulers if ruler.sets_scale]
     if [ruler.kind for ruler in heard] in ([], ["vehicles"]):

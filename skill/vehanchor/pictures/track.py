@@ -115,9 +115,9 @@ def _short_names(stems: Sequence[str]) -> list[str]:
 
 
 def _hangs_on(each: FlightPhotograph) -> str:
-    if not each.anchors or each.gsd_m_per_px is None:
+    if not each.supported_by or each.gsd_m_per_px is None:
         return "nothing"
-    first = each.anchors[0]
+    first = each.supported_by[0]
     if first.photograph != each.photograph:
         return "another photograph"
     if first.ruler in ("vehicles", "positions"):

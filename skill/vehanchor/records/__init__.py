@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
-from vehanchor.records.models import (
-    AreaMeasurement,
-    BoundingBox,
+from vehanchor.records.area import AreaMeasurement, FrameArea
+from vehanchor.records.distance import DistanceMeasurement
+from vehanchor.records.flight import FlightComponent, FlightEstimate, FlightLink, FlightPhotograph, FlightRuler
+from vehanchor.records.geometry import BoundingBox, ImagePoint, OutlinePolygon, OutlineRing
+from vehanchor.records.gsd_estimate import (
     ConfidenceTerms,
-    DistanceMeasurement,
-    FlightComponent,
-    FlightEstimate,
-    FlightLink,
-    FlightPhotograph,
-    FlightRuler,
-    FrameArea,
     FrameScale,
     GsdEstimate,
-    ImagePoint,
-    KnownPlane,
-    KnownScale,
-    Notice,
-    OutlinePolygon,
-    OutlineRing,
     Reason,
     ReferenceSource,
     RulerScale,
-    ScaleSource,
     SceneScaleEstimate,
     Status,
     TiltEstimate,
 )
+from vehanchor.records.known_scale import KnownPlane, KnownScale
+from vehanchor.records.measurement import ScaleSource
+from vehanchor.records.notices import Notice
+from vehanchor.records.record import SCHEMA_VERSION
 
 __all__ = [
+    "SCHEMA_VERSION",
     "AreaMeasurement",
     "BoundingBox",
     "ConfidenceTerms",

@@ -1,7 +1,8 @@
-"""Records in the forms that other programs take: flat rows, HTML, GeoJSON geometries in the image's pixels."""
+"""Records in the forms of other programs: data frames, HTML, GeoJSON geometries in the image's pixels."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,10 @@ from vehanchor.errors import MissingExtraError, PromptError
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from pydantic import BaseModel
+
 _SHOWN_FLOAT_DIGITS = 4
+_FRAME_TYPES = {float: "float64", int: "Int64", bool: "boolean", str: "string"}  # each has a missing value
 
 
 def as_box(box: Any) -> Any:
@@ -37,41 +41,33 @@ def places_of(path: Any) -> Any:
         PromptError: a geometry that is no line.
     """
     try:
-        return getattr(path, "coords", path)
+        places = getattr(path, "coords", path)
     except NotImplementedError:  # of shapely's polygons and collections
         raise PromptError(f"the path is a {type(path).__name__}: give a line, or points") from None
+    if isinstance(places, str) or not isinstance(places, Iterable):
+        raise PromptError(f"the path is {path!r}: give a line, or points as x, y")
+    return places
 
 
-def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """One level of single values: nested fields as ``outer_inner``, codes of notices joined, other lists counted.
-
-    Args:
-        values: a record's, as ``model_dump`` gives them.
-        prefix: of all names.
-    """
-    row: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, dict):
-            row |= flat(value, f"{prefix}{name}_")
-        elif isinstance(value, list | tuple):
-            coded = [item["code"] for item in value if isinstance(item, dict) and "code" in item]
-            row[prefix + name] = " ".join(coded) if name == "warnings" else len(value)
-        else:
-            row[prefix + name] = value
-    return row
-
-
-def as_frame(rows: Sequence[Mapping[str, Any]]) -> Any:
-    """Make a pandas table, a record a row.
+def as_frame(records: Sequence[BaseModel]) -> Any:
+    """Make a pandas table of records of one type, a record a row.
 
     Raises:
-        MissingExtraError: there is no pandas.
+        MissingExtraError: pandas is not installed.
     """
     try:
         import pandas as pd
     except ImportError:
         raise MissingExtraError("to_frame needs pandas: pip install pandas") from None
-    return pd.DataFrame([flat(row) for row in rows])
+    from vehanchor.records.flat import flat_columns, flat_row
+
+    rows = [flat_row(record) for record in records]
+    return pd.DataFrame(
+        {
+            name: pd.array([row[name] for row in rows], dtype=_FRAME_TYPES[kind])
+            for name, kind in flat_columns(type(records[0])).items()
+        }
+    )
 
 
 def as_html(values: Mapping[str, Any]) -> str:

@@ -1,8 +1,12 @@
-"""Codes of everything that a record may warn of: stable, each in one place."""
+"""Notices of records, and their stable codes."""
 
 from __future__ import annotations
 
 from enum import StrEnum
+
+from pydantic import Field
+
+from vehanchor.records.record import Record
 
 
 class NoticeCode(StrEnum):
@@ -31,7 +35,7 @@ class NoticeCode(StrEnum):
     KNOWN_LENGTHS_DISAGREE = "known_lengths_disagree"
     FOCAL_LENGTH_MISSING = "focal_length_missing"
     # of a flight
-    NOT_LINKED = "not_tied"
+    NOT_LINKED = "not_linked"
     # of the mask
     MASK_EMPTY = "mask_empty"
     MASK_SCORE_LOW = "mask_score_low"
@@ -49,3 +53,10 @@ FLEET_DOUBTS = (
     NoticeCode.LOOKS_UNLIKE_CARS,
 )
 """Doubts that the vehicles are cars; each caps the confidence below 0.5."""
+
+
+class Notice(Record):
+    """A fact that a caller should know about a result that is valid all the same."""
+
+    code: str = Field(description="Stable identifier of the warning.")
+    message: str = Field(description="What was noticed, with its value, and its meaning for the result.")

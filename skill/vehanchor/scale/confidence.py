@@ -1,7 +1,7 @@
 """The confidence a planner acts on: four terms with the paper's weights, and the resolution guard.
 
 The paper gives the weights (section III-D); the terms' shapes are ours, fitted on the held-out tenth of the train split
-by ``training/detector/fit_confidence.py``.
+by ``research/training/detector/fit_confidence.py``.
 """
 
 from __future__ import annotations
@@ -87,9 +87,9 @@ def fleet_doubts(
       1.349): a yard of equal lorries, containers or roof units. Makes and models differ by 0.08.
     * ``scores_unclear``: not a tenth of them reach the score that some cars of every fleet do, less 0.32 over their
       number: of 5 cars none need be a very clear one (2nd percentile of random draws from 113 train images with 20
-      and more: 0.69 of 5, 0.72 of 12, 0.74 of 20, 0.75 of all; ``training/verifier/calibrate.py``).
-    * ``looks_alike``: 20 or more whose log odds (``vehanchor.detection.appearance``) have a standard deviation below
-      0.7: makes, models and paint differ more.
+      and more: 0.69 of 5, 0.72 of 12, 0.74 of 20, 0.75 of all; ``research/training/verifier/calibrate.py``).
+    * ``looks_alike``: 20 or more whose log odds (``vehanchor.detection.appearance``) with a spread below 0.7:
+      makes, models and paint differ more.
     * ``looks_unlike_cars``: 20 or more whose mean log odds are below -3.2, where no fleet of cars was seen.
 
     Args:

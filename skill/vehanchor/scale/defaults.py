@@ -16,5 +16,8 @@ REGIONS = ("europe", "northern_europe", "north_america", "south_america", "south
 CAR_LENGTH_M = 4.6
 """Metres, of a car of any fleet, to a fifth: where only the resolution at which one is seen is asked for."""
 
+LEAST_GSD_M_PER_PX, LARGEST_GSD_M_PER_PX = 1e-4, 1000.0
+"""Ground sampling distances that a caller may give, metres per pixel: a tenth of a millimetre to a kilometre."""
+
 LEAST_VEHICLE_M, LARGEST_VEHICLE_M = 2.0, 20.0
 """Lengths of vehicles, metres, from a quadricycle's (2.3 m) to a lorry's with its trailer (18.75 m in Europe)."""

@@ -30,7 +30,7 @@ _LEAST_SHARE, _MOST_SHARE = 1e-3, 0.995
 
 
 class Votes(NamedTuple):
-    """How the boxes of one detector vote, fitted by ``training/fusion/fit.py`` on images of known scale.
+    """How the boxes of one detector vote, fitted by ``research/training/fusion/fit.py`` on images of known scale.
 
     Attributes:
         share_at_zero: log odds that a box of score 0 is a car.
@@ -63,7 +63,7 @@ def recalibrated(chance: ArrayLike, sharpness: float) -> NDArray[np.float64]:
 
     Args:
         chance: ``[...]`` 0..1, mass of a density within the tolerance.
-        sharpness: fitted by ``training/fusion/fit.py`` on images of known scale; 1 changes nothing.
+        sharpness: fitted by ``research/training/fusion/fit.py`` on images of known scale; 1 changes nothing.
     """
     inside = np.clip(np.asarray(chance, np.float64), _LEAST_CHANCE, 1 - _LEAST_CHANCE)
     limit = np.log(USABLE_CHANCE / (1 - USABLE_CHANCE))

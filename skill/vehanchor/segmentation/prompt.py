@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from vehanchor.errors import PromptError
 from vehanchor.measure.coordinates import CoordinateFrame
@@ -66,11 +67,12 @@ def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
     Raises:
         PromptError: neither or both, or what names nothing in any image.
     """
-    if (box is None) == (not points):
+    given = () if points is None else tuple(_parts(points, "points", "one or more of x, y"))
+    if (box is None) == (not given):
         found = "neither is given" if box is None else "both are given"
         raise PromptError(f"give a box or points, one of the two: {found}")
     if box is not None:
-        corners = tuple(_coordinate(value, "box") for value in as_box(box))
+        corners = tuple(_coordinate(value, "box") for value in _parts(as_box(box), "box", "x1, y1, x2, y2"))
         if len(corners) != 4:
             raise PromptError(f"box has {len(corners)} numbers: use x1, y1, x2, y2")
         x1, y1, x2, y2 = corners
@@ -78,7 +80,8 @@ def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
             raise PromptError(f"box is {_numbers(corners)}: x1 < x2 and y1 < y2 are needed, it is reversed or empty")
         return Prompt(box=(x1, y1, x2, y2))
     read = []
-    for point in points or ():
+    for each in given:
+        point = tuple(_parts(each, "a point", "x, y"))
         if len(point) not in (2, 3):
             raise PromptError(f"a point has {len(point)} parts: use x, y and whether it is on the object")
         include = point[2] if len(point) == 3 else True
@@ -123,6 +126,12 @@ def prompt_in_image(given: Prompt, frame: Frame, width_px: int, height_px: int) 
                 f"point {x:g}, {y:g} is not inside the {coordinates.name}{coordinates.other_reading(places)}"
             )
     return Prompt(points=tuple((*coordinates.in_image((x, y)), include) for x, y, include in given.points))
+
+
+def _parts(value: Any, what: str, wanted: str) -> Iterable[Any]:
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise PromptError(f"{what} is {value!r}: use {wanted}")
+    return value
 
 
 def _coordinate(value: float, what: str) -> float:

@@ -140,7 +140,7 @@ class Journal(Generic[Value]):
         except OSError as error:
             raise OutputError(f"cannot keep results in {str(self.path)!r}: {error.strerror or error}") from None
 
-    def __contains__(self, key: Key) -> bool:
+    def __contains__(self, key: Key | None) -> bool:
         return key in self._offsets
 
     def __len__(self) -> int:

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,12 +10,21 @@ import pytest
 from mcp import Client
 from mcp.server import MCPServer
 
+from tests.server.conftest import N_TILES_LARGE
 from tests.server.conversation import by_path, error_of, text_of
+from tests.tiles import Tiles
 from vehanchor_server.app import create_server
-from vehanchor_server.services import create_services
+from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings
 
 pytestmark = pytest.mark.anyio
+
+
+async def stop_requested(services: Services) -> None:
+    """Wait until the one call that runs was asked to end."""
+    (stop,) = services.capacity._stops
+    while not stop.requested:
+        await anyio.sleep(0.01)
 
 
 @pytest.mark.parametrize(("name", "n_reports"), [("small.png", 4), ("large.png", 5)])
@@ -40,9 +48,8 @@ async def test_progress_is_reported_three_to_five_times_and_rises(
 
 
 async def test_over_capacity_a_call_is_refused_at_once(
-    settings: Settings, images: Path, slow_tiles: Callable[[float], None], era: str
+    settings: Settings, images: Path, tiles: Tiles, era: str
 ) -> None:
-    slow_tiles(0.5)
     services = create_services(replace(settings, max_concurrency=1))
     codes: list[str] = []
     async with Client(create_server(services), mode=era) as client, anyio.create_task_group() as group:
@@ -51,58 +58,65 @@ async def test_over_capacity_a_call_is_refused_at_once(
             result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
             codes.append(error_of(result) if result.is_error else "ok")
 
-        group.start_soon(call)
-        await anyio.sleep(0.2)
-        with anyio.fail_after(0.25):
+        with tiles.held():  # the first call cannot end before the second is refused
+            group.start_soon(call)
+            await tiles.begun()
             await call()
-        assert codes == ["busy"]
+            assert codes == ["busy"]
     assert codes == ["busy", "ok"]
     assert services.capacity.running == 0
 
 
-async def test_the_deadline_ends_a_call_and_frees_its_place(
-    settings: Settings, images: Path, slow_tiles: Callable[[float], None], era: str
+async def test_a_call_that_nobody_ends_searches_every_tile(
+    server: MCPServer[object], images: Path, tiles: Tiles
 ) -> None:
-    slow_tiles(0.1)
+    async with Client(server) as client:
+        assert not (await client.call_tool("estimate_gsd", by_path(images / "large.png"))).is_error
+    assert tiles.n_begun == N_TILES_LARGE
+
+
+async def test_the_deadline_ends_a_call_and_frees_its_place(
+    settings: Settings, images: Path, tiles: Tiles, era: str
+) -> None:
+    tiles.least_s = 0.1
     services = create_services(replace(settings, deadline_s=0.3))
     async with Client(create_server(services), mode=era) as client:
-        with anyio.fail_after(2):
-            result = await client.call_tool("estimate_gsd", by_path(images / "large.png"))
+        result = await client.call_tool("estimate_gsd", by_path(images / "large.png"))
     assert error_of(result) == "deadline_exceeded"
+    assert tiles.n_begun < N_TILES_LARGE
     assert services.capacity.running == 0
 
 
 async def test_cancelling_stops_the_work_and_frees_its_place(
-    settings: Settings,
-    images: Path,
-    slow_tiles: Callable[[float], None],
-    era: str,
-    caplog: pytest.LogCaptureFixture,
+    services: Services, images: Path, tiles: Tiles, era: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "vehanchor_server.calls")
-    slow_tiles(0.1)
-    services = create_services(settings)
     async with Client(create_server(services), mode=era) as client:
-        with anyio.move_on_after(0.4):
-            await client.call_tool("estimate_gsd", by_path(images / "large.png"))
-        with anyio.fail_after(0.3):
-            while services.capacity.running:
-                await anyio.sleep(0.01)
+        async with anyio.create_task_group() as group:
+            with tiles.held():
+                group.start_soon(client.call_tool, "estimate_gsd", by_path(images / "large.png"))
+                await tiles.begun()
+                group.cancel_scope.cancel()
+                with anyio.CancelScope(shield=True):
+                    await stop_requested(services)
+        while services.capacity.running:
+            await anyio.sleep(0.01)
+        assert tiles.n_begun == 1
         assert [getattr(record, "fields", {}).get("status") for record in caplog.records][-1] == "cancelled"
         result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
     assert not result.is_error
 
 
 async def test_other_questions_are_answered_while_a_call_computes(
-    server: MCPServer[object], images: Path, slow_tiles: Callable[[float], None]
+    server: MCPServer[object], images: Path, tiles: Tiles
 ) -> None:
-    slow_tiles(0.2)
     async with Client(server) as client, anyio.create_task_group() as group:
-        group.start_soon(client.call_tool, "estimate_gsd", by_path(images / "large.png"))
-        await anyio.sleep(0.1)
-        with anyio.fail_after(0.5):
-            await client.list_tools()
-        group.cancel_scope.cancel()
+        with tiles.held():
+            group.start_soon(client.call_tool, "estimate_gsd", by_path(images / "large.png"))
+            await tiles.begun()
+            assert (await client.list_tools()).tools
+            assert tiles.n_begun == 1
+            group.cancel_scope.cancel()
 
 
 @pytest.mark.parametrize(

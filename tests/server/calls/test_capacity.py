@@ -69,11 +69,9 @@ async def test_a_place_is_taken_until_the_thread_has_ended() -> None:
 
 async def test_the_deadline_stops_the_work() -> None:
     capacity = Capacity(1, 0.1)
-    started = time.monotonic()
-    with pytest.raises(CallError) as caught:
+    with pytest.raises(CallError) as caught:  # work that nobody stops never ends
         await capacity.run(lambda stop: capacity.in_thread(stop, lambda: work_until_stopped(stop)))
     assert caught.value.code == "deadline_exceeded"
-    assert time.monotonic() - started < 0.5
     assert capacity.running == 0
 
 

@@ -118,7 +118,7 @@ async def test_the_second_call_needs_nothing_of_the_first_so_that_any_server_of_
         result = await client.session.call_tool("estimate_gsd", arguments, input_responses=answers)
     assert isinstance(result, mcp.types.CallToolResult)
     assert result.structured_content is not None
-    assert result.structured_content["scale_source"] == "height"
+    assert result.structured_content["leading_ruler"] == "height"
 
 
 @pytest.mark.parametrize(

@@ -122,7 +122,7 @@ async def test_a_height_is_a_ruler_and_makes_a_scale_without_vehicles(server: MC
         refused = await client.call_tool("estimate_gsd", {**by_path(images / "empty.png"), "focal_35mm": 24})
         impossible = await client.call_tool("estimate_gsd", {**arguments, "height_m": 0})
     assert heard.structured_content is not None
-    assert heard.structured_content["scale_source"] == "height"
+    assert heard.structured_content["leading_ruler"] == "height"
     assert heard.structured_content["n_vehicles"] == 0
     assert "from the given height: safe to use." in text_of(heard)
     assert "The given height says" in text_of(heard)

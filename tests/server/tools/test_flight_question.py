@@ -10,6 +10,7 @@ from mcp import Client
 from mcp.server import MCPServer
 
 from tests.models import paint_vehicles
+from tests.sam_models import SamFiles
 from tests.server.conftest import LENGTH_PX, paint_scene, write_image
 from tests.server.conversation import by_path, error_of, picture_of, text_of
 from tests.skill.flight.ground import ground, photograph_of
@@ -40,6 +41,16 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, cars in (("two.png", 2), ("more.png", 9), ("empty.png", 0)):
         write_image(root / name, paint_scene(640, 512, cars))
     return root
+
+
+@pytest.fixture(scope="module")
+def settings(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Settings:
+    return Settings(roots=(images,), detector=str(detector_path), segmenter=segmenter_paths, threads=1, in_process=True)
+
+
+@pytest.fixture(scope="module")
+def server(settings: Settings) -> MCPServer[object]:
+    return create_server(create_services(settings))
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ import vehanchor
 from tests.sam_models import EMPTY, SamFiles, write_sam
 from tests.server.conftest import POOL, POOL_BOX
 from tests.server.conversation import ERAS, by_path, error_of, picture_of, text_of
+from tests.tiles import Tiles
 from vehanchor.detection.detector import load_detector
 from vehanchor_server import models as models_module
 from vehanchor_server.app import create_server
@@ -236,20 +237,26 @@ async def test_progress_is_reported_three_to_five_times_and_rises(
 
 
 async def test_the_deadline_and_the_number_of_places_count_for_it_too(
-    settings: Settings, images: Path, slow_tiles: Callable[[float], None]
+    settings: Settings, images: Path, tiles: Tiles
 ) -> None:
-    slow_tiles(0.1)
-    services = create_services(replace(settings, deadline_s=0.5, max_concurrency=1))
+    services = create_services(replace(settings, deadline_s=1.0, max_concurrency=1))
+    services.models.detector()
+    services.models.segmenter()
     codes: list[str] = []
     async with Client(create_server(services)) as client, anyio.create_task_group() as group:
 
         async def call(tool: str, arguments: dict[str, Any]) -> None:
             codes.append(error_of(await client.call_tool(tool, arguments)))
 
-        group.start_soon(call, "measure_area", pool_in(images / "pool_large.png"))
-        await anyio.sleep(0.2)
-        await call("estimate_gsd", by_path(images / "pool_large.png"))
+        with tiles.held():
+            group.start_soon(call, "measure_area", pool_in(images / "pool_large.png"))
+            await tiles.begun()
+            await call("estimate_gsd", by_path(images / "pool_large.png"))
+            (stop,) = services.capacity._stops
+            while not stop.requested:  # by the deadline: nobody else asks for it
+                await anyio.sleep(0.01)
     assert codes == ["busy", "deadline_exceeded"]
+    assert tiles.n_begun == 1
     assert services.capacity.running == 0
 
 

@@ -1,12 +1,12 @@
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 from mcp import Client
 from mcp.server import MCPServer
+from mcp.server.mcpserver.utilities.func_metadata import FuncMetadata
 
 from tests.server.conversation import by_path, error_of, text_of
 
@@ -115,14 +115,15 @@ async def test_a_bug_is_told_without_its_details_and_logged_with_them(
 
 @pytest.mark.parametrize("deep", [False, True])
 async def test_more_values_than_any_call_has_are_told_without_looking_at_each(
-    server: MCPServer[object], deep: bool
+    server: MCPServer[object], deep: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    looked_at: list[object] = []
+    monkeypatch.setattr(FuncMetadata, "validate_arguments", lambda _, arguments: looked_at.append(arguments))
     many = {f"a{i}": 0 for i in range(100_000)}
-    started = time.process_time()
     async with Client(server) as client:
         result = await client.call_tool("estimate_gsd", {"image": many} if deep else many)
     assert text_of(result).startswith("invalid_arguments: more than 1000 values.")
-    assert time.process_time() - started < 2
+    assert looked_at == []
 
 
 async def test_long_names_are_shortened_before_they_are_told(server: MCPServer[object]) -> None:

@@ -8,7 +8,7 @@ import importlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,10 @@ import pytest
 from mcp import Client
 from mcp.client.streamable_http import streamable_http_client
 
-from tests.server.conftest import paint_scene, write_image
+from tests.server.conftest import N_TILES_LARGE, paint_scene, write_image
 from tests.server.conversation import by_path, error_of, text_of
 from tests.server.serving import listening, serving
+from tests.tiles import Tiles
 from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings, SettingsError
 from vehanchor_server.transport.http import _auth, create_app, serve_http
@@ -248,18 +249,18 @@ async def test_without_roots_paths_are_off(settings: Settings, images: Path) -> 
     assert error_of(result) == "source_disabled"
 
 
-async def test_a_client_that_hangs_up_frees_its_place(
-    settings: Settings, images: Path, slow_tiles: Callable[[float], None]
-) -> None:
-    slow_tiles(0.1)
-    one = replace(settings, max_concurrency=1)
-    with served(one) as base:
+async def test_a_client_that_hangs_up_frees_its_place(settings: Settings, images: Path, tiles: Tiles) -> None:
+    tiles.least_s = 0.1
+    with served(replace(settings, max_concurrency=1)) as base:
+        async with Client(f"{base}/mcp") as client, anyio.create_task_group() as group:
+            group.start_soon(client.call_tool, "estimate_gsd", by_path(images / "large.png"))
+            await tiles.begun()
+            group.cancel_scope.cancel()
         async with Client(f"{base}/mcp") as client:
-            with anyio.move_on_after(0.6):
-                await client.call_tool("estimate_gsd", by_path(images / "large.png"))
-            await anyio.sleep(0.4)
-            result = await client.call_tool("estimate_gsd", by_path(images / "small.png"))
-    assert not result.is_error, text_of(result)
+            while error_of(result := await client.call_tool("estimate_gsd", by_path(images / "notes.txt"))) == "busy":
+                await anyio.sleep(0.02)
+    assert error_of(result) == "image_undecodable", text_of(result)
+    assert tiles.n_begun < N_TILES_LARGE
 
 
 def test_an_app_that_everyone_could_use_is_not_made() -> None:

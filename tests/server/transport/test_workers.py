@@ -16,10 +16,10 @@ import httpx2 as httpx
 import pytest
 from mcp import Client, MCPError
 
-from benchmarks.server_process import HttpServer, child_processes, http_server
 from tests.sam_models import SamFiles
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import ERAS, by_path, error_of
+from tests.server_process import HttpServer, child_processes, http_server
 
 pytestmark = [
     pytest.mark.anyio,

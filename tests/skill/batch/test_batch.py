@@ -127,7 +127,14 @@ def test_nothing_found_is_an_error_before_the_work(nothing: list[str], monkeypat
 def test_every_value_of_an_estimate_has_its_column() -> None:
     nested = {"confidence_terms", "frame", "rulers", "scale", "scene_scale", "tilt", "warnings"}
     assert set(GsdEstimate.model_fields) - nested < set(COLUMNS)
-    assert {"file", "confidence_sample", "scene_gsd_m_per_px", "warning_codes", "error_code", "error"} < set(COLUMNS)
+    assert {
+        "file",
+        "confidence_terms_sample",
+        "scene_scale_gsd_m_per_px",
+        "warning_codes",
+        "error_code",
+        "error",
+    } < set(COLUMNS)
     assert COLUMNS["gsd_m_per_px"] is float
     assert COLUMNS["n_vehicles"] is int
     assert COLUMNS["resolution_guard"] is bool
@@ -145,7 +152,7 @@ def test_a_row_holds_what_estimate_gsd_says(detector: Path, table: Path) -> None
     }
     same = set(GsdEstimate.model_fields) & set(COLUMNS)
     assert {name: cars[name] for name in same} == {name: getattr(estimate, name) for name in same}
-    assert cars["confidence_sample"] == estimate.confidence_terms.sample
+    assert cars["confidence_terms_sample"] == estimate.confidence_terms.sample
     assert cars["warning_codes"] == " ".join(notice.code for notice in estimate.warnings)
     assert (empty["status"], empty["gsd_m_per_px"], empty["confidence"]) == ("no_scale", None, 0)
     assert (broken["status"], broken["gsd_m_per_px"], broken["error_code"]) == (None, None, "image_undecodable")
@@ -567,7 +574,7 @@ def test_lines_of_known_length_of_single_images_come_from_a_table(folder: Path, 
     result = _batch(*common, "-o", table, "--known-lengths", lines)
     assert result.exit_code == 0, result.output
     cars, empty = _rows(table)
-    assert (empty["scale_source"], empty["ruler_known_length_agrees"]) == ("known_length", True)
+    assert (empty["leading_ruler"], empty["ruler_known_length_agrees"]) == ("known_length", True)
     assert empty["gsd_m_per_px"] == pytest.approx(0.12, rel=1e-3)
     assert cars["ruler_known_length_gsd_m_per_px"] is None
     assert _batch(*common, "-o", table.with_name("without.jsonl")).exit_code == 0
@@ -593,7 +600,7 @@ def test_lines_of_one_image_scale_all_where_all_are_of_one_scale(folder: Path, d
 def test_images_may_be_addresses(folder: Path, detector: Path, table: Path) -> None:
     handler = partial(SimpleHTTPRequestHandler, directory=str(folder))
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
+        threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
         base = f"http://127.0.0.1:{server.server_port}"
         lines = table.with_name("lines.csv")
         lines.write_text(f"file,x1,y1,x2,y2,metres\n{base}/empty.png,100,50,500,50,48\n")
@@ -604,7 +611,7 @@ def test_images_may_be_addresses(folder: Path, detector: Path, table: Path) -> N
     there, empty, none, here = _rows(table)
     assert there["file"] == f"{base}/cars.png"
     assert {**there, "file": "cars.png"} == here
-    assert empty["scale_source"] == "known_length"
+    assert empty["leading_ruler"] == "known_length"
     assert (none["error_code"], "404" in none["error"]) == ("image_not_found", True)
 
 

@@ -39,6 +39,12 @@ def test_a_distance_is_told_with_its_interval(place: tuple[Path, Path]) -> None:
     assert "2 points, 500.0 px" in out
 
 
+def test_a_scale_without_meaning_is_bad_input_and_no_defect(place: tuple[Path, Path]) -> None:
+    code, _, err = run("distance", place[0], *POINTS, "--gsd", "1e308")
+    assert code == 2
+    assert "error[invalid_parameter]: gsd_m_per_px is 1e+308" in err
+
+
 def test_a_scale_is_estimated_once_and_taken_from_its_record_after_that(
     place: tuple[Path, Path], tmp_path: Path
 ) -> None:

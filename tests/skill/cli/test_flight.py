@@ -91,6 +91,25 @@ def test_a_batch_of_one_scale_has_it_in_every_row(run: Any, tmp_path: Path) -> N
     assert run("batch", ".", "--same-scale", "--workers", "2", "--output", "other.jsonl").exit_code == 2
 
 
+def test_a_batch_of_one_scale_counts_what_an_earlier_run_found(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[Path] = []
+
+    def interrupted(path: Path, _rows: object) -> None:
+        written.append(path)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("vehanchor.flight.table.write_table", interrupted)
+        assert run("batch", ".", "--same-scale", "--output", "scales.csv").exit_code == 130
+    assert written
+    done = run("batch", ".", "--same-scale", "--output", "scales.csv")
+    assert done.exit_code == 0, done.output
+    assert "4 of them from an earlier run" in done.stderr
+    assert not (tmp_path / "scales.csv.journal").exists()
+
+
 def test_the_report_is_written_and_a_wrong_name_told_before_the_work(run: Any, tmp_path: Path) -> None:
     assert run("flight", ".", "--same-scale", "--report", "flight.html").exit_code == 0
     assert "All are of one scale" in (tmp_path / "flight.html").read_text()

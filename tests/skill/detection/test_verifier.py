@@ -108,5 +108,5 @@ def test_the_bundled_detector_has_one_and_it_is_no_detector() -> None:
 
 
 def test_another_network_is_refused() -> None:
-    with pytest.raises(ModelContractError, match="training/verifier"):
+    with pytest.raises(ModelContractError, match="research/training/verifier"):
         Verifier(resolve_model())

@@ -46,7 +46,7 @@ def test_photographs_of_one_scale_share_it(flight: list[str], detector: Detector
 
 def test_a_photograph_without_a_car_hangs_on_those_with_cars(flight: list[str], detector: Detector) -> None:
     record = vehanchor.estimate_flight(flight, same_scale=True, detector=detector)
-    first = [each.anchors[0] for each in record.photographs]
+    first = [each.supported_by[0] for each in record.photographs]
     assert [anchor.ruler for anchor in first] == ["vehicles"] * 4
     assert [first[place].photograph for place in (0, 1, 3)] == [flight[0], flight[1], flight[3]]
     assert first[2].photograph in (flight[0], flight[1], flight[3])
@@ -85,6 +85,12 @@ def test_arrays_have_numbers_and_may_have_names(detector: Detector) -> None:
 def test_what_belongs_to_one_image_is_refused(flight: list[str], detector: Detector, option: dict[str, object]) -> None:
     with pytest.raises(InvalidParameterError, match="one image"):
         vehanchor.estimate_flight(flight, detector=detector, **option)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("one", ["s.png", Path("s.png"), b"png", np.zeros((4, 4, 3), np.uint8), 5])
+def test_one_photograph_is_no_flight(one: Any, tmp_path: Path) -> None:
+    with pytest.raises(InvalidParameterError, match="give a list of photographs"):
+        vehanchor.estimate_flight(one, detector=tmp_path / "nowhere.onnx")
 
 
 def test_an_interrupted_flight_goes_on_where_it_stopped(

@@ -44,7 +44,7 @@ def test_a_photograph_that_nothing_ties_has_its_scale_by_its_height_above_the_se
     assert high.gsd_ci95_low_m_per_px is not None
     assert high.gsd_ci95_high_m_per_px is not None
     assert high.gsd_ci95_low_m_per_px < 0.10 < 0.14 < high.gsd_ci95_high_m_per_px
-    assert high.anchors[0].ruler == "positions"
+    assert high.supported_by[0].ruler == "positions"
     assert high.scale is None or high.scale.confidence < 0.9
 
 

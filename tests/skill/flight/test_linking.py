@@ -96,7 +96,7 @@ def test_photographs_without_a_car_hang_on_those_that_overlap(seen: list[Feature
         assert photograph.gsd_ci95_low_m_per_px is not None
         assert photograph.gsd_ci95_high_m_per_px is not None
         assert photograph.gsd_ci95_low_m_per_px < GROUND_M_PER_PX * scale < photograph.gsd_ci95_high_m_per_px
-    last = record.photographs[4].anchors[0]
+    last = record.photographs[4].supported_by[0]
     assert (last.ruler, last.photograph) == ("vehicles", "0")
     assert [each.status for each in record.photographs[5:]] == ["no_scale", "no_scale"]
     assert record.status == "low_confidence"

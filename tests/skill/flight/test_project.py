@@ -41,7 +41,7 @@ def test_a_photograph_of_a_flight_has_its_own_record_with_the_flights_scale() ->
     assert bare.analysis.estimate.gsd_m_per_px is None
     assert (record.n_vehicles, record.image_height_px) == (0, 400)
     assert record.gsd_m_per_px == flight.gsd_m_per_px
-    assert (record.status, record.scale_source) == ("ok", "vehicles")
+    assert (record.status, record.leading_ruler) == ("ok", "vehicles")
     assert [ruler.gsd_m_per_px for ruler in record.rulers] == pytest.approx([flight.gsd_m_per_px])
 
 

@@ -32,6 +32,7 @@ def _opening_s(data: bytes) -> float:
     return max(min(taken), _FLOOR_S)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", bombs.HEADER_BOMBS)
 def test_four_times_the_bytes_cost_no_more_than_four_times_the_time(family: str) -> None:
     make = bombs.HEADER_BOMBS[family]

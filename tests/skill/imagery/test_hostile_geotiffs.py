@@ -13,19 +13,19 @@ from vehanchor.errors import ImageDecodeError, OutOfMemoryError, VehAnchorError
 from vehanchor.imagery.formats import decoding
 from vehanchor.imagery.metadata.georeference import dataset_gsd_m_per_px
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.imagery.sources.rasterio_file import gdal
+from vehanchor.imagery.sources.rasterio_file import gdal_environment
 
 
 @pytest.mark.parametrize(
     "error", [CRSError("bad"), ValueError("NULL color table"), KeyError(7), OverflowError(), OSError()]
 )
 def test_whatever_rasterio_raises_is_an_image_that_cannot_be_decoded(error: Exception) -> None:
-    with pytest.raises(ImageDecodeError), gdal("a.tif"):
+    with pytest.raises(ImageDecodeError), gdal_environment("a.tif"):
         raise error
 
 
 def test_want_of_memory_is_not_the_images_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(OutOfMemoryError), gdal("a.tif"):
+    with pytest.raises(OutOfMemoryError), gdal_environment("a.tif"):
         raise MemoryError
 
     def no_memory(*_: object) -> None:

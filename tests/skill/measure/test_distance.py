@@ -54,7 +54,7 @@ def test_a_distance_is_the_paths_pixels_times_the_scale_of_the_vehicles(detector
     assert record.distance_ci95_low_m is not None
     assert record.distance_ci95_low_m < 700 * estimate.gsd_ci95_low_m_per_px * 1.02
     assert (record.status, record.confidence, record.n_vehicles) == ("ok", estimate.confidence, 30)
-    assert (record.scale, record.scale_source) == (estimate, "estimated")
+    assert (record.estimate, record.scale, record.scale_source) == (estimate, estimate.scale, "estimated")
 
 
 def test_a_known_scale_leaves_the_pointing_as_the_only_doubt() -> None:
@@ -99,6 +99,8 @@ def test_no_vehicles_mean_pixels_and_no_metres(detector: Detector) -> None:
 @pytest.mark.parametrize(
     ("path", "options", "words"),
     [
+        (5, {}, "path is 5: give a line, or points"),
+        ("1 2", {}, "path is '1 2': give a line, or points"),
         ([(1, 1)], {}, "1 points: give two"),
         ([], {}, "0 points"),
         ([(1, 1), (1, 2, 3)], {}, "use x, y"),
@@ -166,7 +168,8 @@ def test_a_scale_given_back_needs_no_detector_and_keeps_interval_and_confidence(
     path = [(100.0, 500.0), (400.0, 500.0)]
     searched = vehanchor.measure_distance(_place(), path, detector=detector)
     reused = vehanchor.measure_distance(_place(), path, scale=known[form], detector=nowhere)
-    assert (reused.scale_source, reused.scale, reused.n_vehicles) == ("reused", None, None)
+    assert (reused.scale_source, reused.estimate, reused.n_vehicles) == ("reused", None, None)
+    assert reused.scale == estimate.scale
     same = ("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "confidence", "status", "gsd_m_per_px")
     assert [getattr(reused, name) for name in same] == [getattr(searched, name) for name in same]
     area = vehanchor.measure_area(_place(), box=BOX, segmenter=segmenter, detector=detector)
@@ -208,6 +211,25 @@ def test_an_estimate_without_an_anchor_has_no_scale_to_give_back(detector: Detec
         vehanchor.measure_distance(_place(0), [(1, 1), (9, 9)], scale=nothing)
 
 
+def test_a_dumped_estimate_is_the_estimate(estimate: vehanchor.GsdEstimate, detector: Detector) -> None:
+    path, given = [(100.0, 150.0), (500.0, 450.0)], vehanchor.measure_distance
+    expected = given(_place(), path, scale=estimate)
+    assert given(_place(), path, scale=estimate.model_dump()) == expected
+    assert given(_place(), path, scale=estimate.model_dump(mode="json")) == expected
+    nothing = vehanchor.estimate_gsd(_place(0), detector=detector)
+    with pytest.raises(InvalidParameterError, match="without a scale"):
+        given(_place(0), path, scale=nothing.model_dump())
+
+
+def test_a_scale_too_large_to_be_squared_is_refused(estimate: vehanchor.GsdEstimate) -> None:
+    assert estimate.scale is not None
+    sizes = ("gsd_m_per_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")
+    with pytest.raises(InvalidParameterError, match="is no image's"):
+        vehanchor.measure_distance(
+            _place(), [(1, 1), (9, 9)], scale={**estimate.scale.model_dump(), **dict.fromkeys(sizes, 1e308)}
+        )
+
+
 def test_two_scales_are_one_too_many(estimate: vehanchor.GsdEstimate) -> None:
     with pytest.raises(InvalidParameterError, match="not both"):
         vehanchor.measure_distance(_place(), [(1, 1), (9, 9)], scale=estimate, gsd_m_per_px=0.1)
@@ -219,6 +241,7 @@ def test_two_scales_are_one_too_many(estimate: vehanchor.GsdEstimate) -> None:
         ({"gsd_m_per_px": "0.1"}, "gsd_m_per_px"),
         ({"gsd_m_per_px": True}, "gsd_m_per_px"),
         ({"gsd_m_per_px": 0.0}, "use a finite number > 0"),
+        ({"gsd_m_per_px": 1e308}, "use 0.0001 to 1000 metres per pixel"),
         ({"scale": 0.15}, "scale is a float: .* a number is gsd_m_per_px"),
     ],
 )

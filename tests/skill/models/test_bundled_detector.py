@@ -37,27 +37,35 @@ def _estimate(image: np.ndarray, detector: Detector) -> GsdEstimate:
     return estimate_gsd(image, detector=detector, reference_length_m=_FLEET_M)
 
 
-def test_a_rendered_scene_gives_its_scale(scene: Scene, detector: Detector) -> None:
-    estimate = _estimate(scene.image, detector)
+@pytest.fixture(scope="module")
+def estimate(scene: Scene, detector: Detector) -> GsdEstimate:
+    return _estimate(scene.image, detector)
+
+
+def test_a_rendered_scene_gives_its_scale(scene: Scene, estimate: GsdEstimate) -> None:
     assert estimate.status == "ok"
     assert estimate.gsd_m_per_px == pytest.approx(_GSD, rel=0.10)
     assert estimate.n_vehicles > 0.5 * sum(v.kind == "small-vehicle" for v in scene.vehicles)
 
 
-def test_a_quarter_turn_changes_the_scale_by_less_than_3_percent(scene: Scene, detector: Detector) -> None:
-    upright = _estimate(scene.image, detector).gsd_m_per_px
+def test_a_quarter_turn_changes_the_scale_by_less_than_3_percent(
+    scene: Scene, estimate: GsdEstimate, detector: Detector
+) -> None:
+    upright = estimate.gsd_m_per_px
     for turns in (1, 2, 3):
         turned = _estimate(np.ascontiguousarray(np.rot90(scene.image, turns)), detector).gsd_m_per_px
         assert turned == pytest.approx(upright, rel=0.03)
 
 
 @pytest.mark.parametrize("factor", [0.75, 1.25])
-def test_resampling_scales_the_answer_within_3_percent(scene: Scene, detector: Detector, factor: float) -> None:
+def test_resampling_scales_the_answer_within_3_percent(
+    scene: Scene, estimate: GsdEstimate, detector: Detector, factor: float
+) -> None:
     way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
     resampled = np.asarray(cv2.resize(scene.image, None, fx=factor, fy=factor, interpolation=way), dtype=np.uint8)
-    before, after = (_estimate(image, detector).gsd_m_per_px for image in (scene.image, resampled))
-    assert before is not None
-    assert after == pytest.approx(before / factor, rel=0.03)
+    assert estimate.gsd_m_per_px is not None
+    after = _estimate(resampled, detector).gsd_m_per_px
+    assert after == pytest.approx(estimate.gsd_m_per_px / factor, rel=0.03)
 
 
 def test_a_scene_without_vehicles_never_gets_a_confident_answer(detector: Detector) -> None:
@@ -77,7 +85,7 @@ def test_one_and_two_threads_give_the_same_bytes(scene: Scene) -> None:
 def test_the_shipped_file_is_the_one_that_was_measured() -> None:
     path = resolve_model(DEFAULT_DETECTOR)
     sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
-    assert sha256 in (ROOT / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")
+    assert sha256 in (ROOT / "research/results/scale.json").read_text(encoding="utf-8")
     assert sha256 in path.with_suffix(".md").read_text(encoding="utf-8")
     assert path.stat().st_size <= 8_000_000
     fleet = fleet_beside(path)
@@ -94,7 +102,7 @@ def test_the_file_in_eight_bits_is_the_one_that_was_measured() -> None:
     look = verifier_beside(path)
     assert look is not None
     card = path.with_suffix(".md").read_text(encoding="utf-8")
-    results = (ROOT / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")
+    results = (ROOT / "research/results/detection.json").read_text(encoding="utf-8")
     for file in (path, look):
         sha256 = hashlib.sha256(file.read_bytes()).hexdigest()
         assert sha256 in results
@@ -128,19 +136,21 @@ def test_the_shipped_file_carries_its_calibration(detector: Detector) -> None:
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_real_photographs_of_known_scale(real_data: Path, detector: Detector) -> None:
     images = [
         image
         for image in read_table(real_data / "gsd" / "table.csv")
         if image.split == "val" and (image.labelled_vehicles or 0) >= 5
     ]
-    summary = summarise(run_trials(images[::3], detector))  # benchmarks/detector.py takes all
+    summary = summarise(run_trials(images[::3], detector))  # research/benchmarks/detector.py takes all
     assert summary.images == 35
     assert summary.median <= 0.08
     assert summary.coverage >= 0.9
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_photographs_without_vehicles_rarely_get_a_confident_answer(real_data: Path, detector: Detector) -> None:
     images = [i for i in read_table(real_data / "gsd" / "table.csv") if i.set == "empty" and i.split == "val"]
     confident = [t for t in run_trials(images, detector) if t.analysis.estimate.confidence >= 0.5]

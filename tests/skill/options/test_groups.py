@@ -67,6 +67,13 @@ def test_the_verbs_keywords_are_the_groups_fields() -> None:
         {"height_m": 1e6},
         {"focal_35mm": 24},
         {"focal_35mm": 0, "height_m": 40},
+        {"region": ["europe"]},
+        {"region": 5},
+        {"rulers": 5},
+        {"rulers": [["vehicles"]]},
+        {"known_lengths": 5},
+        {"limits": {}},
+        {"calibration": 5},
     ],
 )
 def test_a_value_without_meaning_is_refused_before_any_work(keywords: dict[str, Any]) -> None:

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.analyses import analyse_found, made_card, make_analysis
-from vehanchor.analysis.exhibits import ScaleAnalysis
+from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import MissingExtraError, OutputError
 from vehanchor.options import ScaleOptions

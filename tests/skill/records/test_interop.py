@@ -4,13 +4,16 @@ import sys
 
 import numpy as np
 import pytest
+from pydantic import BaseModel, ValidationError
 
 import vehanchor
 from tests.analyses import make_analysis
+from vehanchor.batch.row import COLUMNS
 from vehanchor.errors import MissingExtraError, PromptError
 from vehanchor.measure.distance import read_path
-from vehanchor.records import Notice
-from vehanchor.records.interop import as_frame, flat, outline_geometry
+from vehanchor.records import SCHEMA_VERSION, FlightEstimate, GsdEstimate, Notice
+from vehanchor.records.flat import flat_columns, flat_row
+from vehanchor.records.interop import as_frame, outline_geometry
 from vehanchor.segmentation.prompt import read_prompt
 
 
@@ -23,11 +26,11 @@ def test_a_record_is_one_row_of_single_values() -> None:
     record = _estimate().model_copy(
         update={"warnings": (Notice(code="a", message="A."), Notice(code="b", message="B."))}
     )
-    row = flat(record.model_dump(mode="json"))
+    row = flat_row(record)
     assert row["gsd_m_per_px"] == record.gsd_m_per_px
     assert row["confidence_terms_sample"] == record.confidence_terms.sample
-    assert row["warnings"] == "a b"
-    assert not [value for value in row.values() if isinstance(value, dict | list)]
+    assert row["warning_codes"] == "a b"
+    assert not [value for value in row.values() if isinstance(value, dict | list | tuple)]
 
 
 def test_a_table_needs_pandas_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -41,7 +44,33 @@ def test_a_table_has_a_row_a_record() -> None:
     record = _estimate()
     table = record.to_frame()
     assert (len(table), table.gsd_m_per_px[0]) == (1, record.gsd_m_per_px)
-    assert len(as_frame([record.model_dump(), record.model_dump()])) == 2
+    assert len(as_frame([record, record])) == 2
+
+
+def test_columns_and_their_types_are_the_same_for_every_record_of_a_type() -> None:
+    pytest.importorskip("pandas")
+    full, nothing = _estimate(), make_analysis(np.zeros((0, 5)), 600, 300).estimate
+    assert (full.gsd_m_per_px is None, nothing.gsd_m_per_px is None) == (False, True)
+    assert list(flat_row(full)) == list(flat_row(nothing)) == list(flat_columns(GsdEstimate))
+    assert full.to_frame().dtypes.equals(nothing.to_frame().dtypes)
+    assert full.to_frame()["ruler_vehicles_gsd_m_per_px"][0] == full.rulers[0].gsd_m_per_px
+    image = np.zeros((100, 200, 3), np.uint8)
+    given = vehanchor.measure_distance(image, [(10, 20), (40, 60)], gsd_m_per_px=0.1)
+    columns = set(given.to_frame().columns)
+    assert {"scale_gsd_m_per_px", "estimate_gsd_m_per_px", "estimate_tilt_deg", "n_path"} < columns
+
+
+def test_a_table_of_a_batch_has_the_columns_of_a_data_frame() -> None:
+    assert set(COLUMNS) - {"file", "error_code", "error"} == set(flat_columns(GsdEstimate, without=("frame",)))
+
+
+@pytest.mark.parametrize(
+    "kind", [GsdEstimate, vehanchor.AreaMeasurement, vehanchor.DistanceMeasurement, FlightEstimate]
+)
+def test_a_record_of_another_schema_version_is_refused(kind: type[BaseModel]) -> None:
+    assert kind.model_fields["schema_version"].default == SCHEMA_VERSION
+    with pytest.raises(ValidationError, match="schema_version"):
+        kind.model_validate({"schema_version": SCHEMA_VERSION + 1})
 
 
 def test_a_notebook_shows_a_record_without_trusting_its_texts() -> None:

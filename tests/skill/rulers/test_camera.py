@@ -166,7 +166,7 @@ def test_the_density_lies_around_the_scale_with_a_floor_below_it() -> None:
 def test_an_image_without_cars_has_the_cameras_scale_which_alone_is_too_open_to_act_on() -> None:
     record = analyse_detections(_view(MAVIC)).estimate
     assert record.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.04)
-    assert (record.status, record.reason, record.scale_source) == ("low_confidence", "imprecise", "camera")
+    assert (record.status, record.reason, record.leading_ruler) == ("low_confidence", "imprecise", "camera")
     assert (record.n_vehicles, record.mode_length_px) == (0, None)
     assert record.p_within_20 is not None
     assert record.p_within_20 < 0.9

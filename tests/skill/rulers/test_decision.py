@@ -51,7 +51,7 @@ def test_cars_alone_are_the_papers_record_whatever_else_is_allowed(votes: Votes 
     every, alone = _record(30, votes=votes), _record(30, votes=votes, rulers=("vehicles",))
     assert every == alone
     assert every.gsd_m_per_px == every.reference_length_m / (every.mode_length_px or math.nan)
-    assert every.scale_source == "vehicles"
+    assert every.leading_ruler == "vehicles"
     assert [(ruler.kind, ruler.weight, ruler.agrees) for ruler in every.rulers] == [("vehicles", 1.0, True)]
 
 
@@ -67,7 +67,7 @@ def test_with_other_rulers_at_hand_the_paper_is_one_option_away(votes: Votes | N
 @pytest.mark.parametrize("votes", [VOTES, None])
 def test_a_line_of_one_per_cent_leads_over_the_cars(votes: Votes | None) -> None:
     record = _record(30, votes=votes, known_lengths=_line(0.093))
-    assert record.scale_source == "known_length"
+    assert record.leading_ruler == "known_length"
     assert record.gsd_m_per_px == pytest.approx(0.093, rel=0.01)
     assert record.status == "ok"
     assert all(ruler.agrees for ruler in record.rulers)
@@ -87,7 +87,7 @@ def test_without_a_car_the_other_ruler_makes_the_scale(
 ) -> None:
     record = _record(0, camera=camera, **options)
     assert record.gsd_m_per_px == pytest.approx(gsd, rel=0.05)
-    assert record.scale_source == source
+    assert record.leading_ruler == source
     assert (record.n_vehicles, record.mode_length_px, record.working_scale) == (0, None, None)
     assert record.confidence_terms.sample == 0
     low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
@@ -108,7 +108,7 @@ def test_a_precise_ruler_without_cars_is_safe_to_use_and_a_loose_one_is_not() ->
 
 def test_a_height_above_the_sea_alone_is_no_scale() -> None:
     record = _record(0, camera=replace(MAVIC, height_m=None, height_tag=""))
-    assert (record.status, record.gsd_m_per_px, record.scale_source, record.rulers) == ("no_scale", None, None, ())
+    assert (record.status, record.gsd_m_per_px, record.leading_ruler, record.rulers) == ("no_scale", None, None, ())
 
 
 def test_one_liar_of_three_is_named_and_the_scale_stays_that_of_the_others() -> None:
@@ -137,7 +137,7 @@ def test_two_rulers_far_apart_are_not_safe_to_use() -> None:
 def test_cars_that_are_too_small_to_be_measured_do_not_outvote_a_line(votes: Votes | None) -> None:
     record = _record(300, car_px=12.0, votes=votes, known_lengths=_line(0.6))  # the cars say 0.42
     assert record.resolution_guard
-    assert record.scale_source == "known_length"
+    assert record.leading_ruler == "known_length"
     assert record.gsd_m_per_px == pytest.approx(0.6, rel=0.02)
 
 

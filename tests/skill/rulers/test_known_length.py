@@ -121,7 +121,7 @@ def test_rulers_that_agree_within_a_fifth_are_both_heard() -> None:
     assert [each.kind for each in analysis.others if each.gsd_m_per_px] == ["known_length"]
     assert analysis.estimate.warnings == ()
     assert [ruler.agrees for ruler in analysis.estimate.rulers] == [True, True]
-    assert analysis.estimate.scale_source == "known_length"
+    assert analysis.estimate.leading_ruler == "known_length"
     assert analysis.estimate.gsd_m_per_px == pytest.approx(0.11, rel=0.02)
 
 

@@ -61,7 +61,7 @@ def test_a_ruler_in_the_registry_is_heard(monkeypatch: pytest.MonkeyPatch) -> No
     analysis = analyse_detections(_view(_LENGTHS))
     assert [(each.kind, each.gsd_m_per_px) for each in analysis.others] == [("shadow", 0.125)]
     assert [notice.code for notice in analysis.estimate.warnings] == ["shadow_short"]
-    assert analysis.estimate.scale_source == "vehicles"  # without a density there is nothing to multiply
+    assert analysis.estimate.leading_ruler == "vehicles"  # without a density there is nothing to multiply
     assert analysis.estimate.gsd_m_per_px == analysis.vehicles.gsd_m_per_px
 
 

@@ -1,7 +1,7 @@
-"""What an AVIF says of itself: its boxes, and the sequence headers of the AV1 pictures in them.
+"""Header of an AVIF: its boxes, and the sequence headers of the AV1 images in them.
 
-Both declare sizes. The container's are what a reader shows, AV1's are what a decoder allocates: one that hides a huge
-picture behind a small declaration is held to the larger.
+Both declare sizes: the container's is displayed, AV1's is allocated by the decoder. The limits apply to the larger, so
+a small container cannot hide a huge image.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from vehanchor.imagery.formats.ifd import ReadAt
 
 _BRANDS = frozenset({b"avif", b"mif1", b"miaf"})
-_MAX_BOXES = 1000  # in one box; a file of this kind has a dozen
+_MAX_BOXES = 1000  # in one box; real files have a dozen
 _MAX_META_BYTES = 1 << 20
-_MAX_ITEMS = 300  # a grid has 256 at most, and there are EXIF, XMP, alpha
-_MAX_OBUS = 100  # of one item, which is one picture
+_MAX_ITEMS = 300  # a grid has at most 256, plus EXIF, XMP and alpha
+_MAX_OBUS = 100  # of one item, which is one image
 _OBU_SEQUENCE_HEADER = 1
-_HIGH_BIT_DEPTH = 0x40  # of the third byte of "av1C"
-_EXIF_ORIENTATION = {  # (quarter turns to the left, mirror: None, 0 upside down, 1 left to right), turned first
+_HIGH_BIT_DEPTH = 0x40  # bit of the third byte of "av1C"
+_EXIF_ORIENTATION = {  # (quarter turns anticlockwise, mirror: None, 0 up-down, 1 left-right); the turn comes first
     (0, None): 1,
     (0, 1): 2,
     (2, None): 3,
@@ -40,15 +40,15 @@ _EXIF_ORIENTATION = {  # (quarter turns to the left, mirror: None, 0 upside down
 
 
 class AvifSize(NamedTuple):
-    """The declared size.
+    """Declared size of an AVIF.
 
     Attributes:
-        width_px: as stored, of the largest picture in it.
-        height_px: as stored.
-        orientation: as EXIF counts.
-        decoded_px: pixels of the largest picture that AV1 declares, which may be more.
-        deep: more than 8 bits a band.
-        complete: the file holds all bytes of its pictures.
+        width_px: stored width of the largest image.
+        height_px: stored height of the largest image.
+        orientation: EXIF orientation, 1 to 8.
+        decoded_px: pixels of the largest image that AV1 declares, which may be more.
+        deep: whether bands have more than 8 bits.
+        complete: whether the file holds all bytes of its images.
     """
 
     width_px: int
@@ -62,12 +62,12 @@ class AvifSize(NamedTuple):
 class _Box(NamedTuple):
     kind: bytes
     start: int
-    """Of what is in it."""
+    """Offset of its content."""
     end: int
 
 
 def is_avif(start: bytes) -> bool:
-    """Whether these first bytes, 32 are enough, open a still AVIF."""
+    """Test whether a file that begins with these 32 bytes is a still AVIF."""
     (length,) = struct.unpack(">I", start[:4]) if len(start) >= 16 else (0,)
     if start[4:8] != b"ftyp" or start[8:12] not in _BRANDS:
         return False
@@ -79,13 +79,13 @@ def read_avif_size(read_at: ReadAt) -> AvifSize:
     """Read sizes and orientation.
 
     Raises:
-        ImageDecodeError: it is damaged, or an animation.
-        ImageTooLargeError: it has more parts than a photograph has.
-        struct.error: it ends within its header.
+        ImageDecodeError: the file is damaged or an animation.
+        ImageTooLargeError: the file has more parts than a photograph needs.
+        struct.error: the file ends within its header.
     """
     top = {box.kind: box for box in _boxes(read_at, 0, None, until=b"meta")}
     if b"moov" in top:
-        raise ImageDecodeError("the AVIF is an animation; save one picture of it as PNG and send that")
+        raise ImageDecodeError("the AVIF is an animation; save one frame as PNG and send that")
     if b"meta" not in top:
         raise ImageDecodeError("the AVIF has no 'meta' box: truncated or damaged")
     meta = top[b"meta"]
@@ -93,21 +93,21 @@ def read_avif_size(read_at: ReadAt) -> AvifSize:
         raise ImageTooLargeError(f"the AVIF's header is larger than {_MAX_META_BYTES} bytes; save it again")
     parts = {box.kind: box for box in _boxes(read_at, meta.start + 4, meta.end)}
     if not {b"iprp", b"iloc", b"iinf"} <= set(parts):
-        raise ImageDecodeError("the AVIF does not say where its pictures are: damaged")
+        raise ImageDecodeError("the AVIF does not declare where its images are: damaged")
     sizes, turns, mirrors, deep = _properties(read_at, parts[b"iprp"])
     if not sizes or len(turns) > 1 or len(mirrors) > 1:
-        raise ImageDecodeError("the AVIF declares no size, or several turns: damaged, or no photograph; save it again")
+        raise ImageDecodeError("the AVIF declares no size or several rotations: damaged or no photo; save it again")
     width, height = max(sizes, key=lambda size: size[0] * size[1])
     turned = _EXIF_ORIENTATION[min(turns, default=0), min(mirrors, default=None)]
     decoded_px, complete = width * height, True
-    for position, length in _pictures(read_at, parts):
+    for position, length in _images(read_at, parts):
         complete = complete and len(read_at(position + length - 1, 1)) == 1
         decoded_px = max(decoded_px, _largest_frame_px(read_at, position, position + length))
     return AvifSize(width, height, turned, decoded_px, deep, complete)
 
 
 def _boxes(read_at: ReadAt, start: int, end: int | None, until: bytes | None = None) -> Iterator[_Box]:
-    """The boxes between two places, or up to the end of the file, or up to one of a kind."""
+    """Yield the boxes from ``start`` to ``end``, to the end of the file, or to the first box of kind ``until``."""
     for _ in range(_MAX_BOXES):
         head = read_at(start, 16)
         if len(head) < 8 or (end is not None and start + 8 > end):
@@ -119,7 +119,7 @@ def _boxes(read_at: ReadAt, start: int, end: int | None, until: bytes | None = N
             body = start + 16
         after = start + length if length else end
         if after is None or after < body or (end is not None and after > end):
-            raise ImageDecodeError(f"the AVIF's box {kind!r} is as long as cannot be: damaged")
+            raise ImageDecodeError(f"the AVIF's box {kind!r} has an impossible length: damaged")
         yield _Box(kind, body, after)
         if kind == until:
             return
@@ -128,7 +128,7 @@ def _boxes(read_at: ReadAt, start: int, end: int | None, until: bytes | None = N
 
 
 def _properties(read_at: ReadAt, iprp: _Box) -> tuple[set[tuple[int, int]], set[int], set[int], bool]:
-    """All sizes, quarter turns and mirrors that are declared in it, of whatever picture; whether one is deep."""
+    """Collect the sizes, quarter turns and mirrors of all images, and whether one has more than 8 bits."""
     sizes, turns, mirrors, deep = set(), set(), set(), False
     for container in _boxes(read_at, iprp.start, iprp.end):
         if container.kind != b"ipco":
@@ -146,8 +146,8 @@ def _properties(read_at: ReadAt, iprp: _Box) -> tuple[set[tuple[int, int]], set[
     return sizes, turns, mirrors, deep
 
 
-def _pictures(read_at: ReadAt, parts: dict[bytes, _Box]) -> Iterator[tuple[int, int]]:
-    """Where the AV1 pictures lie: first byte and length of each."""
+def _images(read_at: ReadAt, parts: dict[bytes, _Box]) -> Iterator[tuple[int, int]]:
+    """Yield the offset and length of each AV1 image."""
     iinf = parts[b"iinf"]
     version = _byte(read_at, iinf.start)
     kinds = {}
@@ -160,18 +160,18 @@ def _pictures(read_at: ReadAt, parts: dict[bytes, _Box]) -> Iterator[tuple[int, 
         if kinds.get(item) != b"av01":
             continue
         if len(extents) != 1:
-            raise ImageDecodeError("the AVIF keeps a picture in several pieces; save it again")
+            raise ImageDecodeError("the AVIF stores an image in several pieces; save it again")
         ((offset, length),) = extents
         if by_idat and idat is None:
-            raise ImageDecodeError("the AVIF keeps a picture where there is nothing: damaged")
+            raise ImageDecodeError("the AVIF refers to image data that is missing: damaged")
         start = offset + (idat.start if by_idat and idat is not None else 0)
         if length == 0:
-            raise ImageDecodeError("the AVIF does not say how long a picture is; save it again")
+            raise ImageDecodeError("the AVIF does not declare the length of an image; save it again")
         yield start, length
 
 
 def _locations(read_at: ReadAt, iloc: _Box) -> Iterator[tuple[int, bool, list[tuple[int, int]]]]:
-    """Of each item its number, whether it lies in ``idat``, and its pieces."""
+    """Yield each item's number, whether it lies in ``idat``, and its (offset, length) pieces."""
     data = read_at(iloc.start, iloc.end - iloc.start)
     if len(data) < 6:
         raise struct.error
@@ -195,7 +195,7 @@ def _locations(read_at: ReadAt, iloc: _Box) -> Iterator[tuple[int, bool, list[tu
         item = number(wide)
         method = number(2) & 15 if version else 0
         if method > 1:
-            raise ImageDecodeError("the AVIF keeps a picture within another; save it again")
+            raise ImageDecodeError("the AVIF stores an image within another; save it again")
         number(2)
         base = number(base_bytes)
         extents = []
@@ -207,7 +207,7 @@ def _locations(read_at: ReadAt, iloc: _Box) -> Iterator[tuple[int, bool, list[tu
 
 
 def _largest_frame_px(read_at: ReadAt, position: int, end: int) -> int:
-    """Pixels of the largest frame that the sequence headers of a picture allow."""
+    """Compute the pixels of the largest frame that the sequence headers of an image allow."""
     largest = 0
     for _ in range(_MAX_OBUS):
         if position >= end:
@@ -225,7 +225,7 @@ def _largest_frame_px(read_at: ReadAt, position: int, end: int) -> int:
             width, height = _sequence_size(read_at(position, min(length, 512)))
             largest = max(largest, width * height)
         position += length
-    raise ImageTooLargeError(f"the AVIF has a picture of more than {_MAX_OBUS} parts; save it again")
+    raise ImageTooLargeError(f"the AVIF has an image of more than {_MAX_OBUS} parts; save it again")
 
 
 def _byte(read_at: ReadAt, position: int) -> int:
@@ -243,7 +243,7 @@ def _leb128(data: bytes) -> tuple[int, int]:
 
 
 class _Bits:
-    """Reads numbers of any width."""
+    """Reader of numbers of any width in bits."""
 
     def __init__(self, data: bytes) -> None:
         self._value = int.from_bytes(data, "big")
@@ -257,7 +257,7 @@ class _Bits:
 
 
 def _sequence_size(data: bytes) -> tuple[int, int]:
-    """The largest frame of a sequence (AV1 specification, section 5.5.1)."""
+    """Read the largest frame size of a sequence (AV1 specification, section 5.5.1)."""
     bits = _Bits(data)
     bits(4)  # profile, still picture
     if bits(1):  # reduced header
@@ -278,7 +278,7 @@ def _sequence_size(data: bytes) -> tuple[int, int]:
 
 
 def _timing(bits: _Bits) -> int:
-    """Passes over times; the bits of a decoder's delay, 0 without one."""
+    """Skip the timing information; return the width of the decoder delay in bits, 0 without one."""
     if not bits(1):
         return 0
     bits(64)

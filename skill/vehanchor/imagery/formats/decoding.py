@@ -1,4 +1,4 @@
-"""Decoding images whole, with OpenCV, after their headers have been read and checked."""
+"""Decoding of whole images with OpenCV, after their headers have been checked."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from vehanchor.errors import ImageDecodeError, OutOfMemoryError
-from vehanchor.imagery.formats.header import picture_chunks
+from vehanchor.imagery.formats.header import without_ancillary_chunks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,27 +26,27 @@ _NO_MEMORY = -4  # cv::Error::StsNoMem
 
 
 def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
-    """Decode an image: ``[h, w]`` or ``[h, w, 3 or 4]`` in BGR order, depth as stored.
+    """Decode an image to ``[h, w]`` or ``[h, w, 3 or 4]`` in BGR order, in its stored depth.
 
-    OpenCV turns TIFFs by their orientation tag even when told to leave the image unchanged, and nothing else.
+    OpenCV applies the orientation tag of TIFFs even with IMREAD_UNCHANGED, but not that of other formats.
 
     Args:
         data: the encoded image.
-        source: what to call it.
-        header: what it says of itself.
+        source: name of the image in messages.
+        header: its header.
 
     Raises:
-        ImageDecodeError: it is truncated or damaged.
-        OutOfMemoryError: there is too little memory for it now.
+        ImageDecodeError: the image is truncated or damaged.
+        OutOfMemoryError: the machine has too little free memory.
     """
     if not header.complete:
         raise ImageDecodeError(f"the {header.format} ({source}) is truncated: its end mark is missing")
     if header.format == "PNG":
-        data = picture_chunks(data)
+        data = without_ancillary_chunks(data)
     if header.format == "AVIF" and not _decodes_avif():
         raise ImageDecodeError(
-            f"this OpenCV, {cv2.__version__}, reads no AVIF ({source}): pip install -U opencv-python-headless, or "
-            "convert it to JPEG"
+            f"OpenCV {cv2.__version__} was built without AVIF ({source}): pip install -U opencv-python-headless, or "
+            "convert the image to JPEG"
         )
     try:
         with _QUIET_OPENCV.entered():
@@ -54,16 +54,16 @@ def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
     except (cv2.error, MemoryError) as error:
         if isinstance(error, MemoryError) or error.code == _NO_MEMORY:
             size = f"{header.width_px} x {header.height_px} px"
-            raise OutOfMemoryError(f"no memory for the {header.format} of {size}: try again later") from error
+            raise OutOfMemoryError(f"not enough memory for the {header.format} of {size}: try again later") from error
         raise ImageDecodeError(f"the {header.format} ({source}) cannot be decoded: {error.err}") from error
-    # None is in no older OpenCV's type of the result, but in every one's behaviour.
+    # Every OpenCV can return None; the type stubs of older versions omit it.
     if pixels is None or sorted(pixels.shape[:2]) != sorted((header.height_px, header.width_px)):
         raise ImageDecodeError(f"the {header.format} ({source}) cannot be decoded: truncated or damaged")
     return pixels
 
 
 def decodes_tiff(layout: TiffLayout) -> bool:
-    """Whether OpenCV decodes such a TIFF without loss or misreading."""
+    """Test whether OpenCV decodes a TIFF of this layout correctly and without loss."""
     if layout.bands not in (1, 3, 4) or layout.planar:
         return False
     bits = set(layout.bits)
@@ -77,15 +77,15 @@ def decodes_tiff(layout: TiffLayout) -> bool:
 
 @cache
 def _decodes_avif() -> bool:
-    """Whether this build of OpenCV was made with a decoder of AVIF."""
+    """Test whether this build of OpenCV includes an AVIF decoder."""
     return re.search(r"AVIF:\s+(?!NO)\S", cv2.getBuildInformation()) is not None
 
 
 class _QuietOpenCV:
-    """Keeps OpenCV from writing to stderr about files that we report by an error of our own.
+    """Silence of OpenCV's log while it decodes, because our own errors report the problem.
 
-    Its log level is one for the whole process, which is not ours alone: the first of several threads that decode at the
-    same time sets it and the last one sets it back, unless somebody else has set another meanwhile.
+    The log level belongs to the whole process. The first of several decoding threads sets it and the last one restores
+    it, unless other code has changed it meanwhile.
     """
 
     def __init__(self) -> None:
@@ -95,7 +95,7 @@ class _QuietOpenCV:
 
     @contextmanager
     def entered(self) -> Iterator[None]:
-        """Be quiet until the last of all that have entered leaves."""
+        """Silence the log until the last thread leaves."""
         logging: Any = getattr(cv2.utils, "logging", cv2)  # OpenCV 5 moved the functions
         with self._lock:
             if self._n_inside == 0:

@@ -1,7 +1,7 @@
-"""What an image file says about itself, read from its bytes without decoding a pixel.
+"""Headers of image files, read without decoding pixels.
 
-Limits have to be checked before a decoder allocates anything, OpenCV neither tells the orientation nor, in some
-versions, that a JPEG was cut off, and only a TIFF's tags say whether OpenCV can decode it at all.
+Limits must be checked before a decoder allocates memory. OpenCV does not report the orientation and, in some versions,
+not even a truncated JPEG. A TIFF's tags decide whether OpenCV can decode it.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from vehanchor.imagery.formats.jpeg import EXIF_PREFIX, MAX_SEGMENTS, Reader, re
 from vehanchor.imagery.formats.jpeg2000 import is_jpeg2000, read_jpeg2000_size
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_PNG_BANDS = {0: 1, 2: 3}  # of grey and of RGB; all others, and these with transparency, may become four
-_PICTURE_CHUNKS = frozenset({b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"})
+_PNG_BANDS = {0: 1, 2: 3}  # grey and RGB; all others, and these with transparency, can become four
+_KEPT_CHUNKS = frozenset({b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"})
 _MAX_PNG_CHUNKS = 100_000  # 512 MiB in chunks of 8 KiB, as libpng writes them, would be 65,536
-_COPIES = 2  # OpenCV 5 copies what it has decoded before it gives it away (measured)
-_AV1_FRAME_BYTES = 2  # what AV1 decodes to, of 8 bits, its colours at half the resolution
-_TIFF_PIXEL_BYTES = 4  # OpenCV decodes 8 bits and less to four bands
-_MAX_EXIF_BYTES = 1 << 16  # the first directory, with the orientation, stands at the start; JPEG holds no more anyway
+_COPIES = 2  # OpenCV 5 copies the decoded image before it returns it (measured)
+_AV1_FRAME_BYTES = 2  # AV1's decoded frame of 8 bits, with colours at half the resolution
+_TIFF_PIXEL_BYTES = 4  # OpenCV decodes up to 8 bits to four bands
+_MAX_EXIF_BYTES = 1 << 16  # the first directory, with the orientation, is at the start; JPEG allows no more
 
 _TAG_WIDTH, _TAG_HEIGHT, _TAG_BITS, _TAG_PHOTOMETRIC = 256, 257, 258, 262
 _TAG_SUBFILE, _SUBFILE_MASK = 254, 4
@@ -56,17 +56,17 @@ _TAGS_OF_ONE = frozenset(
 
 @dataclass(frozen=True)
 class TiffLayout:
-    """How a TIFF stores its pixels.
+    """Storage layout of a TIFF.
 
     Attributes:
         bands: samples per pixel.
         bits: bits of each band.
         sample_format: 1 unsigned, 2 signed, 3 float.
         photometric: 0 white is zero, 1 black is zero, 2 RGB, 3 palette, 5 CMYK, 6 YCbCr, 8 Lab.
-        planar: bands are stored one after the other.
-        georeferenced: it carries GeoTIFF tags.
-        block_px: pixels of the strips or tiles in which it is stored, each decoded as a whole.
-        mask_block_px: those of the mask that comes with it, 0 without one.
+        planar: whether bands are stored one after the other.
+        georeferenced: whether it has GeoTIFF tags.
+        block_px: pixels of a strip or tile, which is decoded whole.
+        mask_block_px: pixels of a strip or tile of its mask; 0 without one.
     """
 
     bands: int
@@ -80,26 +80,26 @@ class TiffLayout:
 
     @property
     def pixel_bytes(self) -> int:
-        """Bytes of a decoded pixel, all bands."""
+        """Bytes of a decoded pixel with all bands."""
         return self.bands * next((size for size in (1, 2, 4) if max(self.bits) <= 8 * size), 8)
 
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """The declared form of an encoded image.
+    """Header of an encoded image.
 
     Attributes:
         format: JPEG, PNG, TIFF, WebP, AVIF, JPEG 2000, HEIC or BMP.
         width_px: declared width as stored, before the orientation is applied.
         height_px: declared height as stored.
-        orientation: EXIF orientation, 1 to 8; 1 where none or a meaningless one is given.
-        complete: False if the file ends before its format's end mark (known for JPEG, PNG, WebP, AVIF).
-        tiff: the layout of a TIFF, None for other formats.
-        decoding_bytes: memory that decoding it whole takes: its pixels, and what the decoder holds beside them.
-        n_scans: how often the decoder goes over the whole image; more than 1 for some JPEGs.
-        windowed: it can be read without decoding it whole: a TIFF, JPEG 2000 or sequential JPEG.
-        tile_px: pixels of a JPEG 2000's tile, which is decoded as a whole; 0 for other formats.
-        bands: samples a pixel of a JPEG 2000; 0 for other formats.
+        orientation: EXIF orientation, 1 to 8; 1 if it is absent or invalid.
+        complete: False if the file ends before its end marker (known for JPEG, PNG, WebP, AVIF).
+        tiff: layout of a TIFF; None for other formats.
+        decoding_bytes: memory to decode it whole: its pixels and the decoder's buffers.
+        n_scans: passes of the decoder over the whole image; more than 1 for some JPEGs.
+        windowed: whether it can be read by windows: a TIFF, JPEG 2000 or sequential JPEG.
+        tile_px: pixels of a JPEG 2000's tile, which is decoded whole; 0 for other formats.
+        bands: samples per pixel of a JPEG 2000; 0 for other formats.
     """
 
     format: str
@@ -116,7 +116,7 @@ class ImageHeader:
 
 
 def is_tiff(start: bytes) -> bool:
-    """True if these first bytes (at least four) open a TIFF or BigTIFF."""
+    """Test whether a file that begins with these bytes (at least four) is a TIFF or BigTIFF."""
     return start[:4] in TIFF_SIGNATURES
 
 
@@ -124,7 +124,7 @@ def read_header(read_at: ReadAt) -> ImageHeader:
     """Read format, declared size, orientation and completeness.
 
     Raises:
-        ImageDecodeError: none of these formats, or the header itself is broken.
+        ImageDecodeError: the format is unknown, or the header is damaged.
     """
     start = read_at(0, 32)
     if start.startswith(b"\xff\xd8\xff"):
@@ -142,34 +142,34 @@ def read_header(read_at: ReadAt) -> ImageHeader:
     elif is_jpeg2000(start):
         name, parse = "JPEG 2000", _read_jpeg2000
     else:
-        raise ImageDecodeError(f"not a JPEG, PNG, TIFF, WebP, AVIF, JPEG 2000, HEIC or BMP image: {_instead(start)}")
+        raise ImageDecodeError(f"not a JPEG, PNG, TIFF, WebP, AVIF, JPEG 2000, HEIC or BMP image: {_advice(start)}")
     try:
         return parse(read_at)
     except struct.error:
         raise ImageDecodeError(f"the {name} ends within its header: truncated") from None
 
 
-_INSTEAD = (  # what is often handed over, by its first bytes, and what to do with it
-    (0, b"GIF8", "a GIF has 256 colours at most; send the photograph that it was made of"),
-    (0, b"%PDF", "it is a PDF; save its picture by 'pdfimages -all FILE OUT' and send that"),
-    (4, b"ftypmif1", "its pictures are neither AVIF nor HEIC; convert it to JPEG"),
-    (4, b"ftyphe", "it is a sequence of HEIC; save one picture of it as JPEG and send that"),
-    (4, b"ftypavis", "it is an animation; save one picture of it as PNG and send that"),
-    (4, b"ftyp", _VIDEO := "it is a video; save a frame of it by 'ffmpeg -i FILE -frames:v 1 OUT.png' and send that"),
+_ADVICE = (  # offset and first bytes of common unsupported formats, and what to do with them
+    (0, b"GIF8", "a GIF has at most 256 colours; send the original photograph"),
+    (0, b"%PDF", "this is a PDF; extract its images with 'pdfimages -all FILE OUT' and send one"),
+    (4, b"ftypmif1", "its images are neither AVIF nor HEIC; convert them to JPEG"),
+    (4, b"ftyphe", "this is a HEIC sequence; save one image as JPEG and send that"),
+    (4, b"ftypavis", "this is an animation; save one frame as PNG and send that"),
+    (4, b"ftyp", _VIDEO := "this is a video; save a frame with 'ffmpeg -i FILE -frames:v 1 OUT.png' and send that"),
     (8, b"AVI ", _VIDEO),
     (0, b"\x1a\x45\xdf\xa3", _VIDEO),
 )
 
 
-def _instead(start: bytes) -> str:
-    told = next((words for at, mark, words in _INSTEAD if start[at : at + len(mark)] == mark), None)
-    return told or f"it starts with {start[:8]!r}"
+def _advice(start: bytes) -> str:
+    advice = next((words for at, mark, words in _ADVICE if start[at : at + len(mark)] == mark), None)
+    return advice or f"it starts with {start[:8]!r}"
 
 
 def _read_jpeg(read_at: ReadAt) -> ImageHeader:
     markers = read_jpeg_markers(read_at)
     shown = 1 if markers.components == 1 else 3
-    held = 2 * markers.components if markers.held else 0  # coefficients of 16 bits
+    held = 2 * markers.components if markers.held else 0  # 16-bit coefficients
     return ImageHeader(
         "JPEG",
         markers.width_px,
@@ -199,7 +199,7 @@ def _read_png(read_at: ReadAt) -> ImageHeader:
         if kind == b"IHDR" and n_chunks > 1:
             raise ImageDecodeError("the PNG declares its size twice: damaged")
         if kind == b"IEND":
-            complete = length == 0 and len(reader.get(position + 8, 4)) == 4  # OpenCV makes room for any length
+            complete = length == 0 and len(reader.get(position + 8, 4)) == 4  # OpenCV allocates any length
             break
         if kind == b"eXIf":
             orientation = exif_orientation(read_at(position + 8, min(length, _MAX_EXIF_BYTES)))
@@ -215,18 +215,18 @@ def _read_png(read_at: ReadAt) -> ImageHeader:
     )
 
 
-def picture_chunks(png: bytes) -> bytes:
-    """A PNG, whose header has been read, without what no picture needs: texts, profiles, animation.
+def without_ancillary_chunks(png: bytes) -> bytes:
+    """Remove texts, profiles and animation from a PNG whose header has been checked.
 
-    libpng unpacks a thousand texts of 8 MB each that take a thousandth of that in the file, and writes a line to stderr
-    for every chunk that it does not like.
+    libpng would unpack a thousand texts of 8 MB, compressed a thousandfold, and write a line to stderr for every chunk
+    that it rejects.
     """
     parts = [png[:8]]
     start = position = 8
     while len(head := png[position : position + 8]) == 8:
         length, kind = struct.unpack(">I4s", head)
         after = position + length + 12
-        if kind not in _PICTURE_CHUNKS:
+        if kind not in _KEPT_CHUNKS:
             parts.append(png[start:position])
             start = after
         position = after
@@ -276,7 +276,7 @@ def _read_bmp(read_at: ReadAt) -> ImageHeader:
         width, height = struct.unpack("<HH", read_at(18, 4))
     else:
         width, height = struct.unpack("<ii", read_at(18, 8))
-    width, height = abs(width), abs(height)  # a negative height means rows from top to bottom
+    width, height = abs(width), abs(height)  # a negative height means top-down rows
     return ImageHeader("BMP", width, height, decoding_bytes=_COPIES * 4 * width * height)
 
 
@@ -303,9 +303,9 @@ def _read_tiff(read_at: ReadAt) -> ImageHeader:
     tags = read_ifd(read_at, _TAGS_OF_ONE | _TAGS_OF_BANDS, _GEO_TAGS)
     if _TAG_WIDTH not in tags or _TAG_HEIGHT not in tags:
         raise ImageDecodeError("the TIFF's first directory declares no width and height: damaged")
-    twofold = [tag for tag in _TAGS_OF_ONE if len(tags.get(tag, (0,))) != 1]
-    if twofold:
-        raise ImageDecodeError(f"the TIFF's tag {twofold[0]} has several values where one belongs: damaged")
+    repeated = [tag for tag in _TAGS_OF_ONE if len(tags.get(tag, (0,))) != 1]
+    if repeated:
+        raise ImageDecodeError(f"the TIFF's tag {repeated[0]} has several values instead of one: damaged")
     (width,), (height,), (bands,) = tags[_TAG_WIDTH], tags[_TAG_HEIGHT], tags.get(_TAG_SAMPLES, (1,))
     for tag in _TAGS_OF_BANDS:
         if len(tags.get(tag, (0,))) not in (1, min(bands, MAX_VALUES)):
@@ -333,7 +333,7 @@ def _read_tiff(read_at: ReadAt) -> ImageHeader:
 
 
 def _mask_block_px(read_at: ReadAt) -> int:
-    """Pixels of the largest strip or tile of a mask, a directory of its own; 0 without one."""
+    """Compute the pixels of the largest strip or tile of a mask, which has its own directory; 0 without one."""
     largest = 0
     for offset in later_directories(read_at):
         (kind, *_) = read_ifd(read_at, frozenset({_TAG_SUBFILE}), offset=offset).get(_TAG_SUBFILE, (0,))
@@ -345,7 +345,7 @@ def _mask_block_px(read_at: ReadAt) -> int:
 
 
 def _block_px(tags: dict[int, tuple[int, ...]], width: int, height: int) -> int:
-    """Pixels of a strip or tile, whichever is larger where both are declared."""
+    """Compute the pixels of a strip or tile; the larger if both are declared."""
     (rows,) = tags.get(_TAG_ROWS_PER_STRIP, (height,))
     strip_px = width * min(rows, height)
     if _TAG_TILE_WIDTH not in tags and _TAG_TILE_HEIGHT not in tags:

@@ -1,4 +1,4 @@
-"""HEIC, as telephones write it, through Pillow and libheif (extra ``heic``)."""
+"""HEIC files of phones, decoded with libheif (extra ``heic``)."""
 
 from __future__ import annotations
 
@@ -17,44 +17,44 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ImageLimits
 
-_BRANDS = frozenset({b"heic", b"heix"})  # still pictures by HEVC; hevc and hevx are sequences
+_BRANDS = frozenset({b"heic", b"heix"})  # still images in HEVC; hevc and hevx are sequences
 _ANY_STILL = frozenset({b"mif1"})
-_LISTED = 32  # bytes of the brands that are looked at
-_BYTES_A_PIXEL = 12  # two planes of HEVC's own colours with 16 bits, and RGB twice, with alpha
+_BRAND_LIST_BYTES = 32  # bytes of the brand list to read
+_BYTES_PER_PIXEL = 12  # two 16-bit planes of HEVC's colours, and RGB with alpha twice
 
 
 def is_heic(start: bytes) -> bool:
-    """Whether these first bytes, 32 are enough, open a still HEIC."""
+    """Test whether a file that begins with these 32 bytes is a still HEIC."""
     if start[4:8] != b"ftyp":
         return False
-    compatible = {start[at : at + 4] for at in range(16, min(int.from_bytes(start[:4]), _LISTED), 4)}
+    compatible = {start[at : at + 4] for at in range(16, min(int.from_bytes(start[:4]), _BRAND_LIST_BYTES), 4)}
     return start[8:12] in _BRANDS or (start[8:12] in _ANY_STILL and not _BRANDS.isdisjoint(compatible))
 
 
 def open_heic(data: bytes, source: str, bands: BandChoice, limits: ImageLimits) -> Raster:
-    """Decode a HEIC; libheif turns it as its container says.
+    """Decode a HEIC; libheif applies its orientation.
 
     Args:
         data: the file.
-        source: what to call it.
-        bands: which bands are red, green and blue.
-        limits: held against the size that it declares, before it is decoded.
+        source: name of the image in messages.
+        bands: bands to use as red, green and blue.
+        limits: limits to apply to the declared size before decoding.
 
     Raises:
         MissingExtraError: neither pillow-heif nor pi-heif is installed.
-        ImageTooLargeError: it declares too many pixels.
-        ImageDecodeError: it is truncated or damaged.
-        ImageFormatError: it cannot be measured.
+        ImageTooLargeError: the image declares too many pixels.
+        ImageDecodeError: the image is truncated or damaged.
+        ImageFormatError: the image cannot be measured.
     """
     heif = _import_heif(source)
     try:
         image = heif.open_heif(io.BytesIO(data))
         width_px, height_px = image.size
-        decoding_bytes = width_px * height_px * _BYTES_A_PIXEL
+        decoding_bytes = width_px * height_px * _BYTES_PER_PIXEL
         check_header(ImageHeader("HEIC", width_px, height_px, decoding_bytes=decoding_bytes), limits)
         pixels = np.asarray(image)
     except MemoryError as error:
-        raise OutOfMemoryError(f"no memory for the HEIC ({source}): try again later") from error
+        raise OutOfMemoryError(f"not enough memory for the HEIC ({source}): try again later") from error
     except (ValueError, RuntimeError, EOFError, OSError, SyntaxError) as error:
         if isinstance(error, VehAnchorError):
             raise
@@ -70,6 +70,6 @@ def _import_heif(source: str) -> Any:
             import pi_heif as heif
         except ImportError:
             raise MissingExtraError(
-                f"it is HEIC ({source}), which pi-heif reads: pip install 'vehanchor[heic]', or convert it to JPEG"
+                f"reading a HEIC ({source}) needs pi-heif: pip install 'vehanchor[heic]', or convert it to JPEG"
             ) from None
     return heif

@@ -1,7 +1,7 @@
-"""A TIFF's directory of tags, as TIFF files and Exif blocks have it.
+"""Image file directories (IFD) of TIFF files and EXIF blocks.
 
-Decoders do not agree on what a damaged directory says: where a tag stands twice one takes the first, another the last.
-A size that was checked must be the size that is decoded, so whatever two parsers may read differently is refused here.
+Decoders read damaged directories differently: if a tag occurs twice, one uses the first, another the last. The checked
+size must be the decoded size, so this reader refuses every ambiguous directory.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import NamedTuple
 from vehanchor.errors import ImageDecodeError
 
 ReadAt = Callable[[int, int], bytes]
-"""``read_at(offset, count)`` gives up to ``count`` bytes, fewer only where the file ends."""
+"""``read_at(offset, count)`` returns ``count`` bytes, fewer only at the end of the file."""
 
 TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # classic and BigTIFF, either byte order
 TAG_ORIENTATION = 274
@@ -22,11 +22,11 @@ _INTEGER_TYPES = {1: "B", 3: "H", 4: "I", 16: "Q"}
 _MAX_DIRECTORIES = 1000
 _MAX_ENTRIES = 4096  # a real directory has some dozens
 MAX_VALUES = 64
-"""Values of a tag that are read, one per band: what is equal in the first 64 is taken to be equal in all."""
+"""Most values read from a tag, one per band. If the first 64 are equal, all count as equal."""
 
 
 class _Form(NamedTuple):
-    """How the numbers of a directory are written, and where the first one is."""
+    """Number formats of a TIFF's directories, and the offset of the first directory."""
 
     order: str
     first: int
@@ -41,17 +41,17 @@ def read_ifd(
     """Read tags of a directory.
 
     Args:
-        read_at: of the file, or of the block that begins with a TIFF's signature.
-        wanted: tags whose values are integers.
-        bare: tags of which it only matters that they are there; their values are left out.
-        offset: where the directory begins; None for the first.
+        read_at: reads the file, or a block that begins with a TIFF signature.
+        wanted: tags with integer values to read.
+        bare: tags to test for presence; their values are not read.
+        offset: offset of the directory; None for the first.
 
     Returns:
-        Up to 64 values for each of these tags that is there.
+        Up to 64 values for each of these tags that is present.
 
     Raises:
-        ImageDecodeError: a tag stands twice, or a wanted one holds no integers.
-        struct.error: the file ends before the directory or a value does.
+        ImageDecodeError: a tag occurs twice, or a wanted tag holds no integers.
+        struct.error: the file ends within the directory or a value.
     """
     form = _form(read_at)
     entry_format, value_bytes, order = form.entry, form.value_bytes, form.order
@@ -64,7 +64,7 @@ def read_ifd(
     for start in range(0, n_entries * entry_bytes, entry_bytes):
         tag, kind, count = struct.unpack_from(entry_format, table, start)
         if tag in seen:
-            raise ImageDecodeError(f"the TIFF directory holds tag {tag} twice, which readers take differently: damaged")
+            raise ImageDecodeError(f"the TIFF directory holds tag {tag} twice, and decoders disagree on it: damaged")
         seen.add(tag)
         if tag in bare:
             tags[tag] = ()
@@ -74,15 +74,15 @@ def read_ifd(
 
 
 def later_directories(read_at: ReadAt) -> Iterator[int]:
-    """Where the directories after the first begin, as far as the chain can be followed.
+    """Yield the offsets of the directories after the first, as far as the chain can be followed.
 
     Raises:
-        ImageDecodeError: there are more than a thousand.
+        ImageDecodeError: the chain has more than a thousand directories.
     """
     form = _form(read_at)
     at, seen = form.first, {form.first}
     entry_bytes = struct.calcsize(form.entry) + form.value_bytes
-    with contextlib.suppress(struct.error):  # the chain leads out of the file: no reader goes on
+    with contextlib.suppress(struct.error):  # the chain leaves the file: every decoder stops here
         while True:
             table_at, n_entries = _table(read_at, form, at)
             offset_format = form.order + ("I" if form.value_bytes == 4 else "Q")
@@ -91,7 +91,7 @@ def later_directories(read_at: ReadAt) -> Iterator[int]:
             if at == 0 or at in seen:
                 return
             if len(seen) > _MAX_DIRECTORIES:
-                raise ImageDecodeError(f"the TIFF has more than {_MAX_DIRECTORIES} directories; save its first alone")
+                raise ImageDecodeError(f"the TIFF has more than {_MAX_DIRECTORIES} directories; save only the first")
             seen.add(at)
             yield at
 
@@ -100,7 +100,7 @@ def _form(read_at: ReadAt) -> _Form:
     head = read_at(0, 16)
     order = {b"II": "<", b"MM": ">"}.get(head[:2])
     if order is None:
-        raise ImageDecodeError("the TIFF directory names no byte order: damaged")
+        raise ImageDecodeError("the TIFF directory has no byte order: damaged")
     (version,) = struct.unpack_from(order + "H", head, 2)
     if version == 43:  # BigTIFF
         (first,) = struct.unpack_from(order + "Q", head, 8)
@@ -110,7 +110,7 @@ def _form(read_at: ReadAt) -> _Form:
 
 
 def _table(read_at: ReadAt, form: _Form, offset: int) -> tuple[int, int]:
-    """Where a directory's entries begin, and how many there are."""
+    """Give the offset of a directory's entries and their number."""
     count_bytes = struct.calcsize(form.n_entries)
     (n_entries,) = struct.unpack(form.n_entries, read_at(offset, count_bytes))
     if n_entries > _MAX_ENTRIES:
@@ -132,15 +132,15 @@ def _values(
 
 
 def exif_orientation(payload: bytes) -> int:
-    """The orientation that an Exif block states, 1 to 8; 1 where it states none, or is damaged."""
+    """Read the orientation of an EXIF block, 1 to 8; 1 if it is absent or damaged."""
     try:
         tags = read_ifd(lambda offset, count: payload[offset : offset + count], frozenset({TAG_ORIENTATION}))
-    except (struct.error, ImageDecodeError):  # damaged metadata does not make the pixels unusable
+    except (struct.error, ImageDecodeError):  # damaged metadata leaves the pixels usable
         return 1
     return orientation_of(tags)
 
 
 def orientation_of(tags: dict[int, tuple[int, ...]]) -> int:
-    """The orientation among a directory's tags, 1 to 8; 1 where none or a meaningless one is there."""
+    """Get the orientation from a directory's tags, 1 to 8; 1 if it is absent or invalid."""
     value = (tags.get(TAG_ORIENTATION) or (1,))[0]
     return value if 1 <= value <= 8 else 1

@@ -1,6 +1,6 @@
-"""The markers of a JPEG, walked once from the first byte to its end mark, in time proportional to its bytes.
+"""Markers of a JPEG, read in one pass in time proportional to its size.
 
-A marker costs an attacker two bytes and a scan over the whole image four: both are counted, and too many are refused.
+A marker costs an attacker two bytes, a scan over the whole image four. The reader counts both and refuses too many.
 """
 
 from __future__ import annotations
@@ -13,33 +13,33 @@ from vehanchor.errors import ImageDecodeError, ImageTooLargeError
 from vehanchor.imagery.formats.ifd import ReadAt, exif_orientation
 
 MAX_SCANS = 100
-"""More are refused: each is decoded over the whole image. Progressive JPEGs of libjpeg have 10, of mozjpeg up to 25."""
+"""Most scans; each is decoded over the whole image. libjpeg writes 10 in a progressive JPEG, mozjpeg up to 25."""
 
 MAX_SEGMENTS = 10_000
-"""More are refused. 512 MiB of metadata in the largest segments there are, 64 KiB, would be 8,192."""
+"""Most segments; 512 MiB of metadata in segments of 64 KiB, the largest possible, are 8,192."""
 
 EXIF_PREFIX = b"Exif\0\0"
 _CHUNK_BYTES = 1 << 16
 _SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # DHT, JPG and DAC share the range
-_SOF_ONE_PASS = frozenset({0xC0, 0xC1, 0xC3, 0xC9, 0xCB})  # sequential and lossless; all others refine what they hold
+_SOF_ONE_PASS = frozenset({0xC0, 0xC1, 0xC3, 0xC9, 0xCB})  # sequential and lossless; all others refine earlier scans
 _STANDALONE = frozenset({0x01, *range(0xD0, 0xD8)})  # TEM and RSTn carry no length
 _SOS, _EOI, _APP1, _STUFFING = 0xDA, 0xD9, 0xE1, 0x00
-# In entropy-coded data 0xFF is followed by 0 (stuffing), a restart marker, or a fill byte; all else is a marker.
+# In entropy-coded data, 0 (stuffing), a restart marker or a fill byte follows 0xFF; anything else is a marker.
 _MARKER_IN_SCAN = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 _AFTER_FILL = re.compile(rb"\xff[^\xff]")
 
 
 class JpegMarkers(NamedTuple):
-    """What a JPEG's markers say.
+    """Declarations in a JPEG's markers.
 
     Attributes:
         width_px: declared width as stored.
         height_px: declared height as stored.
         components: colour components.
         n_scans: scans, each decoded over the whole image.
-        held: whether the coefficients of the whole image are held while it is decoded.
+        held: whether the decoder holds the coefficients of the whole image.
         orientation: EXIF orientation, 1 to 8.
-        complete: whether the end mark is there.
+        complete: whether the end marker is present.
     """
 
     width_px: int
@@ -52,11 +52,7 @@ class JpegMarkers(NamedTuple):
 
 
 class Reader:
-    """A file's bytes by position, read in chunks, so that many small reads one after the other cost little.
-
-    Args:
-        read_at: gives the bytes.
-    """
+    """Buffered reader of a file's bytes by position; makes many small sequential reads cheap."""
 
     def __init__(self, read_at: ReadAt) -> None:
         self._read_at = read_at
@@ -64,7 +60,7 @@ class Reader:
         self._chunk = b""
 
     def get(self, position: int, count: int) -> bytes:
-        """Up to ``count`` bytes from a position on, fewer only where the file ends."""
+        """Read ``count`` bytes from a position, fewer only at the end of the file."""
         offset = position - self._start
         if offset >= 0 and offset + count <= len(self._chunk):
             return self._chunk[offset : offset + count]
@@ -74,7 +70,7 @@ class Reader:
         return self._chunk[:count]
 
     def find(self, pair: re.Pattern[bytes], position: int) -> int:
-        """Where the first match of a pattern of two bytes begins, from a position on; the file's end without any."""
+        """Find the first match of a two-byte pattern from a position on; the end of the file if there is none."""
         while True:
             if len(self.get(position, 2)) < 2:
                 return position + len(self._chunk[position - self._start :])
@@ -85,11 +81,11 @@ class Reader:
 
 
 def read_jpeg_markers(read_at: ReadAt) -> JpegMarkers:
-    """Walk a JPEG's markers.
+    """Read a JPEG's markers.
 
     Raises:
-        ImageDecodeError: there is no frame header, or more than one.
-        ImageTooLargeError: more segments or scans than a picture needs.
+        ImageDecodeError: the file has no frame header, or more than one.
+        ImageTooLargeError: the file has more segments or scans than an image needs.
         struct.error: the file ends within the frame header.
     """
     reader = Reader(read_at)
@@ -105,7 +101,7 @@ def read_jpeg_markers(read_at: ReadAt) -> JpegMarkers:
         if marker == 0xFF:  # fill bytes
             position = reader.find(_AFTER_FILL, position)
             continue
-        if marker in (_EOI, _STUFFING):  # decoders pass over stuffing byte by byte, others take it for a segment
+        if marker in (_EOI, _STUFFING):  # some decoders skip stuffing byte by byte, others read it as a segment
             complete = marker == _EOI
             break
         n_segments += 1
@@ -129,7 +125,7 @@ def read_jpeg_markers(read_at: ReadAt) -> JpegMarkers:
             n_scans += 1
             if n_scans > MAX_SCANS:
                 raise ImageTooLargeError(
-                    f"the JPEG has more than {MAX_SCANS} scans, each decoded over the whole image; save it again"
+                    f"the JPEG has more than {MAX_SCANS} scans, each covering the whole image; save it again"
                 )
             position = reader.find(_MARKER_IN_SCAN, position)
     if frame is None:

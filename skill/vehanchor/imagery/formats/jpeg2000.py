@@ -1,4 +1,4 @@
-"""What a JPEG 2000 says of itself: the size of its picture, and of the tiles in which it is stored."""
+"""Header of a JPEG 2000: the sizes of its image and of its tiles."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ if TYPE_CHECKING:
     from vehanchor.imagery.formats.ifd import ReadAt
 
 _SIGNATURE = b"\x00\x00\x00\x0cjP  \r\n\x87\n"
-_CODESTREAM = b"\xff\x4f\xff\x51"  # its first marker, SOC, and SIZ, which has to follow
+_CODESTREAM = b"\xff\x4f\xff\x51"  # its first marker, SOC, and SIZ, which must follow
 _MAX_BOXES = 1000
-_MAX_BANDS = 16_384  # of the standard
+_MAX_BANDS = 16_384  # in the standard
 
 
 class Jpeg2000Size(NamedTuple):
-    """The declared size.
+    """Declared size of a JPEG 2000.
 
     Attributes:
-        width_px: of the picture.
-        height_px: of the picture.
-        bands: samples a pixel.
-        tile_px: pixels of a tile, which is decoded as a whole.
+        width_px: width of the image.
+        height_px: height of the image.
+        bands: samples per pixel.
+        tile_px: pixels of a tile, which is decoded whole.
     """
 
     width_px: int
@@ -33,27 +33,27 @@ class Jpeg2000Size(NamedTuple):
 
 
 def is_jpeg2000(start: bytes) -> bool:
-    """Whether these first bytes, 12 are enough, open a JP2 file or a bare codestream."""
+    """Test whether a file that begins with these 12 bytes is a JP2 file or a bare codestream."""
     return start.startswith((_SIGNATURE, _CODESTREAM))
 
 
 def read_jpeg2000_size(read_at: ReadAt) -> Jpeg2000Size:
-    """Read the size that the codestream declares, which is the one that a decoder allocates by.
+    """Read the size that the codestream declares, because decoders allocate by it.
 
     Raises:
-        ImageDecodeError: truncated or damaged.
-        ImageTooLargeError: more boxes than any such file has.
+        ImageDecodeError: the file is truncated or damaged.
+        ImageTooLargeError: the file has more boxes than a real one.
     """
     at = _codestream_at(read_at)
     right, bottom, left, top, tile_width, tile_height, _, _, bands = struct.unpack(">8IH", read_at(at + 8, 34))
     width, height = right - left, bottom - top
     if read_at(at, 4) != _CODESTREAM or min(width, height, tile_width, tile_height) < 1 or not 1 <= bands <= _MAX_BANDS:
-        raise ImageDecodeError("the JPEG 2000 declares no size that makes sense: damaged")
+        raise ImageDecodeError("the JPEG 2000 declares an invalid size: damaged")
     return Jpeg2000Size(width, height, bands, min(tile_width, width) * min(tile_height, height))
 
 
 def _codestream_at(read_at: ReadAt) -> int:
-    """Where the codestream begins: at once, or in the first box for it."""
+    """Find the offset of the codestream: the start of the file or its first codestream box."""
     if read_at(0, 4) == _CODESTREAM:
         return 0
     position = 0
@@ -65,7 +65,7 @@ def _codestream_at(read_at: ReadAt) -> int:
             head = 16
         if kind == b"jp2c":
             return position + head
-        if length < head:  # 0 would reach to the end of the file: nothing could follow
-            raise ImageDecodeError("the JPEG 2000 holds no picture: truncated or damaged")
+        if length < head:  # 0 means up to the end of the file: no codestream can follow
+            raise ImageDecodeError("the JPEG 2000 holds no image: truncated or damaged")
         position += length
     raise ImageTooLargeError(f"the JPEG 2000 has more than {_MAX_BOXES} boxes; save it again")

@@ -1,7 +1,7 @@
-"""Large JPEGs: decoded once, strip by strip, into a file without a name, and read from there by windows.
+"""Large JPEGs, decoded once in strips into an unnamed temporary file and read from there by windows.
 
-A JPEG has no places to begin at: a tile further up would have all rows above it decoded again. The file lies where
-``tempfile`` puts it (``TMPDIR``), takes three bytes a pixel there, and is gone with the raster.
+A JPEG has no random access: each tile would need all rows above it decoded again. The file lies in ``TMPDIR``, takes
+three bytes per pixel, and disappears with the raster.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
 from vehanchor.imagery.sources.arrays import ArrayRaster
-from vehanchor.imagery.sources.rasterio_file import dataset_of, gdal
+from vehanchor.imagery.sources.rasterio_file import gdal_environment, open_rasterio
 
 if TYPE_CHECKING:
     from vehanchor.imagery.bands import BandChoice
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from vehanchor.options import ImageLimits
 
 _STRIP_ROWS = 256
-_SPARE_BYTES = 1 << 28  # left to others on the disk
+_SPARE_BYTES = 1 << 28  # left free on the disk
 
 
 def open_large_jpeg(
@@ -34,22 +34,22 @@ def open_large_jpeg(
 
     Args:
         file: its absolute path or its bytes.
-        source: what to call it.
-        header: what it says of itself.
-        bands: which bands are red, green and blue.
-        limits: what to refuse.
+        source: name of the image in messages.
+        header: its header.
+        bands: bands to use as red, green and blue.
+        limits: limits to apply.
 
     Raises:
         MissingExtraError: rasterio is not installed.
-        ImageTooLargeError: the disk has too little room.
-        ImageDecodeError: it is truncated or damaged.
-        ImageFormatError: it cannot be measured.
+        ImageTooLargeError: the disk has too little space.
+        ImageDecodeError: the image is truncated or damaged.
+        ImageFormatError: the image cannot be measured.
     """
     if not header.complete:
         raise ImageDecodeError(f"the JPEG ({source}) is truncated: its end mark is missing")
-    # libjpeg warns of damage and goes on: for GDAL, too, it shall be an error.
-    with ExitStack() as stack, gdal(source, GDAL_ERROR_ON_LIBJPEG_WARNING="YES"):
-        dataset = dataset_of(file, source, header, limits, stack)
+    # libjpeg only warns of damage; GDAL must treat it as an error.
+    with ExitStack() as stack, gdal_environment(source, GDAL_ERROR_ON_LIBJPEG_WARNING="YES"):
+        dataset = open_rasterio(file, source, header, limits, stack)
         height, width, count = dataset.height, dataset.width, dataset.count
         _check_room(width * height * count)
         with tempfile.TemporaryFile(prefix="vehanchor-") as unpacked:
@@ -65,6 +65,6 @@ def _check_room(n_bytes: int) -> None:
     free = shutil.disk_usage(tempfile.gettempdir()).free
     if n_bytes > free - _SPARE_BYTES:
         raise ImageTooLargeError(
-            f"unpacking the JPEG takes {n_bytes} bytes of disk, {tempfile.gettempdir()} has {free}: make room, name "
-            "another folder by TMPDIR, or convert it to a tiled TIFF, which is read by windows"
+            f"unpacking the JPEG takes {n_bytes} bytes of disk, {tempfile.gettempdir()} has {free}: free some space, "
+            "set TMPDIR to another folder, or convert the image to a tiled TIFF, which is read by windows"
         )

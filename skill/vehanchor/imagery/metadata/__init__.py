@@ -1,1 +1,1 @@
-"""Metadata in image files: EXIF, XMP, camera, georeference."""
+"""Metadata of image files: EXIF, XMP, camera, georeference."""

@@ -1,6 +1,6 @@
-"""Where an image file keeps its EXIF and its XMP: found by walking segments and chunks, never by decoding pixels.
+"""EXIF and XMP blocks of an image file, found by walking segments and chunks without decoding pixels.
 
-The file is anybody's: every walk ends after a fixed number of steps, every block is read up to a fixed size.
+Files are untrusted: every walk has a fixed number of steps, and every block a fixed maximum size.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 MAX_XMP_BYTES = 1 << 18  # a JPEG's segment holds 64 KiB; drones write 2 to 5
 _MAX_EXIF_BYTES = 1 << 20
-_MAX_SEGMENTS = 512  # before a JPEG's pixels; real ones have a dozen
+_MAX_SEGMENTS = 512  # before a JPEG's pixels; real files have a dozen
 _MAX_CHUNKS = 4096
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -26,11 +26,11 @@ _JPEG_APP1, _JPEG_SOS, _JPEG_EOI = 0xE1, 0xDA, 0xD9
 
 
 class MetadataBlocks(NamedTuple):
-    """What was found of a file's metadata.
+    """Metadata blocks of a file.
 
     Attributes:
-        exif: reads the TIFF structure that EXIF is, offsets from its first byte; None without one.
-        xmp: the XMP packet; None without one, or where it is larger than ``MAX_XMP_BYTES``.
+        exif: reads the EXIF block, a TIFF structure, with offsets from its first byte; None without EXIF.
+        xmp: the XMP packet; None without one, or if it exceeds ``MAX_XMP_BYTES``.
     """
 
     exif: ReadAt | None = None
@@ -38,31 +38,27 @@ class MetadataBlocks(NamedTuple):
 
 
 def find_metadata(read_at: ReadAt) -> MetadataBlocks:
-    """Find the metadata of a JPEG, PNG, WebP or TIFF; of anything else, or of a damaged file, whatever is there.
+    """Find the metadata blocks of a JPEG, PNG, WebP or TIFF; other formats have none, damaged files may lack some.
 
-    Args:
-        read_at: of the file.
-
-    Returns:
-        The blocks; those of a TIFF are the file itself (its XMP is one of its tags).
+    The EXIF block of a TIFF is the file itself, with the XMP as one of its tags.
     """
     start = read_at(0, 16)
     if start.startswith(b"\xff\xd8\xff"):
-        return _in_jpeg(read_at)
+        return _find_in_jpeg(read_at)
     if start.startswith(_PNG_SIGNATURE):
-        return _in_png(read_at)
+        return _find_in_png(read_at)
     if start.startswith(b"RIFF") and start[8:12] == b"WEBP":
-        return _in_webp(read_at)
+        return _find_in_webp(read_at)
     if is_tiff(start):
         return MetadataBlocks(exif=read_at)
     return MetadataBlocks()
 
 
-def _of_bytes(data: bytes) -> ReadAt:
+def _read_bytes(data: bytes) -> ReadAt:
     return lambda offset, count: data[offset : offset + count]
 
 
-def _in_jpeg(read_at: ReadAt) -> MetadataBlocks:
+def _find_in_jpeg(read_at: ReadAt) -> MetadataBlocks:
     exif, xmp, position = None, None, 2
     for _ in range(_MAX_SEGMENTS):
         head = read_at(position, 4)
@@ -77,14 +73,14 @@ def _in_jpeg(read_at: ReadAt) -> MetadataBlocks:
         if head[1] == _JPEG_APP1:
             body = read_at(position + 4, length - 2)
             if exif is None and body.startswith(_EXIF_PREFIX):
-                exif = _of_bytes(body[len(_EXIF_PREFIX) :])
+                exif = _read_bytes(body[len(_EXIF_PREFIX) :])
             elif xmp is None and body.startswith(_XMP_PREFIX):
                 xmp = body[len(_XMP_PREFIX) :]
         position += 2 + length
     return MetadataBlocks(exif, xmp)
 
 
-def _in_png(read_at: ReadAt) -> MetadataBlocks:
+def _find_in_png(read_at: ReadAt) -> MetadataBlocks:
     exif, xmp, position = None, None, 8
     for _ in range(_MAX_CHUNKS):
         head = read_at(position, 8)
@@ -94,7 +90,7 @@ def _in_png(read_at: ReadAt) -> MetadataBlocks:
         if kind == b"IEND":
             break
         if kind == b"eXIf" and exif is None and length <= _MAX_EXIF_BYTES:
-            exif = _of_bytes(read_at(position + 8, length))
+            exif = _read_bytes(read_at(position + 8, length))
         elif kind == b"iTXt" and xmp is None and length <= MAX_XMP_BYTES:
             body = read_at(position + 8, length)
             if body.startswith(_PNG_XMP_PREFIX):
@@ -103,7 +99,7 @@ def _in_png(read_at: ReadAt) -> MetadataBlocks:
     return MetadataBlocks(exif, xmp)
 
 
-def _in_webp(read_at: ReadAt) -> MetadataBlocks:
+def _find_in_webp(read_at: ReadAt) -> MetadataBlocks:
     exif, xmp, position = None, None, 12
     for _ in range(_MAX_CHUNKS):
         head = read_at(position, 8)
@@ -111,7 +107,7 @@ def _in_webp(read_at: ReadAt) -> MetadataBlocks:
             break
         kind, length = struct.unpack("<4sI", head)
         if kind == b"EXIF" and exif is None and length <= _MAX_EXIF_BYTES:
-            exif = _of_bytes(read_at(position + 8, length).removeprefix(_EXIF_PREFIX))
+            exif = _read_bytes(read_at(position + 8, length).removeprefix(_EXIF_PREFIX))
         elif kind == b"XMP " and xmp is None and length <= MAX_XMP_BYTES:
             xmp = read_at(position + 8, length)
         position += 8 + length + (length & 1)

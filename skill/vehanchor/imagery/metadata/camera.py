@@ -1,8 +1,8 @@
-"""What a file's metadata say of the camera: its height, its focal length, where it looked, how large the picture was.
+"""Camera metadata of an image file: height, focal length, orientation, original size.
 
-Drones write the height and the camera's attitude into XMP, under names of their maker; focal length and sensor stand in
-EXIF, which all makers share. ``MAKERS`` is the table of names (docs/how-to/rulers.md tells where each is documented).
-Nothing is computed here but units and the sense of angles; ``vehanchor.rulers.camera`` measures with it.
+Drones write the camera's height and orientation into XMP, under names that differ between makers. Focal length and
+sensor are in EXIF, which all makers share. ``MAKERS`` lists the names; docs/how-to/rulers.md names their sources. This
+module only converts units and signs of angles; ``vehanchor.rulers.camera`` measures with them.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ if TYPE_CHECKING:
 
 _NUMBER = re.compile(r"\s*([+-]?\d{1,12}(?:\.\d{0,12})?(?:[eE][+-]?\d{1,2})?)(?:\s*/\s*(\d{1,12}))?(?:\s|,|$)")
 _PIX4D = "http://pix4d.com/camera/1.0"
-_AUTEL = "autel"  # its addresses changed with its firmware; each has the maker's name in it
+_AUTEL = "autel"  # its namespace changed with its firmware; each contains the maker's name
 _MM_PER_UNIT = {2: 25.4, 3: 10.0}  # EXIF's FocalPlaneResolutionUnit: inch, centimetre
-_ZERO_IS_FORWARD, _ZERO_IS_DOWN = 90.0, 0.0  # degrees to add to a pitch to have it from straight down
-_BACKWARDS_DEG = -60.0  # under Pix4D's rule such a camera looks behind itself: the writer meant the other rule
+_ZERO_IS_FORWARD, _ZERO_IS_DOWN = 90.0, 0.0  # degrees to add to a pitch to count it from nadir
+_BACKWARDS_DEG = -60.0  # under Pix4D's convention this camera looks backwards: the writer used the other one
 
 
 class Maker(NamedTuple):
-    """Names under which one maker writes.
+    """XMP names that one maker uses.
 
     Attributes:
-        name: of the maker.
-        namespace: of its XMP properties, without a slash at the end; for Autel a word of it.
-        height: property with the metres above take-off, or above the ground.
+        name: the maker.
+        namespace: of its XMP properties, without a final slash; for Autel a word that it contains.
+        height: property with the metres above take-off or above ground.
         pitch: property with the camera's pitch, degrees.
         roll: property with its roll, degrees.
-        zero_deg: what to add to the pitch to count from straight down.
+        zero_deg: degrees to add to the pitch to count from nadir.
         yaw: property with its yaw, degrees.
-        focal_px: property with the focal length in pixels of the full picture; empty for none.
-        centre_px: property with the optical centre's column in such pixels; empty for none.
-        focal_mm: property with the focal length, mm; empty for none.
+        focal_px: property with the focal length in pixels of the full image; empty if the maker has none.
+        centre_px: property with the column of the optical centre in the same pixels; empty if the maker has none.
+        focal_mm: property with the focal length, mm; empty if the maker has none.
     """
 
     name: str
@@ -68,7 +68,7 @@ _DJI_NAMES = (
     "CalibratedOpticalCenterX",
 )
 MAKERS: tuple[Maker, ...] = (
-    Maker("DJI", "http://www.dji.com/drone-dji/1.0", *_DJI_NAMES),  # newer Autels write the same
+    Maker("DJI", "http://www.dji.com/drone-dji/1.0", *_DJI_NAMES),  # newer Autel drones use the same names
     Maker("Autel", _AUTEL, *_DJI_NAMES),
     Maker(
         "Skydio",
@@ -84,13 +84,13 @@ MAKERS: tuple[Maker, ...] = (
     Maker(
         "Parrot",
         "http://www.parrot.com/drone-parrot/1.0",
-        "",  # stands in Pix4D's namespace
+        "",  # is in Pix4D's namespace
         "CameraPitchDegree",
         "CameraRollDegree",
         _ZERO_IS_FORWARD,
         "CameraYawDegree",
     ),
-    Maker(  # senseFly, Parrot, older Autels
+    Maker(  # senseFly, Parrot, older Autel drones
         "Pix4D",
         _PIX4D,
         "AboveGroundAltitude",
@@ -101,32 +101,32 @@ MAKERS: tuple[Maker, ...] = (
         focal_mm="PerspectiveFocalLength",
     ),
 )
-"""In the order in which they are asked; the first with a value answers."""
+"""In order of precedence: the first maker with a value is used."""
 
 
 @dataclass(frozen=True)
 class CameraMetadata:
-    """A camera and its place, as far as the file says; None for what it does not say.
+    """A camera and its position; None for what the file does not state.
 
     Attributes:
-        make: of the camera, as EXIF has it; empty where it does not say.
-        model: of the camera.
-        height_m: metres above take-off, or above the ground where the maker knows it; never above the sea.
-        height_tag: where that stands, ``DJI RelativeAltitude`` for one.
+        make: of the camera, from EXIF; empty if unknown.
+        model: of the camera, from EXIF; empty if unknown.
+        height_m: metres above take-off, or above ground if the maker knows it; never above sea level.
+        height_tag: maker and property of the height, for example ``DJI RelativeAltitude``.
         focal_mm: focal length, millimetres.
         focal_35mm: focal length of a 35 mm camera with the same view, millimetres.
-        focal_px: calibrated focal length, pixels of the picture as it was taken.
-        pixel_mm: pitch of the sensor's pixels, millimetres, of the picture as it was taken.
-        taken_width_px: columns of the picture as it was taken, as stored.
-        taken_height_px: its rows.
-        centre_x_px: column of the optical centre in the picture as it was taken.
-        off_nadir_deg: angle between the camera's axis and straight down, 0 to 180.
-        roll_deg: by which a gimbal turned the picture about the camera's own axis, clockwise.
-        digital_zoom: factor of enlarging in the camera; 1 for none.
-        latitude_deg: where it was, north is positive.
-        longitude_deg: east is positive.
-        altitude_m: metres above the sea.
-        refused: why metadata were not read, as a clause; empty where they were.
+        focal_px: calibrated focal length, pixels of the original image.
+        pixel_mm: pixel pitch of the sensor for the original image, millimetres.
+        taken_width_px: columns of the original image, as stored.
+        taken_height_px: rows of the original image.
+        centre_x_px: column of the optical centre in the original image.
+        off_nadir_deg: off-nadir angle of the optical axis, 0 to 180.
+        roll_deg: clockwise rotation of the image about the optical axis by the gimbal.
+        digital_zoom: digital zoom factor; 1 for none.
+        latitude_deg: latitude, positive to the north.
+        longitude_deg: longitude, positive to the east.
+        altitude_m: metres above sea level.
+        refused: why the metadata were refused, as a clause; empty if they were read.
     """
 
     make: str = ""
@@ -150,28 +150,24 @@ class CameraMetadata:
 
 
 def read_camera(read_at: ReadAt) -> CameraMetadata | None:
-    """Read what an encoded image says of its camera, in bounded time and memory, whatever its bytes.
+    """Read the camera metadata of an encoded image; None if it has none.
 
-    Args:
-        read_at: of the file.
-
-    Returns:
-        What it says; None where it says nothing.
+    Time and memory are bounded, so untrusted files are safe.
     """
     blocks = find_metadata(read_at)
     tags: ExifTags = {} if blocks.exif is None else read_exif(blocks.exif, MAX_XMP_BYTES)
     notes = tags.get("ApplicationNotes")
     packet = blocks.xmp or (notes if isinstance(notes, bytes) else None)
     properties, refused = ({}, "") if packet is None else read_xmp(packet)
-    said = _combined(tags, {(_namespace(space), name): text for (space, name), text in properties.items()}, refused)
-    return None if said == CameraMetadata() else said
+    camera = _combine(tags, {(_namespace(space), name): text for (space, name), text in properties.items()}, refused)
+    return None if camera == CameraMetadata() else camera
 
 
 def _namespace(address: str) -> str:
     return _AUTEL if _AUTEL in address.lower() else address.rstrip("/")
 
 
-def _combined(tags: ExifTags, properties: Mapping[tuple[str, str], str], refused: str) -> CameraMetadata:
+def _combine(tags: ExifTags, properties: Mapping[tuple[str, str], str], refused: str) -> CameraMetadata:
     def first(field: str) -> tuple[float | None, Maker | None]:
         for maker in MAKERS:
             name = getattr(maker, field)
@@ -180,14 +176,14 @@ def _combined(tags: ExifTags, properties: Mapping[tuple[str, str], str], refused
                 return value, maker
         return None, None
 
-    height, of = first("height")
+    height, maker = first("height")
     focal_mm = first("focal_mm")[0]
     width, rows = _whole(tags.get("PixelXDimension")), _whole(tags.get("PixelYDimension"))
     return CameraMetadata(
         make=_text(tags.get("Make")),
         model=_text(tags.get("Model")),
         height_m=height,
-        height_tag="" if of is None else f"{of.name} {of.height}",
+        height_tag="" if maker is None else f"{maker.name} {maker.height}",
         focal_mm=focal_mm if focal_mm is not None else _float(tags.get("FocalLength")),
         focal_35mm=_float(tags.get("FocalLengthIn35mmFilm")) or None,  # 0 is "unknown" in the standard
         focal_px=first("focal_px")[0],
@@ -204,7 +200,7 @@ def _combined(tags: ExifTags, properties: Mapping[tuple[str, str], str], refused
 
 
 def _gimbal_roll(properties: Mapping[tuple[str, str], str]) -> float | None:
-    """Roll of the first maker who tells a pitch, where it is a gimbal's; None where it says nothing, or nothing new."""
+    """Give the gimbal's roll from the first maker with a pitch; None if it is unknown or zero."""
     for maker in MAKERS:
         if _number(properties.get((maker.namespace, maker.pitch))) is None:
             continue
@@ -214,7 +210,7 @@ def _gimbal_roll(properties: Mapping[tuple[str, str], str]) -> float | None:
 
 
 def _position(tags: ExifTags) -> dict[str, float | None]:
-    """Latitude, longitude and altitude; nothing where latitude or longitude has no meaning."""
+    """Give latitude, longitude and altitude; empty if latitude or longitude is invalid."""
     north, east = _float(tags.get("GPSLatitude")), _float(tags.get("GPSLongitude"))
     if north is None or east is None or north > 90 or east > 180 or north == east == 0:  # 0, 0 is "no fix"
         return {}
@@ -227,7 +223,7 @@ def _position(tags: ExifTags) -> dict[str, float | None]:
 
 
 def _off_nadir(properties: Mapping[tuple[str, str], str], make: str) -> float | None:
-    """Angle from straight down, by pitch and roll of the first maker who says both or the pitch alone."""
+    """Compute the off-nadir angle from the first maker with a pitch, and from its roll if it has one."""
     for maker in MAKERS:
         pitch = _number(properties.get((maker.namespace, maker.pitch)))
         roll = _number(properties.get((maker.namespace, maker.roll))) or 0.0
@@ -236,24 +232,24 @@ def _off_nadir(properties: Mapping[tuple[str, str], str], make: str) -> float | 
             continue
         zero = maker.zero_deg
         if zero == _ZERO_IS_FORWARD and pitch == roll == yaw == 0:
-            continue  # some drones write zeros for what they do not know
-        # Pix4D's rule has 0 for down; some that write in its namespace (Autel) have -90 for it.
+            continue  # some drones write zeros for unknown angles
+        # In Pix4D's convention 0 is nadir; Autel writes -90 in the same namespace.
         if zero == _ZERO_IS_DOWN and (pitch <= _BACKWARDS_DEG or (pitch < 0 and "autel" in make.lower())):
             zero = _ZERO_IS_FORWARD
         from_down = math.radians(pitch + zero)
-        if zero == _ZERO_IS_FORWARD:  # a gimbal's roll turns the picture about the camera's own axis
+        if zero == _ZERO_IS_FORWARD:  # a gimbal's roll turns the image about the optical axis
             return math.degrees(math.acos(math.cos(from_down)))
         return math.degrees(math.acos(max(-1.0, min(1.0, math.cos(from_down) * math.cos(math.radians(roll))))))
     return None
 
 
 def _number(text: str | None) -> float | None:
-    """A decimal number, or a fraction, with or without a unit behind it; of several with commas the first."""
+    """Parse a decimal number or a fraction, with or without a unit; the first if commas separate several."""
     matched = None if text is None else _NUMBER.match(text)
     if matched is None:
         return None
-    below = float(matched[2] or 1)
-    value = float(matched[1]) / below if below else math.nan
+    denominator = float(matched[2] or 1)
+    value = float(matched[1]) / denominator if denominator else math.nan
     return value if math.isfinite(value) else None
 
 

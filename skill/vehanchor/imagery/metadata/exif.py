@@ -1,7 +1,7 @@
-"""The few EXIF tags that tell a camera's geometry, read within bounds from anybody's bytes.
+"""EXIF tags of the camera's geometry, read within bounds from untrusted bytes.
 
-Three directories are read, the first and those with the camera's tags and its position, and none that they point to:
-there is nothing to go round in. Only known tags are looked at, of each a bounded number of values.
+The reader visits three directories: the first, the camera's and the position's. It follows no other pointers, so it
+cannot loop. It reads only known tags and a bounded number of values for each.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 ExifValue: TypeAlias = "str | float | bytes"
 ExifTags: TypeAlias = dict[str, ExifValue]
-"""Values by the tag's name in the EXIF standard; of several numbers the first, of degrees, minutes and seconds the
-degrees; fractions without a value are absent."""
+"""Values by the tag's name in the EXIF standard: the first of several numbers, or decimal degrees. Invalid fractions
+are absent."""
 
 _NAMES = {
     0x010F: "Make",
@@ -51,14 +51,11 @@ _FORMATS = {1: "B", 3: "H", 4: "I", 5: "II", 9: "i", 10: "ii", 11: "f", 12: "d"}
 
 
 def read_exif(read_at: ReadAt, max_notes_bytes: int) -> ExifTags:
-    """Read the known tags; what is damaged is absent.
+    """Read the known tags; damaged ones are absent.
 
     Args:
-        read_at: of the TIFF structure, offsets from its first byte; classic TIFF only, as EXIF is.
-        max_notes_bytes: of the XMP that a TIFF carries as a tag; more is not read.
-
-    Returns:
-        The tags.
+        read_at: reads the TIFF structure, with offsets from its first byte; classic TIFF only, as in EXIF.
+        max_notes_bytes: limit for the XMP in a TIFF tag; larger packets are skipped.
     """
     head = read_at(0, 8)
     order = {b"II*\0": "<", b"MM\0*": ">"}.get(head[:4])
@@ -77,7 +74,7 @@ def read_exif(read_at: ReadAt, max_notes_bytes: int) -> ExifTags:
 def _read_directory(
     read_at: ReadAt, order: str, offset: int, max_notes_bytes: int, tags: ExifTags, names: Mapping[int, str]
 ) -> dict[int, int]:
-    """Read one directory into ``tags``, first come first kept; gives the offsets of the directories it points to."""
+    """Read one directory into ``tags``, keeping earlier values; return the offsets of the directories it points to."""
     count_bytes = read_at(offset, 2)
     if len(count_bytes) < 2:
         return {}

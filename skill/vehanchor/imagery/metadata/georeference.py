@@ -1,6 +1,6 @@
-"""The ground sampling distance that a georeferenced raster carries in its own file.
+"""Ground sampling distance (GSD) of a georeferenced raster.
 
-An estimate never uses it; it is reported beside the estimate, and evaluation takes it as the truth.
+Estimates never use it. Records report it next to the estimate, and the evaluation uses it as ground truth.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ AffineCoefficients = tuple[float, float, float, float, float, float]
 
 
 class Ground(NamedTuple):
-    """Where a georeferenced image lies, as rasterio has it.
+    """Georeference of an image, in rasterio's types.
 
     Attributes:
-        transform: from its pixels to the coordinates of its system.
-        crs: the system.
+        transform: from pixels to coordinates.
+        crs: the coordinate reference system.
     """
 
     transform: Any
@@ -28,17 +28,16 @@ class Ground(NamedTuple):
 WGS84_SEMI_MAJOR_AXIS_M = 6_378_137.0  # EPSG:7030
 WGS84_FLATTENING = 1 / 298.257223563  # EPSG:7030
 
-_IDENTITY: AffineCoefficients = (1, 0, 0, 0, 1, 0)  # what GDAL gives where the file has none
+_IDENTITY: AffineCoefficients = (1, 0, 0, 0, 1, 0)  # GDAL's value for a file without a transform
 
-_MAX_COORDINATE = 1e9  # far off the Earth in any unit; PROJ loops for hours over coordinates such as 1e20
+_MAX_COORDINATE = 1e9  # off the Earth in any unit; PROJ loops for hours on coordinates such as 1e20
 
-# Mercator's own methods, of which Web Mercator (EPSG:3857) is one, in WKT 1 and WKT 2; Transverse and
-# Oblique Mercator are other methods.
+# Mercator and Web Mercator (EPSG:3857) in WKT 1 and WKT 2; Transverse and Oblique Mercator are other methods.
 _MERCATOR_WKT = re.compile(r'(?:PROJECTION|METHOD)\["(?:Mercator|Popular Visualisation)')
 
 
 def metres_per_degree(latitude_deg: float) -> tuple[float, float]:
-    """Length of one degree of latitude and of one degree of longitude on the WGS84 ellipsoid, in metres."""
+    """Compute the length of one degree of latitude and of longitude on the WGS84 ellipsoid, in metres."""
     latitude = math.radians(latitude_deg)
     eccentricity2 = WGS84_FLATTENING * (2 - WGS84_FLATTENING)
     w2 = 1 - eccentricity2 * math.sin(latitude) ** 2
@@ -48,29 +47,30 @@ def metres_per_degree(latitude_deg: float) -> tuple[float, float]:
 
 
 def gsd_units_per_px(transform: AffineCoefficients) -> float:
-    """Side of the square with a pixel's area, sqrt(|det|), in the unit of the transform's coordinates."""
+    """Compute the side of a square with a pixel's area, sqrt(|det|), in the transform's unit."""
     a, b, _, d, e, _ = transform
     return math.sqrt(abs(a * e - b * d))
 
 
 def geographic_gsd_m_per_px(transform: AffineCoefficients, latitude_deg: float) -> float:
-    """GSD of a raster in degrees: the geometric mean of a pixel's two sides on the ground at this latitude."""
+    """Compute the GSD of a raster in degrees: geometric mean of a pixel's sides on the ground at this latitude."""
     latitude_m, longitude_m = metres_per_degree(latitude_deg)
     return gsd_units_per_px(transform) * math.sqrt(latitude_m * longitude_m)
 
 
 def dataset_gsd_m_per_px(dataset: Any) -> float | None:
-    """GSD at the centre of an open rasterio dataset, in metres per pixel.
+    """Compute the GSD at the centre of an open rasterio dataset, in metres per pixel.
 
-    Projected systems: the pixel's side times the linear unit in metres; in Mercator (EPSG:3857, 3395), whose metres
-    are stretched by 1/cos(latitude), what it spans in degrees. Other projections' grid scale, within 0.1 % in UTM and
-    most national grids, is left as it is. Geographic systems: see :func:`geographic_gsd_m_per_px`.
+    In projected systems it is the pixel's side times the linear unit in metres. Mercator (EPSG:3857, 3395) stretches
+    metres by 1/cos(latitude), so its pixels are converted to degrees first. The grid scale of other projections is
+    ignored; it is within 0.1 % in UTM and most national grids. Geographic systems: see
+    :func:`geographic_gsd_m_per_px`.
 
     Args:
         dataset: a ``rasterio.DatasetReader``.
 
     Returns:
-        None where the file has no coordinate system, no transform, or one that makes no sense.
+        None if the coordinate system or the transform is missing or invalid.
     """
     from rasterio.errors import RasterioError
 
@@ -81,13 +81,13 @@ def dataset_gsd_m_per_px(dataset: Any) -> float | None:
         if not crs or transform == _IDENTITY or not all(map(math.isfinite, transform)):
             return None
         gsd = _gsd_in_crs(transform, crs, dataset.width / 2, dataset.height / 2)
-    except (RasterioError, ValueError, ArithmeticError):  # a system that PROJ cannot use; CRSError is a ValueError
+    except (RasterioError, ValueError, ArithmeticError):  # PROJ cannot use the system; CRSError is a ValueError
         return None
     return gsd if math.isfinite(gsd) and gsd > 0 else None
 
 
 def _gsd_in_crs(transform: AffineCoefficients, crs: Any, column: float, row: float) -> float:
-    """GSD at a pixel, NaN where the system or the place has none."""
+    """Compute the GSD at a pixel; NaN if the system or the place has none."""
     from rasterio.warp import transform as reproject
 
     a, b, c, d, e, f = transform
@@ -101,7 +101,7 @@ def _gsd_in_crs(transform: AffineCoefficients, crs: Any, column: float, row: flo
         return degrees * geographic_gsd_m_per_px(transform, y * degrees)
     if not crs.is_projected:
         return math.nan
-    if _MERCATOR_WKT.search(crs.to_wkt()):  # stretched as its latitude, and the one where it is true, have it
+    if _MERCATOR_WKT.search(crs.to_wkt()):  # scale depends on the latitude and on the latitude of true scale
         east, north = reproject(crs, "EPSG:4326", [x, x + a, x + b], [y, y + d, y + e])
         in_degrees = (east[1] - east[0], east[2] - east[0], 0.0, north[1] - north[0], north[2] - north[0], 0.0)
         return geographic_gsd_m_per_px(in_degrees, north[0])

@@ -1,7 +1,6 @@
-"""The simple properties of an XMP packet, from anybody's bytes.
+"""Simple properties of an XMP packet, read from untrusted bytes.
 
-Expat reads it, with everything refused that XML can be abused for: a document type, and with it every entity, ends the
-reading; depth, elements and lengths are bounded.
+Expat parses the packet. A document type or an entity ends the parsing; depth, elements and lengths are bounded.
 """
 
 from __future__ import annotations
@@ -17,11 +16,11 @@ _META = "adobe:ns:meta/"
 
 
 class XmpPacket(NamedTuple):
-    """A packet's properties.
+    """Properties of a packet.
 
     Attributes:
         properties: text by namespace and name; a field of a structure is named ``Structure/Field``.
-        refused: why it was not read, as a clause; empty where it was, or where it is damaged by accident.
+        refused: why the packet was refused, as a clause; empty if it was read or is merely damaged.
     """
 
     properties: dict[tuple[str, str], str]
@@ -29,14 +28,14 @@ class XmpPacket(NamedTuple):
 
 
 class _RefusedError(Exception):
-    """The packet holds what no packet needs."""
+    """The packet holds something that no camera writes."""
 
 
 def read_xmp(packet: bytes) -> XmpPacket:
-    """Read a packet's properties; none of one that is damaged or refused.
+    """Read a packet's properties; none if it is damaged or refused.
 
     Args:
-        packet: from ``<?xpacket`` or ``<x:xmpmeta`` on.
+        packet: bytes from ``<?xpacket`` or ``<x:xmpmeta`` on.
     """
     if len(packet) > MAX_XMP_BYTES:
         return XmpPacket({}, f"its XMP has {len(packet)} bytes")
@@ -45,13 +44,13 @@ def read_xmp(packet: bytes) -> XmpPacket:
         reader.parser.Parse(packet.strip(b"\0 \r\n\t"), True)
     except _RefusedError as error:
         return XmpPacket({}, str(error))
-    except (expat.ExpatError, LookupError, ValueError):  # no XML, or in an encoding that there is not
+    except (expat.ExpatError, LookupError, ValueError):  # not XML, or an unknown encoding
         return XmpPacket({})
     return XmpPacket(reader.properties)
 
 
 class _Reader:
-    """Collects properties while expat reads."""
+    """Handlers that collect properties while expat parses."""
 
     def __init__(self) -> None:
         self.properties: dict[tuple[str, str], str] = {}
@@ -72,7 +71,7 @@ class _Reader:
     def _start(self, name: str, attributes: dict[str, str]) -> None:
         self._n_elements += 1
         if self._n_elements > _MAX_ELEMENTS or len(self._open) >= _MAX_DEPTH:
-            raise _RefusedError("its XMP is nested deeper, or longer, than any camera's")
+            raise _RefusedError("its XMP is nested deeper, or longer, than a camera writes")
         self._open.append(_split(name))
         self._text.clear()
         for key, value in attributes.items():

@@ -1,1 +1,1 @@
-"""Where images come from: paths, arrays, datasets, addresses."""
+"""Image sources: paths, arrays, datasets, addresses."""

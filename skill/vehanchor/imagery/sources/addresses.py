@@ -1,4 +1,4 @@
-"""Images on web servers, for callers who name an address themselves; the MCP server has its own way, and rules."""
+"""Images on web servers, for addresses that the caller names. The MCP server has its own downloads and rules."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ if TYPE_CHECKING:
 
 _ADDRESS = re.compile(r"https?://", re.IGNORECASE)
 _TIMEOUT_S = 30.0
-_PART_BYTES = 1 << 16  # of a file whose header is read: most headers lie in the first
+_PART_BYTES = 1 << 16  # range size for headers; most headers fit in the first range
 _CHUNK_BYTES = 1 << 20
 
 
 def is_address(name: str) -> bool:
-    """Whether a name is an http(s) address and no path."""
+    """Test whether a name is an http(s) address rather than a path."""
     return _ADDRESS.match(name) is not None
 
 
 def gdal_name(address: str) -> str:
-    """The name under which GDAL reads the file by ranges."""
+    """Convert an address to the name under which GDAL reads the file by ranges."""
     return f"/vsicurl/{address}"
 
 
-def ranges_of(address: str) -> ReadAt:
-    """A reader of parts of a file, each asked for once.
+def range_reader(address: str) -> ReadAt:
+    """Create a reader that requests each range of a file once.
 
     Raises:
-        ImageNotFoundError: when it reads: there is no such file, or the server does not answer.
+        ImageNotFoundError: on reading: there is no such file, or the server does not answer.
     """
     parts: dict[int, bytes] = {}
 
@@ -44,7 +44,7 @@ def ranges_of(address: str) -> ReadAt:
             with _opened(address, {"Range": f"bytes={first}-{first + _PART_BYTES - 1}"}) as reply:
                 if reply.status == 206 or index == 0:
                     parts[index] = reply.read(_PART_BYTES)
-                else:  # a server that does not know ranges sends all
+                else:  # a server without ranges sends the whole file
                     parts[index] = b"" if reply.status == 416 else reply.read(first + _PART_BYTES)[first:]
         return parts[index]
 
@@ -61,25 +61,25 @@ def ranges_of(address: str) -> ReadAt:
     return read_at
 
 
-def whole_of(address: str, limits: ImageLimits) -> bytes:
-    """Fetch a file.
+def fetch_file(address: str, limits: ImageLimits) -> bytes:
+    """Download a file.
 
     Raises:
         ImageNotFoundError: there is no such file, or the server does not answer.
-        ImageTooLargeError: it has more bytes than the limits allow.
+        ImageTooLargeError: the file has more bytes than the limits allow.
     """
     data = bytearray()
     with _opened(address, {}) as reply:
         while chunk := reply.read(_CHUNK_BYTES):
             data += chunk
             if len(data) > limits.max_bytes:
-                raise ImageTooLargeError(f"{address} gives more than the limit of {limits.max_bytes} bytes")
+                raise ImageTooLargeError(f"{address} exceeds the limit of {limits.max_bytes} bytes")
     return bytes(data)
 
 
 @contextmanager
 def _opened(address: str, headers: dict[str, str]) -> Iterator[Any]:
-    """A server's reply, closed at the end; its errors are ours."""
+    """Open a server's reply, close it at the end, and translate its errors."""
     from http.client import HTTPException
     from urllib.error import HTTPError
     from urllib.request import Request, urlopen
@@ -96,4 +96,4 @@ def _opened(address: str, headers: dict[str, str]) -> Iterator[Any]:
         try:
             yield reply
         except (OSError, HTTPException) as error:
-            raise ImageDecodeError(f"{address} broke off: {error}; try again") from error
+            raise ImageDecodeError(f"the download of {address} stopped: {error}; try again") from error

@@ -1,4 +1,4 @@
-"""Pixels that are in memory whole: the caller's own array, or a decoded file."""
+"""Images held in memory: the caller's array, or a decoded file."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 
 
 class ArrayRaster(Raster):
-    """Pixels in memory; windows are converted one by one, so that nothing is held twice.
+    """Image in memory, converted window by window to avoid a second copy.
 
     Args:
         pixels: ``[h, w]`` or ``[h, w, bands]``; neither copied nor changed.
-        source: what to call it.
-        bands: which bands are red, green and blue.
-        bgr: the first three bands are blue, green and red.
-        orientation: how the stored image is to be turned, as EXIF counts.
-        georeference_gsd_m_per_px: what its coordinates say; None without any.
+        source: name of the image.
+        bands: bands to use as red, green and blue.
+        bgr: whether the first three bands are blue, green and red.
+        orientation: EXIF orientation to apply.
+        georeference_gsd_m_per_px: GSD by its coordinates; None without any.
 
     Raises:
-        InvalidParameterError: ``bands`` names one that is not there.
-        ImageFormatError: it cannot be measured.
+        InvalidParameterError: ``bands`` names a missing band.
+        ImageFormatError: the image cannot be measured.
     """
 
     def __init__(
@@ -74,17 +74,17 @@ class ArrayRaster(Raster):
         if self._channels == (0, 1, 2) and part.shape[2] == 3:
             return StoredPixels(part, None)
         if self._channels == (2, 1, 0) and part.shape[2] == 3 and part.dtype != np.float64:
-            return StoredPixels(cv2.cvtColor(part, cv2.COLOR_BGR2RGB), None)  # in one pass: most files
+            return StoredPixels(cv2.cvtColor(part, cv2.COLOR_BGR2RGB), None)  # one pass, for most files
         return StoredPixels(merge_bands([part[:, :, channel] for channel in self._channels]), None)
 
 
 def _checked(pixels: NDArray[Any]) -> NDArray[Any]:
-    """The array as ``[h, w, bands]`` of one of ``bands.DTYPES``, without a copy where it is one already."""
+    """Check an array and give it as ``[h, w, bands]`` in one of ``bands.DTYPES``, without a copy if possible."""
     pixels = np.asarray(pixels)
     if pixels.ndim == 2:
         pixels = pixels[:, :, np.newaxis]
     if pixels.ndim != 3 or pixels.shape[2] == 0:
-        raise ImageFormatError(f"an image array has the shape [h, w] or [h, w, bands], got {list(pixels.shape)}")
+        raise ImageFormatError(f"an image array must have the shape [h, w] or [h, w, bands], got {list(pixels.shape)}")
     hint = "; an array's bands come last" if pixels.shape[0] in (1, 3, 4) else ""
     check_side(pixels.shape[1], pixels.shape[0], hint)
     dtype = np.dtype(np.float32) if pixels.dtype == np.float16 else pixels.dtype.newbyteorder("=")

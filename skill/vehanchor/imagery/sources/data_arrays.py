@@ -1,4 +1,4 @@
-"""xarray's images as arrays, without importing xarray: who has such an image has it."""
+"""Arrays from xarray images. This module never imports xarray; callers with such an image have it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ROWS, _COLUMNS = ("y", "lat", "latitude", "northing"), ("x", "lon", "longitude"
 
 
 class DataArray(Protocol):
-    """What is used of ``xarray.DataArray``."""
+    """The part of ``xarray.DataArray`` that this module uses."""
 
     @property
     def dims(self) -> Any:
@@ -29,23 +29,23 @@ class DataArray(Protocol):
         """Lengths of its axes by name."""
 
     def transpose(self, *dims: Any) -> Any:
-        """The same with its axes in another order."""
+        """Reorder its axes."""
 
 
 def is_data_array(image: Any) -> TypeGuard[DataArray]:
-    """Whether something is an array of xarray."""
+    """Test whether an object is an xarray DataArray, without importing xarray."""
     return any(kind.__module__.startswith("xarray.") and kind.__name__ == "DataArray" for kind in type(image).__mro__)
 
 
 def data_array_pixels(image: DataArray, limits: ImageLimits) -> NDArray[Any]:
-    """Read an array of axes y, x and perhaps one of bands, in any order; one that is lazy is computed.
+    """Read an array with the axes y, x and optionally bands, in any order; a lazy array is computed.
 
     Returns:
         ``[h, w]`` or ``[h, w, bands]``.
 
     Raises:
-        InvalidParameterError: its axes are others.
-        ImageTooLargeError: it has more pixels than the limits allow.
+        InvalidParameterError: the array has other axes.
+        ImageTooLargeError: the array has more pixels than the limits allow.
     """
     rows, columns, bands = _axes(image)
     height, width = image.sizes[rows], image.sizes[columns]
@@ -58,7 +58,7 @@ def data_array_pixels(image: DataArray, limits: ImageLimits) -> NDArray[Any]:
 
 
 def data_array_gsd_m_per_px(image: Any) -> float | None:
-    """Metres per pixel by the array's own coordinates, as rioxarray knows them; None without these."""
+    """Compute metres per pixel from the array's coordinates, as rioxarray reads them; None without coordinates."""
     located = getattr(image, "rio", None)
     if located is None or located.crs is None:
         return None
@@ -71,13 +71,13 @@ def data_array_gsd_m_per_px(image: Any) -> float | None:
 
 
 def _axes(image: DataArray) -> tuple[Any, Any, list[Any]]:
-    """Names of the rows' axis, the columns', and of the bands' where there is one."""
+    """Find the names of the row axis, the column axis and the band axis, if there is one."""
     rows = [name for name in image.dims if str(name).lower() in _ROWS]
     columns = [name for name in image.dims if str(name).lower() in _COLUMNS]
     bands = [name for name in image.dims if name not in (*rows, *columns)]
     if len(rows) != 1 or len(columns) != 1 or len(bands) > 1:
         raise InvalidParameterError(
-            f"the DataArray has the axes {', '.join(map(str, image.dims))}: y and x are needed, and at most one of "
-            "bands; choose with isel, or rename"
+            f"the DataArray has the axes {', '.join(map(str, image.dims))}: y and x are required, plus at most "
+            "one for bands; select with isel, or rename"
         )
     return rows[0], columns[0], bands

@@ -1,9 +1,8 @@
-"""Any aerial image as a raster of 8-bit RGB that is read by windows.
+"""Opening of any aerial image as a raster of 8-bit RGB.
 
-JPEG, PNG, WebP, AVIF, BMP and plain TIFF are decoded whole by OpenCV. GeoTIFF and COG, TIFF that OpenCV cannot decode
-(more than four bands, say), TIFF and JPEG too large to decode whole and JPEG 2000 are read by windows through rasterio
-(extra ``geo``), HEIC through libheif (extra ``heic``). Which of them reads a file depends on the file alone, never on
-what is installed (docs/decisions.md).
+OpenCV decodes JPEG, PNG, WebP, AVIF, BMP and plain TIFF whole. rasterio (extra ``geo``) reads the following by windows:
+GeoTIFF, COG, JPEG 2000, TIFF that OpenCV cannot decode, and TIFF or JPEG too large to decode whole. libheif (extra
+``heic``) decodes HEIC. The choice depends on the file alone, never on installed packages (docs/decisions.md).
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from vehanchor.imagery.formats.unpacked import open_large_jpeg
 from vehanchor.imagery.limits import check_bytes, read_checked_header
 from vehanchor.imagery.metadata.camera import read_camera
 from vehanchor.imagery.raster import Raster
-from vehanchor.imagery.sources.addresses import gdal_name, is_address, ranges_of, whole_of
+from vehanchor.imagery.sources.addresses import fetch_file, gdal_name, is_address, range_reader
 from vehanchor.imagery.sources.arrays import ArrayRaster
 from vehanchor.imagery.sources.data_arrays import DataArray, data_array_gsd_m_per_px, data_array_pixels, is_data_array
 from vehanchor.imagery.sources.pillow import PillowImage, is_pillow, pillow_pixels
@@ -49,8 +48,8 @@ ImageSource: TypeAlias = (
     | PillowImage
     | DataArray
 )
-"""A path or http(s) address, an encoded image in memory, a binary file object, an array [h, w] or [h, w, bands] with
-RGB order, an open rasterio dataset, a Pillow image, or a DataArray of xarray."""
+"""A path or http(s) address, an encoded image in memory, a binary file object, an array [h, w] or [h, w, bands] in
+RGB order, an open rasterio dataset, a Pillow image, or an xarray DataArray."""
 
 _MIB = 1 << 20
 _JPEG = b"\xff\xd8\xff"
@@ -65,27 +64,31 @@ def open_raster(
 ) -> Raster:
     """Open an image of any kind for reading by windows.
 
-    uint8 is taken as it is. uint16 is stretched by the percentiles 2 and 98 of the whole image. Floats within 0..1 are
-    scaled by 255, all others stretched by percentiles; arrays and plain files must be finite, while in files read by
-    windows NaN is "no data". One band becomes grey, alpha is dropped, of more bands the first three are taken.
+    uint8 stays unchanged. uint16 is stretched between percentiles 2 and 98 of the whole image. Floats within 0..1 are
+    scaled by 255, other floats stretched by percentiles. Arrays and plain files must be finite; in files read by
+    windows NaN means "no data". One band becomes grey, alpha is dropped, and of more bands the first three are used.
 
     Args:
-        image: a path to a local file, an encoded image (bytes or a binary file object, read from where it stands), an
-            array [h, w] or [h, w, bands], RGB, of uint8, uint16 or floats, or an open rasterio dataset; arrays are
-            neither copied nor changed, datasets are left open. Or a Pillow image, which is turned as its EXIF says; a
-            ``DataArray`` of xarray; an http(s) address, of which TIFF and JPEG 2000 are read by windows, all
-            else whole.
-        bands: which bands are red, green and blue; they count from 1.
-        limits: what to refuse; None stands for the defaults.
-        bgr: an array's first three bands are blue, green and red, as OpenCV reads them; files say it themselves.
+        image: one of
+
+            * a path to a local file,
+            * an encoded image: bytes, or a binary file object, which is read from its current position,
+            * an array [h, w] or [h, w, bands] of uint8, uint16 or floats, RGB; it is neither copied nor changed,
+            * an open rasterio dataset, which stays open,
+            * a Pillow image, whose EXIF orientation is applied,
+            * an xarray ``DataArray``,
+            * an http(s) address; TIFF and JPEG 2000 are read by windows, other formats are downloaded.
+        bands: bands to use as red, green and blue, counted from 1.
+        limits: limits to apply; None for the defaults.
+        bgr: whether an array's first three bands are blue, green and red, as in OpenCV; ignored for files.
 
     Raises:
-        InvalidParameterError: ``bands`` names a band that is not there, or ``image`` is of no known kind.
-        ImageNotFoundError: no regular file at the path.
-        ImageDecodeError: empty, truncated, damaged, or not an image.
-        ImageTooLargeError: more bytes or declared pixels than the limits allow.
-        ImageFormatError: it decodes but cannot be measured: under 16 px a side, NaN, an odd dtype.
-        MissingExtraError: the file needs rasterio, which is not installed.
+        InvalidParameterError: ``bands`` names a missing band, or ``image`` has an unknown type.
+        ImageNotFoundError: there is no regular file at the path.
+        ImageDecodeError: the file is empty, truncated, damaged, or not an image.
+        ImageTooLargeError: the file has more bytes or declared pixels than the limits allow.
+        ImageFormatError: the image decodes but cannot be measured: a side under 16 px, NaN, an unsupported dtype.
+        MissingExtraError: the file needs rasterio or libheif, which is not installed.
     """
     limits = limits or ImageLimits()
     if bands is not None and (len(bands) != 3 or not all(isinstance(band, int) and band >= 1 for band in bands)):
@@ -114,15 +117,15 @@ def open_raster(
 
 
 def can_be_read_again(image: ImageSource) -> bool:
-    """Whether an image is there a second time: a stream is not."""
+    """Test whether an image can be opened a second time; a stream cannot."""
     return is_dataset(image) or is_pillow(image) or not hasattr(image, "read")
 
 
 def _open_address(address: str, bands: BandChoice, limits: ImageLimits) -> Raster:
-    read_at = ranges_of(address)
+    read_at = range_reader(address)
     start = read_at(0, 32)
     if not (is_tiff(start) or is_jpeg2000(start)):
-        return _open_bytes(whole_of(address, limits), address, bands, limits)
+        return _open_bytes(fetch_file(address, limits), address, bands, limits)
     header = read_checked_header(read_at, limits)
     return _open_by_windows(gdal_name(address), address, header, bands, limits, read_at)
 
@@ -132,7 +135,7 @@ def _open_path(path: str, bands: BandChoice, limits: ImageLimits) -> Raster:
         n_bytes = os.fstat(file.fileno()).st_size
 
         def read_at(offset: int, count: int) -> bytes:
-            if offset >= n_bytes:  # also keeps offsets that no file system knows from seek()
+            if offset >= n_bytes:  # also keeps invalid offsets from seek()
                 return b""
             file.seek(offset)
             return file.read(count)
@@ -163,7 +166,7 @@ def _open_bytes(
     if _needs_windows(header, limits):
         return _open_by_windows(data, source, header, bands, limits, read_at)
     pixels = decode(data, source, header)
-    orientation = 1 if header.tiff else header.orientation  # OpenCV has turned a TIFF already
+    orientation = 1 if header.tiff else header.orientation  # OpenCV has already applied a TIFF's orientation
     raster = ArrayRaster(pixels, source, bands, bgr=True, orientation=orientation)
     raster.camera = read_camera(read_at)
     return raster
@@ -172,7 +175,7 @@ def _open_bytes(
 def _open_by_windows(
     file: str | bytes, source: str, header: ImageHeader, bands: BandChoice, limits: ImageLimits, read_at: ReadAt
 ) -> Raster:
-    """Open what is too large to decode whole, or what OpenCV does not decode."""
+    """Open an image that is too large to decode whole, or that OpenCV does not decode."""
     opened = open_large_jpeg if header.format == "JPEG" else open_file
     raster = opened(file, source, header, bands, limits)
     raster.camera = read_camera(read_at)
@@ -191,7 +194,7 @@ def _needs_windows(header: ImageHeader, limits: ImageLimits) -> bool:
 
 
 def _open_regular(path: str) -> BinaryIO:
-    # O_NONBLOCK: opening a FIFO must not wait for a writer. What was opened is checked, not what the name meant before.
+    # O_NONBLOCK: opening a FIFO must not wait for a writer. The check uses the open file, because its name can change.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
     try:
         descriptor = os.open(path, flags)
@@ -203,7 +206,7 @@ def _open_regular(path: str) -> BinaryIO:
         return os.fdopen(descriptor, "rb")
     os.close(descriptor)
     if stat.S_ISDIR(mode):
-        raise ImageNotFoundError(f"{path!r} is a folder: give an image; vehanchor.find_images lists those in it")
+        raise ImageNotFoundError(f"{path!r} is a folder: give an image; vehanchor.find_images lists those in a folder")
     kind = "a pipe" if stat.S_ISFIFO(mode) else "a device or socket"
     raise ImageNotFoundError(f"the image {path!r} is {kind}, not a file")
 
@@ -219,9 +222,9 @@ def _read_stream(stream: BinaryIO, limits: ImageLimits) -> bytes:
         if not chunk:
             break
         if not isinstance(chunk, bytes):
-            raise InvalidParameterError(f"the image's file object must be open in binary mode, it gave {type(chunk)}")
+            raise InvalidParameterError(f"the image's file object must be open in binary mode, got {type(chunk)}")
         chunks.append(chunk)
         n_bytes += len(chunk)
     if n_bytes > limits.max_bytes:
-        raise ImageTooLargeError(f"the image's file object gives more than the limit of {limits.max_bytes} bytes")
+        raise ImageTooLargeError(f"the image's file object exceeds the limit of {limits.max_bytes} bytes")
     return b"".join(chunks)

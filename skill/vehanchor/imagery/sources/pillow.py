@@ -1,4 +1,4 @@
-"""Pillow's images as arrays, without importing Pillow: who has such an image has it."""
+"""Arrays from Pillow images. Pillow is imported only by callers who already have such an image."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ if TYPE_CHECKING:
 
     from vehanchor.options import ImageLimits
 
-_AS_THEY_ARE = {"L": 1, "RGB": 3, "RGBA": 4, "I;16": 2, "I;16B": 2, "F": 4}
-"""Modes that become arrays as they are, and the bytes of a pixel in these; all others are turned into RGB first."""
+_ARRAY_MODES = {"L": 1, "RGB": 3, "RGBA": 4, "I;16": 2, "I;16B": 2, "F": 4}
+"""Modes that become arrays directly, with bytes per pixel; all others are converted to RGB first."""
 
 _HELD_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2}
-"""Bytes of a pixel that Pillow holds; 4 in all other modes."""
+"""Bytes per pixel in Pillow's memory; 4 for all other modes."""
 
 _TAG_ORIENTATION = 274
 
 
 class PillowImage(Protocol):
-    """What is used of ``PIL.Image.Image``."""
+    """The part of ``PIL.Image.Image`` that this module uses."""
 
     @property
     def mode(self) -> str:
-        """The kind of its pixels."""
+        """Pixel format."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -41,20 +41,20 @@ class PillowImage(Protocol):
 
 
 def is_pillow(image: Any) -> TypeGuard[PillowImage]:
-    """Whether something is an image of Pillow."""
+    """Test whether an object is a Pillow image, without importing Pillow."""
     return any(kind.__module__.startswith("PIL.") and kind.__name__ == "Image" for kind in type(image).__mro__)
 
 
 def pillow_pixels(image: PillowImage, limits: ImageLimits) -> NDArray[Any]:
-    """Decode an image and turn it as its EXIF says.
+    """Decode an image and apply its EXIF orientation.
 
     Returns:
         ``[h, w]`` or ``[h, w, bands]``.
 
     Raises:
-        ImageTooLargeError: it declares more pixels than the limits allow, or takes more memory.
-        OutOfMemoryError: there is too little memory for it now.
-        ImageDecodeError: it is truncated or damaged.
+        ImageTooLargeError: the image exceeds the limits on pixels or memory.
+        OutOfMemoryError: the machine has too little free memory.
+        ImageDecodeError: the image is truncated or damaged.
     """
     from PIL import ImageOps
 
@@ -64,8 +64,8 @@ def pillow_pixels(image: PillowImage, limits: ImageLimits) -> NDArray[Any]:
             f"the Pillow image has {width} x {height} px, the limit is {limits.max_pixels} pixels "
             "(--max-megapixels, ImageLimits.max_pixels)"
         )
-    held, shown = _HELD_BYTES.get(image.mode, 4), _AS_THEY_ARE.get(image.mode, 3)
-    taken = width * height * (held + 2 * shown)  # Pillow gives its pixels away in pieces, which it then joins
+    held, shown = _HELD_BYTES.get(image.mode, 4), _ARRAY_MODES.get(image.mode, 3)
+    taken = width * height * (held + 2 * shown)  # Pillow copies its pixels in pieces and then joins them
     if taken > limits.max_decoded_bytes:
         raise ImageTooLargeError(
             f"decoding the Pillow image of {width} x {height} px ({image.mode}) takes {taken} bytes, the limit is "
@@ -73,12 +73,13 @@ def pillow_pixels(image: PillowImage, limits: ImageLimits) -> NDArray[Any]:
         )
     try:
         upright: Any = image
-        if image.getexif().get(_TAG_ORIENTATION, 1) != 1:  # else it would be copied all the same
+        if image.getexif().get(_TAG_ORIENTATION, 1) != 1:  # exif_transpose always copies
             upright = ImageOps.exif_transpose(cast("Any", image))
-        if upright.mode not in _AS_THEY_ARE:
+        if upright.mode not in _ARRAY_MODES:
             upright = upright.convert("RGB")
         return np.asarray(upright)
     except MemoryError as error:
-        raise OutOfMemoryError(f"no memory for the Pillow image of {width} x {height} px: try again later") from error
+        size = f"{width} x {height} px"
+        raise OutOfMemoryError(f"not enough memory for the Pillow image of {size}: try again later") from error
     except (OSError, ValueError, SyntaxError) as error:
         raise ImageDecodeError(f"the Pillow image cannot be decoded: {error}") from error

@@ -1,4 +1,4 @@
-"""Images read by windows through rasterio: GeoTIFF, COG, JPEG 2000, and datasets that the caller has opened."""
+"""Images read by windows through rasterio: GeoTIFF, COG, JPEG 2000, and the caller's open datasets."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ if TYPE_CHECKING:
     from vehanchor.imagery.formats.header import ImageHeader
     from vehanchor.options import ImageLimits
 
-_CACHE_BYTES = 192 << 20  # of decoded blocks, of all files together: what two rows of tiles share of a wide image
-_SAMPLE_GRID = 8  # windows a side: 64 spots of 128 px make SAMPLE_PX
-_SHOWN_PHOTOMETRIC = (1, 2, 3, 6)  # grey from black, RGB, palette, YCbCr
+_CACHE_BYTES = 192 << 20  # of decoded blocks of all files: the overlap of two rows of tiles in a wide image
+_SAMPLE_GRID = 8  # windows per side: 64 windows of 128 px make SAMPLE_PX
+_SUPPORTED_PHOTOMETRIC = (1, 2, 3, 6)  # grey from black, RGB, palette, YCbCr
 _DRIVERS = {"TIFF": "GTiff", "JPEG 2000": "JP2OpenJPEG", "JPEG": "JPEG"}
 _OPENJPEG_SAMPLE_BYTES = 4
 _INKS = frozenset({"cyan", "magenta", "yellow", "black"})
 
 
 class Dataset(Protocol):
-    """An image that rasterio has opened for reading: what ``rasterio.open`` gives, and a ``WarpedVRT``."""
+    """Image that rasterio has opened for reading: the result of ``rasterio.open``, or a ``WarpedVRT``."""
 
     @property
     def width(self) -> int:
@@ -55,27 +55,27 @@ class Dataset(Protocol):
 
     @property
     def dtypes(self) -> Any:
-        """Of each band."""
+        """Pixel type of each band."""
 
     def read_masks(self, indexes: Any = None, /, *, window: Any = None) -> NDArray[Any]:
-        """255 where a band holds data."""
+        """Read masks: 255 where a band holds data."""
 
 
 def is_dataset(image: object) -> TypeGuard[Dataset]:
-    """Whether something was opened by rasterio; does not import it."""
-    rasterio_base = sys.modules.get("rasterio._base")  # the one base of all its datasets has no public name
+    """Test whether an object is a rasterio dataset, without importing rasterio."""
+    rasterio_base = sys.modules.get("rasterio._base")  # the common base of its datasets has no public name
     return rasterio_base is not None and isinstance(image, rasterio_base.DatasetBase)
 
 
 def open_dataset(dataset: Any, bands: BandChoice, limits: ImageLimits) -> DatasetRaster:
-    """Read a dataset that the caller has opened, and will close.
+    """Make a raster of the caller's dataset, which the caller closes.
 
-    Its pixels are shown as GDAL gives them: an orientation tag is not looked at.
+    GDAL's pixels are used as they are; an orientation tag is ignored.
 
     Raises:
-        InvalidParameterError: it is closed or open for writing only, or has no such bands.
-        ImageTooLargeError: too many pixels in all, or in one block.
-        ImageFormatError: it cannot be measured.
+        InvalidParameterError: the dataset is closed or open for writing only, or lacks the bands.
+        ImageTooLargeError: the dataset or one of its blocks has too many pixels.
+        ImageFormatError: the dataset cannot be measured.
     """
     if dataset.closed or dataset.mode not in ("r", "r+"):
         state = "closed" if dataset.closed else f"open in mode {dataset.mode!r}"
@@ -91,63 +91,63 @@ def open_dataset(dataset: Any, bands: BandChoice, limits: ImageLimits) -> Datase
 def open_file(
     file: str | bytes, source: str, header: ImageHeader, bands: BandChoice, limits: ImageLimits
 ) -> DatasetRaster:
-    """Open a TIFF or JPEG 2000, by absolute path or in memory; nothing beside it is looked at.
+    """Open a TIFF or JPEG 2000 by absolute path or from memory; sidecar files are ignored.
 
     Args:
         file: its path or its bytes.
-        source: what to call it.
-        header: what it says of itself.
-        bands: which bands are red, green and blue.
-        limits: what to refuse.
+        source: name of the image in messages.
+        header: its header.
+        bands: bands to use as red, green and blue.
+        limits: limits to apply.
 
     Raises:
         MissingExtraError: rasterio is not installed.
-        InvalidParameterError: ``bands`` names one that is not there.
-        ImageDecodeError: it is damaged.
-        ImageTooLargeError: it is stored in blocks of too many pixels.
-        ImageFormatError: it cannot be measured.
+        InvalidParameterError: ``bands`` names a missing band.
+        ImageDecodeError: the image is damaged.
+        ImageTooLargeError: a block has too many pixels.
+        ImageFormatError: the image cannot be measured.
     """
     layout = header.tiff
-    if layout is not None and layout.photometric not in _SHOWN_PHOTOMETRIC:
+    if layout is not None and layout.photometric not in _SUPPORTED_PHOTOMETRIC:
         raise ImageFormatError(
             f"the TIFF ({source}) has photometric interpretation {layout.photometric}, which is neither"
             " grey (black is zero), RGB, palette nor YCbCr; convert it to RGB"
         )
     check_block("JPEG 2000", header.tile_px, header.bands, _OPENJPEG_SAMPLE_BYTES, limits)
     with ExitStack() as stack:
-        dataset = dataset_of(file, source, header, limits, stack)
-        with gdal(source):
+        dataset = open_rasterio(file, source, header, limits, stack)
+        with gdal_environment(source):
             if layout is not None:
                 check_block("TIFF's mask", layout.mask_block_px, 1, 1, limits)
-            # A geotransform speaks of the stored frame: such files are shown as stored.
+            # A geotransform refers to the stored frame, so georeferenced files keep their stored orientation.
             orientation = 1 if layout is not None and layout.georeferenced else header.orientation
             raster = DatasetRaster(dataset, source, bands, orientation=orientation)
-        raster.closes(stack.pop_all())
+        raster.close_with(stack.pop_all())
     return raster
 
 
-def dataset_of(file: str | bytes, source: str, header: ImageHeader, limits: ImageLimits, stack: ExitStack) -> Any:
-    """Open a file by the one driver of its format, without a look at what lies beside it.
+def open_rasterio(file: str | bytes, source: str, header: ImageHeader, limits: ImageLimits, stack: ExitStack) -> Any:
+    """Open a file with its format's driver, ignoring sidecar files.
 
     Args:
         file: its path or its bytes.
-        source: what to call it.
-        header: what it says of itself.
-        limits: of its blocks.
-        stack: closes it.
+        source: name of the image in messages.
+        header: its header.
+        limits: limits to apply to its blocks.
+        stack: closes the dataset.
 
     Returns:
-        The dataset of rasterio.
+        The rasterio dataset.
 
     Raises:
         MissingExtraError: rasterio is not installed.
-        ImageDecodeError: it is damaged.
-        ImageTooLargeError: it is stored in blocks of too many pixels.
+        ImageDecodeError: the image is damaged.
+        ImageTooLargeError: a block has too many pixels.
     """
     rasterio = _import_rasterio(source, header)
-    # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could change what the file says, a VRT could name any other file.
+    # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could override the file's content; a VRT could name any other file.
     with (
-        gdal(source, GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR", GDAL_PAM_ENABLED="NO"),
+        gdal_environment(source, GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR", GDAL_PAM_ENABLED="NO"),
         warnings.catch_warnings(),
     ):
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
@@ -168,18 +168,18 @@ def _import_rasterio(source: str, header: ImageHeader) -> Any:
         import rasterio.enums
         import rasterio.errors
     except ImportError as error:
-        why = "georeferenced, too large or of too many bands for OpenCV" if header.tiff else "too large to decode whole"
+        why = "is georeferenced, too large or unsupported by OpenCV" if header.tiff else "is too large to decode whole"
         if header.format == "JPEG 2000":
-            why = "of a format that OpenCV does not decode safely"
+            why = "has a format that OpenCV does not decode safely"
         raise MissingExtraError(
-            f"the {header.format} ({source}) is {why}; reading it needs rasterio: pip install 'vehanchor[geo]'"
+            f"the {header.format} ({source}) {why}; reading it needs rasterio: pip install 'vehanchor[geo]'"
         ) from error
     return rasterio
 
 
 @contextmanager
-def gdal(source: str, **options: str) -> Iterator[None]:
-    """Run GDAL with these options, silent on stderr, its errors as ours."""
+def gdal_environment(source: str, **options: str) -> Iterator[None]:
+    """Run GDAL with these options, silent on stderr, and translate its errors."""
     from rasterio import Env
     from rasterio._err import CPLE_BaseError, CPLE_OutOfMemoryError
     from rasterio.errors import RasterioError
@@ -190,8 +190,8 @@ def gdal(source: str, **options: str) -> Iterator[None]:
     except VehAnchorError:
         raise
     except (MemoryError, CPLE_OutOfMemoryError) as error:
-        raise OutOfMemoryError(f"no memory for the image ({source}): try again later") from error
-    # RasterioIOError of rasterio 1.3 is only an OSError, CRSError a ValueError; a damaged palette is a LookupError.
+        raise OutOfMemoryError(f"not enough memory for the image ({source}): try again later") from error
+    # In rasterio 1.3 RasterioIOError is an OSError and CRSError a ValueError; a damaged palette gives a LookupError.
     except (RasterioError, CPLE_BaseError, OSError, ValueError, LookupError, ArithmeticError) as error:
         cause = error.__cause__ or error
         raise ImageDecodeError(f"the image ({source}) cannot be decoded by GDAL: {cause}") from error
@@ -206,25 +206,25 @@ def _check_block(dataset: Any, name: str, limits: ImageLimits) -> None:
 def _dtype(name: str) -> np.dtype[Any]:
     try:
         return np.dtype(name)
-    except TypeError:  # complex_int16, which only GDAL has
+    except TypeError:  # complex_int16 exists only in GDAL
         raise ImageFormatError(
             f"pixels of {name} cannot be measured; convert them to uint8, uint16 or float32"
         ) from None
 
 
 class DatasetRaster(Raster):
-    """An image read through rasterio.
+    """Image read through rasterio.
 
     Args:
-        dataset: open for reading; closed with the raster only where ``closes`` says so.
-        source: what to call it.
-        bands: which bands are red, green and blue.
-        orientation: how the stored image is to be turned, as EXIF counts.
+        dataset: open for reading; the raster closes it only after ``close_with``.
+        source: name of the image.
+        bands: bands to use as red, green and blue.
+        orientation: EXIF orientation to apply.
 
     Raises:
-        InvalidParameterError: ``bands`` names one that is not there.
-        ImageDecodeError: it is damaged.
-        ImageFormatError: it cannot be measured.
+        InvalidParameterError: ``bands`` names a missing band.
+        ImageDecodeError: the image is damaged.
+        ImageFormatError: the image cannot be measured.
     """
 
     def __init__(self, dataset: Any, source: str, bands: BandChoice, *, orientation: int = 1) -> None:
@@ -256,35 +256,30 @@ class DatasetRaster(Raster):
         if dtype != np.uint8 and self._palette is None:
             self._choose_stretch(self._sample())
 
-    def closes(self, stack: ExitStack) -> None:
-        """Hand over what is to be closed with the raster."""
+    def close_with(self, stack: ExitStack) -> None:
+        """Close this stack together with the raster."""
         self._stack = stack
 
     def close(self) -> None:
-        """Close the file, if it is ours."""
+        """Close the file unless it is the caller's dataset."""
         self._stack.close()
 
     def read_overview(self, window: Window, factor: int) -> NDArray[np.uint8] | None:
-        """Read a window of the image reduced by a factor from the file's overviews; None where it has none for it.
-
-        Args:
-            window: as in ``Raster.read_overview``.
-            factor: as there.
-        """
+        """Read a window of the reduced image from the file's overviews; None if none fits the factor."""
         step = next((each for each in (factor, factor // 2) if each > 1 and self._has_overview(each)), None)
         if self._palette is not None or step is None:
             return None
         full = Window(*(factor * each for each in (window.x_px, window.y_px, window.width_px, window.height_px)))
         stored = stored_window(full, self.width_px, self.height_px, self._orientation)
-        seen = self._shown(self._read_stored(stored, (stored.height_px // step, stored.width_px // step)))
+        overview = self._to_rgb(self._read_stored(stored, (stored.height_px // step, stored.width_px // step)))
         if step != factor:
             size = window.width_px, window.height_px
-            seen = np.asarray(cv2.resize(seen, size, interpolation=cv2.INTER_AREA), np.uint8)
-        return seen
+            overview = np.asarray(cv2.resize(overview, size, interpolation=cv2.INTER_AREA), np.uint8)
+        return overview
 
     def _has_overview(self, factor: int) -> bool:
-        """Whether every band has an overview reduced by this factor."""
-        with gdal(self.source):
+        """Test whether every band has an overview of this factor."""
+        with gdal_environment(self.source):
             return all(factor in self._dataset.overviews(k) for k in self._unique)
 
     def _read_stored(self, window: Window, shape: tuple[int, int] | None = None) -> StoredPixels:
@@ -293,10 +288,10 @@ class DatasetRaster(Raster):
             (window.x_px, window.x_px + window.width_px),
         )
         more: dict[str, Any] = {} if shape is None else {"out_shape": (len(self._unique), *shape)}
-        with gdal(self.source):
+        with gdal_environment(self.source):
             planes = dict(zip(self._unique, self._dataset.read(self._unique, window=bounds, **more), strict=True))
             masks = self._dataset.read_masks(self._unique, window=bounds, **more) if self._masked else None
-        # With "nodata = 0" a band is without data wherever it is dark: only where all are is there no picture.
+        # With "nodata = 0" a dark band counts as empty; a pixel has no data only if all bands are empty.
         valid: NDArray[np.bool_] | None = None if masks is None else masks.any(axis=0)
         if self._palette is not None:
             return StoredPixels(self._palette[planes[1]], valid)
@@ -308,7 +303,7 @@ class DatasetRaster(Raster):
         return StoredPixels(rgb, valid)
 
     def _sample(self) -> NDArray[Any]:
-        """Values ``[n, 3]`` with data: all of a small raster, else a grid of windows, never the whole of a huge one."""
+        """Sample valid values ``[n, 3]``: all of a small raster, a grid of windows of a large one."""
         width, height = self._dataset.width, self._dataset.height
         if width * height <= SAMPLE_PX:
             windows = [Window(0, 0, width, height)]
@@ -324,7 +319,7 @@ class DatasetRaster(Raster):
 
 
 def _palette(dataset: Any) -> NDArray[np.uint8] | None:
-    """The colours of a palette image, ``[values, 3]``; None for all other images."""
+    """Read the colours of a palette image, ``[values, 3]``; None for other images."""
     if dataset.count != 1 or dataset.colorinterp[0].name != "palette":
         return None
     colours = np.zeros((1 << 16 if dataset.dtypes[0] == "uint16" else 1 << 8, 3), np.uint8)

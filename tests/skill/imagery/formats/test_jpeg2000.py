@@ -120,7 +120,7 @@ def test_boxes_without_end_are_refused(jp2: bytes) -> None:
     start = jp2[:12]
     with pytest.raises(ImageTooLargeError, match="more than 1000 boxes"):
         open_raster(start + (struct.pack(">I", 8) + b"free") * 2000)
-    with pytest.raises(ImageDecodeError, match="holds no picture"):
+    with pytest.raises(ImageDecodeError, match="holds no image"):
         open_raster(start + struct.pack(">I", 0) + b"free" + bytes(100))
 
 

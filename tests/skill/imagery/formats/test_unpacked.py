@@ -76,7 +76,7 @@ def test_the_disk_is_a_limit_too(jpeg: bytes, monkeypatch: pytest.MonkeyPatch) -
     with pytest.raises(ImageTooLargeError, match="--max-megapixels"):
         open_raster(jpeg, limits=ImageLimits(max_pixels=20_000, max_unpacked_bytes=3 * WIDTH * HEIGHT - 1))
     monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 10**5))
-    with pytest.raises(ImageTooLargeError, match="make room, name another folder by TMPDIR"):
+    with pytest.raises(ImageTooLargeError, match="free some space, set TMPDIR to another folder"):
         open_raster(jpeg, limits=SMALL)
 
 

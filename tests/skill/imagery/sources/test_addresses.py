@@ -62,7 +62,7 @@ def served() -> Iterator[Served]:
             pass
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True)
     thread.start()
     here.address = f"http://127.0.0.1:{server.server_port}"
     yield here
@@ -96,7 +96,7 @@ def test_what_is_not_there_too_large_or_no_image_is_told(served: Served) -> None
     served.files["page.html"] = b"<!doctype html>"
     with pytest.raises(ImageNotFoundError, match=r"answers 404"):
         open_raster(f"{served.address}/none.jpg")
-    with pytest.raises(ImageTooLargeError, match="more than the limit of 500 bytes"):
+    with pytest.raises(ImageTooLargeError, match="exceeds the limit of 500 bytes"):
         open_raster(f"{served.address}/large.png", limits=ImageLimits(max_bytes=500))
     with pytest.raises(ImageDecodeError, match="starts with"):
         open_raster(f"{served.address}/page.html")

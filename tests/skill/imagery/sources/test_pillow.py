@@ -66,11 +66,11 @@ def test_megapixels_are_a_limit_of_pixels_and_of_memory() -> None:
 @pytest.mark.parametrize(
     ("start", "words"),
     [
-        (b"GIF89a" + bytes(40), "a GIF has 256 colours"),
+        (b"GIF89a" + bytes(40), "a GIF has at most 256 colours"),
         (b"%PDF-1.7" + bytes(40), "pdfimages"),
-        (b"\0\0\0\x18ftyphevc" + bytes(40), "a sequence of HEIC; save one picture"),
+        (b"\0\0\0\x18ftyphevc" + bytes(40), "a HEIC sequence; save one image"),
         (b"\0\0\0\x18ftypmif1" + bytes(40), "neither AVIF nor HEIC; convert"),
-        (b"\0\0\0\x18ftypavis" + bytes(40), "an animation; save one picture"),
+        (b"\0\0\0\x18ftypavis" + bytes(40), "an animation; save one frame"),
         (b"\0\0\0\x18ftypisom" + bytes(40), "a video; save a frame"),
         (b"RIFF\0\0\0\0AVI LIST" + bytes(40), "a video; save a frame"),
         (b"\x1aE\xdf\xa3" + bytes(40), "a video; save a frame"),

@@ -1,0 +1,1 @@
+"""Measure the library and the server; each module is a command."""

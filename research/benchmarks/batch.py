@@ -1,0 +1,171 @@
+"""Throughput of ``vehanchor batch``: ``python -m research.benchmarks.batch``. Prints Markdown, kept in RESULTS.md.
+
+The same rendered scenes through each engine and number of workers, as whole commands (starting Ray is part of what a
+user waits for) and without the start: the difference between all the images and half of them.
+
+``--by-rows`` compares one local worker with several by the rows from the first to the last: one run each, for images
+that take long (12 megapixels are ``--side 3464``).
+
+``--nodes 1 2 4`` compares Ray on that many simulated nodes of one CPU each (Ray's own cluster utility: all of them
+processes of this machine) with as many local workers, by the rows from the first to the last; then a node of the
+largest cluster is killed after a third of the rows, and those lost and doubled are counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple, get_args
+
+import cv2
+
+from vehanchor.batch import run_batch
+from vehanchor.batch.run import Engine
+from vehanchor_scenes import Layout, render_scene
+
+SIDE_PX = 1024
+N_SCENES = 4  # rendered; the rest are further names of the same files
+
+
+def write_images(folder: Path, n_images: int, side_px: int, layout: Layout) -> None:
+    """Write images of one size."""
+    for seed in range(min(N_SCENES, n_images)):
+        scene = render_scene(0.15, width_px=side_px, height_px=side_px, seed=seed, layout=layout)
+        cv2.imwrite(str(folder / f"{seed:05}.jpg"), scene.image[:, :, ::-1])
+    for number in range(N_SCENES, n_images):
+        os.link(folder / f"{number % N_SCENES:05}.jpg", folder / f"{number:05}.jpg")
+
+
+def command_time(folder: Path, engine: str, workers: int, n_images: int) -> float:
+    """Seconds that the command takes for the first images of the folder."""
+    images = [str(path) for path in sorted(folder.glob("*.jpg"))[:n_images]]
+    with tempfile.TemporaryDirectory() as output:
+        command = [sys.executable, "-m", "vehanchor", "batch", *images, "--output", f"{output}/table.csv"]
+        started = time.perf_counter()
+        subprocess.run([*command, "--engine", engine, "--workers", str(workers)], check=True, capture_output=True)
+        return time.perf_counter() - started
+
+
+class Run(NamedTuple):
+    """One run of a batch.
+
+    Attributes:
+        rate: rows a second, once there are as many rows as workers.
+        n_lost: images without a row.
+        n_doubled: rows beyond one an image.
+    """
+
+    rate: float
+    n_lost: int
+    n_doubled: int
+
+
+@contextmanager
+def simulated_cluster(n_nodes: int) -> Iterator[tuple[Any, list[Any]]]:
+    """A head that computes nothing and nodes of one CPU each, this process connected to it."""
+    import ray
+    from ray.cluster_utils import Cluster
+
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+    nodes = [cluster.add_node(num_cpus=1) for _ in range(n_nodes)]
+    cluster.wait_for_nodes()
+    ray.init(cluster.address, log_to_driver=False, logging_level="CRITICAL")
+    try:
+        yield cluster, nodes
+    finally:
+        ray.shutdown()
+        cluster.shutdown()
+
+
+def run_rows(folder: Path, engine: Engine, workers: int, doomed: tuple[Any, Any] | None = None) -> Run:
+    """Run the folder's images; ``doomed`` is a cluster and the node of it that is killed after a third of the rows."""
+    seen: list[float] = []
+
+    def tell(done: int, total: int) -> None:
+        seen.append(time.perf_counter())
+        if doomed and done == total // 3:
+            doomed[0].remove_node(doomed[1], allow_graceful=False)
+
+    with tempfile.TemporaryDirectory() as output:
+        table = Path(output) / "table.jsonl"
+        run_batch([str(folder)], table, engine=engine, workers=workers, progress=tell)
+        rows = Counter(json.loads(line)["file"] for line in table.read_text().splitlines())
+    images = {str(path) for path in folder.glob("*.jpg")}
+    came = seen[1:]  # the first call tells that there is none yet
+    warm = came[workers - 1 :]  # from the first row on, those that come with it would count as if they took no time
+    rate = (len(warm) - 1) / (warm[-1] - warm[0])
+    return Run(rate, len(images - rows.keys()), max(len(came), rows.total()) - len(images))
+
+
+def compare_nodes(folder: Path, sizes: list[int]) -> None:
+    """Print the table of clusters."""
+    print("| nodes | local, as many workers | Ray | Ray / local | lost, doubled |\n|---|---|---|---|---|")
+    for n_nodes in sizes:
+        local = run_rows(folder, "local", n_nodes)
+        with simulated_cluster(n_nodes):
+            ray = run_rows(folder, "ray", n_nodes)
+        share = ray.rate / local.rate
+        print(
+            f"| {n_nodes} | {local.rate:.2f}/s | {ray.rate:.2f}/s | {share:.2f} | {ray.n_lost}, {ray.n_doubled} |",
+            flush=True,
+        )
+    with simulated_cluster(max(sizes)) as (cluster, nodes):
+        killed = run_rows(folder, "ray", max(sizes), (cluster, nodes[0]))
+    print(f"| {max(sizes)}, one killed | | {killed.rate:.2f}/s | | {killed.n_lost}, {killed.n_doubled} |")
+
+
+def compare_workers(folder: Path, workers: int) -> None:
+    """Print the table of local workers."""
+    print("| local workers | rows a second | over one worker |\n|---|---|---|")
+    one = run_rows(folder, "local", 1)
+    print(f"| 1 | {one.rate:.3f} | |", flush=True)
+    several = run_rows(folder, "local", workers)
+    print(f"| {workers} | {several.rate:.3f} | {several.rate / one.rate:.3f} |", flush=True)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--images", type=int, default=80)
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--side", type=int, default=SIDE_PX, help="of the images, pixels")
+    parser.add_argument("--layout", choices=get_args(Layout), default="parking", help="of the rendered scenes")
+    parser.add_argument("--by-rows", action="store_true", help="compare local workers by their rows")
+    parser.add_argument("--nodes", type=int, nargs="+", help="compare simulated clusters of that many nodes instead")
+    options = parser.parse_args()
+    print(
+        f"{platform.machine()}, {os.cpu_count()} CPUs, {options.images} images of {options.side} x {options.side} px\n"
+    )
+    if options.nodes or options.by_rows:
+        with tempfile.TemporaryDirectory() as folder:
+            write_images(Path(folder), options.images, options.side, options.layout)
+            if options.nodes:
+                compare_nodes(Path(folder), options.nodes)
+            else:
+                compare_workers(Path(folder), options.workers)
+        return
+    engines = ["local", "ray"] if importlib.util.find_spec("ray") else ["local"]
+    runs = [("local", 1)] + [(engine, options.workers) for engine in engines]
+    print("| engine | workers | whole command | images a second, started |\n|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        write_images(Path(folder), options.images, options.side, options.layout)
+        for engine, workers in dict.fromkeys(runs):
+            half = command_time(Path(folder), engine, workers, options.images // 2)
+            whole = command_time(Path(folder), engine, workers, options.images)
+            rate = (options.images - options.images // 2) / (whole - half)
+            print(f"| {engine} | {workers} | {whole:.1f} s | {rate:.2f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,328 @@
+"""Accuracy of a detector on images of known scale.
+
+``python -m research.benchmarks.detector [--split val] [--detector FILE]``.
+
+Prints Markdown, kept in RESULTS.md. "Labelled" images have at least five labelled cars; no estimate counts as an error
+of 100 %. ``--part`` chooses: ``scale`` (the estimates), ``gsd`` (by true scale, from images made coarser), ``lengths``
+(boxes against labels by length, the long ones from enlarged images), ``precision`` (AP50); default all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+from collections import defaultdict
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+from scipy.stats import spearmanr
+
+from vehanchor.detection.boxes import boxes_from_corners
+from vehanchor.detection.detector import Detector
+from vehanchor.detection.search import search as search_image
+from vehanchor.estimate import analyse_detections, analyse_scale
+from vehanchor.imagery.facts import ImageFacts
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.zoo import resolve_model
+from vehanchor.options import Lengths, Reference, ScaleOptions, Search
+from vehanchor.rulers.evidence import View
+from vehanchor_evaluation.detections import MatchedDetections, average_precision, length_errors, match_detections
+from vehanchor_evaluation.dota import read_labels
+from vehanchor_evaluation.gsd import ScaleTrial, run_trials, summarise
+from vehanchor_evaluation.table import read_table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from vehanchor.detection.card import DetectorCard
+    from vehanchor_evaluation.known_scale import KnownScaleImage
+
+DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
+_LABELLED = 5
+_GSD_EDGES = (0.05, 0.1, 0.15, 0.2, 0.25, 0.31)  # issue 3
+_LENGTH_EDGES_PX = (12.0, 20.0, 40.0, 80.0, 150.0, 300.0)  # issue 3
+_MAX_ENLARGED_PX = 1280
+_IMAGES_A_BIN = 10  # of each set: the long bins are made of large images
+_LEAST_SCORE = 0.05  # precision is asked for at every recall
+_MODEL_MADE = "ours"
+_PARTS = ("scale", "gsd", "lengths", "precision")
+_REGION_OF_SET = {"cannes": "europe", "saopaulo": "south_america", "ucm": "north_america", "empty": "north_america"}
+
+
+def _labelled(trial: ScaleTrial) -> bool:
+    return (trial.image.labelled_vehicles or 0) >= _LABELLED
+
+
+def _row(name: str, trials: list[ScaleTrial]) -> str:
+    s = summarise(trials)
+    return (
+        f"| {name} | {s.images} | {s.coverage:.1%} | {s.median:.2%} | {s.mean:.2%} "
+        f"| {s.within_10:.1%} | {s.within_20:.1%} | {s.bias:+.2%} |"
+    )
+
+
+def _correlation(trials: list[ScaleTrial]) -> tuple[float, float]:
+    """Spearman's and Pearson's correlation of confidence and error."""
+    confidence = [t.analysis.estimate.confidence for t in trials]
+    error = [t.error for t in trials]
+    return float(spearmanr(confidence, error).statistic), float(np.corrcoef(confidence, error)[0, 1])
+
+
+def _with_region(trial: ScaleTrial, card: DetectorCard, options: ScaleOptions) -> ScaleTrial:
+    """The same detections, with the reference length of the image's region where the model has one."""
+    before, estimate = trial.analysis, trial.analysis.estimate
+    facts = ImageFacts(estimate.image_width_px, estimate.image_height_px)
+    regional = _in_region(options, trial.image, card)
+    return ScaleTrial(
+        trial.image, analyse_detections(View(facts, before.detections, card, regional, lambda *_: before.resolved))
+    )
+
+
+def _in_region(options: ScaleOptions, image: KnownScaleImage, card: DetectorCard) -> ScaleOptions:
+    region = _REGION_OF_SET[image.set]
+    return replace(options, reference=Reference(region=region if region in card.region_lengths_m else None))
+
+
+def report(trials: list[ScaleTrial], regional: list[ScaleTrial]) -> list[str]:
+    """The tables as Markdown lines."""
+    sets = sorted({t.image.set for t in trials})
+    lines = ["| images | n | estimate | median | mean | < 10 % | < 20 % | bias |", "|---|---|---|---|---|---|---|---|"]
+    chosen = [t for t in trials if _labelled(t)]
+    lines.append(_row("labelled, all sets", chosen))
+    lines.append(_row("labelled, region given", [t for t in regional if _labelled(t)]))
+    selections: list[tuple[str, Callable[[ScaleTrial], bool]]] = [
+        (f"labelled, {name}", lambda t, name=name: _labelled(t) and t.image.set == name)  # type: ignore[misc]
+        for name in sets
+    ]
+    selections.append(("1 to 4 labelled cars", lambda t: 0 < (t.image.labelled_vehicles or 0) < _LABELLED))
+    for name, wanted in selections:
+        some = [t for t in trials if wanted(t)]
+        if some:
+            lines.append(_row(name, some))
+
+    known, known_regional = (
+        [t for t in some if t.analysis.estimate.gsd_m_per_px is not None and t.image.labelled_vehicles]
+        for some in (trials, regional)
+    )
+    rho, r = _correlation(known)
+    rho_regional, r_regional = _correlation(known_regional)
+    covered = [bool(t.covered) for t in known]
+    covered_labelled = [bool(t.covered) for t in known if _labelled(t)]
+    covered_regional = [bool(t.covered) for t in known_regional]
+    mistakes = [t for t in trials if (t.error > 0.2 or not t.image.labelled_vehicles)]
+    confident = [t for t in mistakes if t.analysis.estimate.confidence >= 0.5]
+    good = [
+        t for t in trials if t.image.gsd_m_per_px < 0.3 and (t.image.labelled_vehicles or 0) >= 20 and t.error < 0.1
+    ]
+    sure = [t for t in good if t.analysis.estimate.confidence >= 0.5]
+    found = [t.analysis.estimate.n_vehicles > 0 for t in trials if t.image.labelled_vehicles]
+    lines += [
+        "",
+        f"- Spearman's rho of confidence and error: {rho:+.3f}, Pearson's r {r:+.3f}; with the region given "
+        f"{rho_regional:+.3f}, {r_regional:+.3f} ({len(known)} images with cars and an estimate)",
+        f"- true scale inside the 95 % interval: {np.mean(covered):.1%} of {len(covered)} images with cars; "
+        f"{np.mean(covered_labelled):.1%} of the {len(covered_labelled)} with at least five; with the region given "
+        f"{np.mean(covered_regional):.1%}",
+        f"- confidence >= 0.5 on {len(confident)} of {len(mistakes)} images without cars or with error > 20 % "
+        f"({len(confident) / max(1, len(trials)):.1%} of all {len(trials)} images)",
+        f"- confidence >= 0.5 on {len(sure)} of {len(good)} images with GSD < 0.3, >= 20 cars, error < 10 %",
+        f"- estimate on {np.mean(found):.1%} of {len(found)} images with cars",
+        f"- no estimate on {sum(t.analysis.estimate.n_vehicles == 0 for t in trials if t.image.set == 'empty')} of "
+        f"{sum(t.image.set == 'empty' for t in trials)} scenes without vehicles",
+    ]
+    return lines
+
+
+# --- By true scale, from images made coarser -------------------------------------------------------------------------
+
+
+def gsd_bins(images: list[KnownScaleImage], detector: Detector, options: ScaleOptions) -> list[str]:
+    """Signed GSD error by true GSD, region given; area interpolation from the sets that are sharper."""
+    signed: dict[int, list[float]] = defaultdict(list)
+    missing: dict[int, int] = defaultdict(int)
+    for image in images:
+        if (image.labelled_vehicles or 0) < _LABELLED:
+            continue
+        chosen = _in_region(options, image, detector.card)
+        pixels = _rgb(image.path)
+        for k, (low, high) in enumerate(pairwise(_GSD_EDGES)):
+            factor = image.gsd_m_per_px / float(np.sqrt(low * high))
+            if low <= image.gsd_m_per_px < high:
+                factor = 1.0
+            elif factor > 1:
+                continue
+            estimate = analyse_scale(_resized(pixels, factor), chosen, detector=detector).estimate
+            if estimate.gsd_m_per_px is None:
+                missing[k] += 1
+            else:
+                signed[k].append(estimate.gsd_m_per_px / (image.gsd_m_per_px / factor) - 1)
+    lines = [
+        "| true GSD, region given | images | estimate | median signed error | median error |",
+        "|---|---|---|---|---|",
+    ]
+    for k, (low, high) in enumerate(pairwise(_GSD_EDGES)):
+        found = np.array(signed[k])
+        n = len(found) + missing[k]
+        row = (
+            f"{len(found) / n:.1%} | {np.median(found):+.2%} | {np.median(np.abs(found)):.2%}" if len(found) else "| |"
+        )
+        lines.append(f"| {low:g} to {high:g} | {n} | {row} |")
+    return lines
+
+
+# --- Boxes against labels --------------------------------------------------------------------------------------------
+
+
+class LabelledImage(NamedTuple):
+    """An image with its boxes; ``ignored`` holds what is neither hit nor false alarm."""
+
+    path: Path
+    set: str
+    by_people: bool
+    labels: NDArray[np.float64]
+    ignored: NDArray[np.float64]
+
+
+def labelled_images(folder: Path, split: str) -> Iterator[LabelledImage]:
+    """The images of a split that have labels."""
+    with (folder / "index.csv").open(newline="", encoding="utf-8") as handle:
+        rows = [row for row in csv.DictReader(handle) if row["split"] == split]
+    for row in rows:
+        found = read_labels(folder / "labels" / f"{Path(row['file']).stem}.txt")
+        car = np.array([name == "small-vehicle" for name in found.classes], dtype=bool) & ~found.difficult
+        neither = found.difficult | np.array([name == "ignore" for name in found.classes], dtype=bool)
+        yield LabelledImage(
+            folder / row["file"],
+            row["set"],
+            not row["labels_by"].startswith(_MODEL_MADE),
+            boxes_from_corners(found.corners[car]),
+            boxes_from_corners(found.corners[neither]),
+        )
+
+
+def _rgb(path: Path) -> NDArray[np.uint8]:
+    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if pixels is None:
+        raise FileNotFoundError(path)
+    return np.ascontiguousarray(pixels[:, :, ::-1], dtype=np.uint8)
+
+
+def _resized(pixels: NDArray[np.uint8], factor: float) -> NDArray[np.uint8]:
+    if factor == 1:
+        return pixels
+    way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(pixels, None, fx=factor, fy=factor, interpolation=way), dtype=np.uint8)
+
+
+def _matched(
+    pixels: NDArray[np.uint8], image: LabelledImage, detector: Detector, min_score: float, search: bool | None
+) -> MatchedDetections:
+    with open_raster(pixels) as raster:
+        found = search_image(raster, detector, Search(min_score=min_score, search_scales=search))
+    return match_detections(found.boxes, found.scores, image.labels, image.ignored)
+
+
+def precision(images: list[LabelledImage], detector: Detector, search: bool | None) -> list[str]:
+    """AP50 by set, and of all images labelled by people and by a model."""
+    matched: dict[str, list[MatchedDetections]] = defaultdict(list)
+    for image in images:
+        if image.set == "empty":
+            continue
+        one = _matched(_rgb(image.path), image, detector, _LEAST_SCORE, search)
+        matched["labelled by people" if image.by_people else "labelled by a model"].append(one)
+        matched[image.set].append(one)
+    lines = ["| images | n | labelled cars | AP50 |", "|---|---|---|---|"]
+    for name in sorted(matched, key=lambda name: (not name.startswith("labelled"), name)):
+        cars = sum(len(one.label_lengths_px) for one in matched[name])
+        lines.append(f"| {name} | {len(matched[name])} | {cars} | {average_precision(matched[name]):.3f} |")
+    return lines
+
+
+def lengths(images: list[LabelledImage], detector: Detector, search: bool | None) -> list[str]:
+    """Signed error of the boxes' lengths by labelled length; images are resampled so that the bins are filled."""
+    matched: dict[tuple[float, bool], list[MatchedDetections]] = defaultdict(list)
+    taken: dict[tuple[float, str], int] = defaultdict(int)
+    for image in images:
+        if len(image.labels) < _LABELLED:
+            continue
+        native = float(np.median(image.labels[:, 2]))
+        pixels = _rgb(image.path)
+        for low, high in pairwise(_LENGTH_EDGES_PX):
+            factor = float(np.sqrt(low * high)) / native
+            if factor > 8 or taken[low, image.set] >= _IMAGES_A_BIN:
+                continue
+            taken[low, image.set] += 1
+            part, moved = _cut_for(pixels, image, factor)
+            matched[low, image.by_people].append(
+                _matched(_resized(part, factor), moved, detector, detector.card.min_score, search)
+            )
+    lines = [
+        "| labelled length, px | labels by | images | found of labels | median signed error | spread |",
+        "|---|---|---|---|---|---|",
+    ]
+    for low, high in pairwise(_LENGTH_EDGES_PX):
+        for name, which in (("all", (False, True)), ("people", (True,)), ("a model", (False,))):
+            some = [one for by_people in which for one in matched[low, by_people]]
+            (row,) = length_errors(some, (low, high))
+            lines.append(
+                f"| {low:g} to {high:g} | {name} | {len(some)} | {row.found} of {row.labels} | {row.bias:+.2%} "
+                f"| {row.spread:.2%} |"
+            )
+    return lines
+
+
+def _cut_for(pixels: NDArray[np.uint8], image: LabelledImage, factor: float) -> tuple[NDArray[np.uint8], LabelledImage]:
+    """The part around the first car that stays below 1280 px a side when enlarged, and its labels there."""
+    side = max(64, int(_MAX_ENLARGED_PX / factor))
+    x, y = (
+        int(np.clip(centre - side / 2, 0, max(0, extent - side)))
+        for centre, extent in zip(image.labels[0, :2], pixels.shape[1::-1], strict=True)
+    )
+    part = np.ascontiguousarray(pixels[y : y + side, x : x + side])
+    shift = np.array([x, y, 0, 0, 0])
+    grow = np.array([factor, factor, factor, factor, 1])
+    labels = image.labels - shift
+    inside = ((labels[:, :2] > 0) & (labels[:, :2] < part.shape[1::-1])).all(axis=1)
+    return part, image._replace(labels=labels[inside] * grow, ignored=(image.ignored - shift) * grow)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--split", default="val")
+    parser.add_argument("--detector")
+    parser.add_argument("--min-score", type=float)
+    parser.add_argument("--aggregation", help="default: the model's choice")
+    parser.add_argument("--search-scales", action=argparse.BooleanOptionalAction, help="default: the model's choice")
+    parser.add_argument("--part", choices=_PARTS, action="append", help="may be repeated; default all")
+    options = parser.parse_args()
+    parts = options.part or _PARTS
+    detector = Detector(resolve_model(options.detector))
+    images = [image for image in read_table(DATA / "gsd" / "table.csv") if image.split == options.split]
+    scale = ScaleOptions(
+        search=Search(min_score=options.min_score, search_scales=options.search_scales),
+        lengths=Lengths(aggregation=options.aggregation),
+    )
+    print(f"Detector `{detector.card.name}`, sha256 `{detector.card.sha256}`, split {options.split}:\n")
+    if "scale" in parts:
+        trials = list(run_trials(images, detector, scale))
+        regional = [_with_region(trial, detector.card, scale) for trial in trials]
+        print("\n".join(report(trials, regional)), flush=True)
+    if "gsd" in parts:
+        print("\n" + "\n".join(gsd_bins(images, detector, scale)), flush=True)
+    labelled = list(labelled_images(DATA / "vehicles", options.split))
+    if "lengths" in parts:
+        print("\n" + "\n".join(lengths(labelled, detector, options.search_scales)), flush=True)
+    if "precision" in parts:
+        print("\n" + "\n".join(precision(labelled, detector, options.search_scales)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,427 @@
+"""Flights of known scale, made from real pixels.
+
+``python -m research.benchmarks.flights {pooled,matched,cost,real} DATA``.
+
+``pooled`` turns, dims, blurs and JPEG-codes tiles of one scale into flights of 24 photographs and compares the scale by
+all of them with the truth, with the region unknown and given. ``matched`` cuts overlapping photographs of mixed scales
+out of mosaics; two thirds of them lose their vehicles. ``cost`` measures what comes
+beyond the detection for 200 photographs of 12 Mpx: features, pairs, matches, the graph. ``real`` holds the scales of
+DATA/flights/garfield, which ``vehanchor flight --out`` wrote, against the heights and positions of its metadata.
+Cameras that look aside: ``research/benchmarks/tilt.py``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import hashlib
+import json
+import math
+import resource
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from vehanchor.detection.detections import Detections
+from vehanchor.estimate import open_detector
+from vehanchor.flight.components import single_component
+from vehanchor.flight.estimate import conclude, search_flight
+from vehanchor.flight.features import Features, find_features
+from vehanchor.flight.inputs import InputPhotograph
+from vehanchor.flight.io import read_record
+from vehanchor.flight.matching import match
+from vehanchor.flight.pairs import candidate_pairs
+from vehanchor.flight.photograph import Look, Photograph, chief_member
+from vehanchor.flight.record import Failure, conclude_flight
+from vehanchor.imagery.facts import ImageFacts
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.options import ScaleOptions
+from vehanchor.storage.stored import from_json, to_json
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from vehanchor.detection.detector import Detector
+    from vehanchor.records import FlightEstimate, FlightLink
+
+_REGIONS = {"cannes": "europe", "estonia": "northern_europe", "ucm": "north_america", "saopaulo": "south_america"}
+_FLIGHTS, _PHOTOGRAPHS = 4, 24
+_LOOKED_AT = 8  # photographs whose features are timed
+_NEAR, _PAIR = 0.1, 0.2  # of a ratio; of a scale by one pair of positions
+_LEAST_APART_M = 15.0  # two positions: each is off by metres
+
+
+def tiles(data: Path, name: str, split: str) -> list[tuple[Path, float]]:
+    """The images of a set and their scale."""
+    rows = []
+    for table in ("table.csv", "upright.csv"):
+        with (data / "gsd" / table).open() as file:
+            rows += [row for row in csv.DictReader(file) if row["set"] == name and row["split"] == split]
+    return [((data / "gsd" / row["file"]).resolve(), float(row["gsd_m_per_px"])) for row in rows]
+
+
+def read(path: Path) -> NDArray[np.uint8]:
+    """An image, ``[h, w, 3]`` BGR."""
+    return np.asarray(cv2.imread(str(path)), dtype=np.uint8)
+
+
+def spoiled(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Another exposure, noise and JPEG."""
+    seen = image.astype(np.float64) * rng.uniform(0.75, 1.25) + rng.uniform(-12, 12)
+    seen += rng.normal(0, rng.uniform(0, 4), image.shape)
+    quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(70, 96))]
+    _, coded = cv2.imencode(".jpg", np.clip(seen, 0, 255).astype(np.uint8), quality)
+    return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.uint8)
+
+
+def turned(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """The largest square inside the image turned by any angle; a quarter turn of a small one."""
+    side = min(image.shape[:2])
+    if side < 400:
+        return np.ascontiguousarray(np.rot90(image, int(rng.integers(4))))
+    inner = int(side / math.sqrt(2))
+    move = cv2.getRotationMatrix2D((side / 2, side / 2), float(rng.uniform(0, 360)), 1.0)
+    move[:, 2] += (inner - side) / 2
+    return np.asarray(cv2.warpAffine(image, move, (inner, inner), flags=cv2.INTER_CUBIC), dtype=np.uint8)
+
+
+def looked_at(
+    taken: Sequence[InputPhotograph], detector: Detector, *, featured: bool = False, cache: Path | None = None
+) -> list[Photograph]:
+    """Photographs that were looked at, each only once: what was found is kept in a folder, by model and pixels."""
+    members = []
+    for name, image, _ in taken:
+        pixels = np.ascontiguousarray(image)
+        known = None
+        if cache is not None:
+            key = hashlib.sha256(detector.card.sha256.encode() + repr(pixels.shape).encode() + pixels.tobytes())
+            cache.mkdir(parents=True, exist_ok=True)
+            known = cache / f"{key.hexdigest()[:24]}.json"
+        if known is None or not known.exists():
+            (seen,) = search_flight([InputPhotograph(name, pixels)], detector, ScaleOptions())
+            if isinstance(seen, Failure):
+                raise seen.error
+            look = Look.of(seen.view.image, seen.view.detections, seen.analysis)
+            if known is not None:
+                known.write_text(json.dumps(to_json(look)))
+        else:
+            look = from_json(json.loads(known.read_text()))
+        with open_raster(pixels) as raster:
+            features = find_features(raster) if featured else None
+        members.append(Photograph.of(name, look, detector.card, ScaleOptions(), features))
+    return members
+
+
+def pooled_flight(looks: Sequence[Photograph], detector: Detector) -> FlightEstimate:
+    """The record of photographs of one scale."""
+    component = single_component(range(len(looks)), chief_member(looks))
+    return conclude_flight(looks, [component], detector.card, same_scale=True)
+
+
+def pooled(data: Path, split: str, flights: int, cache: Path | None) -> None:
+    """Print a table."""
+    detector = open_detector(None, ScaleOptions(), threads=1)
+    print("| set | region | error of each flight of 24 | median | inside the interval | high over low |")
+    print("|---|---|---|---|---|---|")
+    every: dict[str, list[float]] = {"unknown": [], "given": []}
+    for name in _REGIONS:
+        rows: dict[str, list[FlightEstimate]] = {"unknown": [], "given": []}
+        files = tiles(data, name, split)
+        for seed in range(flights):
+            rng = np.random.default_rng([seed, 20261121])
+            chosen = rng.choice(len(files), min(_PHOTOGRAPHS, len(files)), replace=False)
+            taken = [InputPhotograph(str(k), spoiled(turned(read(files[k][0]), rng), rng)[:, :, ::-1]) for k in chosen]
+            looks = looked_at(taken, detector, cache=cache)
+            rows["unknown"].append(pooled_flight(looks, detector))
+            if _REGIONS[name] in detector.card.region_lengths_m:
+                given = ScaleOptions.of({"region": _REGIONS[name]})
+                again = [
+                    Photograph.of(
+                        each.name,
+                        Look.of(each.view.image, each.view.detections, each.analysis),
+                        detector.card,
+                        given,
+                    )
+                    for each in looks
+                ]
+                rows["given"].append(pooled_flight(again, detector))
+        for region, found in rows.items():
+            truth = files[0][1]
+            errors = [each.gsd_m_per_px / truth - 1 if each.gsd_m_per_px else math.nan for each in found]
+            if not errors:
+                continue
+            every[region] += [abs(error) for error in errors]
+            inside = sum(
+                (each.gsd_ci95_low_m_per_px or 9) <= truth <= (each.gsd_ci95_high_m_per_px or 0) for each in found
+            )
+            wide = np.median([(e.gsd_ci95_high_m_per_px or 9) / (e.gsd_ci95_low_m_per_px or 1) for e in found])
+            words = ", ".join(f"{100 * error:+.1f}" for error in errors)
+            median = f"{100 * np.median(np.abs(errors)):.1f} %"
+            print(f"| {name} | {region} | {words} | {median} | {inside} of {len(found)} | {wide:.2f} |", flush=True)
+    for region, values in every.items():
+        print(f"| all | {region} | | {100 * np.median(values):.1f} % | | |")
+
+
+def worlds(data: Path) -> dict[str, NDArray[np.uint8]]:
+    """Mosaics of neighbouring val tiles, and single large ones, all of 0.20 m/px."""
+    folder = data / "vehicles" / "images"
+    strips = {"cannes 846 to 850": range(846, 851), "cannes 911 to 914": range(911, 915)}
+    found = {
+        name: np.hstack([read(folder / f"cannes_{n}.jpg") for n in numbers])
+        for name, numbers in strips.items()
+        if all((folder / f"cannes_{n}.jpg").exists() for n in numbers)
+    }
+    for name in ("0_04_05", "2_01_05", "2_05_05"):
+        found[f"estonia {name}"] = read(data / "upright" / "images" / f"estonia_{name}.jpg")
+    return found
+
+
+def cut_flight(
+    world: NDArray[np.uint8], rng: np.random.Generator, n: int
+) -> tuple[list[NDArray[np.uint8]], NDArray[np.float64]]:
+    """Photographs of 480 x 360 px at random places, turns and scales of 0.6 to 1.7, and their scales."""
+    width, height = 480, 360
+    photographs: list[NDArray[np.uint8]] = []
+    scales: list[float] = []
+    while len(photographs) < n:
+        scale = float(np.exp(rng.uniform(np.log(0.6), np.log(1.7))))
+        turn = float(rng.uniform(0, 2 * np.pi))
+        reach_x = scale * (abs(width * np.cos(turn)) + abs(height * np.sin(turn))) / 2
+        reach_y = scale * (abs(width * np.sin(turn)) + abs(height * np.cos(turn))) / 2
+        if 2 * reach_x >= world.shape[1] or 2 * reach_y >= world.shape[0]:
+            continue
+        x, y = rng.uniform(reach_x, world.shape[1] - reach_x), rng.uniform(reach_y, world.shape[0] - reach_y)
+        move = cv2.getRotationMatrix2D((x, y), float(np.degrees(turn)), 1 / scale)
+        move[:, 2] += np.array([width / 2 - x, height / 2 - y])
+        seen = cv2.GaussianBlur(world, (0, 0), 0.4 * scale) if scale > 1 else world
+        cut = cv2.warpAffine(seen, move, (width, height), flags=cv2.INTER_LINEAR)
+        photographs.append(spoiled(np.asarray(cut, dtype=np.uint8), rng)[:, :, ::-1])
+        scales.append(scale)
+    return photographs, np.array(scales)
+
+
+def matched(data: Path, flights: int, cache: Path | None) -> None:
+    """Print a table: so many flights over each world."""
+    detector = open_detector(None, ScaleOptions(), threads=1)
+    print("| world | in islands | median | 95th percentile | ratios alone, median | inside the interval | dropped |")
+    print("|---|---|---|---|---|---|---|")
+    every: list[float] = []
+    inside = total = 0
+    whole: list[bool] = []  # islands that hold all of their photographs' scales
+    mosaics = list(worlds(data).items())
+    for number, seed, (name, world) in ((k, seed, each) for k, each in enumerate(mosaics) for seed in range(flights)):
+        rng = np.random.default_rng([number, seed, 20261121] if seed else [number, 20261121])
+        images, factors = cut_flight(world, rng, _PHOTOGRAPHS)
+        taken = [InputPhotograph(str(place), image) for place, image in enumerate(images)]
+        looks = looked_at(taken, detector, featured=True, cache=cache)
+        looks = [each if place % 3 == 0 else without_vehicles(each) for place, each in enumerate(looks)]
+        record = conclude(looks, detector.card, same_scale=False)
+        errors, relative, held = [], [], 0
+        main = [each for each in record.photographs if each.component == 0]
+        offset = np.median(
+            [math.log((each.gsd_m_per_px or math.nan) / (0.2 * factors[int(each.photograph)])) for each in main]
+        )
+        for each in record.photographs:
+            if each.gsd_m_per_px is None or each.gsd_ci95_low_m_per_px is None or each.gsd_ci95_high_m_per_px is None:
+                continue
+            truth = 0.2 * factors[int(each.photograph)]
+            errors.append(abs(each.gsd_m_per_px / truth - 1))
+            held += each.gsd_ci95_low_m_per_px <= truth <= each.gsd_ci95_high_m_per_px
+            if each.component == 0:
+                relative.append(abs(math.log(each.gsd_m_per_px / truth) - offset))
+        every += errors
+        inside, total = inside + held, total + len(errors)
+        whole += _islands_held(record, 0.2 * factors)
+        sizes = ", ".join(str(component.n_photographs) for component in record.components)
+        dropped = sum(link.dropped is not None for link in record.links)
+        print(
+            f"| {name} | {sizes} | {100 * np.median(errors):.1f} % | {100 * np.percentile(errors, 95):.1f} % | "
+            f"{100 * np.median(relative):.1f} % | {held} of {len(errors)} | {dropped} of {len(record.links)} |",
+            flush=True,
+        )
+    print(
+        f"| all | | {100 * np.median(every):.1f} % | {100 * np.percentile(every, 95):.1f} % | | {inside} of {total} | |"
+    )
+    print(f"\nislands whose reference's interval holds its scale: {sum(whole)} of {len(whole)}")
+
+
+def _islands_held(record: FlightEstimate, truth: NDArray[np.float64]) -> list[bool]:
+    """Of each island with a scale, whether its reference's interval holds the true one."""
+    held = []
+    for component in record.components:
+        low, high = component.pooled.gsd_ci95_low_m_per_px, component.pooled.gsd_ci95_high_m_per_px
+        if low is not None and high is not None:
+            held.append(low <= float(truth[int(component.reference)]) <= high)
+    return held
+
+
+def cost(number: int) -> None:
+    """Print what a flight costs beyond the detection: nothing is searched, every third photograph has ten cars.
+
+    Features are found in eight photographs of 12 Mpx; those of the flights are made up, as many as a photograph has at
+    most, along the strips of a survey, so that pairs, matches and the graph are those of a real one.
+    """
+    detector = open_detector(None, ScaleOptions(), threads=1)
+    ground = cv2.resize(np.random.default_rng(18).integers(0, 256, (150, 200, 3), np.uint8), (4000, 3000))
+    looking = []
+    for _ in range(_LOOKED_AT):
+        begun = time.process_time()
+        with open_raster(np.ascontiguousarray(ground)) as raster:
+            n_features = len(find_features(raster))
+        looking.append(time.process_time() - begun)
+    print(f"features of 12 Mpx: {np.median(looking):.2f} CPU s a photograph ({n_features})")
+    print("| photographs | pairs | overlaps | islands | pairs, matches, graph, record: CPU s each | peak MiB |")
+    print("|---|---|---|---|---|---|")
+    for n in (number // 4, number // 2, number):
+        photographs = _made_up(n, detector)
+        begun = time.process_time()
+        record = conclude(photographs, detector.card, same_scale=False)
+        spent = (time.process_time() - begun) / n
+        pairs = len(candidate_pairs([each.features for each in photographs if each.features is not None]))
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        components = ", ".join(str(component.n_photographs) for component in record.components)
+        print(f"| {n} | {pairs} | {len(record.links)} | {components} | {spent:.3f} | {peak:.0f} |", flush=True)
+
+
+def _made_up(n: int, detector: Detector) -> list[Photograph]:
+    """Photographs of 4000 x 3000 px along strips, 70 % and 50 % of each seen in the next."""
+    rng = np.random.default_rng(18)
+    strip = max(1, round(math.sqrt(n)))
+    extent = np.array([4000 + 1200 * strip, 3000 + 1500 * math.ceil(n / strip)])
+    per_photograph = 12_000_000 / 1200
+    world = rng.uniform(0, extent, (int(extent.prod() / per_photograph), 2))
+    described = rng.gamma(0.4, 1.0, (len(world), 128))
+    described = 255 * np.sqrt(described / described.sum(axis=1, keepdims=True))
+    photographs = []
+    for place in range(n):
+        corner = np.array([place % strip * 1200, place // strip * 1500])
+        inside = np.flatnonzero(((world >= corner) & (world < corner + np.array([4000, 3000]))).all(axis=1))[:1200]
+        points = world[inside] - corner + rng.normal(0, 1.0, (len(inside), 2))
+        descriptors = np.clip(np.rint(described[inside] + rng.normal(0, 3, (len(inside), 128))), 0, 255)
+        features = Features(points, descriptors.astype(np.uint8), 4.0)
+        boxes = rng.uniform((200, 200), (3800, 2800), (10 if place % 3 == 0 else 0, 2))
+        sizes = np.column_stack([rng.normal(90, 8, len(boxes)), np.full(len(boxes), 36.0), np.zeros(len(boxes))])
+        found = Detections(np.column_stack([boxes, sizes]), np.full(len(boxes), 0.9))
+        look = Look(ImageFacts(4000, 3000), found, 1.0, ())
+        photographs.append(Photograph.of(str(place), look, detector.card, ScaleOptions(), features))
+    return photographs
+
+
+def real(data: Path, written: Path) -> None:
+    """Print how the scales of a flight go with the heights above the sea and the track in its metadata.
+
+    Args:
+        data: with ``flights/table.csv``.
+        written: the flight's record.
+    """
+    record = read_record(written)
+    with (data / "flights" / "table.csv").open() as file:
+        seas = {Path(row["file"]).name: float(row["altitude_above_sea_m"]) for row in csv.DictReader(file)}
+    members = [each for each in record.photographs if each.gsd_m_per_px and each.component == 0]
+    sea = {each.photograph: seas[Path(each.photograph).name] for each in members}
+    scale = {each.photograph: math.log(each.gsd_m_per_px or 1.0) for each in members}
+    ground = _ground_height(np.array(list(sea.values())), np.array(list(scale.values())))
+    up = {name: math.log(height - ground) for name, height in sea.items()}
+    links = [each for each in record.links if each.first in scale and each.second in scale]
+    by_match = [abs(math.expm1(math.log(each.ratio) - up[each.first] + up[each.second])) for each in links]
+    solved = [
+        abs(math.expm1(scale[each.first] - scale[each.second] - up[each.first] + up[each.second])) for each in links
+    ]
+    sizes = ", ".join(str(component.n_photographs) for component in record.components)
+    dropped = sum(each.dropped is not None for each in record.links)
+    print(f"{len(record.photographs)} photographs, islands of {sizes}, {len(record.links)} overlaps, {dropped} dropped")
+    rulers = [
+        f"{each.kind} {each.gsd_m_per_px:.4f} ({'agrees' if each.agrees else 'does not'})"
+        for each in record.components[0].pooled.rulers
+    ]
+    pooled = record.components[0].pooled
+    print(
+        f"{pooled.gsd_m_per_px:.4f} m/px, {pooled.gsd_ci95_low_m_per_px:.4f} to {pooled.gsd_ci95_high_m_per_px:.4f}: "
+    )
+    print("; ".join(rulers))
+    for name, errors in (("matches by themselves", by_match), ("solved scales", solved)):
+        share = np.mean(np.array(errors) <= _NEAR)
+        print(f"{name} against the heights: {100 * share:.1f} % within 10 %, median {100 * np.median(errors):.1f} %")
+    off = np.array(_off_track(record, [each for each in links if each.dropped is None]))
+    print(
+        f"scales against the track, {len(off)} pairs of {_LEAST_APART_M:.0f} m and more: median of the ratios", end=" "
+    )
+    print(f"{np.exp(np.median(off)):.3f}, {100 * np.mean(np.abs(np.expm1(off)) <= _PAIR):.0f} % within a fifth")
+
+
+def _ground_height(seas_m: NDArray[np.float64], logs: NDArray[np.float64]) -> float:
+    """Height of the ground above the sea under which scales go best with heights, metres."""
+    tried = seas_m.min() - np.geomspace(5.0, 500.0, 400)
+    spreads = []
+    for ground in tried:
+        off = logs - np.log(seas_m - ground)
+        spreads.append(float(np.median(np.abs(off - np.median(off)))))
+    return float(tried[int(np.argmin(spreads))])
+
+
+def _off_track(record: FlightEstimate, links: Sequence[FlightLink]) -> list[float]:
+    """Logs of each pair's scale over that by the way between its two positions and the shift that was matched."""
+    members = {each.photograph: each for each in record.photographs if each.placed_by == "positions"}
+    features, centres = {}, {}
+    for name in members:
+        with open_raster(name) as raster:
+            features[name] = find_features(raster)
+            centres[name] = np.array([raster.width_px / 2, raster.height_px / 2])
+    off = []
+    for link in links:
+        if link.first not in members or link.second not in members:
+            continue
+        first, second = members[link.first], members[link.second]
+        east, north = (second.east_m or 0.0) - (first.east_m or 0.0), (second.north_m or 0.0) - (first.north_m or 0.0)
+        matched = match(features[link.first], features[link.second])
+        if matched is None or math.hypot(east, north) < _LEAST_APART_M or not second.gsd_m_per_px:
+            continue
+        moved = matched.turn[:, :2] @ centres[link.first] + matched.turn[:, 2] - centres[link.second]
+        off.append(math.log(second.gsd_m_per_px * float(np.hypot(*moved)) / math.hypot(east, north)))
+    return off
+
+
+def without_vehicles(look: Photograph) -> Photograph:
+    """The photograph as if no vehicle had been there."""
+    seen = look.view.detections
+    bare = replace(
+        seen,
+        boxes=seen.boxes[:0],
+        scores=seen.scores[:0],
+        scales=None if seen.scales is None else seen.scales[:0],
+        fleet=None if seen.fleet is None else seen.fleet.take(np.zeros(len(seen.fleet.log_odds), bool)),
+        classes=None if seen.classes is None else seen.classes[:0],
+    )
+    again = Look(look.view.image, bare, 1.0, look.analysis.others)
+    return Photograph.of(look.name, again, look.view.card, look.view.options, look.features)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("pooled", "matched", "cost", "real"))
+    parser.add_argument("data", type=Path, nargs="?", default=Path("../shared/data"))
+    parser.add_argument("--photographs", type=int, default=200, help="of the largest flight whose cost is measured")
+    parser.add_argument("--split", default="val")
+    parser.add_argument("--flights", type=int, help="a set (pooled: 4), over each world (matched, 1)")
+    parser.add_argument("--cache", type=Path, help="folder that keeps what was found in each image")
+    parser.add_argument("--record", type=Path, default=Path("flight.json"), help="real: what 'vehanchor flight' wrote")
+    arguments = parser.parse_args()
+    if arguments.what == "pooled":
+        pooled(arguments.data, arguments.split, arguments.flights or _FLIGHTS, arguments.cache)
+    elif arguments.what == "cost":
+        cost(arguments.photographs)
+    elif arguments.what == "real":
+        real(arguments.data, arguments.record)
+    else:
+        matched(arguments.data, arguments.flights or 1, arguments.cache)
+
+
+if __name__ == "__main__":
+    main()

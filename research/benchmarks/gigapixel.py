@@ -1,0 +1,139 @@
+"""Large images.
+
+``python -m research.benchmarks.gigapixel make|search``. Prints Markdown, kept in RESULTS.md with the machine.
+
+A mosaic is laid out of images of known scale, towns with fields between them, every pixel of a town at exactly 0.2 m.
+``search`` runs one mosaic with one effort in this process and tells tiles, seconds, memory and the scale; with
+``--threads 1`` also how much of the processor's time the networks have, by file: the rest is what the pipeline adds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import resource
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+import rasterio
+
+from research.benchmarks.networks_time import networks_seconds
+from vehanchor.detection.detector import load_detector
+from vehanchor.estimate import analyse_raster
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.zoo import resolve_model
+from vehanchor.options import ScaleOptions
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+GSD_M = 0.2
+CELL_PX = 512
+_TOWN_CELLS = 4.0  # standard deviation of the noise that towns grow from, in cells
+SETS = {"cannes": "table.csv", "saopaulo": "table.csv", "estonia": "upright.csv"}
+
+
+def pictures(data: Path, name: str, table: str) -> list[NDArray[Any]]:
+    """Images of the val split, BGR, at 0.2 m/px; the empty ones as they are."""
+    found = []
+    with (data / "gsd" / table).open() as lines:
+        for row in csv.DictReader(lines):
+            if row["set"] == name and row["split"] == "val":
+                image = np.asarray(cv2.imread(str(data / "gsd" / row["file"])), np.uint8)
+                ratio = float(row["gsd_m_per_px"]) / GSD_M
+                if ratio < 0.99:
+                    image = _resized(image, ratio, cv2.INTER_AREA)
+                elif ratio > 1.01:
+                    image = _resized(image, ratio, cv2.INTER_CUBIC)
+                found.append(image)
+    return found
+
+
+def _resized(image: NDArray[np.uint8], ratio: float, how: int) -> NDArray[np.uint8]:
+    return np.asarray(cv2.resize(image, None, fx=ratio, fy=ratio, interpolation=how), np.uint8)
+
+
+def layout(cells: int, share: float, rng: np.random.Generator) -> NDArray[Any]:
+    """Where towns are: ``[cells, cells]`` bool."""
+    noise = cv2.GaussianBlur(rng.normal(size=(cells, cells)).astype(np.float32), (0, 0), _TOWN_CELLS)
+    return np.asarray(noise > np.quantile(noise, 1 - share))
+
+
+def _cell(pictures: list[NDArray[Any]], rng: np.random.Generator) -> NDArray[Any]:
+    image = pictures[rng.integers(len(pictures))]
+    image = np.pad(image, [(0, max(0, CELL_PX - side)) for side in image.shape[:2]] + [(0, 0)], "symmetric")
+    top, left = (int(rng.integers(side - CELL_PX + 1)) for side in image.shape[:2])
+    image = image[top : top + CELL_PX, left : left + CELL_PX]
+    image = np.rot90(image, int(rng.integers(4)))
+    return image[:, ::-1] if rng.integers(2) else image
+
+
+def make(data: Path, out: Path, side: int, share: float, town: str, seed: int, overviews: bool) -> None:
+    """Write a mosaic as a tiled TIFF, row of cells by row of cells."""
+    rng = np.random.default_rng(seed)
+    towns, fields = pictures(data, town, SETS[town]), pictures(data, "empty", "table.csv")
+    where = layout(side // CELL_PX, share, rng)
+    profile = {"driver": "GTiff", "width": side, "height": side, "count": 3, "dtype": "uint8", "tiled": True,
+               "blockxsize": 512, "blockysize": 512, "compress": "jpeg", "photometric": "ycbcr", "jpeg_quality": 92,
+               "bigtiff": "if_safer"}  # fmt: skip
+    with rasterio.open(out, "w", **profile) as file:
+        for row in range(side // CELL_PX):
+            for column in range(side // CELL_PX):
+                cell = _cell(towns if where[row, column] else fields, rng)
+                window = ((row * CELL_PX, (row + 1) * CELL_PX), (column * CELL_PX, (column + 1) * CELL_PX))
+                file.write(np.ascontiguousarray(cell[:, :, ::-1].transpose(2, 0, 1)), window=window)
+    if overviews:
+        with rasterio.open(out, "r+") as file:
+            file.build_overviews([2, 4, 8, 16], rasterio.enums.Resampling.average)
+
+
+def search(image: Path, effort: str, threads: int | None, model: str | None) -> str:
+    """One line of a table for one image and effort."""
+    detector = load_detector(resolve_model(model), threads=threads)
+    options = ScaleOptions.of({"effort": effort})
+    started, cpu = time.perf_counter(), time.process_time()
+    with networks_seconds(time.thread_time) as networks, open_raster(image, limits=options.reading.limits) as raster:
+        found = analyse_raster(raster, detector, options).estimate
+    seconds, cpu = time.perf_counter() - started, time.process_time() - cpu
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    line = (
+        f"| {image.stem} | {effort} | {found.tiles_searched} / {found.tiles_total} | {found.stopped_because} | "
+        f"{seconds:.0f} | {cpu:.0f} | {found.gsd_m_per_px or 0:.4f} | {found.gsd_ci95_low_m_per_px or 0:.4f} to "
+        f"{found.gsd_ci95_high_m_per_px or 0:.4f} | {found.status} | {found.n_vehicles} | {peak:.0f} |"
+    )
+    if threads == 1:
+        parts = ", ".join(f"{name} {spent:.1f}" for name, spent in networks.items())
+        line += f"\n\nCPU time over the networks': {cpu / sum(networks.values()):.3f} ({parts})\n"
+    return line
+
+
+def main() -> None:
+    """Run what the command line asks for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    making = commands.add_parser("make")
+    making.add_argument("out", type=Path)
+    making.add_argument("--data", type=Path, required=True)
+    making.add_argument("--side", type=int, default=8192)
+    making.add_argument("--towns", type=float, default=0.2, help="share of the area")
+    making.add_argument("--set", dest="town", choices=sorted(SETS), default="cannes")
+    making.add_argument("--seed", type=int, default=0)
+    making.add_argument("--overviews", action="store_true")
+    searching = commands.add_parser("search")
+    searching.add_argument("images", type=Path, nargs="+")
+    searching.add_argument("--effort", choices=["full", "auto", "fast"], default="auto")
+    searching.add_argument("--threads", type=int)
+    searching.add_argument("--detector")
+    chosen = parser.parse_args()
+    if chosen.command == "make":
+        make(chosen.data, chosen.out, chosen.side, chosen.towns, chosen.town, chosen.seed, chosen.overviews)
+        return
+    for image in chosen.images:
+        print(search(image, chosen.effort, chosen.threads, chosen.detector), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,338 @@
+"""What a detector takes for a car, place by place: ``python -m research.benchmarks.regression_sets [--detector FILE]``.
+
+Prints Markdown, kept in RESULTS.md. ``--part`` chooses:
+
+* ``people``: precision and recall on upright boxes drawn by people. A hit has its centre inside the label grown by a
+  tenth and a length between 0.6 of the label's longer side and 1.25 of its diagonal; each label is hit once, and a
+  second hit is a false box. Boxes on labelled lorries count as false, too;
+* ``clutter``: false boxes a megapixel where there are no cars, or where the cars are known;
+* ``mistakes``: confidence of 0.5 and more on an image of known scale with an error above 20 %, or without cars;
+* ``levels``: photographs of 0.015 to 0.1 m/px, whether the cars were read at the right reduced resolution: their modal
+  length within a factor of 1.5 of the labelled one, or of a car at the known scale.
+
+``--held-out`` measures ``people`` on the held-out tenth of *train* instead of *val*: thresholds are chosen there.
+``--labelled cannes`` measures it on the *val* labels of a set of ``vehicles/``, which a model made: what is ignored
+there is neither hit nor false.
+``--thresholds`` prints a row for each of several scores instead of the model's own alone. A detector without its second
+look is a copy of its file in another folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+
+from research.training.detector.distractors import KINDS, draw_distractors
+from research.training.detector.places import Place, is_held_out, looked_at, places
+from vehanchor.detection.boxes import boxes_from_corners
+from vehanchor.detection.detector import Detector
+from vehanchor.detection.scene_scale import load_scene_scale
+from vehanchor.detection.search import search
+from vehanchor.estimate import analyse_scale
+from vehanchor.imagery.metadata.lens import equivalent_lens
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.zoo import resolve_model
+from vehanchor.options import Rulers, ScaleOptions, Search
+from vehanchor.scale.defaults import CAR_LENGTH_M
+from vehanchor_evaluation.dota import read_labels
+from vehanchor_evaluation.table import read_table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+    from numpy.typing import NDArray
+
+DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
+_LEAST_SCORE = 0.15
+_THRESHOLDS = (0.2, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8)
+_SURE = 0.5
+_HIGH_ERROR = 0.2
+_NEARCAR_LENGTH_M = 3.0  # of a car that is there, a box is not false
+_RENDERED_SIDE_PX = 512
+_RENDERED_SIZES = (0.6, 1.0, 1.8)
+_PARTS = ("people", "clutter", "mistakes", "levels")
+_RIGHT_LEVEL = 1.5  # the next level is at 2
+_LEAST_CARS = 3
+_NADIR_DEG = -85.0
+_GARFIELD_M_PER_PX = 0.047  # from the GPS track and matched features: ../shared/data/README.md
+
+
+class Sighted(NamedTuple):
+    """One image: the detector's boxes at a low threshold, and what is known of its ground.
+
+    Attributes:
+        boxes: ``[n, 5]`` in image pixels, best first.
+        scores: ``[n]``.
+        megapixels: of the image.
+        labels: ``[m, 4, 2]`` corners of the people's boxes of cars; none where nobody drew any.
+        spared: ``[k, 2]`` where a car stands that no box says; boxes within ``spared_px`` of it are not false.
+        spared_px: distance.
+    """
+
+    boxes: NDArray[np.float64]
+    scores: NDArray[np.float64]
+    megapixels: float
+    labels: NDArray[np.float64] = np.zeros((0, 4, 2))
+    spared: NDArray[np.float64] = np.zeros((0, 2))
+    spared_px: float = 0.0
+
+    def above(self, min_score: float) -> Sighted:
+        """The same with the boxes of at least this score."""
+        kept = self.scores >= min_score
+        return self._replace(boxes=self.boxes[kept], scores=self.scores[kept])
+
+
+def hit_labels(boxes: NDArray[np.float64], labels: NDArray[np.float64]) -> NDArray[np.intp]:
+    """The upright label that each box hits, -1 for none.
+
+    Args:
+        boxes: ``[n, 5]``, best first.
+        labels: ``[m, 4, 2]`` corners.
+    """
+    low, high = labels.min(axis=1), labels.max(axis=1)
+    side, middle = high - low, (low + high) / 2
+    free = np.ones(len(labels), bool)
+    out = np.full(len(boxes), -1, np.intp)
+    for k, box in enumerate(boxes):
+        inside = (np.abs(middle - box[:2]) <= 0.55 * side).all(axis=1)
+        fits = (box[2] >= 0.6 * side.max(axis=1)) & (box[2] <= 1.25 * np.hypot(*side.T))
+        chosen = np.flatnonzero(inside & fits & free)
+        if len(chosen):
+            nearest = chosen[np.linalg.norm(middle[chosen] - box[:2], axis=1).argmin()]
+            out[k], free[nearest] = nearest, False
+    return out
+
+
+def precision_recall(images: Iterable[Sighted]) -> tuple[float, float, int, int]:
+    """Precision, recall, boxes and labels of all images together; 0 of 0 is 1."""
+    n_boxes = n_labels = n_hits = 0
+    for image in images:
+        n_hits += int((hit_labels(image.boxes, image.labels) >= 0).sum())
+        n_boxes += len(image.boxes)
+        n_labels += len(image.labels)
+    return (n_hits / n_boxes if n_boxes else 1.0), (n_hits / n_labels if n_labels else 1.0), n_boxes, n_labels
+
+
+def false_boxes(image: Sighted) -> int:
+    """Boxes that are neither on a label nor beside a car that is known to be there."""
+    wrong = hit_labels(image.boxes, image.labels) < 0
+    if len(image.spared):
+        gap = np.linalg.norm(image.boxes[:, None, :2] - image.spared[None], axis=2)
+        wrong &= ~(gap < image.spared_px).any(axis=1)
+    return int(wrong.sum())
+
+
+# --- Where the images come from --------------------------------------------------------------------------------------
+
+
+def sighted(image: Path | NDArray[np.uint8], detector: Detector) -> Sighted:
+    """Search an image as a user's is searched, at a low threshold."""
+    ground = load_scene_scale()
+    with open_raster(image) as raster:
+        scene = None if ground is None else ground.look(raster)
+        found = search(raster, detector, Search(min_score=_LEAST_SCORE), scene=scene)
+        return Sighted(found.boxes, found.scores, raster.width_px * raster.height_px / 1e6)
+
+
+def people_images(data: Path, held_out: bool) -> Iterator[tuple[str, Path, Path]]:
+    """Set, image and labels of people's upright boxes."""
+    if held_out:
+        for place in places(data):
+            if place.set == "estonia" and place.labels and is_held_out(place):
+                yield "estonia, held-out tenth of train", place.path, place.labels
+        return
+    with (data / "upright" / "index.csv").open(newline="") as handle:
+        for row in csv.DictReader(handle):
+            if row["split"] == "val":
+                path = data / "upright" / row["file"]
+                yield f"{row['set']}, val", path, data / "upright" / "labels" / f"{path.stem}.txt"
+
+
+def labelled_images(data: Path, name: str, detector: Detector) -> Iterator[Sighted]:
+    """The val images of a set of ``vehicles/`` with its labels; boxes on ignored places are left out."""
+    with (data / "vehicles" / "index.csv").open(newline="") as handle:
+        rows = [row for row in csv.DictReader(handle) if (row["set"], row["split"]) == (name, "val")]
+    for row in rows:
+        path = data / "vehicles" / row["file"]
+        labels = read_labels(data / "vehicles" / "labels" / f"{path.stem}.txt")
+        found = sighted(path, detector)
+        ignored = labels.of_class("ignore").astype(np.float32)
+        spared = [any(cv2.pointPolygonTest(each, (x, y), False) >= 0 for each in ignored) for x, y, *_ in found.boxes]
+        free = (hit_labels(found.boxes, labels.of_class("small-vehicle")) >= 0) | ~np.array(spared, bool)
+        yield found._replace(
+            boxes=found.boxes[free], scores=found.scores[free], labels=labels.of_class("small-vehicle")
+        )
+
+
+def with_known_cars(place: Place, detector: Detector) -> Sighted:
+    """A place that nobody labelled, cars seen on contact sheets spared."""
+    cars = [(x, y) for x, y, kind in looked_at().get(place.path.name, []) if kind in ("car", "ignore")]
+    reach = _NEARCAR_LENGTH_M / place.gsd_m_per_px
+    return sighted(place.path, detector)._replace(spared=np.array(cars).reshape(-1, 2), spared_px=reach)
+
+
+def clutter_sets(data: Path, detector: Detector) -> Iterator[tuple[str, list[Sighted]]]:
+    """The sets without cars, or with known ones."""
+    all_places = places(data)
+    apart = [place for place in all_places if is_held_out(place)]
+    yield "quays (held-out tenth)", [with_known_cars(p, detector) for p in apart if p.set == "estonia_port"]
+    yield "harbours (held-out tenth)", [with_known_cars(p, detector) for p in apart if p.kind == "harbor"]
+    empty = [
+        item.path for item in read_table(data / "gsd" / "table.csv") if item.set == "empty" and item.split == "val"
+    ]
+    yield "empty, val", [sighted(path, detector) for path in empty]
+    trained = {place.path for place in all_places}
+    fields = [p for p in sorted((data / "flights" / "seneca").iterdir()) if p.suffix == ".jpg" and p not in trained]
+    yield "fields (seneca, photographs not in train)", [sighted(path, detector) for path in fields]
+    for name in KINDS:
+        yield f"rendered {name}, on empty val", [sighted(image, detector) for image in rendered(name, empty[:8])]
+
+
+def rendered(kind: str, grounds: list[Path]) -> Iterator[NDArray[np.uint8]]:
+    """Striped or gridded things drawn over ground without cars; the same every time."""
+    rng = np.random.default_rng(20261121)
+    for path in grounds:
+        ground = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        if ground is None:
+            raise FileNotFoundError(path)
+        ground = cv2.resize(ground, (_RENDERED_SIDE_PX, _RENDERED_SIDE_PX), interpolation=cv2.INTER_CUBIC)
+        drawn, _ = draw_distractors(rng, np.ascontiguousarray(ground[:, :, ::-1]).astype(np.uint8), kind)
+        for size in _RENDERED_SIZES:
+            way = cv2.INTER_AREA if size < 1 else cv2.INTER_CUBIC
+            yield np.asarray(cv2.resize(drawn, None, fx=size, fy=size, interpolation=way), np.uint8)
+
+
+# --- The tables ------------------------------------------------------------------------------------------------------
+
+
+def people_sets(data: Path, detector: Detector, held_out: bool) -> dict[str, list[Sighted]]:
+    """Images with people's boxes, by set."""
+    by_set: dict[str, list[Sighted]] = {}
+    for name, path, labels in people_images(data, held_out):
+        found = sighted(path, detector)._replace(labels=read_labels(labels).of_class("small-vehicle"))
+        by_set.setdefault(name, []).append(found)
+    return by_set
+
+
+def people_report(by_set: Mapping[str, list[Sighted]], thresholds: list[float]) -> list[str]:
+    """Precision and recall by set and threshold."""
+    lines = [
+        "| labelled boxes | score | images | labels | boxes | precision | recall |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, images in by_set.items():
+        for score in thresholds:
+            precision, recall, n_boxes, n_labels = precision_recall(image.above(score) for image in images)
+            lines.append(
+                f"| {name} | {score:g} | {len(images)} | {n_labels} | {n_boxes} | {precision:.3f} | {recall:.3f} |"
+            )
+    return lines
+
+
+def clutter_report(data: Path, detector: Detector, thresholds: list[float]) -> list[str]:
+    """False boxes a megapixel by set and threshold."""
+    lines = ["| ground | score | images | megapixels | false boxes | a megapixel |", "|---|---|---|---|---|---|"]
+    for name, images in clutter_sets(data, detector):
+        area = sum(image.megapixels for image in images)
+        for score in thresholds:
+            count = sum(false_boxes(image.above(score)) for image in images)
+            lines.append(f"| {name} | {score:g} | {len(images)} | {area:.2f} | {count} | {count / area:.3f} |")
+    return lines
+
+
+def mistakes_report(data: Path, detector: Detector) -> list[str]:
+    """Confident mistakes by set."""
+    counts: dict[str, list[int]] = {}
+    items = [
+        (item.set, item.path, item.gsd_m_per_px, bool(item.labelled_vehicles))
+        for table in ("table.csv", "upright.csv")
+        for item in read_table(data / "gsd" / table)
+        if item.split == "val"
+    ]
+    for place in places(data):
+        if place.kind == "harbor":
+            name = "harbours, held-out tenth" if is_held_out(place) else "harbours, train"
+            items.append((name, place.path, place.gsd_m_per_px, True))
+    for name, path, truth, has_cars in items:
+        estimate = analyse_scale(path, detector=detector).estimate
+        gsd = estimate.gsd_m_per_px
+        wrong = gsd is None or abs(gsd / truth - 1) > _HIGH_ERROR or not has_cars
+        row = counts.setdefault(name, [0, 0, 0])
+        row[0] += 1
+        row[1] += estimate.confidence >= _SURE
+        row[2] += estimate.confidence >= _SURE and wrong
+    lines = ["| images | n | confidence >= 0.5 | of these mistaken |", "|---|---|---|---|"]
+    total = np.sum(list(counts.values()), axis=0)
+    return lines + [
+        f"| {name} | {n} | {sure} | {wrong} |" for name, (n, sure, wrong) in (*counts.items(), ("all", total))
+    ]
+
+
+def fine_images(data: Path) -> Iterator[tuple[str, Path, float]]:
+    """Set, photograph, and length of a car in its pixels."""
+    with (data / "vehicles" / "index.csv").open(newline="") as handle:
+        rows = [row for row in csv.DictReader(handle) if (row["set"], row["split"]) == ("jekhor", "val")]
+    for row in rows:
+        path = data / "vehicles" / row["file"]
+        corners = read_labels(data / "vehicles" / "labels" / f"{path.stem}.txt").of_class("small-vehicle")
+        if len(corners) >= _LEAST_CARS:
+            yield "jekhor, val", path, float(np.median(boxes_from_corners(corners)[:, 2]))
+    with (data / "tilt" / "table.csv").open(newline="") as handle:
+        for row in csv.DictReader(handle):
+            if float(row["camera_pitch_deg"]) < _NADIR_DEG:
+                path = data / "tilt" / row["file"]
+                with open_raster(path) as raster:
+                    seen = equivalent_lens(raster.width_px, raster.height_px, float(row["focal_length_35mm"]))
+                yield "tilt, nadir", path, CAR_LENGTH_M * seen.pixels / float(row["height_above_takeoff_m"])
+    for path in sorted((data / "flights" / "garfield").glob("*.jpg")):
+        yield "garfield", path, CAR_LENGTH_M / _GARFIELD_M_PER_PX
+
+
+def levels_report(data: Path, detector: Detector) -> list[str]:
+    """Right levels by set, of images in which at least three vehicles were found; by the vehicles alone."""
+    options = ScaleOptions(rulers=Rulers(("vehicles", "scene_scale")))
+    counts: dict[str, list[int]] = {}
+    for name, path, car_px in fine_images(data):
+        estimate = analyse_scale(path, options, detector=detector).estimate
+        ratio = (estimate.mode_length_px or np.inf) / car_px
+        row = counts.setdefault(name, [0, 0, 0])
+        row[0] += 1
+        row[1] += estimate.n_vehicles >= _LEAST_CARS
+        row[2] += estimate.n_vehicles >= _LEAST_CARS and 1 / _RIGHT_LEVEL < ratio < _RIGHT_LEVEL
+    lines = ["| photographs | n | three vehicles found | of these at the right level |", "|---|---|---|---|"]
+    return lines + [f"| {name} | {n} | {found} | {right} |" for name, (n, found, right) in counts.items()]
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--detector")
+    parser.add_argument("--part", choices=_PARTS, action="append")
+    parser.add_argument("--held-out", action="store_true")
+    parser.add_argument("--labelled", action="append", default=[], metavar="SET")
+    parser.add_argument("--thresholds", action="store_true")
+    options = parser.parse_args()
+    detector = Detector(resolve_model(options.detector))
+    thresholds = list(_THRESHOLDS) if options.thresholds else [detector.card.min_score]
+    print(f"Detector `{detector.card.name}`, sha256 `{detector.card.sha256}`\n")
+    labelled = {f"{name}, val": [*labelled_images(DATA, name, detector)] for name in options.labelled}
+    for part in options.part or _PARTS:
+        if part == "people":
+            lines = people_report(labelled or people_sets(DATA, detector, options.held_out), thresholds)
+        elif part == "clutter":
+            lines = clutter_report(DATA, detector, thresholds)
+        elif part == "mistakes":
+            lines = mistakes_report(DATA, detector)
+        else:
+            lines = levels_report(DATA, detector)
+        print("\n".join(lines) + "\n", flush=True)
+
+
+if __name__ == "__main__":
+    main()

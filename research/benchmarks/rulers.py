@@ -1,0 +1,179 @@
+"""Rulers fused.
+
+``python -m research.benchmarks.rulers [--images N] [--scenes N]``. Prints Markdown, kept in RESULTS.md.
+
+Cars and ground are seen by the bundled models on val images of known scale and on rendered scenes of 3 to 10 cars;
+what a camera, a given height and a line of known length say is drawn, with the spreads that those rulers state. A liar
+is off by a factor of 1.5 to 5 either way.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import random
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from vehanchor.detection.detector import Detector
+from vehanchor.errors import ImageError
+from vehanchor.estimate import analyse_scale
+from vehanchor.models.zoo import resolve_model
+from vehanchor.options import ScaleOptions
+from vehanchor.rulers.decision import fuse_rulers
+from vehanchor.rulers.evidence import Evidence
+from vehanchor.rulers.lognormal import lognormal_evidence
+from vehanchor_evaluation.table import read_table
+from vehanchor_scenes import render_scene
+
+DATA = Path(__file__).resolve().parents[2].parent / "shared/data"
+DRAWS = 3  # for each image
+_STATED = {"camera": (0.13, 0.05), "height": (0.064, 0.05), "known_length": (0.015, 0.05)}  # log spread, chance wrong
+_LIE = (math.log(1.5), math.log(5.0))
+_LEAST_CARS = 5
+_SEED = 17
+
+
+class Seen(NamedTuple):
+    """What was seen of one image: evidence of cars, of the ground, the truth, and whether cars alone may be used."""
+
+    cars: Evidence
+    ground: tuple[Evidence, ...]
+    true_gsd: float
+    rendered: bool
+    usable: bool
+
+
+class Case(NamedTuple):
+    """Who speaks, who of them lies, and whether the ground is heard, too."""
+
+    name: str
+    kinds: tuple[str, ...]
+    liar: str | None = None
+    only: Callable[[Seen], bool] = lambda _: True
+    wrong_at_times: bool = False
+
+
+def see(data: Path, n_images: int, n_scenes: int) -> list[Seen]:
+    """Look at val images with labelled cars, and at scenes."""
+    detector = Detector(resolve_model(None), threads=1)
+    items = [
+        item
+        for table in ("table.csv", "upright.csv")
+        for item in read_table(data / "gsd" / table)
+        if item.split == "val" and (item.labelled_vehicles or 0) >= 1
+    ]
+    random.Random(5).shuffle(items)
+    options = ScaleOptions.of({"rulers": ("vehicles", "scene_scale")})
+    seen: list[Seen] = []
+    for item in items[:n_images]:
+        try:
+            analysis = analyse_scale(item.path, options, detector=detector)
+        except ImageError:
+            continue
+        seen.append(_seen(analysis.vehicles, analysis.others, item.gsd_m_per_px, analysis.estimate.status == "ok"))
+    rng = np.random.default_rng(3)
+    for seed in range(n_scenes):
+        gsd = float(np.exp(rng.uniform(math.log(0.06), math.log(0.22))))
+        scene = render_scene(gsd, width_px=768, height_px=768, seed=900 + seed, n_vehicles=int(rng.integers(3, 11)))
+        analysis = analyse_scale(scene.image, options, detector=detector)
+        usable = analysis.estimate.status == "ok"
+        seen.append(_seen(analysis.vehicles, analysis.others, gsd, usable)._replace(rendered=True))
+    return [each for each in seen if each.cars.gsd_m_per_px is not None]
+
+
+def _seen(cars: Evidence, ground: Sequence[Evidence], true_gsd: float, usable: bool) -> Seen:
+    return Seen(cars, tuple(ground), true_gsd, False, usable and cars.n >= _LEAST_CARS)
+
+
+def drawn(rng: np.random.Generator, seen: Seen, case: Case) -> tuple[list[Evidence], float]:
+    """What all rulers of a case say of an image, and the scale that is true: another one where the cars lie."""
+    truth, ground = seen.true_gsd, seen.ground
+    if case.liar == "vehicles":
+        truth, ground = _lie(rng, truth), ()
+    told: list[Evidence] = [*ground]
+    for kind in case.kinds:
+        if kind == "vehicles":
+            told.append(seen.cars)
+            continue
+        spread, chance_wrong = _STATED[kind]
+        lies = kind == case.liar or (case.wrong_at_times and rng.random() < chance_wrong)
+        gsd = _lie(rng, truth) if lies else truth * math.exp(rng.normal(0, spread))
+        told.append(lognormal_evidence(kind, gsd, spread, chance_wrong, "{}"))
+    return told, truth
+
+
+def _lie(rng: np.random.Generator, gsd: float) -> float:
+    return float(np.clip(gsd * math.exp(rng.choice([-1, 1]) * rng.uniform(*_LIE)), 0.004, 2.5))
+
+
+CASES = (
+    Case("camera alone, with the ground", ("camera",)),
+    Case("line alone, with the ground", ("known_length",)),
+    Case("cars, camera", ("vehicles", "camera")),
+    Case("cars, height", ("vehicles", "height")),
+    Case("cars, line", ("vehicles", "known_length")),
+    Case("camera, line", ("camera", "known_length")),
+    Case("cars, camera, line", ("vehicles", "camera", "known_length")),
+    Case("cars, height, each but cars wrong in 5 %", ("vehicles", "height"), wrong_at_times=True),
+    Case("cars, camera, line, each but cars wrong in 5 %", ("vehicles", "camera", "known_length"), wrong_at_times=True),
+    Case("rendered, 3 to 10 cars, height", ("vehicles", "height"), only=lambda seen: seen.rendered),
+    Case("rendered, 3 to 10 cars, line", ("vehicles", "known_length"), only=lambda seen: seen.rendered),
+    *(
+        Case(f"{', '.join(kinds)}: {liar} lies", kinds, liar, lambda seen: seen.usable)
+        for kinds, liar in (
+            (("vehicles", "camera", "known_length"), "camera"),
+            (("vehicles", "camera", "known_length"), "known_length"),
+            (("vehicles", "camera", "known_length"), "vehicles"),
+            (("vehicles", "height", "known_length"), "height"),
+            (("vehicles", "height", "known_length"), "known_length"),
+        )
+    ),
+)
+
+
+def row(case: Case, seen: Sequence[Seen]) -> str:
+    """One row of the table."""
+    rng = np.random.default_rng(_SEED)
+    errors, held, flagged, chances = [], [], [], []
+    for image in (each for each in seen if case.only(each)):
+        for _ in range(DRAWS):
+            told, truth = drawn(rng, image, case)
+            fused = fuse_rulers(told)
+            assert fused is not None
+            errors.append(abs(fused.gsd_m_per_px / truth - 1))
+            held.append(fused.interval.low <= truth <= fused.interval.high)
+            chances.append(fused.p_within_20)
+            flagged.append(any(ruler.kind == case.liar and not ruler.agrees for ruler in fused.rulers))
+    off = np.array(errors)
+    named = f"{100 * np.mean(flagged):.1f} %" if case.liar else ""
+    return (
+        f"| {case.name} | {len(off)} | {100 * np.median(off):.1f} % | {100 * np.quantile(off, 0.9):.1f} % | "
+        f"{100 * np.mean(off < 0.1):.1f} % | {100 * np.mean(off < 0.2):.1f} % | {100 * np.mean(chances):.1f} % | "
+        f"{100 * np.mean(held):.1f} % | {named} |"
+    )
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=DATA)
+    parser.add_argument("--images", type=int, default=90)
+    parser.add_argument("--scenes", type=int, default=50)
+    options = parser.parse_args()
+    seen = see(options.data, options.images, options.scenes)
+    cars = np.array([abs((each.cars.gsd_m_per_px or 0) / each.true_gsd - 1) for each in seen])
+    near = 100 * np.mean(cars < 0.1)
+    print(f"Cars alone, n {len(cars)}: median {100 * np.median(cars):.1f} %, within 10 % {near:.1f} %")
+    print(f"Of them usable with {_LEAST_CARS} cars or more: {sum(each.usable for each in seen)}\n")
+    print("| who speaks | n | median | 90 % are below | within 10 % | within 20 % | said | cover | liar named |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    for case in CASES:
+        print(row(case, seen), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""Accuracy of a segmenter on real masks: ``python -m research.benchmarks.segmenter [--segmenter ENCODER DECODER]``.
+
+Every object of at least 15 px a side, prompted by its bounding box with each side moved by up to 5 % of the box (fixed
+seed); beside it, on the same prompts, GrabCut, the filled box and the inscribed ellipse. Prints Markdown, kept in
+RESULTS.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from research.training.segmenter.trials import Box, Target, Trial, read_targets, report, run_trial
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.zoo import resolve_segmenter
+from vehanchor.segmentation.prompt import Prompt
+from vehanchor.segmentation.segmenter import Segmenter
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
+_GRABCUT_ROUNDS = 5
+
+
+def segmenter_method(segmenter: Segmenter) -> Callable[[Target], tuple[NDArray[np.bool_], float]]:
+    """The library's own path: crop, encode, decode, place."""
+
+    def method(target: Target) -> tuple[NDArray[np.bool_], float]:
+        with open_raster(target.image) as raster:
+            found = segmenter.segment(raster, Prompt(box=target.box))
+        whole = np.zeros(target.mask.shape, bool)
+        window = found.window
+        rows = slice(window.y_px, window.y_px + window.height_px)
+        whole[rows, window.x_px : window.x_px + window.width_px] = found.mask
+        return whole, found.score
+
+    return method
+
+
+def _pixels(box: Box) -> tuple[int, int, int, int]:
+    x1, y1, x2, y2 = (round(v) for v in box)
+    return x1, y1, max(x2, x1 + 1), max(y2, y1 + 1)
+
+
+def filled_box(target: Target) -> tuple[NDArray[np.bool_], float]:
+    """The box itself."""
+    x1, y1, x2, y2 = _pixels(target.box)
+    whole = np.zeros(target.mask.shape, bool)
+    whole[y1:y2, x1:x2] = True
+    return whole, 1.0
+
+
+def inscribed_ellipse(target: Target) -> tuple[NDArray[np.bool_], float]:
+    """The ellipse that touches the box's four sides."""
+    x1, y1, x2, y2 = target.box
+    rows, cols = np.mgrid[: target.mask.shape[0], : target.mask.shape[1]] + 0.5
+    inside = (2 * cols - x1 - x2) ** 2 / (x2 - x1) ** 2 + (2 * rows - y1 - y2) ** 2 / (y2 - y1) ** 2 <= 1
+    return inside, 1.0
+
+
+def grabcut(target: Target) -> tuple[NDArray[np.bool_], float]:
+    """OpenCV's GrabCut started from the box, in a crop of twice the box."""
+    height, width = target.mask.shape
+    x1, y1, x2, y2 = _pixels(target.box)
+    reach = max(x2 - x1, y2 - y1)
+    left, top = max(0, (x1 + x2) // 2 - reach), max(0, (y1 + y2) // 2 - reach)
+    right, bottom = min(width, (x1 + x2) // 2 + reach), min(height, (y1 + y2) // 2 + reach)
+    crop = np.ascontiguousarray(target.image[top:bottom, left:right])
+    labels = np.full(crop.shape[:2], cv2.GC_BGD, np.uint8)
+    labels[y1 - top : y2 - top, x1 - left : x2 - left] = cv2.GC_PR_FGD
+    whole = np.zeros(target.mask.shape, bool)
+    if not (labels == cv2.GC_BGD).any():  # a box that fills the image leaves nothing to learn the background from
+        return filled_box(target)
+    cv2.setRNGSeed(0)
+    models = np.zeros((1, 65)), np.zeros((1, 65))
+    cv2.grabCut(crop, labels, (0, 0, 0, 0), *models, _GRABCUT_ROUNDS, cv2.GC_INIT_WITH_MASK)
+    whole[top:bottom, left:right] = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
+    return whole, 1.0
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--split", default="val")
+    parser.add_argument("--segmenter", nargs=2, metavar=("ENCODER", "DECODER"))
+    parser.add_argument("--no-baselines", action="store_true")
+    options = parser.parse_args()
+    files = tuple(options.segmenter) if options.segmenter else None
+    segmenter = Segmenter(*resolve_segmenter(files))
+    methods = {segmenter.card.name: segmenter_method(segmenter)}
+    if not options.no_baselines:
+        methods |= {"GrabCut": grabcut, "filled box": filled_box, "inscribed ellipse": inscribed_ellipse}
+    by_method: dict[str, list[Trial]] = {name: [] for name in methods}
+    for target in read_targets(DATA / "segments", options.split):
+        for name, method in methods.items():
+            by_method[name].append(run_trial(target, method))
+    print(f"Segmenter `{segmenter.card.name}`, sha256 `{segmenter.card.sha256}`, split {options.split}:\n")
+    print("\n".join(report(by_method)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,158 @@
+"""Speed and memory: ``python -m research.benchmarks.speed``. Prints Markdown, kept in RESULTS.md with the machine.
+
+The whole pipeline on a 4096 x 4096 scene is timed against bare ONNX Runtime on the same tiles, in turns, and against
+all of its own networks; ``--detector`` names other files that take turns with it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import onnxruntime
+
+from research.benchmarks.networks_time import networks_seconds
+from vehanchor.detection.detector import Detector
+from vehanchor.detection.levels import search_levels
+from vehanchor.detection.nms import oriented_nms
+from vehanchor.estimate import analyse_scale
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.imagery.tiles import read_reduced_window, tile_grid
+from vehanchor.models.zoo import resolve_model
+from vehanchor.options import ScaleOptions, Search
+from vehanchor_scenes import render_scene
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_SIDE_PX = 4096
+_EVERY_TILE = ScaleOptions(search=Search(effort="full"))  # an image of that size is not searched wholly by default
+
+
+def large_scene() -> NDArray[np.uint8]:
+    """One rendered 1024 px scene repeated: what matters here is the number of pixels and cars."""
+    scene = render_scene(0.15, width_px=1024, height_px=1024, seed=5, layout="parking")
+    return np.ascontiguousarray(np.tile(scene.image, (4, 4, 1)))
+
+
+def _bare(session: onnxruntime.InferenceSession, tiles: list[NDArray[np.float32]]) -> float:
+    started = time.perf_counter()
+    for tile in tiles:
+        session.run(None, {"images": tile})
+    return time.perf_counter() - started
+
+
+def pipeline(rounds: int, others: list[str]) -> list[str]:
+    """Whole pipeline against bare ONNX Runtime, against its own networks, and with other files."""
+    image = large_scene()
+    detectors = [Detector(resolve_model(name)) for name in (None, *others)]
+    tiles = []
+    with open_raster(image) as raster:
+        card = detectors[0].card
+        for level in search_levels(_SIDE_PX, _SIDE_PX, card.length_range_px, search_scales=card.search_scales):
+            for window in tile_grid(level.width_px, level.height_px):
+                pixels = read_reduced_window(raster, window, level.factor)
+                tiles.append(np.asarray(cv2.dnn.blobFromImage(pixels, 1 / 255.0), dtype=np.float32))
+    sessions = [onnxruntime.InferenceSession(str(each.path), providers=["CPUExecutionProvider"]) for each in detectors]
+    bare: list[list[float]] = [[] for _ in detectors]
+    whole: list[list[float]] = [[] for _ in detectors]
+    added: list[list[float]] = [[] for _ in detectors]
+    for number in range(rounds + 1):
+        for k, (detector, session) in enumerate(zip(detectors, sessions, strict=True)):
+            alone = _bare(session, tiles)
+            started = time.perf_counter()
+            with networks_seconds(time.perf_counter) as networks:
+                n_boxes = len(analyse_scale(image, _EVERY_TILE, detector=detector).detections.boxes)
+            seconds = time.perf_counter() - started
+            if number:  # the first round warms up
+                bare[k].append(alone)
+                whole[k].append(seconds)
+                added[k].append(seconds / sum(networks.values()))
+    lines = []
+    for k, detector in enumerate(detectors):
+        name = detector.path.stem
+        ratio = statistics.median(w / b for w, b in zip(whole[k], bare[k], strict=True))
+        lines += [
+            f"| {name}: pipeline, 4096 x 4096, {n_boxes} boxes | {statistics.median(whole[k]):.2f} s |",
+            f"| {name}: bare ONNX Runtime, the same {len(tiles)} tiles | {statistics.median(bare[k]):.2f} s |",
+            f"| {name}: pipeline / bare (median of {rounds} pairs) | {ratio:.3f} |",
+            f"| {name}: pipeline / all its networks | {statistics.median(added[k]):.3f} |",
+        ]
+        if k:
+            for what, times in (("pipeline", whole), ("bare", bare)):
+                share = statistics.median(a / b for a, b in zip(times[k], times[0], strict=True))
+                lines.append(f"| {what}, {name} / {detectors[0].path.stem} | {share:.3f} |")
+    return lines
+
+
+def peak_memory() -> str:
+    """Peak resident memory of a fresh process that estimates a 4096 x 4096 PNG."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "large.png"
+        cv2.imwrite(str(path), large_scene()[:, :, ::-1])
+        # VmHWM and not getrusage: a child inherits its parent's ru_maxrss.
+        code = (
+            f"import vehanchor; vehanchor.estimate_gsd({str(path)!r}); "
+            "print(next(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')))"
+        )
+        kib = int(subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout)
+    return f"| peak memory, 4096 x 4096 PNG | {kib / 1024:.0f} MiB |"
+
+
+def nms_time() -> str:
+    """Oriented NMS of 50,000 boxes at the density of a full car park."""
+    rng = np.random.default_rng(0)
+    n = 50_000
+    boxes = np.column_stack(
+        [rng.uniform(0, 6700, (n, 2)), rng.normal(30, 3, n), rng.normal(12, 1, n), rng.uniform(0, np.pi, n)]
+    )
+    scores = rng.uniform(0.1, 1, n)
+    times = []
+    for _ in range(3):
+        started = time.perf_counter()
+        kept = oriented_nms(boxes, scores)
+        times.append(time.perf_counter() - started)
+    return f"| oriented NMS, 50,000 boxes ({len(kept)} kept) | {statistics.median(times):.2f} s |"
+
+
+def _command_time(*command: str) -> float:
+    times = []
+    for _ in range(5):
+        started = time.perf_counter()
+        subprocess.run([sys.executable, *command], check=True, capture_output=True)
+        times.append(time.perf_counter() - started)
+    return statistics.median(times)
+
+
+def start_up() -> list[str]:
+    """Import and help times, the bare interpreter's taken off for the import."""
+    interpreter = _command_time("-c", "pass")
+    return [
+        f"| import vehanchor | {_command_time('-c', 'import vehanchor') - interpreter:.2f} s |",
+        f"| vehanchor --help | {_command_time('-m', 'vehanchor', '--help'):.2f} s |",
+    ]
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--detector", action="append", default=[], help="file or name; may be repeated")
+    options = parser.parse_args()
+    print(f"{platform.machine()}, onnxruntime {onnxruntime.__version__}, OpenCV {cv2.__version__}\n")
+    print("| what | measured |\n|---|---|")
+    for line in [*pipeline(options.rounds, options.detector), peak_memory(), nms_time(), *start_up()]:
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()

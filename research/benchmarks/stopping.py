@@ -1,0 +1,201 @@
+"""Optional stopping: ``python -m research.benchmarks.stopping --data FOLDER``. Prints Markdown, kept in RESULTS.md.
+
+Each val image is searched once; mosaics of 0.2 m/px are then laid out of what was found in them, towns with fields
+between, and searched by the real order and rule. Fleets differ from mosaic to mosaic as much as the reference length
+says they do. So many mosaics take minutes: no pixel of them is looked at (``gigapixel.py`` does that for a few).
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from research.benchmarks.gigapixel import CELL_PX, GSD_M, SETS, layout, pictures
+from vehanchor.detection.appearance import FleetAppearance
+from vehanchor.detection.convergence import ANYTIME_PIXELS, next_check, settled, stop_rule
+from vehanchor.detection.detections import Detections
+from vehanchor.detection.detector import load_detector
+from vehanchor.detection.levels import search_levels
+from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_shares
+from vehanchor.detection.search import search
+from vehanchor.detection.tile_prior import car_prior, tile_prior_of
+from vehanchor.imagery.facts import ImageFacts
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.imagery.tiles import tile_grid
+from vehanchor.models.zoo import resolve_model
+from vehanchor.options import ScaleOptions, Search
+from vehanchor.rulers.decision import convergence, decide
+from vehanchor.rulers.evidence import View
+from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.scale.fusion import GRID
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.detection.detector import Detector
+
+_SCENE_LOG_SD = 0.25  # of what the ground says
+_CUT_PX = 7  # nearer to a tile's edge a vehicle is mostly cut
+_LOOKS = 100  # vehicles whose look is known, as in a search
+
+
+class Cell(NamedTuple):
+    """What was found in a piece of 512 px of a val image."""
+
+    boxes: NDArray[Any]
+    scores: NDArray[Any]
+    odds: NDArray[Any]
+    lengths: NDArray[Any]
+    tile_prior: float
+
+
+def searched(images: list[NDArray[Any]], detector: Detector) -> list[Cell]:
+    """Search the upper left 512 px of each image at full resolution."""
+    cells = []
+    for image in images:
+        image = np.pad(image, [(0, max(0, CELL_PX - side)) for side in image.shape[:2]] + [(0, 0)], "symmetric")
+        image = np.ascontiguousarray(image[:CELL_PX, :CELL_PX, ::-1])
+        with open_raster(image) as raster:
+            found = search(raster, detector, Search(search_scales=False))
+            if len(found.boxes) and detector.fleet is not None:
+                look = detector.fleet.look(raster, found.boxes)
+            else:
+                look = FleetAppearance(np.zeros(0), np.zeros(0))
+        assert len(look.log_odds) == len(found.boxes) <= _LOOKS
+        coarse = np.asarray(cv2.resize(image, (CELL_PX // 8,) * 2, interpolation=cv2.INTER_AREA), np.uint8)
+        cells.append(Cell(found.boxes, found.scores, look.log_odds, look.log_lengths, car_prior(coarse).item()))
+    return cells
+
+
+class Mosaic:
+    """Cells laid out, and the tiles through which they are found.
+
+    Args:
+        side: pixels.
+        towns: cells with cars.
+        fields: cells without.
+        share: of the area in towns.
+        factor: by which this fleet is longer than the cells' own.
+        rng: chooses.
+    """
+
+    def __init__(
+        self, side: int, towns: list[Cell], fields: list[Cell], share: float, factor: float, rng: np.random.Generator
+    ) -> None:
+        n = side // CELL_PX
+        where = layout(n, share, rng)
+        chosen = [
+            [among[rng.integers(len(among))] for among in (towns if town else fields for town in row)] for row in where
+        ]
+        self.tile_prior = np.array([[cell.tile_prior for cell in row] for row in chosen])
+        self.boxes = np.concatenate(
+            [
+                cell.boxes * [1, 1, factor, factor, 1] + [column * CELL_PX, row * CELL_PX, 0, 0, 0]
+                for row, cells in enumerate(chosen)
+                for column, cell in enumerate(cells)
+            ]
+        )
+        flat = [cell for cells in chosen for cell in cells]
+        self.scores = np.concatenate([cell.scores for cell in flat])
+        self.odds, self.lengths = (
+            np.concatenate([getattr(cell, name) for cell in flat]) for name in ("odds", "lengths")
+        )
+        self.side = side
+
+    def detections(self, found: NDArray[Any]) -> Detections:
+        """What a search that has found these boxes has to say."""
+        kept = np.flatnonzero(found)
+        kept = kept[np.argsort(-self.scores[kept], kind="stable")]
+        look = FleetAppearance(self.odds[kept[:_LOOKS]], self.lengths[kept[:_LOOKS]])
+        return Detections(self.boxes[kept], self.scores[kept], scales=np.ones(len(kept)), fleet=look)
+
+
+class Outcome(NamedTuple):
+    """One search of one mosaic."""
+
+    share: float
+    gsd: float
+    covered: bool
+    statistical: float
+    settled: bool
+
+
+def outcome(mosaic: Mosaic, detector: Detector, options: ScaleOptions) -> Outcome:
+    """Search a mosaic by the real order and rule."""
+    card, side = detector.card, mosaic.side
+    levels = search_levels(side, side, card.length_range_px, search_scales=True)
+    places = [TilePlace(level.factor, tile) for level in levels for tile in tile_grid(level.width_px, level.height_px)]
+    density = np.exp(-0.5 * ((GRID - math.log(GSD_M)) / _SCENE_LOG_SD) ** 2)
+    ranges = {each.factor: (max(card.length_range_px[0], each.shortest_px), each.longest_px) for each in levels}
+    promises = np.array([tile_prior_of(mosaic.tile_prior, place.window, place.factor) for place in places])
+    order = TileScheduler(places, promises, level_shares(ranges, density / density.sum()))
+    rule = stop_rule(options.search, max(side * side, ANYTIME_PIXELS), len(places))
+    view = partial(View, ImageFacts(side, side), card=card, options=options, resolved_share=lambda *_: 1.0)
+    found, visited, due, checks = np.zeros(len(mosaic.boxes), bool), 0, next_check(0), []
+    most, done = min(len(places), rule.max_tiles or len(places)), False
+    while visited < most and not done:
+        for k in order.next_tiles(min(4, most - visited)):
+            place, n_new = places[k], 0
+            if place.factor == 1:
+                inside = (
+                    np.abs(mosaic.boxes[:, :2] - [place.window.x_px + 512, place.window.y_px + 512]).max(axis=1) < 505
+                )
+                n_new = int(inside.sum())
+                found |= inside
+            order.tell(k, n_new)
+            visited += 1
+        if rule.share is not None and due <= visited < most:
+            due = next_check(visited)
+            checks.append(convergence(Vehicles().measure(view(detections=mosaic.detections(found))), ()))
+            done = settled(checks, rule)
+    evidence = Vehicles().measure(view(detections=mosaic.detections(found)))
+    told = decide(evidence, ())
+    if told.gsd_m_per_px is None or told.interval is None:
+        return Outcome(visited / len(places), math.nan, False, math.inf, done)
+    covered = told.interval.low <= GSD_M <= told.interval.high
+    return Outcome(
+        visited / len(places), told.gsd_m_per_px, covered, convergence(evidence, ()).statistical_log_sd, done
+    )
+
+
+def main() -> None:
+    """Print one row for each effort."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--mosaics", type=int, default=300)
+    parser.add_argument("--side", type=int, default=8192)
+    chosen = parser.parse_args()
+    detector = load_detector(resolve_model(None))
+    towns = {name: searched(pictures(chosen.data, name, table), detector) for name, table in SETS.items()}
+    fields = searched(pictures(chosen.data, "empty", "table.csv"), detector)
+    found: dict[str, list[Outcome]] = {"full": [], "auto": [], "fast": []}
+    for seed in range(chosen.mosaics):
+        rng = np.random.default_rng(seed)
+        name = sorted(towns)[seed % len(towns)]
+        factor = math.exp(rng.normal(0, 0.079))  # the fleet of this place, as the bundled model's card has it
+        mosaic = Mosaic(chosen.side, towns[name], fields, float(rng.uniform(0.05, 0.4)), factor, rng)
+        for effort, outcomes in found.items():
+            outcomes.append(outcome(mosaic, detector, ScaleOptions.of({"effort": effort})))
+    full = np.array([each.gsd for each in found["full"]])
+    print("| effort | cover | tiles, median | settled | |log to full|: median, 95th | within its statistical 95 % |")
+    print("|---|---|---|---|---|---|")
+    for effort, outcomes in found.items():
+        off = np.abs(np.log(np.array([each.gsd for each in outcomes]) / full))
+        ended = np.array([each.settled for each in outcomes])
+        honest = off <= 1.96 * np.array([each.statistical for each in outcomes])
+        print(
+            f"| {effort} | {np.mean([each.covered for each in outcomes]):.3f} | "
+            f"{np.median([each.share for each in outcomes]):.3f} | {ended.mean():.2f} | "
+            f"{np.nanmedian(off):.4f}, {np.nanpercentile(off, 95):.4f} | {honest.mean():.3f} |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

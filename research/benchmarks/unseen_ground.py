@@ -1,0 +1,124 @@
+"""The scale that the ground alone tells where no network of ours has learned.
+
+``python -m research.benchmarks.unseen_ground``.
+
+Photographs of the sets that are kept for evaluation. Nobody knows their scale but their cars: it is a car's usual
+length in that country over the median length of the cars that people drew, right within a tenth or so, while what is
+asked is whether the ground is right within a factor of 1.5. ``--network FILE`` takes another network than the bundled
+one. Prints Markdown, kept in RESULTS.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from vehanchor.detection.boxes import boxes_from_corners
+from vehanchor.detection.scene_scale import SceneScaleNetwork, load_scene_scale
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.scale.fusion import credible_interval
+from vehanchor_evaluation.dota import read_labels
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
+_CAR_M = {"jekhor": 4.3, "drashti": 3.9, "dota": 4.6, "crossings": 4.8}  # ucas has too few labels, some displaced
+_LEAST_CARS = 2  # of an oriented set
+_LEVEL_RATIO = 1.9  # of an upright box's sides, from which on its car stands level in it
+_BORDER_PX = 3
+_NEAR = np.log(1.5)
+_FINE_M_PER_PX = 0.05
+
+
+class Told(NamedTuple):
+    """What the ground said of one photograph.
+
+    Attributes:
+        gsd_m_per_px: by its cars.
+        log_error: absolute, of the density's median.
+        held: whether the 95 % interval holds the scale.
+        spread: the interval's upper end over its lower one.
+    """
+
+    gsd_m_per_px: float
+    log_error: float
+    held: bool
+    spread: float
+
+
+def oriented_images(folder: Path) -> Iterator[tuple[str, Path, float]]:
+    """Set, photograph and median length of its cars in pixels, where people's boxes are turned."""
+    with (folder / "index.csv").open(newline="") as handle:
+        rows = [row for row in csv.DictReader(handle) if row["split"] == "val" and row["set"] in _CAR_M]
+    for row in rows:
+        cars = read_labels(folder / "labels" / f"{Path(row['file']).stem}.txt").of_class("small-vehicle")
+        if len(cars) >= _LEAST_CARS:
+            yield row["set"], folder / row["file"], float(np.median(boxes_from_corners(cars)[:, 2]))
+
+
+def upright_images(folder: Path) -> Iterator[tuple[str, Path, float]]:
+    """The same where they are upright, by the cars that stand level in them and are not cut off."""
+    with (folder / "index.csv").open(newline="") as handle:
+        rows = [row for row in csv.DictReader(handle) if row["set"] in _CAR_M]
+    for row in rows:
+        path = folder / row["file"]
+        with open_raster(path) as raster:
+            ends = np.array([raster.width_px, raster.height_px])
+        lengths = level_lengths(read_labels(folder / "labels" / f"{path.stem}.txt").of_class("small-vehicle"), ends)
+        if len(lengths):
+            yield row["set"], path, float(np.median(lengths))
+
+
+def level_lengths(corners: NDArray[np.float64], ends: NDArray[np.int_]) -> NDArray[np.float64]:
+    """The longer sides of upright boxes ``[n, 4, 2]`` that are clearly longer one way and whole in the image."""
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    sides = np.sort(high - low, axis=1)
+    whole = (low > _BORDER_PX).all(axis=1) & (high < ends - _BORDER_PX).all(axis=1)
+    return np.asarray(sides[whole & (sides[:, 1] > _LEVEL_RATIO * sides[:, 0]), 1])
+
+
+def row(name: str, told: list[Told]) -> str:
+    """A line of the table."""
+    errors = np.array([each.log_error for each in told])
+    scales = [each.gsd_m_per_px for each in told]
+    return (
+        f"| {name} | {len(told)} | {min(scales):.3f} to {max(scales):.3f} | {np.median(errors):.2f} "
+        f"| {np.mean(errors < _NEAR):.0%} | {np.mean([each.held for each in told]):.0%} "
+        f"| {np.median([each.spread for each in told]):.1f} |"
+    )
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--network", type=Path)
+    options = parser.parse_args()
+    ground = SceneScaleNetwork(options.network) if options.network else load_scene_scale()
+    assert ground is not None
+    by_set: dict[str, list[Told]] = {}
+    for images in (oriented_images(DATA / "vehicles"), upright_images(DATA / "upright")):
+        for name, path, length_px in images:
+            gsd = _CAR_M[name] / length_px
+            with open_raster(path) as raster:
+                density = ground.look(raster).density
+            middle, (low, high) = credible_interval(density, probability=0.0).low, credible_interval(density)
+            told = Told(gsd, abs(float(np.log(middle / gsd))), low < gsd < high, high / low)
+            by_set.setdefault(name, []).append(told)
+    every = [each for told in by_set.values() for each in told]
+    by_set["all"] = every
+    by_set[f"all finer than {_FINE_M_PER_PX} m/px"] = [each for each in every if each.gsd_m_per_px < _FINE_M_PER_PX]
+    print("| set | images | m/px by cars | median log error | within 1.5 | 95 % interval holds | its high to low |")
+    print("|---|---|---|---|---|---|---|")
+    print("\n".join(row(name, told) for name, told in by_set.items()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,181 @@
+"""Crops with and without courts, at 0.38 to 0.88 m/px, from real tiles and rendered scenes."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+import torch
+
+from research.training.courts.network import CELL_PX, LENGTH_PX
+from research.training.detector.places import is_held_out, places
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+    from torch import Tensor
+
+SIDE_PX = 96
+FINEST_M, COARSEST_M = 0.38, 0.88  # metres per pixel of the crops
+TENNIS_M, BASKETBALL_M = 23.77, 28.3
+_LABELS = Path(__file__).with_name("tennis.csv")
+_SHARES = (0.45, 0.25, 0.30)  # real courts, rendered scenes, places without
+_MOST_EMPTY = 300
+_UNSURE = 0.2  # weight of cells of a real tile that nobody marked: courts at its edge are not marked
+_SPREAD_CELLS = 0.9
+
+
+class Court(NamedTuple):
+    """Centre in pixels, angle of the long axis in radians, class (0 tennis, 1 basketball)."""
+
+    x: float
+    y: float
+    angle: float
+    which: int
+
+
+class Picture(NamedTuple):
+    """An image with the courts in it.
+
+    Attributes:
+        pixels: ``[h, w, 3]`` RGB.
+        gsd_m_per_px: its scale.
+        courts: in it.
+        sure: whether these are all.
+    """
+
+    pixels: NDArray[np.uint8]
+    gsd_m_per_px: float
+    courts: tuple[Court, ...]
+    sure: bool
+
+
+def _read(path: Path) -> NDArray[np.uint8]:
+    image = cv2.imread(str(path))
+    if image is None:
+        raise FileNotFoundError(path)
+    return np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8, copy=False)
+
+
+def load_real(data: Path) -> list[Picture]:
+    """The tennis tiles that train, with the courts of ``tennis.csv``."""
+    courts: dict[str, list[Court]] = {}
+    with _LABELS.open(newline="") as handle:
+        for row in csv.DictReader(handle):
+            angle = math.radians(float(row["angle_deg"]))
+            courts.setdefault(row["file"], []).append(Court(float(row["x"]), float(row["y"]), angle, 0))
+    return [
+        Picture(_read(place.path), place.gsd_m_per_px, tuple(courts[place.path.name]), False)
+        for place in places(data)
+        if place.path.name in courts and not is_held_out(place)
+    ]
+
+
+def load_rendered(folder: Path) -> list[Picture]:
+    """Scenes that ``render_scenes.py`` has written."""
+    out = []
+    for facts in sorted(folder.glob("*.json")):
+        told = json.loads(facts.read_text())
+        courts = []
+        for court in told["courts"]:
+            corners = np.array(court["corners"])
+            (x, y), (dx, dy) = corners.mean(axis=0), corners[1] - corners[0]
+            courts.append(Court(x, y, math.atan2(dy, dx), 0 if court["kind"] == "tennis" else 1))
+        out.append(Picture(_read(facts.with_suffix(".png")), told["gsd"], tuple(courts), True))
+    return out
+
+
+def load_empty(data: Path) -> list[Picture]:
+    """Places of the training splits that are not named for their courts."""
+    found = [(p.path, p.gsd_m_per_px) for p in places(data) if p.kind != "tenniscourt" and not is_held_out(p)]
+    with (data / "gsd" / "table.csv").open(newline="") as handle:
+        for row in csv.DictReader(handle):
+            if row["split"] == "train":
+                found.append((data / "gsd" / row["file"], float(row["gsd_m_per_px"])))
+    order = np.random.default_rng(0).permutation(len(found))[:_MOST_EMPTY]
+    return [Picture(_read(found[index][0]), found[index][1], (), True) for index in order]
+
+
+class CropStream:
+    """Endless seeded crops: item k is always the same.
+
+    Args:
+        groups: pictures with real courts, rendered ones, and others.
+        seed: of the stream.
+    """
+
+    def __init__(self, groups: Sequence[Sequence[Picture]], seed: int) -> None:
+        self.groups, self.seed = groups, seed
+
+    def __getitem__(self, index: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Pixels ``[3, 96, 96]`` in 0..1, targets ``[5, 12, 12]``, weights of the two heats ``[2, 12, 12]``."""
+        rng = np.random.default_rng((self.seed, index))
+        group = self.groups[int(rng.choice(3, p=_SHARES))]
+        picture = group[int(rng.integers(len(group)))]
+        gsd = math.exp(rng.uniform(math.log(FINEST_M), math.log(COARSEST_M)))
+        pixels, courts = _crop(picture, gsd, rng)
+        targets, weights = _targets(courts, gsd, sure=picture.sure)
+        seen = _recoloured(pixels, rng)
+        return torch.from_numpy(seen.transpose(2, 0, 1).copy()), torch.from_numpy(targets), torch.from_numpy(weights)
+
+
+def _crop(picture: Picture, gsd: float, rng: np.random.Generator) -> tuple[NDArray[np.uint8], list[Court]]:
+    """A crop at a scale, turned at random and mirrored, and the courts in its pixels."""
+    factor = picture.gsd_m_per_px / gsd
+    method = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
+    reduced = cv2.resize(picture.pixels, None, fx=factor, fy=factor, interpolation=method)
+    turn = rng.uniform(0, 2 * math.pi) if rng.random() < 0.5 else math.pi / 2 * int(rng.integers(4))
+    centre = rng.uniform((0, 0), (reduced.shape[1], reduced.shape[0]))
+    if picture.courts:
+        court = picture.courts[int(rng.integers(len(picture.courts)))]
+        centre = np.array([court.x, court.y]) * factor + rng.uniform(-32, 32, 2)
+    mirror = -1.0 if rng.random() < 0.5 else 1.0
+    cos, sin = math.cos(turn), math.sin(turn)
+    linear = np.array([[cos, -sin], [sin, cos]]) @ np.diag([mirror, 1.0])
+    shift = SIDE_PX / 2 - linear @ centre
+    matrix = np.column_stack([linear, shift])
+    pixels = cv2.warpAffine(reduced, matrix, (SIDE_PX, SIDE_PX), borderMode=cv2.BORDER_CONSTANT)
+    courts = []
+    for court in picture.courts:
+        x, y = linear @ (np.array([court.x, court.y]) * factor) + shift
+        dx, dy = linear @ (math.cos(court.angle), math.sin(court.angle))
+        courts.append(Court(float(x), float(y), math.atan2(dy, dx), court.which))
+    return np.asarray(pixels, np.uint8), courts
+
+
+def _targets(courts: list[Court], gsd: float, *, sure: bool) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    cells = SIDE_PX // CELL_PX
+    targets = np.zeros((5, cells, cells), np.float32)
+    weights = np.full((2, cells, cells), 1.0 if sure else _UNSURE, np.float32)
+    rows, columns = np.mgrid[:cells, :cells]
+    best = np.zeros((cells, cells))
+    for x, y, angle, which in courts:
+        u, v = x / CELL_PX - 0.5, y / CELL_PX - 0.5
+        heat = np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / (2 * _SPREAD_CELLS**2))
+        targets[which] = np.maximum(targets[which], heat)
+        length = (BASKETBALL_M if which else TENNIS_M) / gsd
+        pose = math.cos(2 * angle), math.sin(2 * angle), math.log(length / LENGTH_PX)
+        nearer = heat > best
+        for channel, value in enumerate(pose):
+            targets[2 + channel][nearer] = value
+        best = np.maximum(best, heat)
+        weights[:, heat > 0.3] = 1.0
+    return targets, weights
+
+
+def _recoloured(pixels: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.float32]:
+    out = pixels.astype(np.float32) / 255.0
+    grey = out.mean(axis=2, keepdims=True)
+    out = grey + (out - grey) * rng.uniform(0.0 if rng.random() < 0.1 else 0.5, 1.5)
+    out = out[:, :, rng.permutation(3)] if rng.random() < 0.3 else out
+    out = np.clip(out * rng.uniform(0.6, 1.4, 3 if rng.random() < 0.3 else 1) + rng.uniform(-0.1, 0.1), 0, 1)
+    out = out ** rng.uniform(0.7, 1.4)
+    if rng.random() < 0.3:
+        out = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.3, 0.8))
+    return np.asarray(np.clip(out + rng.normal(0, rng.uniform(0, 0.03), out.shape), 0, 1), np.float32)

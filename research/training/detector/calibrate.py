@@ -1,0 +1,266 @@
+"""Calibrate a trained detector on the train split: ``python -m research.training.detector.calibrate RUN OUT.json``.
+
+Writes what ``export.py --calibration`` puts into the file:
+
+* ``length_correction``: factors on the boxes' lengths by length in pixels, which make them unbiased against labels on
+  train images made coarser; they enter the graph;
+* ``min_score``: of a few thresholds the one with the smallest mean error on the held-out tenth of train;
+* ``aggregation``: ``weighted_kde``, see ``research/results/scale.json``;
+* ``region_lengths_m``: per region the median over its train images of ``P_mode * GSD``, estimated as a user's image is
+  (the paper's calibration with detections for labels, every place counting once: car parks hold most of the cars);
+* ``reference_length_m``: the middle one of them, each region counting once, however many images it has;
+* ``reference_length_sd_m``: their standard deviation, likewise;
+* ``min_length_px``: the shortest length from which boxes are unbiased against labels, on train images made coarser;
+* ``search_scales``: 1, the image is searched at reduced resolutions, too;
+* ``clear_score``: what the clearest tenth of the cars of an image reaches in all but 2 of 100 images with many cars.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+from itertools import chain, pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from research.training.detector.data import LENGTH_RANGE_PX, is_dev
+from research.training.detector.export import export
+from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.detection.boxes import boxes_from_corners
+from vehanchor.detection.detections import Detections
+from vehanchor.detection.detector import Detector
+from vehanchor.detection.search import search
+from vehanchor.estimate import analyse_scale
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.options import Search
+from vehanchor.scale.defaults import Aggregation
+from vehanchor.scale.lengths import inlier_mask, modal_length
+from vehanchor.storage.atomic import whole_file
+from vehanchor_evaluation.dota import read_labels
+from vehanchor_evaluation.known_scale import KnownScaleImage
+from vehanchor_evaluation.table import read_table
+
+NAME = "vehicles"
+REGION_OF_SET = {
+    "cannes": "europe",
+    "saopaulo": "south_america",
+    "ucm": "north_america",
+    "estonia": "northern_europe",
+}
+MEASURED_ELSEWHERE = {"south_asia": 3.7}  # modal length of the detector's boxes in Nepal: shared/design/rulers.md
+_THRESHOLDS = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6)
+_SEARCH_SCORE = 0.1
+_AGGREGATION: Aggregation = "weighted_kde"
+_MAX_LOG_ERROR = 0.25  # beyond, it is another car
+_LABELLED = 5  # cars of an image that counts for its region
+_CORRECTION_BINS_PX = (11, 13, 16, 20, 26, 34, 46, 64)
+_LENGTH_BINS_PX = (8, 9, 10, 11, 12, 13, 14, 16, 18, 20, 24, 28, 34, 40, 50, 64)
+_MAX_BIAS = 0.03  # of the length, beyond what all bins have in common
+_SHORT_PX = 24
+_MANY_CARS = 20
+
+
+class Found(NamedTuple):
+    """Detections, at a low threshold, on one image of known scale."""
+
+    image: KnownScaleImage
+    detections: Detections
+
+
+def region_lengths(lengths_m: list[tuple[str, float]]) -> dict[str, float]:
+    """Median of the images' modal lengths, metres, for each region, from pairs of set and modal length."""
+    return {
+        region: float(np.median([length for name, length in lengths_m if name == set_name]))
+        for set_name, region in REGION_OF_SET.items()
+    }
+
+
+def mean_error(found: list[Found], min_score: float) -> float:
+    """Mean GSD error on images with labelled cars, each region's own reference length used; 1 without an estimate."""
+    modes: list[tuple[str, float]] = []
+    n_without = 0
+    for image, detections in found:
+        if image.set not in REGION_OF_SET or not image.labelled_vehicles:
+            continue
+        wanted = detections.scores >= min_score
+        length, score = detections.boxes[wanted, 2], detections.scores[wanted]
+        if not len(length):
+            n_without += 1
+            continue
+        kept = inlier_mask(length)
+        mode, _ = modal_length(length[kept], score[kept], _AGGREGATION)
+        modes.append((image.set, mode * image.gsd_m_per_px))
+    own = region_lengths(modes)
+    errors = [min(1.0, abs(own[REGION_OF_SET[name]] / length - 1)) for name, length in modes]
+    return float(np.mean(errors + [1.0] * n_without))
+
+
+def matched_lengths(
+    boxes: NDArray[np.float64], labels: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lengths of detections and of the labels whose centre is within a fifth of a length."""
+    if not len(boxes) or not len(labels):
+        return np.zeros(0), np.zeros(0)
+    gap = np.linalg.norm(boxes[:, None, :2] - labels[None, :, :2], axis=2)
+    nearest = gap.argmin(axis=1)
+    close = gap[np.arange(len(boxes)), nearest] < 0.2 * labels[nearest, 2]
+    return boxes[close, 2], labels[nearest[close], 2]
+
+
+class LengthPairs(NamedTuple):
+    """Lengths of the same cars, pixels, all ``[n]``, and the set of images that each car is from."""
+
+    found: NDArray[np.float64]
+    labelled: NDArray[np.float64]
+    set: NDArray[np.str_]
+
+
+def length_pairs(vehicles: Path, detector: Detector, min_score: float) -> LengthPairs:
+    """Found and labelled lengths on train images made coarser."""
+    pairs: list[LengthPairs] = []
+    with (vehicles / "index.csv").open(newline="") as handle:
+        rows = [r for r in csv.DictReader(handle) if r["split"] == "train" and int(r["small_vehicles"]) >= 5]
+    for row in rows:
+        if row["set"] not in ("cannes", "saopaulo", "jekhor") or not (
+            is_dev(row["file"], row["set"]) or row["set"] == "jekhor"
+        ):
+            continue
+        image = cv2.imread(str(vehicles / row["file"]))
+        labels = boxes_from_corners(
+            read_labels(vehicles / "labels" / f"{Path(row['file']).stem}.txt").of_class("small-vehicle")
+        )
+        assert image is not None
+        if row["set"] == "jekhor" and hash_of(row["file"]) % 8:
+            continue  # an eighth of the video frames will do
+        for target in (9, 10.5, 12, 14, 17, 21, 28, 40, 52):
+            factor = target / float(np.median(labels[:, 2]))
+            if factor > 1:
+                continue
+            small = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+            if min(small.shape[:2]) < 32:
+                continue
+            with open_raster(np.ascontiguousarray(small[:, :, ::-1])) as raster:
+                boxes = search(raster, detector, Search(min_score=min_score)).boxes
+            found, labelled = matched_lengths(boxes, labels * (factor, factor, factor, factor, 1))
+            pairs.append(LengthPairs(found, labelled, np.full(len(found), row["set"])))
+    return LengthPairs(*(np.concatenate(column) for column in zip(*pairs, strict=True)))
+
+
+def length_bias(pairs: LengthPairs) -> dict[int, tuple[int, float]]:
+    """Median of log(found / labelled length) in bins of the labelled length.
+
+    Returns:
+        Lower edge of the bin in pixels to (number of boxes, bias).
+    """
+    out = {}
+    for low, high in pairwise(_LENGTH_BINS_PX):
+        inside = (pairs.labelled >= low) & (pairs.labelled < high)
+        if inside.sum() >= 20:
+            ratio = pairs.found[inside] / pairs.labelled[inside]
+            out[low] = (int(inside.sum()), float(np.median(np.log(ratio))))
+    return out
+
+
+def length_correction(pairs: LengthPairs) -> list[tuple[float, float]]:
+    """Factors on the found length, at the centres of bins of the found length.
+
+    The log of labelled over found length is taken as one number for each bin plus one for each set (least squares):
+    sets differ in who drew their labels, and not every set has cars of every length. Of the sets' numbers only the
+    median over the cars enters the correction.
+    """
+    error = np.log(pairs.labelled / pairs.found)
+    usable = (np.abs(error) < _MAX_LOG_ERROR) & (pairs.found >= _CORRECTION_BINS_PX[0])
+    usable &= pairs.found < _CORRECTION_BINS_PX[-1]
+    bins = np.digitize(pairs.found[usable], _CORRECTION_BINS_PX) - 1
+    names, sets = np.unique(pairs.set[usable], return_inverse=True)
+    n_bins = len(_CORRECTION_BINS_PX) - 1
+    design = np.column_stack([np.eye(n_bins)[bins], np.eye(len(names))[sets][:, 1:]])  # the first set is the base
+    fitted = np.linalg.lstsq(design, error[usable])[0]
+    common = np.median(np.append(0.0, fitted[n_bins:])[sets])
+    return [
+        (round(float(np.sqrt(low * high)), 2), round(float(np.exp(value + common)), 4))
+        for (low, high), value in zip(pairwise(_CORRECTION_BINS_PX), fitted, strict=False)
+    ]
+
+
+def clear_score(analyses: list[ScaleAnalysis]) -> float:
+    """Low end (2nd percentile) over images with many cars of the 90th percentile of an image's scores."""
+    scores = [analysis.detections.scores for analysis in analyses]
+    return float(np.percentile([np.percentile(some, 90) for some in scores if len(some) >= _MANY_CARS], 2))
+
+
+def hash_of(name: str) -> int:
+    """A stable number for a file name."""
+    return sum(ord(letter) * (k + 1) for k, letter in enumerate(name))
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", type=Path, help="of train.py")
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    options = parser.parse_args()
+    tables = [read_table(options.data / "gsd" / name) for name in ("table.csv", "upright.csv")]
+    images = [image for image in chain.from_iterable(tables) if image.split == "train"]
+    calibration: dict[str, object] = {
+        "name": NAME,
+        "aggregation": _AGGREGATION,
+        "length_range_px": ",".join(f"{side:g}" for side in LENGTH_RANGE_PX),
+        "search_scales": 1,
+    }
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "vehicles.onnx"
+        export(options.run, file, calibration)
+        detector = Detector(file)
+        found = []
+        for image in images:
+            if is_dev(image.path.name, image.set):
+                with open_raster(image.path) as raster:
+                    searched = search(raster, detector, Search(min_score=_SEARCH_SCORE, search_scales=False))
+                found.append(Found(image, searched))
+        errors = {threshold: mean_error(found, threshold) for threshold in _THRESHOLDS}
+        min_score = min(errors, key=lambda threshold: errors[threshold])
+        for threshold, error in errors.items():
+            print(f"min_score {threshold}: mean error {error:.4f} on the held-out tenth", flush=True)
+        correction = length_correction(length_pairs(options.data / "vehicles", detector, min_score))
+        print(f"length correction {correction}", flush=True)
+
+        calibration |= {"min_score": min_score, "length_correction": correction}
+        export(options.run, file, calibration)
+        detector = Detector(file)
+        bias = length_bias(length_pairs(options.data / "vehicles", detector, min_score))
+        analyses = [analyse_scale(image.path, detector=detector) for image in images]
+    for low, (count, value) in bias.items():
+        print(f"labelled length from {low} px: {count} boxes, median log error {value:+.3f}")
+    lengths = region_lengths(
+        [
+            (image.set, analysis.estimate.mode_length_px * image.gsd_m_per_px)
+            for image, analysis in zip(images, analyses, strict=True)
+            if (image.labelled_vehicles or 0) >= _LABELLED and analysis.estimate.mode_length_px is not None
+        ]
+    )
+    logs = np.log(list(lengths.values()))
+    usual = float(np.median([value for _, value in bias.values()]))  # common to all lengths: part of the reference
+    biased = [low for low, (_, value) in bias.items() if abs(value - usual) > _MAX_BIAS and low < _SHORT_PX]
+    first_good = min((low for low in bias if low > max(biased, default=0)), default=_LENGTH_BINS_PX[0])
+    calibration |= {
+        "reference_length_m": round(float(np.median(list(lengths.values()))), 4),
+        "reference_length_sd_m": round(float(np.median(list(lengths.values())) * np.std(logs, ddof=1)), 4),
+        "region_lengths_m": {region: round(length, 4) for region, length in (lengths | MEASURED_ELSEWHERE).items()},
+        "min_length_px": float(first_good),
+        "clear_score": round(clear_score(analyses) - 0.005, 2),
+    }
+    with whole_file(options.out) as partial:
+        partial.write_text(json.dumps(calibration, indent=2) + "\n")
+    print(options.out.read_text())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,382 @@
+"""Labelled images to training crops: sampling, geometric and photometric augmentation, dense targets."""
+
+from __future__ import annotations
+
+import csv
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+import torch
+
+from research.training.detector.distractors import draw_distractors
+from research.training.detector.network import STRIDE_PX
+from research.training.detector.shade import shaded
+from vehanchor.detection.boxes import box_corners, boxes_from_corners
+from vehanchor_evaluation.dota import read_labels
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+CROP_PX = 320
+LENGTH_RANGE_PX = (9.0, 64.0)  # crops are scaled so that the car length is log-uniform in this range
+_MAX_ENLARGEMENT = 2.6  # beyond it an enlarged image is only blur
+_SET_WEIGHT = {
+    "ucm": 0.15, "cannes": 0.15, "jekhor": 0.14, "saopaulo": 0.09, "empty": 0.04, "scene": 0.06, "estonia": 0.14,
+    "estonia_port": 0.07, "ucm_more": 0.08, "harbor": 0.06, "building": 0.04, "flights": 0.03,
+}  # fmt: skip
+_DEV_SHARE = 10  # one train group in ten is held out: thresholds and confidence are fitted there
+HELD_OUT = 0
+_CLUTTER_SHARE = 0.35  # of the crops of images that have some
+_FINER_SHARE = 0.12  # crops finer than the range, of images that are: there the parts of a car are no cars
+_FINEST_PX = 200.0
+_UNSEEN_PX = 105.0  # a car from this length on is not seen at this resolution, but at a reduced one
+_DISTRACTOR_SHARE = 0.12
+CORRECTIONS = Path(__file__).with_name("corrections.csv")
+
+
+class TrainImage(NamedTuple):
+    """One labelled image in memory."""
+
+    set: str
+    image: NDArray[np.uint8]  # [h, w, 3] RGB
+    boxes: NDArray[np.float64]  # [n, 5] small vehicles
+    ignore: NDArray[np.float64]  # [m, 4, 2] corners of what is neither car nor background
+    clutter: NDArray[np.float64]  # [k, 2] where an earlier detector saw a car that cannot be one
+    car_px: float | None = None  # length of a car at the known scale; None: of the labelled ones
+
+
+def group_of(name: str, set_name: str) -> str:
+    """The group of an image: neighbours and frames of one video stay on one side of the train/dev line."""
+    stem = name.rsplit("/", 1)[-1].rsplit(".", 1)[0]
+    if set_name == "cannes":
+        return f"cannes_row_{int(stem.split('_')[1]) // 49 // 2}_{int(stem.split('_')[1]) % 49 // 7}"
+    if set_name == "saopaulo":
+        return "_".join(stem.split("_")[:2])
+    if set_name == "jekhor":
+        return stem.rstrip("0123456789")
+    return stem
+
+
+def is_dev(name: str, set_name: str) -> bool:
+    """Whether a train image belongs to the held-out tenth (by a checksum of its group: stable for ever)."""
+    return set_name != "jekhor" and zlib.crc32(group_of(name, set_name).encode()) % _DEV_SHARE == HELD_OUT
+
+
+class Correction(NamedTuple):
+    """One line of ``corrections.csv`` (see ``relabel.py``): ``kind`` is car, ignore, clutter or unseen."""
+
+    kind: str
+    box: tuple[float, ...]
+
+
+def read_corrections(path: Path) -> dict[str, list[Correction]]:
+    """Corrections of the train labels by the image's file name."""
+    out: dict[str, list[Correction]] = {}
+    with path.open(newline="") as handle:
+        for row in csv.DictReader(handle):
+            box = tuple(float(row[name]) for name in ("x", "y", "length", "width", "angle"))
+            out.setdefault(row["file"], []).append(Correction(row["kind"], box))
+    return out
+
+
+def load_train_images(vehicles: Path, corrections: Path = CORRECTIONS, *, held_out: bool = False) -> list[TrainImage]:
+    """Load the training part of ``shared/data/vehicles``, its labels corrected; or its held-out tenth alone."""
+    known = read_corrections(corrections)
+    out = []
+    with (vehicles / "index.csv").open(newline="") as handle:
+        rows = [row for row in csv.DictReader(handle) if row["split"] == "train"]
+    for row in rows:
+        if is_dev(row["file"], row["set"]) == held_out:
+            sample = _load(vehicles / row["file"], row["set"], vehicles / "labels")
+            out.append(corrected(sample, known.get(Path(row["file"]).name, [])))
+    return out
+
+
+def corrected(sample: TrainImage, corrections: Sequence[Correction]) -> TrainImage:
+    """An image with its labels corrected: cars added, doubtful places and labels that nobody sees ignored."""
+
+    def of(*kinds: str) -> NDArray[np.float64]:
+        return np.asarray([c.box for c in corrections if c.kind in kinds], np.float64).reshape(-1, 5)
+
+    unseen = of("unseen")
+    gap = np.linalg.norm(sample.boxes[:, None, :2] - unseen[None, :, :2], axis=2)
+    return sample._replace(
+        boxes=np.concatenate([sample.boxes[~(gap < 1.0).any(axis=1)], of("car")]),
+        ignore=np.concatenate([sample.ignore, box_corners(of("ignore", "unseen"))]),
+        clutter=of("clutter")[:, :2],
+    )
+
+
+def load_scenes(folder: Path) -> list[TrainImage]:
+    """Load rendered scenes: images with DOTA text of the same stem beside them."""
+    return [_load(path, "scene", folder) for path in sorted(folder.glob("*.jpg"))]
+
+
+def _load(path: Path, set_name: str, labels_folder: Path) -> TrainImage:
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        raise FileNotFoundError(path)
+    labels = read_labels(labels_folder / f"{path.stem}.txt")
+    name = np.array(labels.classes, dtype=object)
+    car = (name == "small-vehicle") & ~labels.difficult
+    return TrainImage(
+        set_name,
+        np.ascontiguousarray(image[:, :, ::-1]),
+        boxes_from_corners(labels.corners[car]),
+        labels.corners[~car],
+        np.zeros((0, 2)),
+    )
+
+
+class Crop(NamedTuple):
+    """One training example at crop resolution."""
+
+    image: NDArray[np.uint8]  # [CROP_PX, CROP_PX, 3]
+    boxes: NDArray[np.float64]  # [n, 5]
+    ignore: NDArray[np.float64]  # [m, 4, 2]
+    covered: NDArray[np.bool_]  # [CROP_PX, CROP_PX] where the source image reaches
+
+
+def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
+    """Cut a rotated, flipped, rescaled crop; cars at the crop's edge and out of the length range become ignored."""
+    height, width = sample.image.shape[:2]
+    native = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or float(rng.uniform(14, 40))
+    target = float(np.exp(rng.uniform(*np.log(LENGTH_RANGE_PX))))
+    if native > LENGTH_RANGE_PX[1] and rng.random() < _FINER_SHARE:
+        target = float(np.exp(rng.uniform(np.log(LENGTH_RANGE_PX[1]), np.log(min(_FINEST_PX, 1.3 * native)))))
+    scale = min(target / native, _MAX_ENLARGEMENT * float(rng.uniform(0.6, 1.0)))
+    if len(sample.clutter) and rng.random() < _CLUTTER_SHARE:
+        focus = sample.clutter[rng.integers(len(sample.clutter))] + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
+    elif len(sample.boxes) and rng.random() < 0.75:
+        focus = sample.boxes[rng.integers(len(sample.boxes)), :2] + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
+    else:
+        focus = rng.uniform(0, 1, 2) * (width, height)
+    margin = np.minimum(0.4 * CROP_PX / scale, (width / 2, height / 2))
+    focus = np.clip(focus, margin, (width, height) - margin)
+    turn = rng.uniform(0, 2 * np.pi)
+    flip = -1.0 if rng.random() < 0.5 else 1.0
+
+    # Source image reduced by averaging first (no aliasing), then one affine warp does the rest.
+    reduce = min(1.0, scale * 1.15)
+    source = sample.image
+    if reduce < 0.95:
+        half = CROP_PX / scale  # beyond any corner of the rotated crop
+        x0, y0 = (int(max(0, f - half)) for f in focus)
+        x1, y1 = int(min(width, focus[0] + half)), int(min(height, focus[1] + half))
+        x0, y0 = min(x0, width - 8), min(y0, height - 8)
+        part = source[y0 : max(y1, y0 + 8), x0 : max(x1, x0 + 8)]
+        small = cv2.resize(
+            part,
+            (max(4, round(part.shape[1] * reduce)), max(4, round(part.shape[0] * reduce))),
+            interpolation=cv2.INTER_AREA,
+        )
+        to_source = np.array(
+            [
+                [small.shape[1] / part.shape[1], 0, -x0 * small.shape[1] / part.shape[1]],
+                [0, small.shape[0] / part.shape[0], -y0 * small.shape[0] / part.shape[0]],
+            ]
+        )
+        source = np.asarray(small, dtype=np.uint8)
+    else:
+        to_source = np.array([[1.0, 0, 0], [0, 1.0, 0]])
+    rotation = np.array([[np.cos(turn) * flip, -np.sin(turn)], [np.sin(turn) * flip, np.cos(turn)]]) * scale
+    forward = np.column_stack([rotation, CROP_PX / 2 - rotation @ focus])  # image (continuous px) -> crop
+    # Continuous coordinates have pixel centres at +0.5; warpAffine works on pixel indices.
+    matrix = _compose(forward, _invert(to_source))
+    matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5
+    fill = source[::16, ::16].reshape(-1, 3).mean(axis=0) if rng.random() < 0.5 else np.zeros(3)
+    interpolation = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
+    image: NDArray[np.uint8] = np.asarray(
+        cv2.warpAffine(source, matrix, (CROP_PX, CROP_PX), flags=interpolation, borderValue=fill.tolist()),
+        dtype=np.uint8,
+    )
+
+    covered = cv2.warpAffine(
+        np.ones(source.shape[:2], np.uint8), matrix, (CROP_PX, CROP_PX), flags=cv2.INTER_NEAREST
+    ).astype(bool)
+
+    def moved(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(points @ forward[:, :2].T + forward[:, 2])
+
+    boxes = boxes_from_corners(moved(box_corners(sample.boxes)))
+    ignore = moved(sample.ignore)
+    corners = box_corners(boxes)
+    near = np.any(np.all((corners > -4) & (corners < CROP_PX + 4), axis=2), axis=1)
+    boxes, corners = boxes[near], corners[near]
+    inside = ((boxes[:, :2] > 1) & (boxes[:, :2] < CROP_PX - 1)).all(axis=1)
+    whole = ((corners > -0.15 * boxes[:, 2, None, None]) & (corners < CROP_PX + 0.15 * boxes[:, 2, None, None])).all(
+        axis=(1, 2)
+    )
+    sized = (boxes[:, 2] > 0.8 * LENGTH_RANGE_PX[0]) & (boxes[:, 2] < 1.3 * LENGTH_RANGE_PX[1])
+    good = inside & whole & sized
+    left_open = ~good & (boxes[:, 2] < _UNSEEN_PX)
+    return Crop(image, boxes[good], np.concatenate([ignore, corners[left_open]]), covered)
+
+
+def lay_over(top: Crop, bottom: Crop) -> Crop:
+    """Fill what ``top`` leaves uncovered with ``bottom``, so that small source images do not waste the crop."""
+    image = np.where(top.covered[:, :, None], top.image, bottom.image)
+    below = _hidden_by(top.covered, bottom)
+    return Crop(
+        image,
+        np.concatenate([top.boxes, below.boxes]),
+        np.concatenate([top.ignore, below.ignore]),
+        top.covered | bottom.covered,
+    )
+
+
+def distracted(rng: np.random.Generator, crop: Crop) -> Crop:
+    """A crop with striped or gridded things drawn over a part of it."""
+    image, hides = draw_distractors(rng, crop.image)
+    return _hidden_by(hides, crop)._replace(image=image)
+
+
+def _hidden_by(cover: NDArray[np.bool_], crop: Crop) -> Crop:
+    """The crop's boxes without those that ``cover`` hides; those that it cuts are ignored."""
+    corners = box_corners(crop.boxes)
+    probe = np.concatenate([corners, crop.boxes[:, None, :2]], axis=1)
+    cells = np.clip(np.floor(probe), 0, CROP_PX - 1).astype(int)
+    hidden = cover[cells[:, :, 1], cells[:, :, 0]]
+    clear = ~hidden.any(axis=1)
+    cut = ~clear & ~hidden.all(axis=1)
+    return crop._replace(boxes=crop.boxes[clear], ignore=np.concatenate([crop.ignore, corners[cut]]))
+
+
+def _compose(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.column_stack([a[:, :2] @ b[:, :2], a[:, :2] @ b[:, 2] + a[:, 2]])
+
+
+def _invert(a: NDArray[np.float64]) -> NDArray[np.float64]:
+    inverse = np.linalg.inv(a[:, :2])
+    return np.column_stack([inverse, -inverse @ a[:, 2]])
+
+
+def photometric(rng: np.random.Generator, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Strong random change of exposure, colour, sharpness, noise and compression."""
+    x = image.astype(np.float32) / 255.0
+    if rng.random() < 0.12:
+        x = x[:, :, rng.permutation(3)]
+    if rng.random() < 0.15:
+        x = np.repeat(x.mean(axis=2, keepdims=True), 3, axis=2)
+    else:
+        grey = x.mean(axis=2, keepdims=True)
+        x = grey + (x - grey) * np.float32(rng.uniform(0.4, 1.5))
+        x = x * rng.uniform(0.85, 1.15, 3).astype(np.float32)
+    x = np.clip(x, 0, 1) ** np.float32(np.exp(rng.uniform(-0.4, 0.4)))
+    x = (x - x.mean()) * np.float32(rng.uniform(0.6, 1.45)) + x.mean() + np.float32(rng.uniform(-0.15, 0.15))
+    if rng.random() < 0.15:  # a shadow or haze gradient across the crop
+        down, right = (np.linspace(-1, 1, side, dtype=np.float32) for side in x.shape[:2])
+        field = down[:, None] * np.float32(rng.uniform(-1, 1)) + right * np.float32(rng.uniform(-1, 1))
+        x = x * (1 + 0.3 * field[:, :, None])
+    draw = rng.random()
+    if draw < 0.35:
+        x = cv2.GaussianBlur(x, (0, 0), float(rng.uniform(0.3, 1.1)))
+    elif draw < 0.5:
+        x = x + np.float32(rng.uniform(0.3, 1.0)) * (x - cv2.GaussianBlur(x, (0, 0), 1.2))
+    if rng.random() < 0.4:
+        x = x + rng.normal(0, rng.uniform(0.005, 0.04), x.shape).astype(np.float32)
+    out: NDArray[np.uint8] = np.clip(x * 255.0 + 0.5, 0, 255).astype(np.uint8)
+    if rng.random() < 0.5:
+        ok, coded = cv2.imencode(".jpg", out, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 96))])
+        if ok:
+            out = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.uint8)
+    return out
+
+
+class Target(NamedTuple):
+    """Dense targets at stride 4 for one crop (or, stacked, a batch)."""
+
+    heat: torch.Tensor  # [1, h, w] in 0..1, exactly 1 at centres
+    care: torch.Tensor  # [1, h, w] 0 where the heat loss looks away
+    shape: torch.Tensor  # [6, h, w]
+    weight: torch.Tensor  # [1, h, w] of the shape loss
+
+
+def dense_target(boxes: NDArray[np.float64], ignore: NDArray[np.float64]) -> Target:
+    """Draw oriented Gaussians at the centres and spread each box's numbers over the cells around it."""
+    side = CROP_PX // STRIDE_PX
+    heat = np.zeros((side, side), np.float32)
+    care = np.ones((side, side), np.uint8)
+    for polygon in ignore:
+        cv2.fillPoly(care, [np.round(polygon / STRIDE_PX - 0.5).astype(np.int32)], 0)
+    shape = np.zeros((6, side, side), np.float32)
+    weight = np.zeros((side, side), np.float32)
+    rows, cols = np.mgrid[0:side, 0:side].astype(np.float32) + 0.5
+    for x, y, length, width, angle in boxes:
+        u, v = x / STRIDE_PX, y / STRIDE_PX
+        reach = int(np.ceil(max(3.0, 0.4 * length / STRIDE_PX)))
+        r0, r1 = max(0, int(v) - reach), min(side, int(v) + reach + 1)
+        c0, c1 = max(0, int(u) - reach), min(side, int(u) + reach + 1)
+        dx, dy = cols[r0:r1, c0:c1] - u, rows[r0:r1, c0:c1] - v
+        along = dx * np.cos(angle) + dy * np.sin(angle)
+        across = -dx * np.sin(angle) + dy * np.cos(angle)
+        sigma_l = max(0.55, 0.11 * length / STRIDE_PX)
+        sigma_w = max(0.5, 0.13 * width / STRIDE_PX)
+        blob = np.exp(-0.5 * ((along / sigma_l) ** 2 + (across / sigma_w) ** 2)).astype(np.float32)
+        heat[r0:r1, c0:c1] = np.maximum(heat[r0:r1, c0:c1], blob)
+        closer = blob > np.maximum(weight[r0:r1, c0:c1], 0.2)
+        weight[r0:r1, c0:c1][closer] = blob[closer]
+        numbers = (np.log(length), np.log(width), np.cos(2 * angle), np.sin(2 * angle))
+        shape[0, r0:r1, c0:c1][closer] = -dx[closer]
+        shape[1, r0:r1, c0:c1][closer] = -dy[closer]
+        for channel, number in enumerate(numbers, start=2):
+            shape[channel, r0:r1, c0:c1][closer] = number
+        row, col = min(int(v), side - 1), min(int(u), side - 1)
+        heat[row, col] = 1.0
+        care[row, col] = 1
+    return Target(
+        torch.from_numpy(heat)[None],
+        torch.from_numpy(care.astype(np.float32))[None],
+        torch.from_numpy(shape),
+        torch.from_numpy(weight)[None],
+    )
+
+
+@dataclass
+class CropStream:
+    """An endless, seeded stream of crops; the k-th is the same whenever it is asked for."""
+
+    images: list[TrainImage]
+    seed: int
+
+    def __post_init__(self) -> None:
+        """Sort the images by their sets."""
+        self._by_set: dict[str, list[TrainImage]] = {}
+        for sample in self.images:
+            self._by_set.setdefault(sample.set, []).append(sample)
+        self._names = sorted(self._by_set)
+        share = np.array([_SET_WEIGHT[name] for name in self._names])
+        self._share = share / share.sum()
+        self._pick = {}
+        for name, samples in self._by_set.items():
+            weight = np.array([1.0 + np.sqrt(len(s.boxes) + len(s.clutter)) for s in samples])
+            self._pick[name] = weight / weight.sum()
+
+    def __getitem__(self, index: int) -> tuple[torch.Tensor, Target]:
+        """Draw a set by weight, an image in it (those with more cars a little more often), then a crop.
+
+        Returns:
+            The image ``[3, h, w]`` uint8 and its target.
+        """
+        cv2.setNumThreads(1)
+        rng = np.random.default_rng([self.seed, index])
+        name = self._names[rng.choice(len(self._names), p=self._share)]
+
+        def draw() -> Crop:
+            return draw_crop(rng, self._by_set[name][rng.choice(len(self._by_set[name]), p=self._pick[name])])
+
+        crop = draw()
+        for _ in range(2):
+            if crop.covered.mean() < 0.75 and rng.random() < 0.9:
+                crop = lay_over(crop, draw())
+        if rng.random() < _DISTRACTOR_SHARE:
+            crop = distracted(rng, crop)
+        image = photometric(rng, shaded(rng, crop.image, crop.boxes))
+        pixels = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))
+        return pixels, dense_target(crop.boxes, crop.ignore)

@@ -1,0 +1,125 @@
+"""Fit how a network's answers combine: ``python -m research.training.scene_scale.calibrate OUT.json CASES.npz ...``.
+
+The cases (``cases.py``) should be of networks that never saw the sets they are asked about: what the shipped network
+says of a new place is as good as that. Every set counts alike. Fitted are the mean log density at the truth and the
+share of intervals that hold it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from research.training.scene_scale.bins import FIRST_LOG_GSD, LOG_STEP
+from research.training.scene_scale.cases import Case, load
+from research.training.scene_scale.density import (
+    GRID,
+    GRID_STEP,
+    SceneBins,
+    SceneCalibration,
+    interval,
+    quantiles,
+    scene_density,
+)
+from vehanchor.storage.atomic import whole_file
+
+BINS = SceneBins(FIRST_LOG_GSD, LOG_STEP)
+_CHOICES: dict[str, Sequence[float]] = {
+    "temperature": tuple(np.exp(np.linspace(np.log(0.35), np.log(3.5), 13))),
+    "levels": (0.0, 0.25, 0.5, 0.75, 1.0),
+    "doubt": (0.0, 0.005, 0.01, 0.015, 0.02, 0.03),
+    "floor": (0.005, 0.01, 0.02),
+}
+_ROUNDS = 2
+_LEAST_COVER, _COVER_WEIGHT = 0.9, 2.0
+_LEAST_CASES = 15  # of a set whose cover counts
+_WITHIN = 1.5
+
+
+def log_score(cases: Sequence[Case], calibration: SceneCalibration) -> float:
+    """The mean log density (per unit of log m/px) at the truth, every set alike."""
+    scores: dict[str, list[float]] = {}
+    for case in cases:
+        density = scene_density(case.log_probs, case.factors, BINS, calibration)
+        at = int(np.argmin(np.abs(GRID - np.log(case.gsd_m_per_px))))
+        scores.setdefault(case.set, []).append(float(np.log(density[at] / GRID_STEP)))
+    return float(np.mean([np.mean(each) for each in scores.values()]))
+
+
+def least_cover(cases: Sequence[Case], calibration: SceneCalibration) -> float:
+    """The share of images whose interval holds the truth, in the set where it holds least."""
+    held: dict[str, list[bool]] = {}
+    for case in cases:
+        _, low, high = _row(case, calibration)
+        held.setdefault(case.set, []).append(low < 0 < high)
+    return float(min(np.mean(each) for each in held.values() if len(each) >= _LEAST_CASES))
+
+
+def fit(cases: Sequence[Case]) -> SceneCalibration:
+    """The calibration of the highest score, one number after the other, some times over.
+
+    Where intervals hold in less than ``_LEAST_COVER`` of a set's images, that weighs against it.
+    """
+
+    def worth(option: SceneCalibration) -> float:
+        lacking = max(0.0, _LEAST_COVER - least_cover(cases, option))
+        return log_score(cases, option) - _COVER_WEIGHT * lacking
+
+    best = SceneCalibration()
+    for _, (name, values) in itertools.product(range(_ROUNDS), _CHOICES.items()):
+        best = max((replace(best, **{name: float(value)}) for value in values), key=worth)
+    return best
+
+
+def report(cases: Sequence[Case], calibration: SceneCalibration) -> list[str]:
+    """Accuracy and cover by set, for images as they are and for reduced ones."""
+    lines = ["set                   images  median |log error|  within 1.5  interval holds  median high/low"]
+    for reduced in (False, True):
+        for name in (*sorted({case.set for case in cases}), "all"):
+            chosen = [case for case in cases if case.reduced == reduced and name in (case.set, "all")]
+            if not chosen:
+                continue
+            rows = np.array([_row(case, calibration) for case in chosen])
+            error, low, high = rows.T
+            held, right = np.mean((low < 0) & (high > 0)), np.mean(np.abs(error) < np.log(_WITHIN))
+            lines.append(
+                f"{name:12s} {'reduced' if reduced else 'as it is':8s} {len(chosen):6d}"
+                f"  {np.median(np.abs(error)):18.3f}  {right:10.0%}  {held:14.0%}"
+                f"  {np.median(np.exp(high - low)):15.2f}"
+            )
+    return lines
+
+
+def _row(case: Case, calibration: SceneCalibration) -> tuple[float, float, float]:
+    """Logs of the density's median and of its interval's ends over the truth."""
+    density = scene_density(case.log_probs, case.factors, BINS, calibration)
+    values = np.array([quantiles(density, [0.5])[0], *interval(density)])
+    error, low, high = np.log(values / case.gsd_m_per_px)
+    return float(error), float(low), float(high)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", type=Path, help="JSON; where it exists already it is used, not fitted again")
+    parser.add_argument("cases", type=Path, nargs="+")
+    options = parser.parse_args()
+    cases = [case for path in options.cases for case in load(path)]
+    if options.out.exists():
+        calibration = SceneCalibration(**json.loads(options.out.read_text()))
+    else:
+        calibration = fit(cases)
+        with whole_file(options.out) as partial:
+            partial.write_text(json.dumps(asdict(calibration)))
+    print(f"{calibration}, log score {log_score(cases, calibration):.3f}")
+    print("\n".join(report(cases, calibration)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,101 @@
+"""From a tile of 160 px to a distribution over log metres per pixel.
+
+The body is the encoder of the detector (``research/training/detector/network.py``), fewer blocks of it. Training
+begins with the encoder's weights: what the detector has learned to tell from cars also shows how big a pixel is.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from research.training.detector.network import VehicleNet
+from research.training.scene_scale.bins import BINS
+from research.training.warm_start import load_exported
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_CHANNELS = (16, 32, 64, 128, 192)  # at strides 2, 4, 8, 16, 32
+_BOTTLENECK = (32, 64, 96)  # inner width of the residual blocks at strides 4 to 16
+_BLOCKS = (1, 1, 2, 0)
+_HIDDEN = 64
+
+
+def _conv(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False), nn.BatchNorm2d(outputs), nn.ReLU(inplace=True)
+    )
+
+
+class _Residual(nn.Module):
+    def __init__(self, channels: int, inner: int) -> None:
+        super().__init__()
+        self.enter = _conv(channels, inner)
+        self.leave = nn.Sequential(nn.Conv2d(inner, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return functional.relu(x + self.leave(self.enter(x)))
+
+
+class SceneScaleNet(nn.Module):
+    """Five stride-2 stages; input ``[n, 3, 160, 160]`` RGB in 0..1.
+
+    The head sees the mean and the spread of every stage from stride 4 on, which is texture, and what attention picks
+    out of the last one, which is things.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stem = _conv(3, _CHANNELS[0], stride=2)
+        self.stages = nn.ModuleList(
+            nn.Sequential(
+                _conv(_CHANNELS[k], _CHANNELS[k + 1], stride=2),
+                *(_Residual(_CHANNELS[k + 1], _BOTTLENECK[k]) for _ in range(blocks)),
+            )
+            for k, blocks in enumerate(_BLOCKS)
+        )
+        self.look = nn.Conv2d(_CHANNELS[-1], 1, 1)
+        width = 2 * sum(_CHANNELS[1:]) + _CHANNELS[-1]
+        self.head = nn.Sequential(
+            nn.BatchNorm1d(width),
+            nn.Dropout(0.1),
+            nn.Linear(width, _HIDDEN),
+            nn.ReLU(inplace=True),
+            nn.Linear(_HIDDEN, BINS),
+        )
+
+    def forward(self, tiles: Tensor) -> Tensor:
+        """Log-probabilities ``[n, BINS]``."""
+        seen = self.stem(tiles)
+        pooled = []
+        for stage in self.stages:
+            seen = stage(seen)  # [n, c, 5, 5] in the end
+            mean = seen.mean(dim=(2, 3))
+            square = (seen * seen).mean(dim=(2, 3))
+            pooled += [mean, (square - mean * mean).clamp(min=1e-6).sqrt()]
+        attention = self.look(seen).flatten(2).softmax(2)
+        pooled.append((seen.flatten(2) * attention).sum(2))
+        return functional.log_softmax(self.head(torch.cat(pooled, dim=1)), dim=1)
+
+    def freeze(self, parts: int) -> None:
+        """Keep the weights of the first parts as they are: of the stem, and then of one stage after another."""
+        for part in (self.stem, *self.stages)[:parts]:
+            part.requires_grad_(False)
+
+
+def begin_with_detector(network: SceneScaleNet, detector: Path, tiles: Tensor) -> None:
+    """Put the encoder of an exported detector into ``network``.
+
+    Args:
+        network: to begin with it.
+        detector: ONNX file of ``research.training.detector.export``.
+        tiles: ``[n, 3, 160, 160]`` float in 0..1, to take the normalisations' statistics from.
+    """
+    whole = VehicleNet()
+    load_exported(whole, detector, tiles)
+    mine = network.state_dict()
+    network.load_state_dict({**mine, **{name: v for name, v in whole.state_dict().items() if name in mine}})

@@ -1,0 +1,326 @@
+"""Masks to training crops: sampling, geometric augmentation, prompts drawn from the mask."""
+
+from __future__ import annotations
+
+import csv
+import zlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+import torch
+
+from research.training.detector.data import photometric
+from research.training.segmenter.network import BOTTOM_RIGHT, NEGATIVE, PADDING, POSITIVE, STRIDE_PX, TOP_LEFT, Prompt
+from research.training.segmenter.shapes import composite
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+LEAST_SIDE_PX = 10  # smaller objects are no lesson
+MAX_POINTS = 6
+_SOURCE_WEIGHT = {"swimming-pool": 0.27, "building": 0.33, "scene": 0.15, "shape": 0.25}
+_MAX_ENLARGEMENT = 5.0
+_FILLS = ((0.0, 0.0, 0.0), (123.675, 116.28, 103.53))  # black, and SAM's mean, which pads its inputs
+_LEAST_SOLIDITY = 0.72
+_DEV_SHARE = 10  # one train group in ten is held out: the mask's uncertainty is measured there
+HELD_OUT = 0
+
+
+class MaskObject(NamedTuple):
+    """One object of an image: its id in the mask, and its bounding box in whole pixels."""
+
+    image: int
+    id: int
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+
+
+class MaskImage(NamedTuple):
+    """One image in memory with one mask of instances; scenes have one for each category."""
+
+    source: str
+    category: str
+    group: str
+    image: NDArray[np.uint8]  # [h, w, 3] RGB
+    mask: NDArray[np.uint16]  # [h, w], 0 = background
+
+
+def group_of(name: str) -> str:
+    """The group of an image: neighbours stay on one side of the train/dev line."""
+    parts = name.rsplit("/", 1)[-1].rsplit(".", 1)[0].split("_")
+    if parts[0] == "cannes":
+        tile = int(parts[1])
+        return f"cannes_{tile // 49 // 2}_{tile % 49 // 7}"
+    if parts[0] == "oam":
+        return f"oam_{parts[1]}_{int(parts[2]) // 8}_{int(parts[3]) // 8}"
+    return "_".join(parts[:2])
+
+
+def is_dev(group: str) -> bool:
+    """Whether a group belongs to the held-out tenth (by checksum: stable for ever)."""
+    return zlib.crc32(group.encode()) % _DEV_SHARE == HELD_OUT
+
+
+def _read(path: Path, flags: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    array = cv2.imread(str(path), flags)
+    if array is None:
+        raise FileNotFoundError(path)
+    return array  # type: ignore[return-value]
+
+
+def load_segments(folder: Path, split: str) -> list[MaskImage]:
+    """Load one split of ``shared/data/segments``."""
+    with (folder / "index.csv").open(newline="") as handle:
+        rows = [row for row in csv.DictReader(handle) if row["split"] == split]
+    return [
+        MaskImage(
+            "real",
+            row["category"],
+            group_of(row["image"]),
+            np.ascontiguousarray(_read(folder / row["image"], cv2.IMREAD_COLOR)[:, :, ::-1]).astype(np.uint8),
+            _read(folder / row["mask"], cv2.IMREAD_UNCHANGED).astype(np.uint16),
+        )
+        for row in rows
+    ]
+
+
+def load_scenes(folder: Path) -> list[MaskImage]:
+    """Load rendered scenes: ``NAME.jpg`` with ``NAME_CATEGORY.png`` instance masks beside it."""
+    out = []
+    for path in sorted(folder.glob("*.jpg")):
+        image = np.ascontiguousarray(_read(path, cv2.IMREAD_COLOR)[:, :, ::-1]).astype(np.uint8)
+        for mask in sorted(folder.glob(f"{path.stem}_*.png")):
+            category = mask.stem.removeprefix(f"{path.stem}_")
+            ids = _read(mask, cv2.IMREAD_UNCHANGED).astype(np.uint16)
+            if ids.ndim == 2:
+                out.append(MaskImage("scene", category, path.stem, image, ids))
+    return out
+
+
+def objects_of(images: Sequence[MaskImage], least_side_px: int = LEAST_SIDE_PX) -> list[MaskObject]:
+    """Every object whose bounding box is at least that large both ways."""
+    out = []
+    for index, sample in enumerate(images):
+        for number in np.unique(sample.mask)[1:]:
+            x, y, w, h = cv2.boundingRect((sample.mask == number).astype(np.uint8))
+            if min(w, h) >= least_side_px:
+                out.append(MaskObject(index, int(number), x, y, x + w, y + h))
+    return out
+
+
+def is_sound(sample: MaskImage, item: MaskObject) -> bool:
+    """Whether a mask is fit to learn from: ragged pools are where the semi-automatic outline lost the shaded half."""
+    if sample.category != "swimming-pool" or sample.source != "real":
+        return True
+    inside = (sample.mask[item.y0 : item.y1, item.x0 : item.x1] == item.id).astype(np.uint8)
+    outlines, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    hull = cv2.contourArea(cv2.convexHull(np.concatenate(outlines))) + 0.5 * (item.x1 - item.x0 + item.y1 - item.y0)
+    return bool(inside.sum() >= _LEAST_SOLIDITY * hull)
+
+
+class Example(NamedTuple):
+    """One training crop: ``image`` ``[s, s, 3]`` and the object's ``mask`` coverage ``[s, s]`` in 0..1."""
+
+    image: NDArray[np.uint8]
+    mask: NDArray[np.float32]
+
+
+def _turn(rng: np.random.Generator) -> float:
+    """Any angle half of the time, else nearly a multiple of a right angle: boxes fit there as users draw them."""
+    if rng.random() < 0.5:
+        return float(rng.uniform(0, 2 * np.pi))
+    return float(rng.integers(4)) * np.pi / 2 + float(rng.normal(0, 0.08))
+
+
+def cut(
+    rng: np.random.Generator,
+    sample: MaskImage,
+    side: int,
+    scale: float,
+    focus: tuple[float, float],
+    number: int | None,
+) -> Example:
+    """A turned, flipped, rescaled crop centred at ``focus`` of the image, with the mask of one object (or none)."""
+    height, width = sample.image.shape[:2]
+    reach = 0.75 * side / scale + 2
+    x0, y0 = int(max(0, focus[0] - reach)), int(max(0, focus[1] - reach))
+    x1, y1 = int(min(width, focus[0] + reach)) + 1, int(min(height, focus[1] + reach)) + 1
+    part = sample.image[y0:y1, x0:x1]
+    ids = sample.mask[y0:y1, x0:x1]
+    chosen = (ids == number).astype(np.uint8) * 255 if number is not None else np.zeros(ids.shape, np.uint8)
+    reduce = min(1.0, scale * 1.1)
+    sx = sy = 1.0
+    if reduce < 0.9:  # average first, so that the warp does not alias
+        size = (max(4, round(part.shape[1] * reduce)), max(4, round(part.shape[0] * reduce)))
+        sx, sy = size[0] / part.shape[1], size[1] / part.shape[0]
+        part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        chosen = np.asarray(cv2.resize(chosen, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    turn, flip = _turn(rng), -1.0 if rng.random() < 0.5 else 1.0
+    rotation = np.array([[np.cos(turn) * flip, -np.sin(turn)], [np.sin(turn) * flip, np.cos(turn)]]) * scale
+    matrix = np.column_stack([rotation / (sx, sy), side / 2 - rotation @ (focus[0] - x0, focus[1] - y0)])
+    matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5  # warpAffine counts from pixel centres
+    fill = _FILLS[rng.integers(len(_FILLS))] if rng.random() < 0.6 else part[::8, ::8].reshape(-1, 3).mean(axis=0)
+    how = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
+    image = cv2.warpAffine(part, matrix, (side, side), flags=how, borderValue=tuple(fill))
+    mask = cv2.warpAffine(chosen, matrix, (side, side), flags=cv2.INTER_LINEAR)
+    return Example(np.asarray(image, np.uint8), np.asarray(mask, np.float32) / np.float32(255.0))
+
+
+def box_of(mask: NDArray[np.float32]) -> NDArray[np.float64] | None:
+    """x0, y0, x1, y1 of what is more than half covered, or None if that is next to nothing."""
+    x, y, w, h = cv2.boundingRect((mask > 0.5).astype(np.uint8))
+    return np.array([x, y, x + w, y + h], float) if min(w, h) >= 4 else None
+
+
+def jitter(rng: np.random.Generator, box: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+    """Move each side by up to ``share`` of the box's extent that way."""
+    extent = np.tile(box[2:] - box[:2], 2)
+    return box + rng.uniform(-share, share, 4) * extent
+
+
+def draw_prompt(
+    rng: np.random.Generator, mask: NDArray[np.float32], box: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """SAM points ``[6, 2]`` and labels ``[6]``: mostly a box, else points, sometimes both."""
+    points = np.zeros((MAX_POINTS, 2), np.float32)
+    labels = np.full(MAX_POINTS, PADDING, np.float32)
+    side = mask.shape[0]
+    draw = rng.random()
+    if draw < 0.84:
+        shaken = np.clip(jitter(rng, box, float(rng.choice([0.04, 0.10]))), 0, side)
+        points[:2] = shaken.reshape(2, 2)
+        labels[:2] = TOP_LEFT, BOTTOM_RIGHT
+    if draw < 0.72:
+        return points, labels
+    inside = (mask > 0.5).astype(np.uint8)
+    depth = cv2.distanceTransform(np.pad(inside, 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
+    deep = np.argwhere(depth >= min(2.0, float(depth.max())))
+    window = np.zeros_like(inside)
+    x0, y0, x1, y1 = (int(v) for v in (*(box[:2] - 0.4 * (box[2:] - box[:2])), *(box[2:] + 0.4 * (box[2:] - box[:2]))))
+    window[max(0, y0) : max(0, y1), max(0, x0) : max(0, x1)] = 1
+    clear = np.argwhere((cv2.dilate(inside, np.ones((7, 7), np.uint8)) == 0) & (window > 0))
+    slot = 2
+    for place, label, count in ((deep, POSITIVE, rng.integers(1, 4)), (clear, NEGATIVE, rng.integers(0, 2))):
+        for _ in range(count if len(place) else 0):
+            row, col = place[rng.integers(len(place))]
+            if slot == 2 and rng.random() < 0.5:
+                row, col = np.unravel_index(int(depth.argmax()), depth.shape)
+            points[slot], labels[slot] = (col + 0.5, row + 0.5), label
+            slot += 1
+    return points, labels
+
+
+def draw_prior(rng: np.random.Generator, coverage: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Logits of a worse mask of the same object: shifted, blurred, grown or shrunk."""
+    moved = np.roll(coverage, rng.integers(-2, 3, 2), axis=(0, 1))
+    soft = cv2.GaussianBlur(moved, (0, 0), float(rng.uniform(0.8, 3.0)))
+    return ((soft - rng.uniform(0.3, 0.7)) * rng.uniform(6, 16)).astype(np.float32)
+
+
+class Batch(NamedTuple):
+    """Uint8 ``image`` ``[b, 3, s, s]``, the prompt, and ``target`` coverage ``[b, 1, s / 2, s / 2]``."""
+
+    image: torch.Tensor
+    prompt: Prompt
+    target: torch.Tensor
+
+
+class CropSize(NamedTuple):
+    """One size of training batch: small crops are cheap, large ones teach outlines and context."""
+
+    side_px: int
+    batch: int
+    length_px: tuple[float, float]  # the object's longer side, log-uniform
+    share: float
+
+
+CROP_SIZES = (CropSize(160, 16, (20.0, 110.0), 0.75), CropSize(256, 6, (70.0, 190.0), 0.25))
+
+
+@dataclass
+class BatchStream:
+    """An endless, seeded stream of whole batches, sizes mixed; the k-th is the same whenever it is asked for."""
+
+    images: list[MaskImage]
+    seed: int
+
+    def __post_init__(self) -> None:
+        """Sort the objects by where they come from."""
+        self._objects: dict[str, list[MaskObject]] = {}
+        for item in objects_of(self.images):
+            sample = self.images[item.image]
+            name = "scene" if sample.source == "scene" else sample.category
+            if is_sound(sample, item):
+                self._objects.setdefault(name, []).append(item)
+
+    def counts(self) -> dict[str, int]:
+        """Number of objects from each source."""
+        return {name: len(items) for name, items in self._objects.items()}
+
+    def __getitem__(self, index: int) -> Batch:
+        """Draw a size, then examples from sources by weight."""
+        cv2.setNumThreads(1)
+        rng = np.random.default_rng([self.seed, index])
+        shares = np.array([size.share for size in CROP_SIZES])
+        return self.batch(rng, CROP_SIZES[rng.choice(len(CROP_SIZES), p=shares / shares.sum())])
+
+    def batch(self, rng: np.random.Generator, size: CropSize) -> Batch:
+        """One batch."""
+        names = [name for name in _SOURCE_WEIGHT if name == "shape" or name in self._objects]
+        weight = np.array([_SOURCE_WEIGHT[name] for name in names])
+        images: list[NDArray[np.uint8]] = []
+        targets, points, labels, priors, has_prior = [], [], [], [], []
+        while len(images) < size.batch:
+            example = self._draw(rng, names[rng.choice(len(names), p=weight / weight.sum())], size)
+            box = box_of(example.mask)
+            if box is None:
+                continue
+            point, label = draw_prompt(rng, example.mask, box)
+            cells = size.side_px // STRIDE_PX
+            target = np.asarray(cv2.resize(example.mask, (cells, cells), interpolation=cv2.INTER_AREA), np.float32)
+            known = rng.random() < 0.06
+            images.append(photometric(rng, example.image).transpose(2, 0, 1))
+            targets.append(target[None])
+            points.append(point)
+            labels.append(label)
+            priors.append((draw_prior(rng, target) if known else np.zeros_like(target))[None])
+            has_prior.append(np.float32(known))
+        prompt = Prompt(*(torch.from_numpy(np.stack(part)) for part in (points, labels, priors, has_prior)))
+        return Batch(torch.from_numpy(np.stack(images)), prompt, torch.from_numpy(np.stack(targets)))
+
+    def _draw(self, rng: np.random.Generator, name: str, size: CropSize) -> Example:
+        length = float(np.exp(rng.uniform(*np.log(size.length_px))))
+        if name == "shape":
+            return self._shape(rng, size, length)
+        items = self._objects[name]
+        item = items[rng.integers(len(items))]
+        sample = self.images[item.image]
+        scale = min(length / max(item.x1 - item.x0, item.y1 - item.y0), _MAX_ENLARGEMENT)
+        wander = rng.uniform(-1, 1, 2) * max(0.04, 0.5 - 0.75 * length / size.side_px) * size.side_px / scale * 0.7
+        height, width = sample.image.shape[:2]
+        reach = np.minimum(0.45 * size.side_px / scale, (width / 2, height / 2)) * float(rng.random() < 0.7)
+        middle = np.clip((0.5 * (item.x0 + item.x1), 0.5 * (item.y0 + item.y1)), reach, (width, height) - reach)
+        limit = 0.5 * max(0.0, 0.95 * size.side_px - length) / scale  # the object stays inside
+        centre = (0.5 * (item.x0 + item.x1), 0.5 * (item.y0 + item.y1))
+        middle = np.clip(middle + wander, np.subtract(centre, limit), np.add(centre, limit))
+        return cut(rng, sample, size.side_px, scale, (float(middle[0]), float(middle[1])), item.id)
+
+    def _shape(self, rng: np.random.Generator, size: CropSize, length: float) -> Example:
+        def patch() -> NDArray[np.uint8]:
+            sample = self.images[rng.integers(len(self.images))]
+            height, width = sample.image.shape[:2]
+            scale = max(float(np.exp(rng.uniform(-0.5, 0.9))), 1.1 * size.side_px / min(height, width))
+            focus = (float(rng.uniform(0.3, 0.7)) * width, float(rng.uniform(0.3, 0.7)) * height)
+            return cut(rng, sample, size.side_px, scale, focus, None).image
+
+        room = max(0.02, 0.5 - 0.6 * length / size.side_px) * size.side_px
+        focus = size.side_px / 2 + rng.uniform(-1, 1, 2) * room
+        image, mask = composite(rng, patch(), patch, length, focus)
+        return Example(image, mask)

@@ -1,0 +1,49 @@
+"""Loss of the segmenter: cross-entropy near the object, soft Dice, and regression of the mask's own overlap."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from research.training.segmenter.network import Segmentation
+
+_FAR_WEIGHT = 0.15  # pixels far from the object: mostly trivial background
+_EDGE_WEIGHT = 3.0
+_NEAR_CELLS = 17
+_EDGE_CELLS = 5
+
+
+class SegmentationLoss(NamedTuple):
+    """Scalars; ``overlap`` is the mean IoU of the batch, for the log."""
+
+    mask: Tensor
+    iou: Tensor
+    overlap: Tensor
+
+
+def overlap_of(logits: Tensor, target: Tensor) -> Tensor:
+    """IoU ``[b]`` of the masks at their thresholds (logit 0, coverage one half)."""
+    ours, true = logits > 0, target > 0.5
+    return (ours & true).sum(dim=(1, 2, 3)) / (ours | true).sum(dim=(1, 2, 3)).clamp(min=1)
+
+
+def segmentation_loss(prediction: Segmentation, target: Tensor) -> SegmentationLoss:
+    """Compare with coverage ``target`` ``[b, 1, h, w]`` in 0..1 at stride 2."""
+    logits = prediction.mask
+    wide = functional.max_pool2d(target, _NEAR_CELLS, 1, _NEAR_CELLS // 2)
+    outer = functional.max_pool2d(target, _EDGE_CELLS, 1, _EDGE_CELLS // 2)
+    inner = -functional.max_pool2d(-target, _EDGE_CELLS, 1, _EDGE_CELLS // 2)
+    weight = _FAR_WEIGHT + (1 - _FAR_WEIGHT) * wide + (_EDGE_WEIGHT - 1) * (outer - inner)
+    entropy = functional.binary_cross_entropy_with_logits(logits, target, reduction="none")
+    entropy = ((entropy * weight).sum(dim=(1, 2, 3)) / weight.sum(dim=(1, 2, 3))).mean()
+    chance = logits.sigmoid()
+    both, either = (chance * target).sum(dim=(1, 2, 3)), (chance + target).sum(dim=(1, 2, 3))
+    dice = (1 - (2 * both + 1) / (either + 1)).mean()
+    with torch.no_grad():
+        overlap = overlap_of(logits, target)
+    return SegmentationLoss(
+        entropy + dice, functional.mse_loss(prediction.iou[:, 0], overlap.to(logits.dtype)), overlap.mean()
+    )

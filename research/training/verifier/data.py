@@ -1,0 +1,172 @@
+"""Candidates of a detector at a low threshold over all train images: hits, false alarms, their chips."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from research.training.detector.data import TrainImage, photometric
+from research.training.detector.shade import shaded
+from vehanchor.detection.detector import Detector
+from vehanchor.detection.nms import oriented_nms
+from vehanchor.detection.verifier import CHIP_LENGTH_PX, CHIP_PX, surroundings
+from vehanchor.storage.atomic import whole_file
+
+STORED_PX = 72  # room for jitter and turns around a chip of 48
+_CAR_PX = (
+    15.0,
+    28.0,
+    55.0,
+    110.0,
+)  # sizes at which an image is searched: at the finer ones a car's parts look like cars
+_MAX_ENLARGEMENT = {15.0: 2.2, 28.0: 2.2, 55.0: 1.1, 110.0: 1.0}  # an enlarged image has no parts to learn from
+_LEAST_SCORE = 0.15
+_MOST_FALSE = 40  # of an image at one size, at random: a harbour has hundreds
+_NEAR, _AT = 0.6, 0.25  # of a label's length: beyond one, within the other
+_LENGTH_RATIO = 1.35
+_PART_RATIO = 0.55  # of a car's length: what is shorter and stands on it is a part of it, no car
+_JITTER = 0.06  # of a length, of place and size
+_TURN = 0.08  # radians
+_CANDIDATE = np.array([[CHIP_PX / 2, CHIP_PX / 2, CHIP_LENGTH_PX, 0.45 * CHIP_LENGTH_PX, 0.0]])  # on its chip
+
+
+class Candidates(NamedTuple):
+    """What a detector found.
+
+    Attributes:
+        chips: ``[n, 72, 72, 3]`` uint8.
+        car: ``[n]`` bool.
+        scores: ``[n]`` of the detector.
+        sets: ``[n]`` names.
+    """
+
+    chips: NDArray[np.uint8]
+    car: NDArray[np.bool_]
+    scores: NDArray[np.float64]
+    sets: NDArray[np.str_]
+
+
+def truth_of(boxes: NDArray[np.float64], labels: NDArray[np.float64], ignore: NDArray[np.float64]) -> NDArray[np.int8]:
+    """1 for a hit, 0 for a false alarm, -1 for what teaches nothing: on an ignored place, or beside a car.
+
+    Args:
+        boxes: ``[n, 5]`` found.
+        labels: ``[m, 5]`` cars.
+        ignore: ``[k, 4, 2]`` corners.
+    """
+    truth = np.zeros(len(boxes), np.int8)
+    if len(labels):
+        gap = np.linalg.norm(boxes[:, None, :2] - labels[None, :, :2], axis=2) / labels[None, :, 2]
+        nearest = gap.argmin(axis=1)
+        ratio = np.abs(np.log(boxes[:, 2] / labels[nearest, 2]))
+        truth[gap.min(axis=1) < _NEAR] = -1
+        truth[(gap.min(axis=1) < _AT) & (ratio < np.log(_LENGTH_RATIO))] = 1
+        part = boxes[:, 2] < _PART_RATIO * labels[nearest, 2]
+        truth[part & (gap.min(axis=1) < 0.5)] = 0
+    for polygon in ignore:
+        around = polygon.astype(np.float32)
+        for k in np.flatnonzero(truth == 0):
+            reach = cv2.pointPolygonTest(around, (float(boxes[k, 0]), float(boxes[k, 1])), measureDist=True)
+            if reach > -0.3 * boxes[k, 2]:
+                truth[k] = -1
+    return truth
+
+
+def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
+    """Search images at several sizes and cut what is found."""
+    rng = np.random.default_rng(0)
+    chips, car, scores, sets = [], [], [], []
+    for sample in images:
+        native = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or 15.0
+        for target in _CAR_PX:
+            factor = target / native
+            if factor > _MAX_ENLARGEMENT[target] or min(sample.image.shape[:2]) * factor < 48:
+                continue
+            way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
+            scaled = np.asarray(cv2.resize(sample.image, None, fx=factor, fy=factor, interpolation=way), np.uint8)
+            found = detector.detect_tile(scaled, _LEAST_SCORE).vehicles
+            kept = oriented_nms(found.boxes, found.scores)
+            boxes, score = found.boxes[kept], found.scores[kept]
+            truth = truth_of(boxes, sample.boxes * (factor, factor, factor, factor, 1), sample.ignore * factor)
+            false = rng.permutation(np.flatnonzero(truth == 0))
+            truth[false[_MOST_FALSE:]] = -1
+            known = truth >= 0
+            chips.append(surroundings(scaled, boxes[known], STORED_PX, CHIP_LENGTH_PX))
+            car.append(truth[known] == 1)
+            scores.append(score[known])
+            sets += [sample.set] * int(known.sum())
+    return Candidates(np.concatenate(chips), np.concatenate(car), np.concatenate(scores), np.array(sets))
+
+
+def save(candidates: Candidates, path: Path) -> None:
+    """Write candidates beside a run."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as partial, partial.open("wb") as handle:
+        np.savez(handle, **candidates._asdict())
+
+
+def load(path: Path) -> Candidates:
+    """Read what ``save`` wrote."""
+    with np.load(path) as stored:
+        return Candidates(**{name: stored[name] for name in Candidates._fields})
+
+
+def middle(chips: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The chips of ``CHIP_PX`` in the middle of stored ones, ``[n, 48, 48, 3]``."""
+    margin = (chips.shape[1] - CHIP_PX) // 2
+    return chips[:, margin : margin + CHIP_PX, margin : margin + CHIP_PX]
+
+
+@dataclass
+class ChipStream:
+    """Chips without end, the k-th always the same: half cars, half not, sets by the root of their number."""
+
+    candidates: Candidates
+    seed: int
+
+    def __post_init__(self) -> None:
+        """Weigh the candidates."""
+        self._weight = []
+        for car in (False, True):
+            weight = np.zeros(len(self.candidates.car))
+            for name in np.unique(self.candidates.sets):
+                chosen = (self.candidates.sets == name) & (self.candidates.car == car)
+                if chosen.any():
+                    weight[chosen] = 1 / np.sqrt(chosen.sum())
+            self._weight.append(np.cumsum(weight / weight.sum()))
+
+    def __getitem__(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """A chip ``[3, 48, 48]`` uint8 and whether it is a car, 0 or 1."""
+        cv2.setNumThreads(1)
+        rng = np.random.default_rng([self.seed, index])
+        car = int(rng.random() < 0.5)
+        chosen = min(int(np.searchsorted(self._weight[car], rng.random())), len(self.candidates.car) - 1)
+        cut = photometric(rng, shaded(rng, varied(rng, self.candidates.chips[chosen]), _CANDIDATE))
+        return torch.from_numpy(np.ascontiguousarray(cut.transpose(2, 0, 1))), torch.tensor(float(car))
+
+
+def varied(rng: np.random.Generator, stored: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A chip of a box a little off, mirrored at random, sometimes of a coarser image."""
+    scale = np.exp(rng.normal(0, _JITTER))
+    turn = rng.normal(0, _TURN)
+    flip = rng.choice((-1.0, 1.0), 2)
+    matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) * scale * flip[None]
+    off = rng.normal(0, _JITTER * CHIP_LENGTH_PX, 2)
+    origin = STORED_PX / 2 + off - matrix @ [CHIP_PX / 2, CHIP_PX / 2]
+    full = np.column_stack([matrix, origin])
+    full[:, 2] += full[:, :2] @ (0.5, 0.5) - 0.5
+    cut = cv2.warpAffine(
+        stored, full, (CHIP_PX, CHIP_PX), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
+    )
+    if rng.random() < 0.3:
+        small = round(CHIP_PX * rng.uniform(0.45, 0.9))
+        coarse = cv2.resize(cut, (small, small), interpolation=cv2.INTER_AREA)
+        cut = cv2.resize(coarse, (CHIP_PX, CHIP_PX), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(cut, np.uint8)

@@ -1,0 +1,60 @@
+"""Collect candidates.
+
+``python -m research.training.verifier.mine MODEL.onnx RUN``; writes ``train.npz`` and ``held_out.npz``.
+
+The detector is best one that has not learned from the newer images: of what it was trained on it is surer than it
+should be, and its false alarms there are gone. ``--without estonia`` leaves sets out, as that of
+``research.training.detector.train`` does.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from research.training.detector.data import TrainImage, distracted, draw_crop, load_scenes, load_train_images
+from research.training.detector.scenery import load_scenery
+from research.training.verifier.data import mined, save
+from vehanchor.detection.detector import Detector
+
+_DISTRACTED_CROPS = 400
+_CAR_PX = 22.0  # where a crop has none
+
+
+def distracted_crops(images: Sequence[TrainImage], count: int, seed: int = 0) -> list[TrainImage]:
+    """Crops of train images with striped and gridded things drawn over a part of each."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for _ in range(count):
+        crop = distracted(rng, draw_crop(rng, images[int(rng.integers(len(images)))]))
+        out.append(TrainImage("distracted", crop.image, crop.boxes, crop.ignore, np.zeros((0, 2)), _CAR_PX))
+    return out
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("model", type=Path)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--scenes", type=Path, help="folder of rendered scenes (render_scenes.py)")
+    parser.add_argument("--without", default="", help="sets to leave out, comma between")
+    options = parser.parse_args()
+    detector = Detector(options.model, threads=1)
+    for held_out, name in ((True, "held_out"), (False, "train")):
+        images = load_train_images(options.data / "vehicles", held_out=held_out)
+        images += load_scenery(options.data, held_out=held_out)
+        images = [image for image in images if image.set not in options.without.split(",")]
+        if not held_out:
+            images += distracted_crops(images, _DISTRACTED_CROPS)
+            images += load_scenes(options.scenes) if options.scenes else []
+        found = mined(images, detector)
+        save(found, options.run / f"{name}.npz")
+        print(f"{name}: {found.car.sum()} cars, {(~found.car).sum()} false alarms in {len(images)} images", flush=True)
+
+
+if __name__ == "__main__":
+    main()

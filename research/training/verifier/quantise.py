@@ -1,0 +1,45 @@
+"""Write the second look in eight bits: ``python -m research.training.verifier.quantise RUN MODEL.onnx OUT.onnx``.
+
+Its convolutions get eight bits, the two layers at its end stay; activations by chips of ``RUN``'s training part.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from research.training.eight_bits import write_eight_bits
+from research.training.verifier.data import load, middle
+
+if TYPE_CHECKING:
+    import onnx
+
+_CHIPS, _BATCH = 1024, 64
+
+
+def quantised_nodes(model: onnx.ModelProto) -> list[str]:
+    """Names of the nodes that get eight bits."""
+    return [node.name for node in model.graph.node if node.op_type in ("Conv", "Relu")]
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("model", type=Path)
+    parser.add_argument("out", type=Path)
+    chosen = parser.parse_args()
+    found = load(chosen.run / "train.npz")
+    rng = np.random.default_rng(0)
+    some = np.sort(rng.choice(len(found.car), min(_CHIPS, len(found.car)) // _BATCH * _BATCH, replace=False))
+    chips = np.ascontiguousarray(middle(found.chips)[some].transpose(0, 3, 1, 2)).astype(np.float32) / 255
+    batches = [chips[start : start + _BATCH] for start in range(0, len(chips), _BATCH)]
+    write_eight_bits(chosen.model, chosen.out, batches, quantised_nodes, {}, method="minmax", narrow=True)
+    print(f"{chosen.out}: {chosen.out.stat().st_size / 1e6:.2f} MB")
+
+
+if __name__ == "__main__":
+    main()

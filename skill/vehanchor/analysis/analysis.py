@@ -1,0 +1,80 @@
+"""Base class of the analyses: a record, the evidence behind it, and the image that it can be drawn over."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vehanchor.errors import InvalidParameterError, MissingExtraError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.imagery.metadata.georeference import Ground
+    from vehanchor.imagery.sources.opening import ImageSource
+    from vehanchor.options import Reading
+
+
+class Analysis:
+    """An analysis that can be drawn over its image, which is read again for that.
+
+    Attributes:
+        image: source to read the image from again; None for a stream.
+        reading: how the image was read; None for the defaults.
+        ground: position of the image on the ground; None without a georeference.
+    """
+
+    image: ImageSource | None
+    reading: Reading | None
+    ground: Ground | None
+
+    def overlay(self, image: ImageSource | None = None) -> NDArray[np.uint8]:
+        """Draw the result and a scale bar over the image.
+
+        Args:
+            image: source to read the image from; None for the first source, which a stream does not allow.
+
+        Returns:
+            ``[h, w, 3]`` RGB, as ``--overlay`` of the command writes it.
+
+        Raises:
+            InvalidParameterError: the image cannot be read twice, and none is given.
+            ImageError: the image can no longer be read.
+        """
+        from vehanchor.imagery.sources.opening import open_raster
+        from vehanchor.options import Reading
+        from vehanchor.pictures.scale import read_reduced
+
+        source = self.image if image is None else image
+        if source is None:
+            raise InvalidParameterError("the analysis does not have its image: give it, as overlay(image)")
+        reading = self.reading or Reading()
+        with open_raster(source, bands=reading.bands, limits=reading.limits, bgr=reading.bgr) as raster:
+            return self._draw(read_reduced(raster))
+
+    def _draw(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Draw the result over ``[h, w, 3]`` RGB, the image or a reduced copy."""
+        raise NotImplementedError
+
+    def _repr_png_(self) -> bytes | None:
+        """The overlay, for notebooks; None if the image cannot be read again."""
+        if self.image is None:
+            return None
+        import cv2
+
+        _, encoded = cv2.imencode(".png", np.ascontiguousarray(self.overlay()[:, :, ::-1]))
+        return encoded.tobytes()
+
+
+def import_supervision() -> Any:
+    """Import supervision.
+
+    Raises:
+        MissingExtraError: supervision, or something that it needs, is not installed.
+    """
+    try:
+        import supervision
+    except ImportError as error:
+        raise MissingExtraError(f"to_supervision needs supervision ({error}): pip install supervision") from None
+    return supervision

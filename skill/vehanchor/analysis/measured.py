@@ -1,0 +1,126 @@
+"""Areas and distances with their evidence, drawing and export."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vehanchor.analysis.analysis import Analysis, import_supervision
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.imagery.metadata.georeference import Ground
+    from vehanchor.imagery.sources.opening import ImageSource
+    from vehanchor.options import Reading
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement
+    from vehanchor.segmentation.prompt import Prompt
+    from vehanchor.segmentation.segmenter import Segmentation
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MeasuredAnalysis(Analysis):
+    """Evidence of a measurement, whatever was measured.
+
+    Attributes:
+        scale: the analysis of the scale; None for a scale that was given, or given back.
+        image: source to read the image from again; None for a stream.
+        reading: how the image was read; None for the defaults.
+        ground: position of the image on the ground; None without a georeference.
+        nadir: whether the camera points straight down, so that one scale holds everywhere.
+    """
+
+    scale: ScaleAnalysis | None
+    image: ImageSource | None = None
+    reading: Reading | None = None
+    ground: Ground | None = None
+    nadir: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class AreaAnalysis(MeasuredAnalysis):
+    """An area with its evidence, drawing and export.
+
+    Attributes:
+        measurement: the record.
+        segmentation: the mask, and its window in the image.
+        prompt: the box or points, in pixels of the full image.
+    """
+
+    measurement: AreaMeasurement
+    segmentation: Segmentation
+    prompt: Prompt
+
+    def _draw(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        from vehanchor.pictures.area import draw_area
+
+        return draw_area(image, self)
+
+    def full_mask(self) -> NDArray[np.bool_]:
+        """Give the object's mask in the size of the image, ``[h, w]``.
+
+        Raises:
+            OutputError: the image has more pixels than may be held at once.
+        """
+        from vehanchor.options import Reading
+        from vehanchor.pictures.area import full_mask
+
+        return full_mask(self, (self.reading or Reading()).limits)[:, :, 0] > 0
+
+    def to_supervision(self) -> Any:
+        """Give the object to supervision.
+
+        Returns:
+            ``supervision.Detections`` of one object: its box, its mask, the mask's score as ``confidence``, and in
+            ``data`` its ``area_m2``, NaN without a scale; of none, for an empty mask.
+
+        Raises:
+            MissingExtraError: there is no supervision.
+            OutputError: the image is too large for a mask of its size.
+        """
+        sv, record = import_supervision(), self.measurement
+        box = record.bounding_box
+        if box is None:
+            return sv.Detections.empty()
+        return sv.Detections(
+            xyxy=np.array([[box.x1_px, box.y1_px, box.x2_px, box.y2_px]], np.float32),
+            mask=self.full_mask()[None],
+            confidence=np.array([record.mask_score], np.float32),
+            class_id=np.zeros(1, dtype=int),
+            data={"class_name": np.array(["object"]), "area_m2": np.array([record.area_m2], dtype=float)},
+        )
+
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        """The outline as a GeoJSON Feature with its area, which geopandas takes; pixels, y down."""
+        return _feature(self.measurement, "area_m2", "area_ci95_low_m2", "area_ci95_high_m2")
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceAnalysis(MeasuredAnalysis):
+    """A distance with its evidence, drawing and export.
+
+    Attributes:
+        measurement: the record.
+    """
+
+    measurement: DistanceMeasurement
+
+    def _draw(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        from vehanchor.pictures.distance import draw_distance
+
+        return draw_distance(image, self)
+
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        """The line as a GeoJSON Feature with its length, which geopandas takes; pixels, y down."""
+        return _feature(self.measurement, "distance_m", "distance_ci95_low_m", "distance_ci95_high_m")
+
+
+def _feature(record: AreaMeasurement | DistanceMeasurement, *names: str) -> dict[str, Any]:
+    """Make a GeoJSON Feature of a measurement; ``names`` are those of the size and its interval."""
+    properties = {name: getattr(record, name) for name in ("status", *names, "gsd_m_per_px", "confidence")}
+    return {"type": "Feature", "geometry": record.__geo_interface__, "properties": properties}

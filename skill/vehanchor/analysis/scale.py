@@ -1,0 +1,126 @@
+"""A scale with its evidence, drawing and export."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vehanchor.analysis.analysis import Analysis, import_supervision
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from vehanchor.detection.detections import Detections
+    from vehanchor.imagery.metadata.georeference import Ground
+    from vehanchor.imagery.sources.opening import ImageSource
+    from vehanchor.options import Reading
+    from vehanchor.records import GsdEstimate
+    from vehanchor.rulers.evidence import Evidence, Mark
+    from vehanchor.rulers.vehicles import VehicleEvidence
+
+
+@dataclass(frozen=True, eq=False)
+class ScaleAnalysis(Analysis):
+    """An estimate with its evidence, drawing and export.
+
+    Attributes:
+        estimate: the record.
+        vehicles: evidence of the vehicles, with the boxes that were dropped.
+        others: evidence of the other rulers.
+        in_image: the vehicles in pixels of the image, if their evidence has them rectified; None otherwise.
+        image: source to read the image from again; None for a stream.
+        reading: how the image was read; None for the defaults.
+        ground: position of the image on the ground; None without a georeference.
+    """
+
+    estimate: GsdEstimate
+    vehicles: VehicleEvidence
+    others: tuple[Evidence, ...] = ()
+    in_image: Detections | None = None
+    image: ImageSource | None = None
+    reading: Reading | None = None
+    ground: Ground | None = None
+
+    @property
+    def detections(self) -> Detections:
+        """All vehicles that were found: ``boxes`` and ``scores``, best first."""
+        return self.in_image or self.vehicles.fleet.detections
+
+    @property
+    def kept(self) -> NDArray[np.bool_]:
+        """``[n]`` bool, the vehicles that the scale was taken from."""
+        return self.vehicles.fleet.kept
+
+    @property
+    def marks(self) -> tuple[Mark, ...]:
+        """Lines that other rulers measured, in pixels of the image."""
+        return tuple(mark for other in self.others for mark in other.marks)
+
+    @property
+    def guard_length_px(self) -> float:
+        """``P_thresh`` of the resolution guard."""
+        return self.vehicles.guard_length_px
+
+    @property
+    def resolved(self) -> float:
+        """Share of the pixels' resolution at which there is detail."""
+        return self.vehicles.resolved
+
+    def _draw(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        from vehanchor.pictures.scale import draw_overlay
+
+        return draw_overlay(image, self)
+
+    def plot(self) -> Figure:
+        """Plot the lengths, their density and the scale, as ``vehanchor estimate --plot`` writes it.
+
+        Raises:
+            MissingExtraError: there is no matplotlib.
+        """
+        from vehanchor.pictures.plot import plot_scale
+
+        return plot_scale(self)
+
+    def to_supervision(self) -> Any:
+        """Give the vehicles to supervision.
+
+        Returns:
+            ``supervision.Detections``: upright boxes, scores as ``confidence``, and in ``data`` the corners of the
+            oriented boxes (``xyxyxyxy``, which its oriented annotators draw) and ``kept``, which of them were measured.
+
+        Raises:
+            MissingExtraError: there is no supervision.
+        """
+        sv = import_supervision()
+        from vehanchor.detection.boxes import box_corners
+
+        corners = box_corners(self.detections.boxes)
+        return sv.Detections(
+            xyxy=np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1).astype(np.float32),
+            confidence=self.detections.scores.astype(np.float32),
+            class_id=np.zeros(len(corners), dtype=int),
+            data={
+                "xyxyxyxy": corners.astype(np.float32),
+                "kept": self.kept,
+                "class_name": np.array(["vehicle"] * len(corners)),
+            },
+        )
+
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        """The vehicles as a GeoJSON FeatureCollection, which geopandas and shapely take; pixels, y down."""
+        from vehanchor.detection.boxes import box_corners
+
+        boxes, scores = self.detections.boxes, self.detections.scores
+        features = [
+            {
+                "type": "Feature",
+                "geometry": {"type": "Polygon", "coordinates": [[*map(list, ring.tolist()), ring[0].tolist()]]},
+                "properties": {"kept": bool(kept), "score": float(score), "length_px": float(length)},
+            }
+            for ring, kept, score, length in zip(box_corners(boxes), self.kept, scores, boxes[:, 2], strict=True)
+        ]
+        return {"type": "FeatureCollection", "features": features}

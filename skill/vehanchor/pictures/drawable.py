@@ -1,0 +1,66 @@
+"""Protocols of the analyses that pictures draw, so that pictures import no analysis."""
+
+# ruff: noqa: D102 - the analyses document these attributes
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from vehanchor.detection.detections import Detections
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
+    from vehanchor.rulers.evidence import Evidence, Mark
+    from vehanchor.rulers.vehicles import VehicleEvidence
+    from vehanchor.segmentation.prompt import Prompt
+    from vehanchor.segmentation.segmenter import Segmentation
+
+
+class DrawableScale(Protocol):
+    """A scale with its evidence; see ``vehanchor.analysis.scale.ScaleAnalysis``."""
+
+    @property
+    def estimate(self) -> GsdEstimate: ...
+    @property
+    def vehicles(self) -> VehicleEvidence: ...
+    @property
+    def others(self) -> tuple[Evidence, ...]: ...
+    @property
+    def detections(self) -> Detections: ...
+    @property
+    def kept(self) -> NDArray[np.bool_]: ...
+    @property
+    def marks(self) -> tuple[Mark, ...]: ...
+    @property
+    def guard_length_px(self) -> float: ...
+
+
+class DrawableMeasurement(Protocol):
+    """An area or a distance with its scale; see ``vehanchor.analysis.measured``."""
+
+    @property
+    def measurement(self) -> AreaMeasurement | DistanceMeasurement: ...
+    @property
+    def scale(self) -> DrawableScale | None: ...
+    @property
+    def nadir(self) -> bool: ...
+
+
+class DrawableDistance(DrawableMeasurement, Protocol):
+    """A distance with its scale."""
+
+    @property
+    def measurement(self) -> DistanceMeasurement: ...
+
+
+class DrawableArea(DrawableMeasurement, Protocol):
+    """An area with its mask and scale."""
+
+    @property
+    def measurement(self) -> AreaMeasurement: ...
+    @property
+    def segmentation(self) -> Segmentation: ...
+    @property
+    def prompt(self) -> Prompt: ...

@@ -1,0 +1,35 @@
+"""Base class of all records, and the version of their schema."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from vehanchor.records.interop import as_frame, as_html
+
+SCHEMA_VERSION: Literal[1] = 1
+"""Version of the names and meanings of all fields; it rises when a field is renamed, removed or redefined."""
+
+SchemaVersion = Annotated[Literal[1], Field(description="Version of this schema; other versions are refused.")]
+
+
+class Record(BaseModel):
+    """A frozen record: its numbers are finite or null, and their units are in the names."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    def to_frame(self) -> Any:
+        """Make a pandas table of one row.
+
+        Returns:
+            A ``DataFrame`` whose columns depend on the type of the record alone; see ``vehanchor.records.flat``.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        return as_frame([self])
+
+    def _repr_html_(self) -> str:
+        """Show the single values in a notebook."""
+        return as_html(self.model_dump(mode="json"))

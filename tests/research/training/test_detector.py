@@ -1,0 +1,256 @@
+"""The detector's training code, where PyTorch is installed (extra ``train``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+onnxruntime = pytest.importorskip("onnxruntime")
+
+from research.training.detector.calibrate import LengthPairs, length_correction  # noqa: E402 - PyTorch may be missing
+from research.training.detector.data import (  # noqa: E402 - PyTorch may be missing
+    CROP_PX,
+    Correction,
+    Crop,
+    CropStream,
+    TrainImage,
+    corrected,
+    dense_target,
+    draw_crop,
+    group_of,
+    is_dev,
+    lay_over,
+    load_scenes,
+    photometric,
+)
+from research.training.detector.export import LengthCorrection, UltralyticsLayout, export  # noqa: E402
+from research.training.detector.loss import detection_loss  # noqa: E402
+from research.training.detector.network import STRIDE_PX, Prediction, VehicleNet  # noqa: E402
+from research.training.detector.relabel import Consensus, agree, corrections, restored, symmetric  # noqa: E402
+from research.training.warm_start import load_exported  # noqa: E402
+from vehanchor.detection.detector import Detector  # noqa: E402
+from vehanchor_scenes import render_scene  # noqa: E402
+
+pytestmark = pytest.mark.slow
+
+
+def _sample() -> TrainImage:
+    """Three grey cars on black, so that a crop's picture and its boxes can be compared."""
+    import cv2
+
+    from vehanchor.detection.boxes import box_corners
+
+    boxes = np.array([[150.0, 120, 40, 16, 0.5], [260, 200, 38, 15, 2.0], [90, 240, 42, 17, 1.2]])
+    image = np.zeros((320, 400, 3), np.uint8)
+    for corners in box_corners(boxes):
+        cv2.fillPoly(image, [np.round((corners - 0.5) * 256).astype(np.int32)], (200, 200, 200), shift=8)
+    return TrainImage("ucm", image, boxes, np.zeros((0, 4, 2)), np.zeros((0, 2)))
+
+
+def test_crops_move_picture_and_boxes_alike() -> None:
+    from vehanchor.detection.boxes import box_corners
+
+    rng = np.random.default_rng(0)
+    seen = 0
+    for _ in range(40):
+        crop = draw_crop(rng, _sample())
+        lit = crop.image[:, :, 0] > 100
+        for box in crop.boxes:
+            corners = box_corners(box[None])[0]
+            if box[2] < 20 or (corners < 2).any() or (corners > CROP_PX - 2).any():
+                continue
+            rows, cols = np.mgrid[0:CROP_PX, 0:CROP_PX] + 0.5
+            dx, dy = cols - box[0], rows - box[1]
+            along = np.abs(dx * np.cos(box[4]) + dy * np.sin(box[4]))
+            across = np.abs(-dx * np.sin(box[4]) + dy * np.cos(box[4]))
+            inside = (along < box[2] / 2 - 1) & (across < box[3] / 2 - 1)
+            ring = (
+                (along < box[2] / 2 + 3)
+                & (across < box[3] / 2 + 3)
+                & ~((along < box[2] / 2 + 1) & (across < box[3] / 2 + 1))
+            )
+            assert lit[inside].mean() > 0.97
+            assert lit[ring].mean() < 0.2
+            seen += 1
+    assert seen > 15
+
+
+def test_targets_hold_the_boxes_numbers_at_their_centres() -> None:
+    boxes = np.array([[100.0, 50.0, 40.0, 16.0, 0.7]])
+    ignore = np.array([[[200.0, 200], [240, 200], [240, 220], [200, 220]]])
+    target = dense_target(boxes, ignore)
+    row, col = int(50 // STRIDE_PX), int(100 // STRIDE_PX)
+    assert target.heat[0, row, col] == 1
+    assert (target.heat == 1).sum() == 1
+    shape = target.shape[:, row, col].numpy()
+    assert (col + 0.5 + shape[0]) * STRIDE_PX == pytest.approx(100)
+    assert (row + 0.5 + shape[1]) * STRIDE_PX == pytest.approx(50)
+    assert np.exp(shape[2:4]) == pytest.approx([40, 16])
+    assert 0.5 * np.arctan2(shape[5], shape[4]) == pytest.approx(0.7)
+    assert target.care[0, 210 // STRIDE_PX, 220 // STRIDE_PX] == 0
+    assert target.care.sum() > 0.98 * target.care.numel()
+
+
+def test_the_loss_is_small_for_the_truth_and_grows_with_errors() -> None:
+    target = dense_target(np.array([[100.0, 50.0, 40.0, 16.0, 0.7]]), np.zeros((0, 4, 2)))
+    batch = type(target)(*(part[None] for part in target))
+    logits = torch.where(batch.heat == 1, 8.0, -8.0)
+    heat, shape = detection_loss(Prediction(logits, batch.shape.clone()), batch)
+    assert heat < 0.01
+    assert shape == 0
+    longer = batch.shape.clone()
+    longer[:, 2] += 0.1
+    assert detection_loss(Prediction(logits, longer), batch)[1] > 0.1
+    assert detection_loss(Prediction(-logits, batch.shape), batch)[0] > 5
+
+
+def test_one_image_fills_what_another_leaves_open() -> None:
+    def crop(value: int, covered: np.ndarray, x: float) -> Crop:
+        image = np.full((CROP_PX, CROP_PX, 3), value, np.uint8)
+        return Crop(image, np.array([[x, 160.0, 30, 12, 0.0]]), np.zeros((0, 4, 2)), covered)
+
+    left = np.zeros((CROP_PX, CROP_PX), bool)
+    left[:, :160] = True
+    everywhere = np.ones_like(left)
+    both = lay_over(crop(10, left, 80.0), crop(20, everywhere, 240.0))
+    assert both.image[0, 0, 0] == 10
+    assert both.image[0, -1, 0] == 20
+    assert len(both.boxes) == 2
+    hidden = lay_over(crop(10, left, 80.0), crop(20, everywhere, 60.0))
+    assert len(hidden.boxes) == 1
+    cut = lay_over(crop(10, left, 80.0), crop(20, everywhere, 160.0))
+    assert (len(cut.boxes), len(cut.ignore)) == (1, 1)
+
+
+def test_the_stream_is_seeded() -> None:
+    first, second = (CropStream([_sample()], seed=4)[7] for _ in range(2))
+    assert torch.equal(first[0], second[0])
+    assert torch.equal(first[1].heat, second[1].heat)
+    assert photometric(np.random.default_rng(1), _sample().image).shape == (320, 400, 3)
+
+
+def test_neighbouring_images_stay_on_one_side_of_the_held_out_line() -> None:
+    assert group_of("images/cannes_100.jpg", "cannes") == group_of("images/cannes_101.jpg", "cannes")
+    assert group_of("saopaulo_3315-214_tiles_0_1.jpg", "saopaulo") == group_of("saopaulo_3315-214_x.jpg", "saopaulo")
+    held_out = [is_dev(f"ucm_freeway{k:02d}.jpg", "ucm") for k in range(400)]
+    assert 0.05 < np.mean(held_out) < 0.16
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter, which needs no onnxscript
+def test_an_exported_network_gives_the_detector_what_the_network_saw(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    network = VehicleNet().eval()
+    torch.save({"averaged": network.state_dict()}, tmp_path / "checkpoint.pt")
+    path = tmp_path / "m.onnx"
+    export(tmp_path, path, {"reference_length_m": 4.5, "length_range_px": "9,64"})
+    detector = Detector(path)
+    assert detector.card.reference_length_m == 4.5
+    image = np.random.default_rng(0).integers(0, 255, (128, 160, 3), dtype=np.uint8)
+    with torch.no_grad():
+        tensor = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))[None].float() / 255
+        columns = UltralyticsLayout(network)(tensor)[0].numpy()
+    found = onnxruntime.InferenceSession(path).run(None, {"images": tensor.numpy()})[0][0]
+    np.testing.assert_allclose(found[[0, 1, 2, 3, 5]], columns[[0, 1, 2, 3, 5]], atol=1e-3)
+    seen = detector.detect_tile(image, 1e-6).vehicles
+    boxes, scores = seen.boxes, seen.scores
+    assert len(boxes) == (found[4] > 0).sum() == pytest.approx((columns[4] > 0).sum(), abs=5)  # untrained: near ties
+    assert scores.max() == pytest.approx(columns[4].max(), abs=1e-5)
+
+
+def test_lengths_are_corrected_between_the_knots_and_beyond_them() -> None:
+    lengths = torch.tensor([5.0, 10.0, 20.0, 40.0, 90.0])
+    corrected_to = LengthCorrection([(10.0, 1.2), (40.0, 0.9)])(lengths.log()).exp() / lengths
+    assert corrected_to.tolist() == pytest.approx([1.2, 1.2, np.sqrt(1.2 * 0.9), 0.9, 0.9], rel=1e-5)
+    assert LengthCorrection([])(lengths.log()).exp().tolist() == pytest.approx(lengths.tolist(), rel=1e-6)
+
+
+def test_the_correction_is_the_inverse_of_the_bias() -> None:
+    rng = np.random.default_rng(0)
+    labelled = np.exp(rng.uniform(np.log(9), np.log(70), 20_000))
+    found = labelled * np.where(labelled < 20, 0.95, 1.02) * np.exp(rng.normal(0, 0.02, 20_000))
+    factors = dict(length_correction(LengthPairs(found, labelled, np.full(20_000, "cannes"))))
+    assert factors[min(factors)] == pytest.approx(1 / 0.95, abs=0.01)
+    assert factors[max(factors)] == pytest.approx(1 / 1.02, abs=0.01)
+
+
+def test_a_set_with_long_labels_and_long_cars_alone_bends_no_correction() -> None:
+    rng = np.random.default_rng(0)
+    labelled = np.exp(rng.uniform(np.log(11), np.log(63), 20_000))
+    name = np.where(rng.random(20_000) < (labelled > 20) * 0.7, "drawn longer", "cannes")
+    found = labelled * np.where(name == "cannes", 1.0, 0.94)
+    factors = [factor for _, factor in length_correction(LengthPairs(found, labelled, name))]
+    assert max(factors) - min(factors) < 0.01
+
+
+def test_scenes_are_read_as_training_images(tmp_path: Path) -> None:
+    scene = render_scene(0.15, width_px=256, height_px=256, seed=2, layout="parking")
+    scene.write(tmp_path / "scene_1.jpg")
+    (sample,) = load_scenes(tmp_path)
+    small = [v for v in scene.vehicles if v.kind == "small-vehicle"]
+    assert sample.set == "scene"
+    assert 0 < len(sample.boxes) <= len(small)
+    assert set(np.round(sample.boxes[:, 2], 0)) <= {round(v.length_px, 0) for v in small}
+
+
+def test_boxes_found_in_a_turned_or_mirrored_image_return_to_the_image() -> None:
+    from vehanchor.detection.boxes import canonical_boxes
+
+    image = np.zeros((60, 100, 3), np.uint8)
+    image[10:14, 70:90] = 255
+    for k in range(8):
+        rows, cols = np.nonzero(symmetric(image, k)[:, :, 0])
+        sides = np.ptp(cols) + 1, np.ptp(rows) + 1
+        found = canonical_boxes(np.array([[cols.mean() + 0.5, rows.mean() + 0.5, *sides, 0.0]]))
+        np.testing.assert_allclose(restored(found, k, 100, 60), [[80, 12, 20, 4, 0]], atol=1e-9)
+
+
+def test_symmetries_agree_on_what_each_saw_once() -> None:
+    boxes = np.array([[50.0, 50, 20, 8, 0.1], [51, 50, 22, 8, 0.1], [50, 51, 21, 8, 0.1], [120, 80, 20, 8, 3.1]])
+    merged = agree(boxes, np.array([0.8, 0.6, 0.6, 0.4]), np.array([0, 1, 1, 2]))
+    np.testing.assert_allclose(merged.scores, [(0.8 + 0.6) / 8, 0.4 / 8])
+    assert merged.boxes[0, 2] == pytest.approx(21)
+    assert len(merged.boxes) == 2
+
+
+def test_corrections_tell_cars_from_doubt_and_clutter() -> None:
+    cars = np.array([[100.0, 100, 20, 9, 0.0], [300, 300, 20, 9, 0.0]])
+    places = ((101.0, 100, 20, 9), (150, 40, 21, 9), (30, 200, 20, 9), (200, 200, 8, 4))
+    boxes = np.array([(*place, 0.0) for place in places])
+    found = Consensus(boxes, np.array([0.9, 0.8, 0.4, 0.6]))
+    kinds = [kind for kind, _, _ in corrections(found, cars, np.zeros((0, 5)), gsd_m_per_px=0.2)]
+    assert kinds == ["car", "ignore", "clutter", "unseen"]
+
+
+def test_corrected_labels_enter_the_training_image() -> None:
+    sample = _sample()
+    first = tuple(float(v) for v in sample.boxes[0])
+    fresh = (30.0, 40.0, 40.0, 16.0, 0.3)
+    out = corrected(sample, [Correction("unseen", first), Correction("car", fresh), Correction("clutter", fresh)])
+    assert len(out.boxes) == 3
+    assert not (out.boxes == sample.boxes[0]).all(axis=1).any()
+    assert len(out.ignore) == 1
+    assert out.clutter.tolist() == [[30.0, 40.0]]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_network_started_from_an_exported_file_computes_what_the_file_computes(tmp_path: Path) -> None:
+    torch.manual_seed(1)
+    source = VehicleNet().train()
+    crops = torch.rand(4, 3, 64, 64)
+    with torch.no_grad():
+        for _ in range(30):
+            source(crops)  # normalisations that are not the identity
+    source.eval()
+    torch.save({"averaged": source.state_dict()}, tmp_path / "checkpoint.pt")
+    export(tmp_path, tmp_path / "m.onnx", {})
+    network = VehicleNet()
+    load_exported(network, tmp_path / "m.onnx", crops)
+    with torch.no_grad():
+        ours, theirs = network.eval()(crops), source(crops)
+    torch.testing.assert_close(ours.heat, theirs.heat, atol=2e-3, rtol=1e-3)
+    torch.testing.assert_close(ours.shape, theirs.shape, atol=2e-3, rtol=1e-3)
+    with torch.no_grad():  # and with the batch's own statistics, as in training
+        torch.testing.assert_close(network.train()(crops).heat, theirs.heat, atol=5e-2, rtol=1e-2)

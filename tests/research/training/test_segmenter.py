@@ -1,0 +1,304 @@
+"""The segmenter's training code, where PyTorch is installed (extra ``train``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from research.training.segmenter.calibrate import (  # noqa: E402
+    area_bias,
+    best_choice,
+    finished,
+    least_trusted_score,
+    mask_area_log_sd,
+    see,
+)
+from research.training.segmenter.data import (  # noqa: E402
+    BatchStream,
+    CropSize,
+    MaskImage,
+    MaskObject,
+    box_of,
+    cut,
+    draw_prompt,
+    group_of,
+    is_dev,
+    is_sound,
+    load_scenes,
+    objects_of,
+)
+from research.training.segmenter.distil import (  # noqa: E402
+    MIRRORS,
+    Form,
+    FrozenSegmenter,
+    Lesson,
+    Lessons,
+    Teaching,
+    load_files,
+    mirrored_mean,
+)
+from research.training.segmenter.export import INPUT_PX, export, smoothed  # noqa: E402
+from research.training.segmenter.loss import overlap_of, segmentation_loss  # noqa: E402
+from research.training.segmenter.network import (  # noqa: E402
+    BOTTOM_RIGHT,
+    NEGATIVE,
+    PADDING,
+    POSITIVE,
+    TOP_LEFT,
+    Prompt,
+    Segmentation,
+    Segmenter,
+    prompt_maps,
+)
+from research.training.segmenter.shapes import composite  # noqa: E402
+from research.training.segmenter.trials import Target, Trial  # noqa: E402 - PyTorch may be missing
+from vehanchor.imagery.sources.opening import open_raster  # noqa: E402
+from vehanchor.models.session import open_session  # noqa: E402
+from vehanchor.segmentation.contracts import recognise_contract  # noqa: E402
+from vehanchor.segmentation.prompt import Prompt as UserPrompt  # noqa: E402
+from vehanchor.segmentation.segmenter import Segmenter as OnnxSegmenter  # noqa: E402
+from vehanchor_scenes import render_scene  # noqa: E402
+
+pytestmark = pytest.mark.slow
+
+
+def _sample() -> MaskImage:
+    """A bright L on dark ground, so that picture and mask can be compared."""
+    mask = np.zeros((200, 240), np.uint16)
+    mask[60:140, 80:120] = 3
+    mask[110:140, 80:180] = 3
+    image = np.full((200, 240, 3), 30, np.uint8)
+    image[mask > 0] = 210
+    return MaskImage("real", "building", "group", image, mask)
+
+
+def _prompt(points: list[tuple[float, float]], labels: list[float], side: int) -> Prompt:
+    cells = side // 2
+    return Prompt(torch.tensor([points]), torch.tensor([labels]), torch.zeros(1, 1, cells, cells), torch.zeros(1))
+
+
+def test_crops_move_picture_and_mask_alike() -> None:
+    sample, rng = _sample(), np.random.default_rng(0)
+    assert objects_of([sample]) == [MaskObject(0, 3, 80, 60, 180, 140)]
+    for scale in (0.4, 0.8, 1.7):
+        example = cut(rng, sample, 160, scale, (130.0, 100.0), 3)
+        inner, outer = example.mask > 0.98, example.mask < 0.02
+        near = outer & (cv2.dilate(example.mask, np.ones((9, 9))) > 0.5)
+        assert inner.sum() > 0.7 * 5000 * scale**2
+        assert np.median(example.image[inner]) > 190
+        assert np.percentile(example.image[near], 60) < 60
+
+
+def test_prompts_are_drawn_from_the_mask() -> None:
+    mask = np.zeros((160, 160), np.float32)
+    mask[40:100, 50:130] = 1
+    box = box_of(mask)
+    assert box is not None
+    assert box.tolist() == [50, 40, 130, 100]
+    rng, seen = np.random.default_rng(1), set()
+    for _ in range(300):
+        points, labels = draw_prompt(rng, mask, box)
+        for (x, y), label in zip(points, labels, strict=True):
+            seen.add(float(label))
+            if label == POSITIVE:
+                assert mask[int(y), int(x)] == 1
+            elif label == NEGATIVE:
+                assert mask[int(y), int(x)] == 0
+            elif label == TOP_LEFT:
+                assert abs(x - 50) <= 8.01
+                assert abs(y - 40) <= 6.01
+    assert seen == {POSITIVE, NEGATIVE, TOP_LEFT, BOTTOM_RIGHT, PADDING}
+
+
+def test_a_padding_point_changes_nothing_and_a_box_is_positive_inside() -> None:
+    bare = prompt_maps(_prompt([(20, 10), (50, 40)], [TOP_LEFT, BOTTOM_RIGHT], 64), 32, 32)
+    padded = prompt_maps(_prompt([(20, 10), (50, 40), (0, 0)], [TOP_LEFT, BOTTOM_RIGHT, PADDING], 64), 32, 32)
+    assert torch.equal(bare, padded)
+    positive = bare[0, 0] > 0
+    rows, cols = np.nonzero(positive.numpy())
+    assert (cols.min(), cols.max(), rows.min(), rows.max()) == (10, 24, 5, 19)
+
+
+def test_the_loss_is_small_for_the_true_mask_and_grows_with_errors() -> None:
+    target = torch.zeros(1, 1, 64, 64)
+    target[:, :, 16:40, 20:50] = 1
+    good = Segmentation(torch.where(target > 0, 8.0, -8.0), torch.ones(1, 1))
+    loss = segmentation_loss(good, target)
+    assert loss.mask < 0.02
+    assert loss.iou == 0
+    assert loss.overlap == 1
+    grown = Segmentation(torch.roll(good.mask, 6, dims=3), torch.ones(1, 1))
+    worse = segmentation_loss(grown, target)
+    assert worse.mask > 0.5
+    assert worse.overlap == pytest.approx(24 / 36)
+    assert worse.iou == pytest.approx((1 - 24 / 36) ** 2)
+    assert overlap_of(grown.mask, target).tolist() == pytest.approx([24 / 36])
+
+
+def test_neighbouring_images_stay_on_one_side_of_the_held_out_line() -> None:
+    assert group_of("images/oam_zanzibar_16_9.jpg") == group_of("images/oam_zanzibar_17_15.jpg")
+    assert group_of("cannes_100.jpg") == group_of("cannes_101.jpg")
+    assert group_of("cannes_100.jpg") != group_of("cannes_900.jpg")
+    held_out = [is_dev(f"group {k}") for k in range(500)]
+    assert 0.05 < np.mean(held_out) < 0.16
+
+
+def test_ragged_pools_are_no_lesson() -> None:
+    whole = _sample()._replace(category="swimming-pool")
+    comb = whole.mask.copy()
+    comb[60:140:2, 84:] = 0
+    assert is_sound(whole, objects_of([whole])[0]) is True
+    assert is_sound(whole._replace(mask=comb), MaskObject(0, 3, 80, 60, 180, 140)) is False
+
+
+def test_batches_are_seeded_and_their_masks_touch_their_prompts(tmp_path: Path) -> None:
+    render_scene(0.2, width_px=320, height_px=320, seed=4).write(tmp_path / "scene_4.jpg")
+    images = [_sample(), *load_scenes(tmp_path)]
+    first, second = (BatchStream(images, seed=5)[0] for _ in range(2))
+    assert torch.equal(first.image, second.image)
+    assert torch.equal(first.prompt.points, second.prompt.points)
+    assert first.image.shape[2] == 2 * first.target.shape[2]
+    boxed = (first.prompt.labels == TOP_LEFT).any(dim=1)
+    assert boxed.float().mean() > 0.5
+    assert (first.target.amax(dim=(1, 2, 3)) > 0.9).all()
+
+
+def test_composited_shapes_stand_out_from_their_ground() -> None:
+    rng = np.random.default_rng(3)
+
+    def patch() -> np.ndarray:
+        return np.full((160, 160, 3), 90, np.uint8)
+
+    for _ in range(20):
+        image, mask = composite(rng, patch(), patch, 60.0, np.array([80.0, 80.0]))
+        inside = mask > 0.95
+        assert image.shape == (160, 160, 3)
+        assert 100 < inside.sum() < 6000
+        assert np.abs(image[inside].mean(axis=0) - 90).max() > 2
+
+
+def test_the_calibration_reads_spread_and_limit_off_the_trials() -> None:
+    def trial(iou: float, ratio: float, score: float) -> Trial:
+        return Trial("pool", iou, ratio, score, 0.1)
+
+    good = [trial(0.9, float(np.exp(0.1 * z)), 0.9 + 0.02 * z) for z in np.linspace(-2, 2, 41)]
+    bad = [trial(0.3, 3.0, 0.455) for _ in range(10)]
+    limit = least_trusted_score(good + bad)
+    assert 0.86 <= limit < 0.88
+    assert mask_area_log_sd(good + bad, limit) == pytest.approx(0.1, rel=0.15)
+    assert mask_area_log_sd(good + bad, 0.0) > 0.4
+    roofs = [trial(0.8, ratio, 0.9)._replace(category="roof") for ratio in (0.7, 0.8, 0.9)]
+    assert area_bias(good + roofs) == pytest.approx({"pool": 0.0, "roof": -0.2})
+
+
+def test_the_calibration_takes_the_best_masks_that_are_not_too_large() -> None:
+    def trials(iou: float, ratio: float) -> list[Trial]:
+        return [Trial("pool", iou, ratio, 0.9, 0.1)]
+
+    by_choice = {(0.0, 0.0): trials(0.80, 0.95), (0.7, 0.25): trials(0.84, 1.009), (0.7, 0.5): trials(0.85, 1.02)}
+    assert best_choice(by_choice) == (0.7, 0.25)
+    assert best_choice({(0.7, 0.5): trials(0.85, 1.02)}) == (0.0, 0.0)
+
+
+@pytest.mark.filterwarnings(
+    "ignore::DeprecationWarning", "ignore::torch.jit.TracerWarning", "ignore:Constant folding:UserWarning"
+)
+def test_an_exported_segmenter_gives_the_library_what_the_network_saw(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    network = Segmenter().eval()
+    torch.save({"averaged": network.state_dict()}, tmp_path / "checkpoint.pt")
+    offset, smoothing = 0.25, 0.7
+    said: dict[str, object] = {
+        "min_score": 0.6,
+        "mask_area_log_sd": 0.08,
+        "mask_offset": offset,
+        "mask_smoothing": smoothing,
+    }
+    encoder, decoder = export(tmp_path, tmp_path, said)
+    assert encoder.stat().st_size + decoder.stat().st_size < 12e6
+    segmenter = OnnxSegmenter(encoder, decoder)
+    assert segmenter.card.name == "vehanchor-segmenter"
+    image = np.random.default_rng(0).integers(0, 255, (256, 256, 3), dtype=np.uint8)
+    with open_raster(image) as raster:
+        found = segmenter.segment(raster, UserPrompt(box=(60.0, 70.0, 180.0, 190.0)))
+    pixels = torch.from_numpy(image.transpose(2, 0, 1).copy())[None].float() / 255
+    with torch.no_grad():
+        seen = network(pixels, _prompt([(60, 70), (180, 190)], [TOP_LEFT, BOTTOM_RIGHT], 256))
+        blurred = cv2.GaussianBlur(seen.mask[0, 0].numpy(), (5, 5), smoothing, borderType=cv2.BORDER_REPLICATE)
+        assert np.abs(smoothed(seen.mask, smoothing)[0, 0].numpy() - blurred).max() < 1e-3
+    large = cv2.resize(blurred, (256, 256), interpolation=cv2.INTER_LINEAR)
+    assert found.score == pytest.approx(float(seen.iou), abs=1e-4)
+    assert ((large + offset > 0) == found.mask).mean() > 0.999
+    (tmp_path / "bare").mkdir()
+    bare = [open_session(path) for path in export(tmp_path, tmp_path / "bare", {})]
+    target = Target("roof", "a", image, np.ones((256, 256), bool), (60.0, 70.0, 180.0, 190.0))
+    view = see(recognise_contract(bare[0], bare[1], INPUT_PX), target)
+    assert (finished(view, smoothing, offset)(target)[0] == found.mask).mean() > 0.999  # what the calibration judges
+    again = Segmenter()
+    load_files(again, encoder, decoder, [BatchStream([_sample()], seed=1)[0]])
+    with torch.no_grad():
+        taken_up = again.eval()(pixels, _prompt([(60, 70), (180, 190)], [TOP_LEFT, BOTTOM_RIGHT], 256))
+    assert torch.allclose(taken_up.mask, seen.mask, atol=1e-3)
+    assert torch.allclose(taken_up.iou, seen.iou, atol=1e-4)
+
+
+def test_the_teachers_answer_is_the_mean_of_four_mirror_images() -> None:
+    torch.manual_seed(1)
+    network = Segmenter().eval()
+    stream = BatchStream([_sample()], seed=2)
+    batch = stream.batch(np.random.default_rng(0), CropSize(64, 2, (20.0, 40.0), 1.0))
+    image = batch.image.float() / 255
+    with torch.no_grad():
+        answer = mirrored_mean(network, image, batch.prompt)
+        alone = network(image, batch.prompt).mask
+        assert not torch.allclose(answer, alone, atol=1e-3)
+        for form in MIRRORS:  # so it does not matter which of them is shown
+            shown = mirrored_mean(network, form.of(image), form.of_prompt(batch.prompt))
+            assert torch.allclose(form.back(shown), answer, atol=1e-4)
+    assert MIRRORS[0] == Form(False, False, False)
+
+
+def test_every_form_lays_picture_prompt_and_earlier_mask_alike() -> None:
+    side, spot = 64, (13, 41)  # row and column of the prior, 32 x 32 cells of two pixels
+    image = torch.zeros(1, 3, side, side)
+    image[0, :, spot[0], spot[1]] = 1
+    prior = torch.zeros(1, 1, side // 2, side // 2)
+    prior[0, 0, spot[0] // 2, spot[1] // 2] = 1
+    point = torch.tensor([[[spot[1] + 0.5, spot[0] + 0.5]]])
+    prompt = Prompt(point, torch.tensor([[POSITIVE]]), prior, torch.ones(1))
+    for form in (Form(bool(k & 1), bool(k & 2), bool(k & 4)) for k in range(8)):
+        laid, asked = form.of(image), form.of_prompt(prompt)
+        row, column = (int(where[0]) for where in torch.nonzero(laid[0, 0], as_tuple=True))
+        assert asked.points[0, 0].tolist() == [column + 0.5, row + 0.5]
+        assert asked.prior[0, 0, row // 2, column // 2] == 1
+        assert torch.equal(form.back(laid), image)
+
+
+def test_lessons_repeat_a_batch_in_other_forms_and_can_be_entered_anywhere() -> None:
+    first = [Lessons(BatchStream([_sample()], seed=3), 4)[k] for k in range(8)]
+    lessons = Lessons(BatchStream([_sample()], seed=3), 4)
+    assert [each.number for each in first] == [0, 0, 0, 0, 1, 1, 1, 1]
+    assert len({each.form for each in first[:4]}) == 4
+    for k in (6, 1, 5):
+        assert lessons[k].form == first[k].form
+        assert torch.equal(lessons[k].batch.image, first[k].batch.image)
+
+
+def test_a_pupil_learns_from_truth_and_teacher_without_moving_its_statistics() -> None:
+    torch.manual_seed(2)
+    pupil, teacher = FrozenSegmenter(), Segmenter()
+    stream = BatchStream([_sample()], seed=4)
+    batch = stream.batch(np.random.default_rng(0), CropSize(64, 2, (20.0, 40.0), 1.0))
+    before = {name: value.clone() for name, value in pupil.state_dict().items() if "running" in name}
+    pupil.train()
+    parts = Teaching(teacher)(pupil, Lesson(0, batch, Form(True, False, True)), torch.device("cpu"))
+    assert set(parts) == {"truth", "teacher", "iou"}
+    torch.stack(list(parts.values())).sum().backward()
+    assert all(torch.equal(pupil.state_dict()[name], value) for name, value in before.items())
+    assert all(weight.grad is None for weight in teacher.parameters())
+    assert pupil.decoder.mask.weight.grad is not None

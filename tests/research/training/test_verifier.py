@@ -1,0 +1,102 @@
+"""The training code of the second look, where PyTorch is installed (extra ``train``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("onnxruntime")
+
+import onnxruntime
+import torch
+
+from research.training.verifier.combine import fitted, look, settled
+from research.training.verifier.data import STORED_PX, Candidates, ChipStream, load, middle, save, truth_of
+from research.training.verifier.network import VerifierNet
+from research.training.verifier.train import export, logits, report
+from vehanchor.detection.verifier import CHIP_PX, Weights, surroundings
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.mark.parametrize(("length", "angle"), [(20.0, 0.0), (14.0, 0.7), (60.0, 2.0), (150.0, -1.2)])
+def test_a_chip_shows_its_candidate_level_and_at_one_length(length: float, angle: float) -> None:
+    from vehanchor.detection.boxes import box_corners
+
+    box = np.array([250.0, 240.0, length, 0.4 * length, angle])
+    image = np.zeros((500, 500, 3), np.uint8)
+    corners = box_corners(box[None])[0]
+    cv2.fillPoly(image, [np.round((corners - 0.5) * 256).astype(np.int32)], (255, 255, 255), cv2.LINE_AA, 8)
+    lit = surroundings(image, box)[0, :, :, 0] / 255
+    rows, columns = lit.sum(axis=1), lit.sum(axis=0)
+    assert columns.max() == pytest.approx(8, abs=2.6)  # the drawing itself is a pixel wider
+    assert rows.max() == pytest.approx(20, abs=2.6)
+    centre = np.arange(CHIP_PX) + 0.5
+    assert (rows @ centre) / rows.sum() == pytest.approx(24, abs=0.6)
+    assert (columns @ centre) / columns.sum() == pytest.approx(24, abs=0.6)
+
+
+def test_a_chip_at_the_border_repeats_it() -> None:
+    image = np.full((60, 60, 3), 80, np.uint8)
+    assert (surroundings(image, np.array([1.0, 59.0, 30.0, 12.0, 0.3])) == 80).all()
+
+
+def test_a_box_on_a_car_is_a_hit_beside_it_no_lesson_on_a_part_of_it_and_elsewhere_a_false_alarm() -> None:
+    label = np.array([[100.0, 100, 30, 12, 0.2]])
+    boxes = np.array(
+        [
+            [102.0, 101, 28, 12, 0.2],
+            [112, 100, 30, 12, 0.2],
+            [100, 100, 14, 6, 0.2],
+            [180, 100, 30, 12, 0],
+            [40, 40, 30, 12, 0],
+        ]
+    )
+    ignore = np.array([[[30.0, 30], [50, 30], [50, 50], [30, 50]]])
+    assert truth_of(boxes, label, ignore).tolist() == [1, -1, 0, 0, -1]
+
+
+def _candidates() -> Candidates:
+    rng = np.random.default_rng(0)
+    car = np.arange(60) % 2 == 0
+    chips = rng.integers(60, 100, (60, STORED_PX, STORED_PX, 3)).astype(np.uint8)
+    chips[car, 32:40, 26:46] = 220
+    return Candidates(chips, car, np.where(car, 0.6, 0.4), np.array(["a", "b", "b"] * 20))
+
+
+def test_candidates_survive_their_file_and_the_stream_is_seeded(tmp_path: Path) -> None:
+    save(_candidates(), tmp_path / "train.npz")
+    loaded = load(tmp_path / "train.npz")
+    for name, value in _candidates()._asdict().items():
+        assert np.array_equal(getattr(loaded, name), value), name
+    stream = ChipStream(loaded, 3)
+    assert torch.equal(stream[5][0], ChipStream(loaded, 3)[5][0])
+    cars = [float(stream[k][1]) for k in range(200)]
+    assert 0.4 < np.mean(cars) < 0.6
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter
+def test_the_file_says_what_the_network_says(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    network = VerifierNet().eval()
+    export(network, tmp_path / "verifier.onnx")
+    chips = _candidates().chips
+    session = onnxruntime.InferenceSession(tmp_path / "verifier.onnx")
+    np.testing.assert_allclose(look(session, middle(chips)), logits(network, chips), atol=1e-4)
+    assert look(session, np.zeros((0, CHIP_PX, CHIP_PX, 3), np.uint8)).shape == (0,)
+
+
+def test_the_combination_trusts_whoever_knows() -> None:
+    found = _candidates()
+    rng = np.random.default_rng(0)
+    telling = np.where(found.car, 1.5, -1.5) + rng.normal(0, 1, 60)
+    combination = fitted(telling, found._replace(scores=np.full(60, 0.5) + rng.uniform(-0.1, 0.1, 60)))
+    assert combination.look > 0.5
+    assert Weights(1.0, 0.0, 0.0).score([0.2, 0.9], [5.0, -5.0]).tolist() == pytest.approx([0.2, 0.9])
+    same = settled(combination, telling, found)
+    assert same.detector / same.look == pytest.approx(combination.detector / combination.look)
+    assert any("AUC" in line for line in report(found.car, found.sets, telling))
