@@ -195,9 +195,10 @@ def added_time(rounds: int) -> list[str]:
     assert network is not None
     for _ in range(rounds):
         with open_raster(image) as raster:
-            detections = Detections(np.zeros((0, 5)), np.zeros(0), scene=network.look(raster))
+            detections = Detections(np.zeros((0, 5)), np.zeros(0))
+            prior = network.look(raster)
             started = time.process_time()
-            find_courts(raster, detections, detector.card)
+            find_courts(raster, detections, detector.card, prior)
             apart.append(time.process_time() - started)
     return [
         f"| processor time added at 4096 x 4096 (median of {rounds} pairs) | {100 * statistics.median(ratios):.1f} % |",

@@ -107,7 +107,7 @@ def looked_at(
             (seen,) = search_flight([InputPhotograph(name, pixels)], detector, ScaleOptions())
             if isinstance(seen, Failure):
                 raise seen.error
-            look = Look.of(seen.view.image, seen.view.detections, seen.analysis)
+            look = Look.of(seen.view, seen.analysis)
             if known is not None:
                 known.write_text(json.dumps(to_json(look)))
         else:
@@ -144,7 +144,7 @@ def pooled(data: Path, split: str, flights: int, cache: Path | None) -> None:
                 again = [
                     Photograph.of(
                         each.name,
-                        Look.of(each.view.image, each.view.detections, each.analysis),
+                        Look.of(each.view, each.analysis),
                         detector.card,
                         given,
                     )

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.detection.detections import Detections
-from vehanchor.estimate import analyse_detections, analyse_view
+from vehanchor.estimate import analyse_view
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.rulers.evidence import View
+from vehanchor.rulers.measurement import with_tilt
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -85,8 +86,9 @@ class Photograph:
             prior=look.prior,
             tilt=look.tilt,
         )
-        analysis = analyse_detections(view) if look.others is None else analyse_view(view, look.others)
-        return cls(name, view, analysis, features)
+        if look.others is None:
+            view = with_tilt(view)
+        return cls(name, view, analyse_view(view, look.others or ()), features)
 
 
 def chief_member(members: Sequence[Photograph]) -> int:

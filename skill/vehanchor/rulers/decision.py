@@ -20,9 +20,9 @@ from vehanchor.scale.fusion import (
     TOLERANCE,
     USABLE_CHANCE,
     credible_interval,
+    fuse,
     mass_within,
     product,
-    recalibrated,
 )
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES, Z95, Interval, statistical_log_sds
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX, UNSURE_CONFIDENCE, WIDEST_USABLE
@@ -89,7 +89,7 @@ class ScaleDecision(NamedTuple):
     rulers: tuple[RulerShare, ...] = ()
 
 
-class _Posterior(NamedTuple):
+class Posterior(NamedTuple):
     """Value, interval and chance of all rulers, and the kinds whose densities make the value."""
 
     gsd_m_per_px: float
@@ -162,7 +162,7 @@ def ruler_densities(evidence: Iterable[Evidence]) -> dict[str, NDArray[np.float6
     return {kind: density for kind, density in found if density is not None}
 
 
-def fuse_rulers(evidence: Sequence[Evidence]) -> _Posterior | None:
+def fuse_rulers(evidence: Sequence[Evidence]) -> Posterior | None:
     """Multiply the densities of all rulers; the value is the median of the strongest mode.
 
     Args:
@@ -178,7 +178,7 @@ def fuse_rulers(evidence: Sequence[Evidence]) -> _Posterior | None:
     gsd = _strongest(posterior)
     low, high = credible_interval(_not_all_wrong(list(densities.values())))
     interval = Interval(min(low, gsd), max(high, gsd))
-    return _Posterior(gsd, interval, mass_within(posterior, gsd, TOLERANCE), frozenset(densities))
+    return Posterior(gsd, interval, mass_within(posterior, gsd, TOLERANCE), frozenset(densities))
 
 
 def shares(evidence: Sequence[Evidence], gsd_m_per_px: float, multiplied: frozenset[str]) -> tuple[RulerShare, ...]:
@@ -216,18 +216,17 @@ def shares(evidence: Sequence[Evidence], gsd_m_per_px: float, multiplied: frozen
     )
 
 
-def _posterior_of_vehicles(vehicles: VehicleEvidence, priors: Sequence[Evidence]) -> _Posterior | None:
+def _posterior_of_vehicles(vehicles: VehicleEvidence, priors: Sequence[Evidence]) -> Posterior | None:
     """The paper's value, judged by the product of the vehicles' density and the priors'."""
     gsd, interval = vehicles.gsd_m_per_px, vehicles.interval
     if gsd is None or interval is None:
         return None
     multiplied = frozenset({vehicles.kind})
     if vehicles.density is None:
-        return _Posterior(gsd, interval, None, multiplied)
-    posterior = product(vehicles.density, *(prior.density for prior in priors if prior.density is not None))
-    low, high = credible_interval(posterior)
-    chance = float(recalibrated(mass_within(posterior, gsd, TOLERANCE), vehicles.sharpness))
-    return _Posterior(gsd, Interval(min(low, gsd), max(high, gsd)), chance, multiplied)
+        return Posterior(gsd, interval, None, multiplied)
+    densities = [prior.density for prior in priors if prior.density is not None]
+    judged = fuse(gsd, vehicles.density, *densities, sharpness=vehicles.sharpness)
+    return Posterior(gsd, judged.interval, judged.p_within_20, multiplied)
 
 
 def _leading(evidence: Sequence[Evidence], rulers: Sequence[RulerShare]) -> str | None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from vehanchor.tilt.posterior import TiltCue, TiltPosterior
 
 _DOUBTED = 0.3  # chance of a tilt above ten degrees from which courts are searched in tilted views, too
-_NEARLY_CERTAIN = 0.99  # chance of a tilt above ten degrees from which it is reported
+NEARLY_CERTAIN = 0.99  # chance of a tilt above ten degrees from which it is reported
 
 
 def estimate_tilt(
@@ -59,7 +59,7 @@ def estimate_tilt(
         return stated
     focal = focal_of(image, options)
     posterior = tilt_posterior(seen, focal)
-    if posterior is None or (stated is None and posterior.chance_above(NADIR_TOLERANCE_DEG) < _NEARLY_CERTAIN):
+    if posterior is None or (stated is None and posterior.chance_above(NADIR_TOLERANCE_DEG) < NEARLY_CERTAIN):
         return stated
     source = ", ".join(dict.fromkeys(each.kind for each in seen)) + focal.doubt
     interval = posterior.low_deg, posterior.high_deg
@@ -113,7 +113,7 @@ def tilt_notice(image: ImageFacts, options: ScaleOptions, detections: Detections
         tilted = camera.off_nadir_deg > NADIR_TOLERANCE_DEG and taken_ratio(image, camera) is None
         return (_crop_of_tilted(camera.off_nadir_deg),) if tilted else ()
     seen = _vehicle_posterior(image, options, detections)
-    if seen is None or seen[1].chance_above(NADIR_TOLERANCE_DEG) < _NEARLY_CERTAIN:
+    if seen is None or seen[1].chance_above(NADIR_TOLERANCE_DEG) < NEARLY_CERTAIN:
         return ()
     n_cars, found = seen
     message = (

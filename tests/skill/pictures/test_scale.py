@@ -27,7 +27,7 @@ from vehanchor.pictures.scale import (
     write_picture,
 )
 from vehanchor.rulers.evidence import Mark
-from vehanchor.tilt.camera_tilt import CameraTilt, tilt_record
+from vehanchor.tilt.camera_tilt import CameraTilt
 
 
 def _near(picture: NDArray[np.uint8], colour: tuple[int, int, int]) -> NDArray[np.bool_]:
@@ -125,7 +125,7 @@ def test_a_scale_that_is_not_to_be_used_has_no_scale_bar() -> None:
 
 def test_a_picture_that_was_taken_aside_has_no_scale_bar() -> None:
     level = _judged(make_analysis(np.array([[900.0, 100.0, 50.0, 20.0, 0.0]]), 1000, 700), "ok", None)
-    tilt = tilt_record(CameraTilt(35.0, 0.0, 800.0, "metadata"), ImageFacts(1000, 700), 0.1)
+    tilt = CameraTilt(35.0, 0.0, 800.0, "metadata").record(ImageFacts(1000, 700), 0.1)
     aside = replace(level, estimate=level.estimate.model_copy(update={"tilt": tilt}))
     corner = (slice(600, 700), slice(0, 600))
     assert (draw_overlay(_grey(1000, 700), aside)[corner] == 100).all()

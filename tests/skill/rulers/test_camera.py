@@ -118,7 +118,7 @@ def test_an_unknown_pitch_widens_the_interval() -> None:
     assert _spread(unknown) > _spread(known)
     assert unknown.chance_wrong > known.chance_wrong
     assert unknown.explanation is not None
-    assert "straight down" in unknown.explanation
+    assert "at nadir" in unknown.explanation
 
 
 def test_the_nearer_the_ground_the_less_a_height_says() -> None:

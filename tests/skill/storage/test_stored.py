@@ -16,9 +16,9 @@ from vehanchor.storage.stored import from_json, to_json
 
 def _look() -> Look:
     scene = SceneScalePrior((SceneLevel(2, 9, np.linspace(-4, -1, 7)),), SceneCalibration(-4.6, 0.1))
-    found = Detections(np.random.default_rng(1).normal(size=(4, 5)), np.linspace(0.1, 0.9, 4), scene=scene)
+    found = Detections(np.random.default_rng(1).normal(size=(4, 5)), np.linspace(0.1, 0.9, 4))
     facts = ImageFacts(10, 20, None, (Notice(code="a", message="b"),), CameraMetadata(make="x", height_m=3.0))
-    return Look(facts, found, 0.7)
+    return Look(facts, found, 0.7, prior=scene)
 
 
 def test_findings_come_back_exactly() -> None:
@@ -29,9 +29,9 @@ def test_findings_come_back_exactly() -> None:
     assert after.resolved == 0.7
     assert np.array_equal(after.detections.boxes, before.detections.boxes)
     assert after.detections.boxes.dtype == before.detections.boxes.dtype
-    assert after.detections.scene is not None
-    assert before.detections.scene is not None
-    assert np.array_equal(after.detections.scene.density, before.detections.scene.density)
+    assert after.prior is not None
+    assert before.prior is not None
+    assert np.array_equal(after.prior.density, before.prior.density)
     after.detections.boxes[0] = 1  # and may be changed
 
 

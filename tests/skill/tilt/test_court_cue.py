@@ -99,5 +99,5 @@ def test_a_guess_that_the_camera_looked_down_is_not_followed_as_the_image_was_se
     monkeypatch.setattr(ruler, "find_courts_on", search)
     with open_raster(np.zeros((SIZE, SIZE, 3), np.uint8)) as raster:
         view = View(ImageFacts(SIZE, SIZE), NOTHING, made_card(4.6), ScaleOptions(), lambda *_: 1.0, raster)
-        assert ruler.Courts()._aside(view, raster) == ()
+        assert ruler.Courts()._found_tilted(view, raster) == ()
     assert len(searched) == followed
