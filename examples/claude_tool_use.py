@@ -1,11 +1,11 @@
-"""Claude answers questions about an aerial image with VehAnchor's tools, in two ways.
+"""Ask Claude about an aerial image, with VehAnchor's tools.
 
     pip install -r examples/requirements.txt
     export ANTHROPIC_API_KEY=... ANTHROPIC_MODEL=...        # and ANTHROPIC_BASE_URL for a gateway
     python examples/claude_tool_use.py examples/car_park.jpg "How wide is the car park, in metres?"
 
-``--way mcp`` takes the tools from the server itself and lets the SDK's tool runner call them. ``--way schemas`` takes
-the definitions of ``schemas/anthropic.json`` and runs the loop by hand: for a program that has its own, or no MCP.
+``--way mcp`` gets the tools from the server; the SDK calls them. ``--way schemas`` uses the definitions in
+``schemas/anthropic.json`` with its own loop, for programs without MCP.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SYSTEM = (
 
 
 async def by_mcp(claude: anthropic.AsyncAnthropic, model: str, tools: Client, question: str) -> str:
-    """The SDK's tool runner: it calls the server's tools until Claude has an answer."""
+    """Answer with the SDK's tool runner, which calls the server's tools."""
     listed = await tools.list_tools()
     runner = claude.beta.messages.tool_runner(
         model=model,
@@ -45,7 +45,7 @@ async def by_mcp(claude: anthropic.AsyncAnthropic, model: str, tools: Client, qu
     answer = ""
     async for message in runner:
         answer = tell(message)
-        results = await runner.generate_tool_call_response()  # what the runner sends next
+        results = await runner.generate_tool_call_response()  # the runner's next message
         for block in results["content"] if results else ():
             content = block["content"]
             tell_result(content if isinstance(content, str) else " ".join(part.get("text", "") for part in content))
@@ -53,7 +53,7 @@ async def by_mcp(claude: anthropic.AsyncAnthropic, model: str, tools: Client, qu
 
 
 async def by_schemas(claude: anthropic.AsyncAnthropic, model: str, tools: Client, question: str) -> str:
-    """The same loop by hand, with the definitions on disk."""
+    """Answer with a loop of our own and the definitions on disk."""
     messages: list[Any] = [{"role": "user", "content": question}]
     for _ in range(MAX_TURNS):
         message = await claude.messages.create(
@@ -82,7 +82,7 @@ async def by_schemas(claude: anthropic.AsyncAnthropic, model: str, tools: Client
 
 
 def pictures(content: list[Any]) -> list[dict[str, Any]]:
-    """What a tool shows, as Claude sees it."""
+    """Convert a tool's pictures for Claude."""
     return [
         {"type": "image", "source": {"type": "base64", "media_type": part.mime_type, "data": part.data}}
         for part in content
@@ -91,7 +91,7 @@ def pictures(content: list[Any]) -> list[dict[str, Any]]:
 
 
 def tell(message: Any) -> str:
-    """Print what Claude asks the tools; return what it says."""
+    """Print Claude's tool calls; return its text."""
     for block in message.content:
         if block.type == "tool_use":
             print(f"calls {block.name} {json.dumps(block.input)}")
@@ -99,12 +99,12 @@ def tell(message: Any) -> str:
 
 
 def tell_result(text: str) -> None:
-    """Print what a tool answered."""
+    """Print a tool's answer."""
     print(f"tool  {text}")
 
 
 def from_environment(name: str, what: str) -> str:
-    """A setting that must be there."""
+    """Read a required environment variable."""
     value = os.environ.get(name)
     if not value:
         sys.exit(f"{name} is not set: export {name}=<{what}> first")
@@ -112,7 +112,7 @@ def from_environment(name: str, what: str) -> str:
 
 
 async def main() -> None:
-    """Command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(description="Ask Claude about an aerial image.")
     parser.add_argument("image", type=Path)
     parser.add_argument("question")

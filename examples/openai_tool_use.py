@@ -1,11 +1,11 @@
-"""An OpenAI model answers questions about an aerial image with VehAnchor's tools, in two ways.
+"""Ask an OpenAI model about an aerial image, with VehAnchor's tools.
 
     pip install -r examples/requirements.txt
     export OPENAI_API_KEY=... OPENAI_MODEL=...               # and OPENAI_BASE_URL for a gateway
     python examples/openai_tool_use.py examples/car_park.jpg "How wide is the car park, in metres?"
 
-``--way agents`` gives the server to the OpenAI Agents SDK, which does the rest. ``--way responses`` takes the strict
-definitions of ``schemas/openai.json`` and runs the loop of the Responses API by hand.
+``--way agents`` passes the server to the OpenAI Agents SDK. ``--way responses`` uses the strict definitions in
+``schemas/openai.json`` with its own loop over the Responses API.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SYSTEM = (
 
 
 async def by_agents(model: str, root: Path, question: str) -> str:
-    """The Agents SDK: it launches the server, lists its tools and calls them until the model has an answer."""
+    """Answer with the Agents SDK, which launches the server and calls its tools."""
     set_tracing_disabled(True)
     command: Any = {"command": "vehanchor", "args": ["serve", "--root", str(root)]}
     async with MCPServerStdio(params=command, client_session_timeout_seconds=60, cache_tools_list=True) as server:
@@ -45,13 +45,13 @@ async def by_agents(model: str, root: Path, question: str) -> str:
         if isinstance(item, ToolCallItem):
             print(f"calls {getattr(item.raw_item, 'name', '')} {getattr(item.raw_item, 'arguments', '')}")
         elif isinstance(item, ToolCallOutputItem):
-            parts = item.output if isinstance(item.output, list) else [item.output]  # several where there is a picture
+            parts = item.output if isinstance(item.output, list) else [item.output]  # a list if there is a picture
             print("tool ", *(part.get("text", "") if isinstance(part, dict) else part for part in parts))
     return str(result.final_output)
 
 
 async def by_responses(model: str, root: Path, question: str) -> str:
-    """The Responses API by hand, with the definitions on disk."""
+    """Answer with a loop of our own over the Responses API and the definitions on disk."""
     server = StdioServerParameters(command="vehanchor", args=["serve", "--root", str(root)])
     items: list[Any] = [{"role": "user", "content": question}]
     async with openai.AsyncOpenAI() as client, Client(server) as tools:
@@ -83,7 +83,7 @@ async def by_responses(model: str, root: Path, question: str) -> str:
 
 
 def from_environment(name: str, what: str) -> str:
-    """A setting that must be there."""
+    """Read a required environment variable."""
     value = os.environ.get(name)
     if not value:
         sys.exit(f"{name} is not set: export {name}=<{what}> first")
@@ -91,7 +91,7 @@ def from_environment(name: str, what: str) -> str:
 
 
 async def main() -> None:
-    """Command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(description="Ask an OpenAI model about an aerial image.")
     parser.add_argument("image", type=Path)
     parser.add_argument("question")

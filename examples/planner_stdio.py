@@ -1,12 +1,12 @@
-"""A planner that decides a landing: it launches the VehAnchor server, measures candidate zones, and acts on the record.
+"""Planner of a landing: launch the VehAnchor server, measure candidate zones, and decide by the record.
 
     python examples/planner_stdio.py examples/scenes/safe.jpg --zone 255 160 535 470
 
-No language model takes part, so that the rules are plain to see; a planner with one should keep them all the same:
+The planner works without a language model, so that its rules are explicit. Planners with a model need the same rules:
 
-1. Nothing is decided on a scale with ``confidence`` < 0.5 or without one: try the next anchor, else hold altitude.
-2. A zone fits only if the *lower* end of its 95 % interval does: ``inscribed_diameter_ci95_low_m``, never the estimate.
-3. Every decision says why, on stderr; the decision itself is one JSON object on stdout.
+1. Never decide on a scale with ``confidence`` < 0.5. Try the next ruler; without one, hold altitude.
+2. A zone fits only if the *lower* end of its 95 % interval fits: ``inscribed_diameter_ci95_low_m``, never the estimate.
+3. Log the reason of every decision on stderr; print the decision as one JSON object on stdout.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from typing import Any
 from mcp import Client, StdioServerParameters
 
 FALLBACK_CONFIDENCE = 0.5
-ALTITUDE_ERROR = 0.10  # share of the height above ground that a barometer may be off by
+ALTITUDE_ERROR = 0.10  # relative error of the barometer's height above ground
 
-WHAT_HELPS = {  # by the record's reason
+REMEDIES = {  # by the record's reason
     "too_coarse": "fly lower",
-    "too_few": "climb, or fly on to a street, and look again",
-    "not_cars": "another anchor is needed here",
-    "disagree": "another anchor is needed here",
-    "lost": "fly on to streets or houses, and look again",
-    "imprecise": "take in cars, or give a known length",
+    "too_few": "climb, or fly to a street, and take another image",
+    "not_cars": "use another ruler",
+    "disagree": "use another ruler",
+    "lost": "fly to streets or houses, and take another image",
+    "imprecise": "include more cars, or give a known length",
 }
 
 log = logging.getLogger("planner")
 
 
 class Action(StrEnum):
-    """What the craft does next."""
+    """Next action of the craft."""
 
     LAND = "land"
     NEXT_ZONE = "next_zone"
@@ -49,20 +49,20 @@ class Action(StrEnum):
 
 @dataclass(frozen=True)
 class Craft:
-    """The vehicle that wants to land."""
+    """The craft that lands."""
 
     diameter_m: float
     margin_m: float
 
     @property
     def needed_m(self) -> float:
-        """Diameter of the free circle it needs: its own and the margin on either side."""
+        """Diameter of the free circle: the craft and the margin on both sides."""
         return self.diameter_m + 2 * self.margin_m
 
 
 @dataclass(frozen=True)
 class Zone:
-    """A candidate, as the perception stack proposes it: a box in pixels of the image."""
+    """A candidate zone of the perception stack: a box in image pixels."""
 
     x_min: float
     y_min: float
@@ -72,7 +72,7 @@ class Zone:
 
 @dataclass(frozen=True)
 class Ruler:
-    """A source of scale: the vehicles in the image, or a scale known from elsewhere and how wrong it may be."""
+    """A source of scale: the vehicles in the image, or a known scale with its relative error."""
 
     name: str
     gsd_m_per_px: float | None = None
@@ -81,11 +81,11 @@ class Ruler:
 
 @dataclass(frozen=True)
 class Decision:
-    """An action and why; what was measured where that decided it."""
+    """An action with its reason and the measurements behind it."""
 
     action: Action
     reason: str
-    anchor: str | None = None
+    ruler: str | None = None
     zone: Zone | None = None
     needed_m: float | None = None
     diameter_low_m: float | None = None
@@ -93,23 +93,23 @@ class Decision:
     center_y_px: float | None = None
 
 
-def judge(record: dict[str, Any], anchor: Ruler, zone: Zone, craft: Craft) -> Decision:
-    """Decide on one zone by one record of ``measure_area``; HOLD_ALTITUDE where the anchor cannot be trusted."""
+def decide_zone(record: dict[str, Any], ruler: Ruler, zone: Zone, craft: Craft) -> Decision:
+    """Decide on one zone by a record of ``measure_area``; HOLD_ALTITUDE if the ruler is not usable."""
     if record["status"] == "no_scale":
-        return Decision(Action.HOLD_ALTITUDE, f"no scale from {anchor.name}: nothing to measure by", anchor.name, zone)
-    confidence = record["confidence"]  # null for a scale that was given
+        return Decision(Action.HOLD_ALTITUDE, f"no scale from {ruler.name}", ruler.name, zone)
+    confidence = record["confidence"]  # null for a given scale
     if confidence is not None and confidence < FALLBACK_CONFIDENCE:
         reason_code = record["estimate"]["reason"]
-        why = f"{reason_code}; {WHAT_HELPS[reason_code]}"
-        reason = f"confidence {confidence:.2f} of the scale from {anchor.name} is below {FALLBACK_CONFIDENCE}: {why}"
-        return Decision(Action.HOLD_ALTITUDE, reason, anchor.name, zone)
+        why = f"{reason_code}; {REMEDIES[reason_code]}"
+        reason = f"confidence {confidence:.2f} of the scale from {ruler.name} is below {FALLBACK_CONFIDENCE}: {why}"
+        return Decision(Action.HOLD_ALTITUDE, reason, ruler.name, zone)
     low = record["inscribed_diameter_ci95_low_m"]
     if record["status"] != "ok" or low is None:
-        return Decision(Action.NEXT_ZONE, "the zone's outline is not clear in the image", anchor.name, zone)
-    low *= 1 - anchor.relative_error
-    seen = f"a circle of at least {low:.1f} m fits by {anchor.name} (estimate {record['inscribed_diameter_m']:.1f} m)"
+        return Decision(Action.NEXT_ZONE, "the zone's outline is uncertain", ruler.name, zone)
+    low *= 1 - ruler.relative_error
+    seen = f"a circle of at least {low:.1f} m fits by {ruler.name} (estimate {record['inscribed_diameter_m']:.1f} m)"
     center = record["inscribed_center"]
-    measured = (anchor.name, zone, craft.needed_m, low, center["x_px"], center["y_px"])
+    measured = (ruler.name, zone, craft.needed_m, low, center["x_px"], center["y_px"])
     if low < craft.needed_m:
         return Decision(Action.NEXT_ZONE, f"too small: {seen}, {craft.needed_m:.1f} m needed", *measured)
     return Decision(Action.LAND, f"{seen}, {craft.needed_m:.1f} m needed", *measured)
@@ -119,37 +119,37 @@ async def decide(
     client: Client,
     image: Path,
     zones: Sequence[Zone],
-    anchors: Sequence[Ruler],
+    rulers: Sequence[Ruler],
     craft: Craft,
     region: str | None = None,
 ) -> Decision:
-    """Go through the anchors, and for each through the zones, until one allows a landing or all are rejected."""
-    decision = Decision(Action.HOLD_ALTITUDE, "no zone was proposed")
-    for number, anchor in enumerate(anchors):
+    """Try the zones with each ruler until one allows a landing."""
+    decision = Decision(Action.HOLD_ALTITUDE, "no zone was given")
+    for number, ruler in enumerate(rulers):
         if number:
-            log.info("trying the next anchor: %s", anchor.name)
+            log.info("trying the next ruler: %s", ruler.name)
         for zone in zones:
             arguments: dict[str, Any] = {
                 "image": {"kind": "path", "path": str(image.resolve())},
                 "target": {"box": asdict(zone)},
                 "detail": "full",
             }
-            if anchor.gsd_m_per_px is not None:
-                arguments["gsd_m_per_px"] = anchor.gsd_m_per_px
+            if ruler.gsd_m_per_px is not None:
+                arguments["gsd_m_per_px"] = ruler.gsd_m_per_px
             elif region is not None:
                 arguments["region"] = region
             result = await client.call_tool("measure_area", arguments)
-            if result.is_error:  # "code: what is wrong. what to do"
+            if result.is_error:  # "code: problem. remedy"
                 message = " ".join(getattr(part, "text", "") for part in result.content)
-                return Decision(Action.HOLD_ALTITUDE, f"the measurement failed: {message}", anchor.name, zone)
-            decision = judge(result.structured_content or {}, anchor, zone, craft)
+                return Decision(Action.HOLD_ALTITUDE, f"the measurement failed: {message}", ruler.name, zone)
+            decision = decide_zone(result.structured_content or {}, ruler, zone, craft)
             log.info("%s: %s", decision.action, decision.reason)
             if decision.action is Action.LAND:
                 return decision
             if decision.action is Action.HOLD_ALTITUDE:
-                break  # the anchor is of no use for any zone
+                break  # the ruler serves no zone
         else:
-            return decision  # every zone was measured with this anchor, and none fits
+            return decision  # no zone fits by this ruler
     return decision
 
 
@@ -157,11 +157,11 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Decide a landing with VehAnchor's measurements.")
     parser.add_argument("image", type=Path)
     parser.add_argument("--zone", type=float, nargs=4, action="append", metavar=("X1", "Y1", "X2", "Y2"), default=[])
-    parser.add_argument("--diameter", type=float, default=4.0, help="the craft's, rotors included, metres")
-    parser.add_argument("--margin", type=float, default=2.0, help="to keep free on either side, metres")
-    parser.add_argument("--region", help="whose cars they are, as in europe; name it where cars are small: south_asia")
-    parser.add_argument("--altitude", type=float, help="next anchor: height above ground by the barometer, metres")
-    parser.add_argument("--focal", type=float, help="the camera's focal length in pixels, with --altitude")
+    parser.add_argument("--diameter", type=float, default=4.0, help="diameter of the craft with rotors, metres")
+    parser.add_argument("--margin", type=float, default=2.0, help="free margin on each side, metres")
+    parser.add_argument("--region", help="region of the cars, such as europe; needed where cars are small: south_asia")
+    parser.add_argument("--altitude", type=float, help="next ruler: the barometer's height above ground, metres")
+    parser.add_argument("--focal", type=float, help="focal length in pixels, for --altitude")
     return parser.parse_args()
 
 
@@ -170,16 +170,16 @@ async def main() -> None:
     options = _arguments()
     logging.basicConfig(level=logging.WARNING, format="%(name)s: %(message)s", stream=sys.stderr)
     log.setLevel(logging.INFO)
-    anchors = [Ruler("vehicles in the image")]
+    rulers = [Ruler("vehicles in the image")]
     if options.altitude is not None and options.focal is not None:
-        anchors.append(Ruler("barometer", options.altitude / options.focal, ALTITUDE_ERROR))
+        rulers.append(Ruler("barometer", options.altitude / options.focal, ALTITUDE_ERROR))
     zones = [Zone(*corners) for corners in options.zone]
     craft = Craft(options.diameter, options.margin)
     server = StdioServerParameters(
         command=sys.executable, args=["-m", "vehanchor", "serve", "--root", str(options.image.resolve().parent)]
     )
     async with Client(server) as client:
-        decision = await decide(client, options.image, zones, anchors, craft, options.region)
+        decision = await decide(client, options.image, zones, rulers, craft, options.region)
     log.info("decision: %s, because %s", decision.action, decision.reason)
     print(json.dumps({name: value for name, value in asdict(decision).items() if value is not None}))
 

@@ -7,6 +7,7 @@ import hypothesis
 import pytest
 
 ROOT = Path(__file__).parent.parent
+MOST_WORKERS = 4  # each loads everything once
 
 # What a test means does not depend on how busy the machine is; the timeout of pytest catches what hangs.
 hypothesis.settings.register_profile("vehanchor", deadline=None)
@@ -23,3 +24,10 @@ def real_data() -> Path:
     if not (folder / "gsd" / "table.csv").is_file():
         pytest.skip(f"no real images at {folder}; set VEHANCHOR_DATA")
     return folder
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """Run the quick tests side by side; the longer ones measure time, and a few files start faster alone."""
+    everything = config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.option.keyword
+    quick = config.option.markexpr in config.getini("addopts")
+    return min(os.cpu_count() or 1, MOST_WORKERS) if everything and quick else 0

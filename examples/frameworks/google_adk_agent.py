@@ -1,6 +1,6 @@
 """A Google ADK agent with VehAnchor's tools.
 
-python google_adk_agent.py IMAGE QUESTION, with GEMINI_API_KEY, GEMINI_MODEL; `vehanchor` is on the PATH.
+Run python google_adk_agent.py IMAGE QUESTION with GEMINI_API_KEY and GEMINI_MODEL set and `vehanchor` on the PATH.
 """
 
 import asyncio
@@ -18,7 +18,7 @@ SYSTEM = "Every distance and area comes from a tool. Below a confidence of 0.5, 
 
 
 async def main(image: Path, question: str) -> None:
-    """Ask."""
+    """Ask the agent a question about an image."""
     server = StdioServerParameters(command="vehanchor", args=["serve", "--root", str(image.parent)])
     tools = McpToolset(connection_params=StdioConnectionParams(server_params=server, timeout=60))
     agent = LlmAgent(name="surveyor", model=os.environ["GEMINI_MODEL"], instruction=SYSTEM, tools=[tools])

@@ -1,7 +1,7 @@
 """A LangGraph agent of LangChain with VehAnchor's tools.
 
-python langchain_agent.py IMAGE QUESTION, with OPENAI_API_KEY, OPENAI_MODEL; the server: `vehanchor` on the PATH, or a
-running `vehanchor serve --http` whose address is VEHANCHOR_URL.
+Run python langchain_agent.py IMAGE QUESTION with OPENAI_API_KEY and OPENAI_MODEL set. The server is `vehanchor` on the
+PATH, or a running `vehanchor serve --http` at VEHANCHOR_URL.
 """
 
 import asyncio
@@ -17,7 +17,7 @@ SYSTEM = "Every distance and area comes from a tool. Below a confidence of 0.5, 
 
 
 async def main(image: Path, question: str) -> None:
-    """Ask."""
+    """Ask the agent a question about an image."""
     if url := os.environ.get("VEHANCHOR_URL"):
         connection = {"transport": "streamable_http", "url": url}
     else:

@@ -1,6 +1,6 @@
 """A Pydantic AI agent with VehAnchor's tools.
 
-python pydantic_ai_agent.py IMAGE QUESTION, with OPENAI_API_KEY, OPENAI_MODEL; `vehanchor` is on the PATH.
+Run python pydantic_ai_agent.py IMAGE QUESTION with OPENAI_API_KEY and OPENAI_MODEL set and `vehanchor` on the PATH.
 """
 
 import asyncio
@@ -16,7 +16,7 @@ SYSTEM = "Every distance and area comes from a tool. Below a confidence of 0.5, 
 
 
 async def main(image: Path, question: str) -> None:
-    """Ask."""
+    """Ask the agent a question about an image."""
     tools = MCPToolset(StdioTransport("vehanchor", ["serve", "--root", str(image.parent)]), init_timeout=60)
     agent = Agent(f"openai-responses:{os.environ['OPENAI_MODEL']}", instructions=SYSTEM, toolsets=[tools])
     async with agent:

@@ -1,4 +1,4 @@
-"""Throughput of ``vehanchor batch``: ``python -m research.benchmarks.batch``. Prints Markdown, kept in RESULTS.md.
+"""Measure ``vehanchor batch``: ``python -m research.benchmarks.batch``. Prints Markdown; ``--record`` keeps it.
 
 The same rendered scenes through each engine and number of workers, as whole commands (starting Ray is part of what a
 user waits for) and without the start: the difference between all the images and half of them.
@@ -30,8 +30,10 @@ from typing import Any, NamedTuple, get_args
 
 import cv2
 
+from research.results.record import add_record_option, recording
 from vehanchor.batch import run_batch
 from vehanchor.batch.run import Engine
+from vehanchor.models.runtime import Runtime
 from vehanchor_scenes import Layout, render_scene
 
 SIDE_PX = 1024
@@ -99,7 +101,7 @@ def run_rows(folder: Path, engine: Engine, workers: int, doomed: tuple[Any, Any]
 
     with tempfile.TemporaryDirectory() as output:
         table = Path(output) / "table.jsonl"
-        run_batch([str(folder)], table, engine=engine, workers=workers, progress=tell)
+        run_batch([str(folder)], table, engine=engine, workers=workers, runtime=Runtime(progress=tell))
         rows = Counter(json.loads(line)["file"] for line in table.read_text().splitlines())
     images = {str(path) for path in folder.glob("*.jpg")}
     came = seen[1:]  # the first call tells that there is none yet
@@ -143,22 +145,23 @@ def main() -> None:
     parser.add_argument("--layout", choices=get_args(Layout), default="parking", help="of the rendered scenes")
     parser.add_argument("--by-rows", action="store_true", help="compare local workers by their rows")
     parser.add_argument("--nodes", type=int, nargs="+", help="compare simulated clusters of that many nodes instead")
-    options = parser.parse_args()
+    options = add_record_option(parser).parse_args()
     print(
         f"{platform.machine()}, {os.cpu_count()} CPUs, {options.images} images of {options.side} x {options.side} px\n"
     )
     if options.nodes or options.by_rows:
         with tempfile.TemporaryDirectory() as folder:
             write_images(Path(folder), options.images, options.side, options.layout)
-            if options.nodes:
-                compare_nodes(Path(folder), options.nodes)
-            else:
-                compare_workers(Path(folder), options.workers)
+            with recording("speed", ["ray" if options.nodes else "batch_by_rows"], options.record):
+                if options.nodes:
+                    compare_nodes(Path(folder), options.nodes)
+                else:
+                    compare_workers(Path(folder), options.workers)
         return
     engines = ["local", "ray"] if importlib.util.find_spec("ray") else ["local"]
     runs = [("local", 1)] + [(engine, options.workers) for engine in engines]
-    print("| engine | workers | whole command | images a second, started |\n|---|---|---|---|")
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, recording("speed", ["batch"], options.record):
+        print("| engine | workers | whole command | images a second once started |\n|---|---|---|---|")
         write_images(Path(folder), options.images, options.side, options.layout)
         for engine, workers in dict.fromkeys(runs):
             half = command_time(Path(folder), engine, workers, options.images // 2)

@@ -1,7 +1,7 @@
-"""Reference lengths of rendered fleets, recovered: ``python -m research.benchmarks.calibration [--detector FILE]``.
+"""Recover the reference lengths of rendered fleets: ``python -m research.benchmarks.calibration [--detector FILE]``.
 
-Scenes of three fleets, none of them the renderer's default, are written as a split of DOTA. Prints Markdown, kept in
-RESULTS.md: from labels the aim is 1 %; what the detector's own boxes give is shown beside it.
+Scenes of three fleets, none of them the renderer's default, are written as a split of DOTA. From labels the aim is
+1 %; what the detector's own boxes give is shown beside it. Prints Markdown; ``--record`` keeps it.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 
+from research.results.record import add_record_option, header, recording
 from vehanchor.detection.detector import Detector
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
@@ -60,25 +61,27 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--detector", help="ONNX file or bundled name; default: the bundled one")
-    options = parser.parse_args()
+    options = add_record_option(parser).parse_args()
     detector = Detector(resolve_model(options.detector))
-    print("| fleet: mean, mode | labelled | from labels | off by | found | from detections | off by |")
-    print("|---|---|---|---|---|---|---|")
-    for mean in FLEETS_M:
-        mode = MODE_OVER_MEAN * mean
-        with tempfile.TemporaryDirectory() as folder:
-            data = render_split(Path(folder), mean)
-            labelled, found = calibrate_labelled(labelled_vehicles(data)), from_detections(data, detector)
-        cells = [f"{mean:g} m, {mode:.3f} m"]
-        for record in (labelled, found):
-            low, high = record.reference_length_ci95_low_m, record.reference_length_ci95_high_m
-            off = record.reference_length_m / mode - 1
-            cells += [
-                str(record.n_vehicles),
-                f"{record.reference_length_m:.3f} m ({low:.3f} to {high:.3f})",
-                f"{100 * off:+.2f} %",
-            ]
-        print("| " + " | ".join(cells) + " |", flush=True)
+    with recording("scale", ["calibration"], options.record, model={detector.card.name: detector.card.sha256}):
+        columns = ["fleet: mean, mode", "labelled", "from labels", "off by from labels"]
+        columns += ["found", "from detections", "off by from detections"]
+        print(header(*columns))
+        for mean in FLEETS_M:
+            mode = MODE_OVER_MEAN * mean
+            with tempfile.TemporaryDirectory() as folder:
+                data = render_split(Path(folder), mean)
+                labelled, found = calibrate_labelled(labelled_vehicles(data)), from_detections(data, detector)
+            cells = [f"{mean:g} m, {mode:.3f} m"]
+            for record in (labelled, found):
+                low, high = record.reference_length_ci95_low_m, record.reference_length_ci95_high_m
+                off = record.reference_length_m / mode - 1
+                cells += [
+                    str(record.n_vehicles),
+                    f"{record.reference_length_m:.3f} m ({low:.3f} to {high:.3f})",
+                    f"{100 * off:+.2f} %",
+                ]
+            print("| " + " | ".join(cells) + " |", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,11 @@
-"""Courts as a ruler: ``python -m research.benchmarks.courts [PART ...]``. Prints Markdown, for RESULTS.md.
+"""Measure courts as a ruler.
+
+``python -m research.benchmarks.courts [PART ...]``. Prints Markdown; ``--record`` keeps it.
 
 ``tiles``: 70 real tiles with tennis courts at 0.3048 m/px, the held-out tenth apart; ``scenes``: rendered sports
 grounds, by scale, where a whole court is in sight; ``fused``: such grounds with 3 to 10 cars, by cars, by courts and by
 both; ``val``: images of the validation splits, with next to no courts in them; ``time``: what looking for courts adds
-to an estimate of 4096 x 4096 without any; ``cpu``: what it takes in small images, views from aside included.
+to an estimate of 4096 x 4096 without any; ``cpu``: its cost on small images, tilted views included.
 """
 
 from __future__ import annotations
@@ -20,12 +22,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from research.results.record import add_record_option, recording, values_table
 from research.training.detector.places import is_held_out, places
 from vehanchor.courts.find import find_courts
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import load_scene_scale
-from vehanchor.estimate import analyse_scale
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import open_raster
@@ -33,10 +35,11 @@ from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.courts import Courts, evidence_of
 from vehanchor.rulers.evidence import View
+from vehanchor.verbs import analyse_scale
 from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.imagery.sources.opening import ImageSource
@@ -51,10 +54,14 @@ _EVERY = 15  # image of val is timed
 _SPORTS = ((0.15, 600), (0.2, 450))
 NOTHING = Detections(np.zeros((0, 5)), np.zeros(0))
 _PARTS = ("tiles", "scenes", "fused", "val", "time", "cpu")
+_HEAD = (
+    "| images | n | measured | median error | 90th percentile | worse than 10 % |",
+    "|---|---|---|---|---|---|",
+)
 
 
 class Case(NamedTuple):
-    """An image's true scale, and what its courts say of it; None for nothing."""
+    """The true scale of an image and the scale by its courts, None without a court."""
 
     gsd_m_per_px: float
     said: float | None
@@ -62,7 +69,7 @@ class Case(NamedTuple):
 
 
 def look(image: ImageSource, card: DetectorCard) -> tuple[float | None, int]:
-    """What the courts of an image say, and how many they are; nothing is asked of a detector."""
+    """Scale by the courts of an image and their number, without a detector."""
     with open_raster(image) as raster:
         evidence = evidence_of(find_courts(raster, NOTHING, card))
     return evidence.gsd_m_per_px, evidence.n
@@ -83,7 +90,7 @@ def row(name: str, cases: Sequence[Case]) -> str:
 
 
 def tiles(card: DetectorCard) -> list[str]:
-    """The real tiles."""
+    """Measure the real tiles."""
     held: list[Case] = []
     seen: list[Case] = []
     for place in places(DATA):
@@ -94,7 +101,7 @@ def tiles(card: DetectorCard) -> list[str]:
 
 
 def scenes(card: DetectorCard, scales: Sequence[float], number: int) -> list[str]:
-    """Rendered sports grounds with a whole court in sight, by scale and game."""
+    """Measure rendered sports grounds with a whole court, by scale."""
     lines, total = [], []
     for gsd in scales:
         cases: list[Case] = []
@@ -134,11 +141,12 @@ def fused(number: int) -> list[str]:
 
 
 def val(card: DetectorCard) -> list[str]:
-    """Images of all validation splits; what is found is named, to be looked at."""
+    """Find courts in the images of all validation splits, and name the images."""
     unique = val_paths()
     found = [(path, *look(str(path), card)) for path in unique]
     hits = [f"{path.name} ({n}, {gsd:.4f} m/px)" for path, gsd, n in found if gsd is not None]
-    return [f"| val, all sets | {len(unique)} | courts in {len(hits)}: {', '.join(hits)} | | | |"]
+    row = f"| val | {len(unique)} | {len(hits)} | {', '.join(hits)} |"
+    return ["| images | n | with a court | which |", "|---|---|---|---|", row]
 
 
 def val_paths() -> list[Path]:
@@ -153,19 +161,19 @@ def val_paths() -> list[Path]:
 
 
 def processor_time(card: DetectorCard, rounds: int) -> list[str]:
-    """Seconds of small images in which nothing else was seen: medians of rounds, by kind of image."""
+    """Time the ruler alone on small images: median and largest seconds, by kind of image."""
     park = render_scene(0.15, width_px=1024, height_px=1024, seed=5).image
     sports = [
         render_scene(gsd, width_px=side, height_px=side, seed=5001, layout="sports").image for gsd, side in _SPORTS
     ]
-    lines = []
+    lines = ["| images | n | median, CPU s | most, CPU s |", "|---|---|---|---|"]
     for name, images in (("car park", [park]), ("sports", sports), ("val", list(map(str, val_paths()[::_EVERY])))):
         spent = []
         for image in images:
             with open_raster(image) as raster:
                 view = View(image_facts(raster), NOTHING, card, ScaleOptions(), partial(resolved_share, raster), raster)
                 spent.append(statistics.median(_seconds(view) for _ in range(rounds)))
-        lines.append(f"| {name} | {len(spent)} | {statistics.median(spent):.2f} s | {max(spent):.2f} s at most | | |")
+        lines.append(f"| {name} | {len(spent)} | {statistics.median(spent):.2f} | {max(spent):.2f} |")
     return lines
 
 
@@ -176,7 +184,7 @@ def _seconds(view: View) -> float:
 
 
 def added_time(rounds: int) -> list[str]:
-    """Of an estimate of 4096 x 4096 px, with and without courts among the rulers, in turns."""
+    """Time that courts add to an estimate of 4096 x 4096 px, in alternating runs."""
     scene = render_scene(0.15, width_px=1024, height_px=1024, seed=5, layout="parking")
     image = np.ascontiguousarray(np.tile(scene.image, (4, 4, 1)))
     detector = Detector(resolve_model())
@@ -200,10 +208,13 @@ def added_time(rounds: int) -> list[str]:
             started = time.process_time()
             find_courts(raster, detections, detector.card, prior)
             apart.append(time.process_time() - started)
-    return [
-        f"| processor time added at 4096 x 4096 (median of {rounds} pairs) | {100 * statistics.median(ratios):.1f} % |",
-        f"| of it, looking for courts alone | {statistics.median(apart):.3f} s |",
-    ]
+    return values_table(
+        {
+            "processor time added at 4096 x 4096, %": 100 * statistics.median(ratios),
+            "looking for courts alone, CPU s": statistics.median(apart),
+        },
+        {"processor time added at 4096 x 4096, %": 5},
+    )
 
 
 def main() -> None:
@@ -213,22 +224,21 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=12, help="of each scale")
     parser.add_argument("--scales", type=float, nargs="+", default=_SCALES, metavar="M/PX")
     parser.add_argument("--rounds", type=int, default=5)
-    options = parser.parse_args()
+    options = add_record_option(parser).parse_args()
     cv2.setNumThreads(1)
     card = Detector(resolve_model()).card
-    print("| images | n | measured | median error | 90th percentile | worse than 10 % |\n|---|---|---|---|---|---|")
-    if "tiles" in options.parts:
-        print(*tiles(card), sep="\n", flush=True)
-    if "scenes" in options.parts:
-        print(*scenes(card, options.scales, options.scenes), sep="\n", flush=True)
-    if "fused" in options.parts:
-        print(*fused(options.scenes), sep="\n", flush=True)
-    if "val" in options.parts:
-        print(*val(card), sep="\n", flush=True)
-    if "time" in options.parts:
-        print(*added_time(options.rounds), sep="\n", flush=True)
-    if "cpu" in options.parts:
-        print(*processor_time(card, options.rounds), sep="\n", flush=True)
+    measures: dict[str, tuple[str, str, Callable[[], list[str]]]] = {
+        "tiles": ("rulers", "courts_tiles", lambda: [*_HEAD, *tiles(card)]),
+        "scenes": ("rulers", "courts_scenes", lambda: [*_HEAD, *scenes(card, options.scales, options.scenes)]),
+        "fused": ("rulers", "courts_fused", lambda: [*_HEAD, *fused(options.scenes)]),
+        "val": ("rulers", "courts_val", lambda: val(card)),
+        "time": ("speed", "courts_time", lambda: added_time(options.rounds)),
+        "cpu": ("speed", "courts_cpu", lambda: processor_time(card, options.rounds)),
+    }
+    for part in options.parts:
+        topic, key, measure = measures[part]
+        with recording(topic, [key], options.record):
+            print(*measure(), "", sep="\n", flush=True)
 
 
 if __name__ == "__main__":

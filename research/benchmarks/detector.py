@@ -1,10 +1,10 @@
-"""Accuracy of a detector on images of known scale.
+"""Measure a detector on images of known scale.
 
 ``python -m research.benchmarks.detector [--split val] [--detector FILE]``.
 
-Prints Markdown, kept in RESULTS.md. "Labelled" images have at least five labelled cars; no estimate counts as an error
-of 100 %. ``--part`` chooses: ``scale`` (the estimates), ``gsd`` (by true scale, from images made coarser), ``lengths``
-(boxes against labels by length, the long ones from enlarged images), ``precision`` (AP50); default all.
+Prints Markdown; ``--record`` keeps it. "Labelled" images have at least five labelled cars; no estimate counts as
+an error of 100 %. ``--part`` chooses: ``scale`` (the estimates), ``gsd`` (by true scale, from images made coarser),
+``lengths`` (boxes against labels by length, the long ones from enlarged images), ``precision`` (AP50); default all.
 """
 
 from __future__ import annotations
@@ -22,15 +22,17 @@ import cv2
 import numpy as np
 from scipy.stats import spearmanr
 
+from research.results.record import add_record_option, recording, values_table
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search as search_image
-from vehanchor.estimate import analyse_detections, analyse_scale
+from vehanchor.estimate import analyse_detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
 from vehanchor.rulers.evidence import View
+from vehanchor.verbs import analyse_scale
 from vehanchor_evaluation.detections import MatchedDetections, average_precision, length_errors, match_detections
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.gsd import ScaleTrial, run_trials, summarise
@@ -123,20 +125,25 @@ def report(trials: list[ScaleTrial], regional: list[ScaleTrial]) -> list[str]:
     ]
     sure = [t for t in good if t.analysis.estimate.confidence >= 0.5]
     found = [t.analysis.estimate.n_vehicles > 0 for t in trials if t.image.labelled_vehicles]
-    lines += [
-        "",
-        f"- Spearman's rho of confidence and error: {rho:+.3f}, Pearson's r {r:+.3f}; with the region given "
-        f"{rho_regional:+.3f}, {r_regional:+.3f} ({len(known)} images with cars and an estimate)",
-        f"- true scale inside the 95 % interval: {np.mean(covered):.1%} of {len(covered)} images with cars; "
-        f"{np.mean(covered_labelled):.1%} of the {len(covered_labelled)} with at least five; with the region given "
-        f"{np.mean(covered_regional):.1%}",
-        f"- confidence >= 0.5 on {len(confident)} of {len(mistakes)} images without cars or with error > 20 % "
-        f"({len(confident) / max(1, len(trials)):.1%} of all {len(trials)} images)",
-        f"- confidence >= 0.5 on {len(sure)} of {len(good)} images with GSD < 0.3, >= 20 cars, error < 10 %",
-        f"- estimate on {np.mean(found):.1%} of {len(found)} images with cars",
-        f"- no estimate on {sum(t.analysis.estimate.n_vehicles == 0 for t in trials if t.image.set == 'empty')} of "
-        f"{sum(t.image.set == 'empty' for t in trials)} scenes without vehicles",
-    ]
+    empty = [t.analysis.estimate.n_vehicles == 0 for t in trials if t.image.set == "empty"]
+    values: dict[str, float] = {
+        "Spearman's rho of confidence and error": rho,
+        "Pearson's r of confidence and error": r,
+        "rho, region given": rho_regional,
+        "r, region given": r_regional,
+        "truth inside the 95 % interval, %, images with cars": 100 * float(np.mean(covered)),
+        "truth inside the 95 % interval, %, five labelled cars": 100 * float(np.mean(covered_labelled)),
+        "truth inside the 95 % interval, %, region given": 100 * float(np.mean(covered_regional)),
+        "images with cars and an estimate": len(known),
+        "confidence >= 0.5 without cars or with an error > 20 %": len(confident),
+        "images without cars or with an error > 20 %": len(mistakes),
+        "confidence >= 0.5 at GSD < 0.3, 20 cars, error < 10 %": len(sure),
+        "images at GSD < 0.3, 20 cars, error < 10 %": len(good),
+        "estimate, %, images with cars": 100 * float(np.mean(found)),
+        "no estimate on scenes without vehicles": sum(empty),
+        "scenes without vehicles": len(empty),
+    }
+    lines += ["", *values_table(values, {"Spearman's rho of confidence and error": -0.5})]
     return lines
 
 
@@ -302,7 +309,7 @@ def main() -> None:
     parser.add_argument("--aggregation", help="default: the model's choice")
     parser.add_argument("--search-scales", action=argparse.BooleanOptionalAction, help="default: the model's choice")
     parser.add_argument("--part", choices=_PARTS, action="append", help="may be repeated; default all")
-    options = parser.parse_args()
+    options = add_record_option(parser).parse_args()
     parts = options.part or _PARTS
     detector = Detector(resolve_model(options.detector))
     images = [image for image in read_table(DATA / "gsd" / "table.csv") if image.split == options.split]
@@ -311,17 +318,22 @@ def main() -> None:
         lengths=Lengths(aggregation=options.aggregation),
     )
     print(f"Detector `{detector.card.name}`, sha256 `{detector.card.sha256}`, split {options.split}:\n")
+    model = {detector.card.name: detector.card.sha256}
     if "scale" in parts:
         trials = list(run_trials(images, detector, scale))
         regional = [_with_region(trial, detector.card, scale) for trial in trials]
-        print("\n".join(report(trials, regional)), flush=True)
+        with recording("scale", ["val", "val_confidence"], options.record, model=model):
+            print("\n".join(report(trials, regional)), flush=True)
     if "gsd" in parts:
-        print("\n" + "\n".join(gsd_bins(images, detector, scale)), flush=True)
+        with recording("scale", ["by_gsd"], options.record, model=model):
+            print("\n" + "\n".join(gsd_bins(images, detector, scale)), flush=True)
     labelled = list(labelled_images(DATA / "vehicles", options.split))
     if "lengths" in parts:
-        print("\n" + "\n".join(lengths(labelled, detector, options.search_scales)), flush=True)
+        with recording("detection", ["lengths"], options.record, model=model):
+            print("\n" + "\n".join(lengths(labelled, detector, options.search_scales)), flush=True)
     if "precision" in parts:
-        print("\n" + "\n".join(precision(labelled, detector, options.search_scales)))
+        with recording("detection", ["precision"], options.record, model=model):
+            print("\n" + "\n".join(precision(labelled, detector, options.search_scales)))
 
 
 if __name__ == "__main__":

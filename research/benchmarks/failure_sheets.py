@@ -1,4 +1,4 @@
-"""Fifty false alarms and fifty misses to be looked at.
+"""Draw contact sheets of fifty false alarms and fifty misses.
 
 ``python -m research.benchmarks.failure_sheets OUT [--set estonia]``.
 
@@ -33,7 +33,7 @@ _RED, _GREEN, _YELLOW = (0, 0, 255), (0, 255, 0), (0, 255, 255)
 
 
 class Failure(NamedTuple):
-    """A place to be looked at.
+    """A false alarm or a miss.
 
     Attributes:
         score: of the box; 0 without one.

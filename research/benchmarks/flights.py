@@ -1,4 +1,4 @@
-"""Flights of known scale, made from real pixels.
+"""Measure flights of known scale, made from real pixels.
 
 ``python -m research.benchmarks.flights {pooled,matched,cost,real} DATA``.
 
@@ -7,7 +7,7 @@ all of them with the truth, with the region unknown and given. ``matched`` cuts 
 out of mosaics; two thirds of them lose their vehicles. ``cost`` measures what comes
 beyond the detection for 200 photographs of 12 Mpx: features, pairs, matches, the graph. ``real`` holds the scales of
 DATA/flights/garfield, which ``vehanchor flight --out`` wrote, against the heights and positions of its metadata.
-Cameras that look aside: ``research/benchmarks/tilt.py``.
+Tilted cameras: ``research/benchmarks/tilt.py``.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from research.results.record import add_record_option, recording, values_table
 from vehanchor.detection.detections import Detections
-from vehanchor.estimate import open_detector
+from vehanchor.engine import Engine
 from vehanchor.flight.components import single_component
 from vehanchor.flight.estimate import conclude, search_flight
 from vehanchor.flight.features import Features, find_features
@@ -39,6 +40,7 @@ from vehanchor.flight.photograph import Look, Photograph, chief_member
 from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.runtime import Runtime
 from vehanchor.options import ScaleOptions
 from vehanchor.storage.stored import from_json, to_json
 
@@ -72,7 +74,7 @@ def read(path: Path) -> NDArray[np.uint8]:
 
 
 def spoiled(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Another exposure, noise and JPEG."""
+    """Change exposure, add noise and JPEG artefacts."""
     seen = image.astype(np.float64) * rng.uniform(0.75, 1.25) + rng.uniform(-12, 12)
     seen += rng.normal(0, rng.uniform(0, 4), image.shape)
     quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(70, 96))]
@@ -94,7 +96,7 @@ def turned(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uin
 def looked_at(
     taken: Sequence[InputPhotograph], detector: Detector, *, featured: bool = False, cache: Path | None = None
 ) -> list[Photograph]:
-    """Photographs that were looked at, each only once: what was found is kept in a folder, by model and pixels."""
+    """Search photographs, each only once: a folder keeps the detections by model and pixels."""
     members = []
     for name, image, _ in taken:
         pixels = np.ascontiguousarray(image)
@@ -126,7 +128,7 @@ def pooled_flight(looks: Sequence[Photograph], detector: Detector) -> FlightEsti
 
 def pooled(data: Path, split: str, flights: int, cache: Path | None) -> None:
     """Print a table."""
-    detector = open_detector(None, ScaleOptions(), threads=1)
+    detector = Engine(runtime=Runtime(threads=1)).detector
     print("| set | region | error of each flight of 24 | median | inside the interval | high over low |")
     print("|---|---|---|---|---|---|")
     every: dict[str, list[float]] = {"unknown": [], "given": []}
@@ -208,8 +210,8 @@ def cut_flight(
 
 def matched(data: Path, flights: int, cache: Path | None) -> None:
     """Print a table: so many flights over each world."""
-    detector = open_detector(None, ScaleOptions(), threads=1)
-    print("| world | in islands | median | 95th percentile | ratios alone, median | inside the interval | dropped |")
+    detector = Engine(runtime=Runtime(threads=1)).detector
+    print("| world | in components | median | 95th percentile | ratios alone, median | inside the interval | dropped |")
     print("|---|---|---|---|---|---|---|")
     every: list[float] = []
     inside = total = 0
@@ -252,7 +254,7 @@ def matched(data: Path, flights: int, cache: Path | None) -> None:
 
 
 def _islands_held(record: FlightEstimate, truth: NDArray[np.float64]) -> list[bool]:
-    """Of each island with a scale, whether its reference's interval holds the true one."""
+    """For each component with a scale: whether its interval contains the true scale."""
     held = []
     for component in record.components:
         low, high = component.pooled.gsd_ci95_low_m_per_px, component.pooled.gsd_ci95_high_m_per_px
@@ -267,7 +269,7 @@ def cost(number: int) -> None:
     Features are found in eight photographs of 12 Mpx; those of the flights are made up, as many as a photograph has at
     most, along the strips of a survey, so that pairs, matches and the graph are those of a real one.
     """
-    detector = open_detector(None, ScaleOptions(), threads=1)
+    detector = Engine(runtime=Runtime(threads=1)).detector
     ground = cv2.resize(np.random.default_rng(18).integers(0, 256, (150, 200, 3), np.uint8), (4000, 3000))
     looking = []
     for _ in range(_LOOKED_AT):
@@ -276,7 +278,9 @@ def cost(number: int) -> None:
             n_features = len(find_features(raster))
         looking.append(time.process_time() - begun)
     print(f"features of 12 Mpx: {np.median(looking):.2f} CPU s a photograph ({n_features})")
-    print("| photographs | pairs | overlaps | islands | pairs, matches, graph, record: CPU s each | peak MiB |")
+    print(
+        "| photographs | pairs | overlaps | components | pairs, matches, graph, record: CPU s a photograph | peak MiB |"
+    )
     print("|---|---|---|---|---|---|")
     for n in (number // 4, number // 2, number):
         photographs = _made_up(n, detector)
@@ -314,7 +318,7 @@ def _made_up(n: int, detector: Detector) -> list[Photograph]:
 
 
 def real(data: Path, written: Path) -> None:
-    """Print how the scales of a flight go with the heights above the sea and the track in its metadata.
+    """Compare the scales of a flight with the heights above the sea and the track in its metadata.
 
     Args:
         data: with ``flights/table.csv``.
@@ -335,28 +339,28 @@ def real(data: Path, written: Path) -> None:
     ]
     sizes = ", ".join(str(component.n_photographs) for component in record.components)
     dropped = sum(each.dropped is not None for each in record.links)
-    print(f"{len(record.photographs)} photographs, islands of {sizes}, {len(record.links)} overlaps, {dropped} dropped")
-    rulers = [
-        f"{each.kind} {each.gsd_m_per_px:.4f} ({'agrees' if each.agrees else 'does not'})"
-        for each in record.components[0].pooled.rulers
-    ]
     pooled = record.components[0].pooled
-    print(
-        f"{pooled.gsd_m_per_px:.4f} m/px, {pooled.gsd_ci95_low_m_per_px:.4f} to {pooled.gsd_ci95_high_m_per_px:.4f}: "
-    )
-    print("; ".join(rulers))
+    values: dict[str, float | str] = {
+        "components, overlaps, dropped": f"{sizes}; {len(record.links)}; {dropped}",
+        "scale in the pixels of the reference": f"{pooled.gsd_m_per_px:.4f} m/px "
+        f"({pooled.gsd_ci95_low_m_per_px:.4f} to {pooled.gsd_ci95_high_m_per_px:.4f})",
+    }
+    for each in pooled.rulers:
+        values[f"{each.kind}, m/px ({'agrees' if each.agrees else 'does not agree'})"] = f"{each.gsd_m_per_px:.4f}"
     for name, errors in (("matches by themselves", by_match), ("solved scales", solved)):
-        share = np.mean(np.array(errors) <= _NEAR)
-        print(f"{name} against the heights: {100 * share:.1f} % within 10 %, median {100 * np.median(errors):.1f} %")
+        values[f"{name} against the heights: within 10 %, %"] = 100 * float(np.mean(np.array(errors) <= _NEAR))
+        values[f"{name} against the heights: median, %"] = 100 * float(np.median(errors))
     off = np.array(_off_track(record, [each for each in links if each.dropped is None]))
-    print(
-        f"scales against the track, {len(off)} pairs of {_LEAST_APART_M:.0f} m and more: median of the ratios", end=" "
-    )
-    print(f"{np.exp(np.median(off)):.3f}, {100 * np.mean(np.abs(np.expm1(off)) <= _PAIR):.0f} % within a fifth")
+    values |= {
+        f"pairs of {_LEAST_APART_M:.0f} m and more on the track": len(off),
+        "scales against the track: median ratio": np.exp(np.median(off)),
+        "scales against the track: within a fifth, %": 100 * np.mean(np.abs(np.expm1(off)) <= _PAIR),
+    }
+    print(*values_table(values), sep="\n")
 
 
 def _ground_height(seas_m: NDArray[np.float64], logs: NDArray[np.float64]) -> float:
-    """Height of the ground above the sea under which scales go best with heights, metres."""
+    """Height of the ground above the sea that fits scales to heights best, metres."""
     tried = seas_m.min() - np.geomspace(5.0, 500.0, 400)
     spreads = []
     for ground in tried:
@@ -366,7 +370,7 @@ def _ground_height(seas_m: NDArray[np.float64], logs: NDArray[np.float64]) -> fl
 
 
 def _off_track(record: FlightEstimate, links: Sequence[FlightLink]) -> list[float]:
-    """Logs of each pair's scale over that by the way between its two positions and the shift that was matched."""
+    """Log ratio of each pair's scale to the scale by its positions and its matched shift."""
     members = {each.photograph: each for each in record.photographs if each.placed_by == "positions"}
     features, centres = {}, {}
     for name in members:
@@ -388,7 +392,7 @@ def _off_track(record: FlightEstimate, links: Sequence[FlightLink]) -> list[floa
 
 
 def without_vehicles(look: Photograph) -> Photograph:
-    """The photograph as if no vehicle had been there."""
+    """Remove the vehicles of a photograph."""
     seen = look.view.detections
     bare = replace(
         seen,
@@ -411,16 +415,18 @@ def main() -> None:
     parser.add_argument("--split", default="val")
     parser.add_argument("--flights", type=int, help="a set (pooled: 4), over each world (matched, 1)")
     parser.add_argument("--cache", type=Path, help="folder that keeps what was found in each image")
-    parser.add_argument("--record", type=Path, default=Path("flight.json"), help="real: what 'vehanchor flight' wrote")
-    arguments = parser.parse_args()
-    if arguments.what == "pooled":
-        pooled(arguments.data, arguments.split, arguments.flights or _FLIGHTS, arguments.cache)
-    elif arguments.what == "cost":
-        cost(arguments.photographs)
-    elif arguments.what == "real":
-        real(arguments.data, arguments.record)
-    else:
-        matched(arguments.data, arguments.flights or 1, arguments.cache)
+    parser.add_argument("--flight", type=Path, default=Path("flight.json"), help="real: what 'vehanchor flight' wrote")
+    arguments = add_record_option(parser).parse_args()
+    key = {"real": "garfield"}.get(arguments.what, arguments.what)
+    with recording("flights", [key], arguments.record):
+        if arguments.what == "pooled":
+            pooled(arguments.data, arguments.split, arguments.flights or _FLIGHTS, arguments.cache)
+        elif arguments.what == "cost":
+            cost(arguments.photographs)
+        elif arguments.what == "real":
+            real(arguments.data, arguments.flight)
+        else:
+            matched(arguments.data, arguments.flights or 1, arguments.cache)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Large images.
+"""Measure large images.
 
-``python -m research.benchmarks.gigapixel make|search``. Prints Markdown, kept in RESULTS.md with the machine.
+``python -m research.benchmarks.gigapixel make|search``. Prints Markdown; ``--record`` keeps it.
 
 A mosaic is laid out of images of known scale, towns with fields between them, every pixel of a town at exactly 0.2 m.
 ``search`` runs one mosaic with one effort in this process and tells tiles, seconds, memory and the scale; with
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import csv
 import resource
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,9 +22,11 @@ import numpy as np
 import rasterio
 
 from research.benchmarks.networks_time import networks_seconds
+from research.results.record import add_record_option, header, recording
 from vehanchor.detection.detector import load_detector
 from vehanchor.estimate import analyse_raster
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 
@@ -57,7 +60,7 @@ def _resized(image: NDArray[np.uint8], ratio: float, how: int) -> NDArray[np.uin
 
 
 def layout(cells: int, share: float, rng: np.random.Generator) -> NDArray[Any]:
-    """Where towns are: ``[cells, cells]`` bool."""
+    """Draw where towns are: ``[cells, cells]`` bool."""
     noise = cv2.GaussianBlur(rng.normal(size=(cells, cells)).astype(np.float32), (0, 0), _TOWN_CELLS)
     return np.asarray(noise > np.quantile(noise, 1 - share))
 
@@ -92,7 +95,7 @@ def make(data: Path, out: Path, side: int, share: float, town: str, seed: int, o
 
 def search(image: Path, effort: str, threads: int | None, model: str | None) -> str:
     """One line of a table for one image and effort."""
-    detector = load_detector(resolve_model(model), threads=threads)
+    detector = load_detector(resolve_model(model), Runtime(threads=threads))
     options = ScaleOptions.of({"effort": effort})
     started, cpu = time.perf_counter(), time.process_time()
     with networks_seconds(time.thread_time) as networks, open_raster(image, limits=options.reading.limits) as raster:
@@ -100,13 +103,13 @@ def search(image: Path, effort: str, threads: int | None, model: str | None) -> 
     seconds, cpu = time.perf_counter() - started, time.process_time() - cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     line = (
-        f"| {image.stem} | {effort} | {found.tiles_searched} / {found.tiles_total} | {found.stopped_because} | "
-        f"{seconds:.0f} | {cpu:.0f} | {found.gsd_m_per_px or 0:.4f} | {found.gsd_ci95_low_m_per_px or 0:.4f} to "
-        f"{found.gsd_ci95_high_m_per_px or 0:.4f} | {found.status} | {found.n_vehicles} | {peak:.0f} |"
+        f"| {effort} | {image.stem} | {found.tiles_searched} | {found.tiles_total} | {found.stopped_because} | "
+        f"{seconds:.0f} | {cpu:.0f} | {found.gsd_m_per_px or 0:.4f} | {found.gsd_ci95_low_m_per_px or 0:.3f} to "
+        f"{found.gsd_ci95_high_m_per_px or 0:.3f} | {found.status} | {found.n_vehicles} | {peak:.0f} |"
     )
     if threads == 1:
         parts = ", ".join(f"{name} {spent:.1f}" for name, spent in networks.items())
-        line += f"\n\nCPU time over the networks': {cpu / sum(networks.values()):.3f} ({parts})\n"
+        print(f"CPU time over the networks': {cpu / sum(networks.values()):.3f} ({parts})\n", file=sys.stderr)
     return line
 
 
@@ -124,15 +127,20 @@ def main() -> None:
     making.add_argument("--overviews", action="store_true")
     searching = commands.add_parser("search")
     searching.add_argument("images", type=Path, nargs="+")
-    searching.add_argument("--effort", choices=["full", "auto", "fast"], default="auto")
+    searching.add_argument("--effort", choices=["full", "auto", "fast"], nargs="+", default=["auto"])
     searching.add_argument("--threads", type=int)
     searching.add_argument("--detector")
+    add_record_option(searching)
     chosen = parser.parse_args()
     if chosen.command == "make":
         make(chosen.data, chosen.out, chosen.side, chosen.towns, chosen.town, chosen.seed, chosen.overviews)
         return
-    for image in chosen.images:
-        print(search(image, chosen.effort, chosen.threads, chosen.detector), flush=True)
+    with recording("speed", ["large"], chosen.record):
+        columns = ("effort", "image", "tiles", "of", "ended", "wall s", "CPU s", "GSD", "interval", "status")
+        print(header(*columns, "vehicles", "peak MiB"))
+        for image in chosen.images:
+            for effort in chosen.effort:
+                print(search(image, effort, chosen.threads, chosen.detector), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How much of a run is spent in the networks themselves: what is left over is what the pipeline adds."""
+"""Count the time of the networks; the rest of a run is what the pipeline adds."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The search for vehicles beside other tools.
+"""Compare the search for vehicles with other tools.
 
-``python -m research.benchmarks.peers``. Prints Markdown, kept in RESULTS.md.
+``python -m research.benchmarks.peers``. Prints Markdown; ``--record`` keeps it.
 
 Bare ONNX Runtime, ultralytics, SAHI, supervision and this library search the same 4096 x 4096 px image with the same
 oriented-box file, tile by tile. The others run in an environment of their own, which the first call makes
@@ -29,6 +29,7 @@ import numpy as np
 import onnxruntime
 
 from research.benchmarks.speed import large_scene
+from research.results.record import add_record_option, recording
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
 from vehanchor.imagery.sources.opening import open_raster
@@ -161,7 +162,7 @@ def main() -> None:
     parser.add_argument("--environment", type=Path, default=ENVIRONMENT, help="folder of the peers' environment")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--here", nargs=2, type=Path, metavar=("MODEL", "IMAGE"), help=argparse.SUPPRESS)
-    options = parser.parse_args()
+    options = add_record_option(parser).parse_args()
     if options.here:
         print(json.dumps({k: v for k, v in search_here(*options.here)._asdict().items() if k != "tool"}))
         return
@@ -177,7 +178,8 @@ def main() -> None:
         cv2.imwrite(str(image), pixels[:, :, ::-1])
         grid = tile_grid(pixels.shape[1], pixels.shape[0], tile_px=_TILE_PX)
         tiles.write_text(json.dumps([(tile.x_px, tile.y_px) for tile in grid]))
-        print("\n".join(compare(python, model, image, tiles, options.rounds)), flush=True)
+        with recording("speed", ["peers"], options.record, packages=list(_PACKAGES)):
+            print("\n".join(compare(python, model, image, tiles, options.rounds)), flush=True)
         other = folder / "yolo11n-obb.onnx"  # random weights: its time is that of any
         inside = Path(__file__).with_name("peers_inside.py").resolve()
         subprocess.run([str(python), str(inside), "export", str(other)], check=True, capture_output=True, cwd=folder)

@@ -1,4 +1,4 @@
-"""What ``peers.py`` runs inside the peers' own environment: ``python peers_inside.py TOOL MODEL IMAGE TILES``.
+"""Run one tool inside the peers' own environment, for ``peers.py``: ``python peers_inside.py TOOL MODEL IMAGE TILES``.
 
 Nothing of this project is imported here, and nothing here by this project: ultralytics is under the AGPL. The last line
 printed is JSON: seconds, CPU seconds, peak memory, boxes, tiles. ``python peers_inside.py export FILE`` writes

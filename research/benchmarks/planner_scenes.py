@@ -1,4 +1,4 @@
-"""Renders the twelve scenes that a scripted planner is asked about.
+"""Render the twelve scenes that a scripted planner is asked about.
 
     python -m research.benchmarks.planner_scenes /tmp/scenes && vehanchor evaluate questions /tmp/scenes
 

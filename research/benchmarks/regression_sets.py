@@ -1,6 +1,6 @@
-"""What a detector takes for a car, place by place: ``python -m research.benchmarks.regression_sets [--detector FILE]``.
+"""Count true and false cars by place: ``python -m research.benchmarks.regression_sets [--detector FILE]``.
 
-Prints Markdown, kept in RESULTS.md. ``--part`` chooses:
+Prints Markdown; ``--record`` keeps it. ``--part`` chooses:
 
 * ``people``: precision and recall on upright boxes drawn by people. A hit has its centre inside the label grown by a
   tenth and a length between 0.6 of the label's longer side and 1.25 of its diagonal; each label is hit once, and a
@@ -28,18 +28,19 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from research.results.record import add_record_option, recording
 from research.training.detector.distractors import KINDS, draw_distractors
 from research.training.detector.places import Place, is_held_out, looked_at, places
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import search
-from vehanchor.estimate import analyse_scale
 from vehanchor.imagery.metadata.lens import equivalent_lens
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Rulers, ScaleOptions, Search
 from vehanchor.scale.defaults import CAR_LENGTH_M
+from vehanchor.verbs import analyse_scale
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.table import read_table
 
@@ -64,7 +65,7 @@ _GARFIELD_M_PER_PX = 0.047  # from the GPS track and matched features: ../shared
 
 
 class Sighted(NamedTuple):
-    """One image: the detector's boxes at a low threshold, and what is known of its ground.
+    """One image: the detector's boxes at a low threshold, and what is known about the place.
 
     Attributes:
         boxes: ``[n, 5]`` in image pixels, best first.
@@ -132,7 +133,7 @@ def false_boxes(image: Sighted) -> int:
 
 
 def sighted(image: Path | NDArray[np.uint8], detector: Detector) -> Sighted:
-    """Search an image as a user's is searched, at a low threshold."""
+    """Search an image with the default options, at a low threshold."""
     ground = load_scene_scale()
     with open_raster(image) as raster:
         scene = None if ground is None else ground.look(raster)
@@ -171,7 +172,7 @@ def labelled_images(data: Path, name: str, detector: Detector) -> Iterator[Sight
 
 
 def with_known_cars(place: Place, detector: Detector) -> Sighted:
-    """A place that nobody labelled, cars seen on contact sheets spared."""
+    """Search an unlabelled place; cars known from contact sheets are excused."""
     cars = [(x, y) for x, y, kind in looked_at().get(place.path.name, []) if kind in ("car", "ignore")]
     reach = _NEARCAR_LENGTH_M / place.gsd_m_per_px
     return sighted(place.path, detector)._replace(spared=np.array(cars).reshape(-1, 2), spared_px=reach)
@@ -317,21 +318,22 @@ def main() -> None:
     parser.add_argument("--held-out", action="store_true")
     parser.add_argument("--labelled", action="append", default=[], metavar="SET")
     parser.add_argument("--thresholds", action="store_true")
-    options = parser.parse_args()
+    options = add_record_option(parser).parse_args()
     detector = Detector(resolve_model(options.detector))
     thresholds = list(_THRESHOLDS) if options.thresholds else [detector.card.min_score]
     print(f"Detector `{detector.card.name}`, sha256 `{detector.card.sha256}`\n")
     labelled = {f"{name}, val": [*labelled_images(DATA, name, detector)] for name in options.labelled}
     for part in options.part or _PARTS:
         if part == "people":
-            lines = people_report(labelled or people_sets(DATA, detector, options.held_out), thresholds)
+            key, lines = "places", people_report(labelled or people_sets(DATA, detector, options.held_out), thresholds)
         elif part == "clutter":
-            lines = clutter_report(DATA, detector, thresholds)
+            key, lines = "clutter", clutter_report(DATA, detector, thresholds)
         elif part == "mistakes":
-            lines = mistakes_report(DATA, detector)
+            key, lines = "mistakes", mistakes_report(DATA, detector)
         else:
-            lines = levels_report(DATA, detector)
-        print("\n".join(lines) + "\n", flush=True)
+            key, lines = "levels", levels_report(DATA, detector)
+        with recording("detection", [key], options.record, model={detector.card.name: detector.card.sha256}):
+            print("\n".join(lines) + "\n", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""Rulers fused.
+"""Measure the fusion of rulers.
 
-``python -m research.benchmarks.rulers [--images N] [--scenes N]``. Prints Markdown, kept in RESULTS.md.
+``python -m research.benchmarks.rulers [--images N] [--scenes N]``. Prints Markdown; ``--record`` keeps it.
 
-Cars and ground are seen by the bundled models on val images of known scale and on rendered scenes of 3 to 10 cars;
-what a camera, a given height and a line of known length say is drawn, with the spreads that those rulers state. A liar
-is off by a factor of 1.5 to 5 either way.
+The bundled models measure vehicles and scene-scale prior on val images of known scale and on rendered scenes of 3 to 10
+cars. The evidence of camera, given height and known length is drawn with the spreads that those rulers state. A wrong
+ruler is off by a factor of 1.5 to 5 either way.
 """
 
 from __future__ import annotations
@@ -18,14 +18,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from research.results.record import add_record_option, recording, values_table
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ImageError
-from vehanchor.estimate import analyse_scale
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.decision import fuse_rulers, shares
 from vehanchor.rulers.evidence import Evidence
 from vehanchor.rulers.lognormal import lognormal_evidence
+from vehanchor.verbs import analyse_scale
 from vehanchor_evaluation.table import read_table
 from vehanchor_scenes import render_scene
 
@@ -38,7 +40,7 @@ _SEED = 17
 
 
 class Seen(NamedTuple):
-    """What was seen of one image: evidence of cars, of the ground, the truth, and whether cars alone may be used."""
+    """One image: evidence of vehicles and scene-scale prior, the truth, and whether vehicles alone are usable."""
 
     cars: Evidence
     ground: tuple[Evidence, ...]
@@ -48,7 +50,7 @@ class Seen(NamedTuple):
 
 
 class Case(NamedTuple):
-    """Who speaks, who of them lies, and whether the ground is heard, too."""
+    """The rulers of a case, the wrong one among them, and whether the scene-scale prior counts."""
 
     name: str
     kinds: tuple[str, ...]
@@ -58,8 +60,8 @@ class Case(NamedTuple):
 
 
 def see(data: Path, n_images: int, n_scenes: int) -> list[Seen]:
-    """Look at val images with labelled cars, and at scenes."""
-    detector = Detector(resolve_model(None), threads=1)
+    """Measure val images with labelled cars, and scenes."""
+    detector = Detector(resolve_model(None), runtime=Runtime(threads=1))
     items = [
         item
         for table in ("table.csv", "upright.csv")
@@ -90,7 +92,7 @@ def _seen(cars: Evidence, ground: Sequence[Evidence], true_gsd: float, usable: b
 
 
 def drawn(rng: np.random.Generator, seen: Seen, case: Case) -> tuple[list[Evidence], float]:
-    """What all rulers of a case say of an image, and the scale that is true: another one where the cars lie."""
+    """Draw the evidence of a case's rulers, and the true scale; another one if the vehicles are wrong."""
     truth, ground = seen.true_gsd, seen.ground
     if case.liar == "vehicles":
         truth, ground = _lie(rng, truth), ()
@@ -123,7 +125,7 @@ CASES = (
     Case("rendered, 3 to 10 cars, height", ("vehicles", "height"), only=lambda seen: seen.rendered),
     Case("rendered, 3 to 10 cars, line", ("vehicles", "known_length"), only=lambda seen: seen.rendered),
     *(
-        Case(f"{', '.join(kinds)}: {liar} lies", kinds, liar, lambda seen: seen.usable)
+        Case(f"{', '.join(kinds)}: {liar} wrong", kinds, liar, lambda seen: seen.usable)
         for kinds, liar in (
             (("vehicles", "camera", "known_length"), "camera"),
             (("vehicles", "camera", "known_length"), "known_length"),
@@ -165,16 +167,21 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--images", type=int, default=90)
     parser.add_argument("--scenes", type=int, default=50)
-    options = parser.parse_args()
+    options = add_record_option(parser).parse_args()
     seen = see(options.data, options.images, options.scenes)
     cars = np.array([abs((each.cars.gsd_m_per_px or 0) / each.true_gsd - 1) for each in seen])
-    near = 100 * np.mean(cars < 0.1)
-    print(f"Cars alone, n {len(cars)}: median {100 * np.median(cars):.1f} %, within 10 % {near:.1f} %")
-    print(f"Of them usable with {_LEAST_CARS} cars or more: {sum(each.usable for each in seen)}\n")
-    print("| who speaks | n | median | 90 % are below | within 10 % | within 20 % | said | cover | liar named |")
-    print("|---|---|---|---|---|---|---|---|---|")
-    for case in CASES:
-        print(row(case, seen), flush=True)
+    values = {
+        "cars alone: images": len(cars),
+        "cars alone: median error, %": 100 * np.median(cars),
+        "cars alone: within 10 %, %": 100 * np.mean(cars < 0.1),
+        f"usable with {_LEAST_CARS} cars or more": sum(each.usable for each in seen),
+    }
+    with recording("rulers", ["fused", "fused_cars"], options.record):
+        print("| rulers | n | median | 90 % are below | within 10 % | within 20 % | said | cover | wrong ruler named |")
+        print("|---|---|---|---|---|---|---|---|---|")
+        for case in CASES:
+            print(row(case, seen), flush=True)
+        print("", *values_table(values), sep="\n")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""Accuracy of a segmenter on real masks: ``python -m research.benchmarks.segmenter [--segmenter ENCODER DECODER]``.
+"""Measure a segmenter on real masks: ``python -m research.benchmarks.segmenter [--segmenter ENCODER DECODER]``.
 
-Every object of at least 15 px a side, prompted by its bounding box with each side moved by up to 5 % of the box (fixed
-seed); beside it, on the same prompts, GrabCut, the filled box and the inscribed ellipse. Prints Markdown, kept in
-RESULTS.md.
+Every object of at least 15 px a side is prompted by its bounding box, each side moved by up to 5 % of the box (fixed
+seed). Beside it, on the same prompts: GrabCut, the filled box and the inscribed ellipse. Prints Markdown; ``--record``
+keeps it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from research.results.record import add_record_option, recording
 from research.training.segmenter.trials import Box, Target, Trial, read_targets, report, run_trial
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_segmenter
@@ -92,7 +93,7 @@ def main() -> None:
     parser.add_argument("--split", default="val")
     parser.add_argument("--segmenter", nargs=2, metavar=("ENCODER", "DECODER"))
     parser.add_argument("--no-baselines", action="store_true")
-    options = parser.parse_args()
+    options = add_record_option(parser).parse_args()
     files = tuple(options.segmenter) if options.segmenter else None
     segmenter = Segmenter(*resolve_segmenter(files))
     methods = {segmenter.card.name: segmenter_method(segmenter)}
@@ -103,7 +104,10 @@ def main() -> None:
         for name, method in methods.items():
             by_method[name].append(run_trial(target, method))
     print(f"Segmenter `{segmenter.card.name}`, sha256 `{segmenter.card.sha256}`, split {options.split}:\n")
-    print("\n".join(report(by_method)))
+    with recording(
+        "areas", ["segmenter", "segmenter_scores"], options.record, model={segmenter.card.name: segmenter.card.sha256}
+    ):
+        print("\n".join(report(by_method)))
 
 
 if __name__ == "__main__":

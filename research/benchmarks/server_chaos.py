@@ -1,9 +1,9 @@
-"""Calls from many clients while workers are killed: ``python -m research.benchmarks.server_chaos --calls 10000``.
+"""Send calls from many clients while workers are killed: ``python -m research.benchmarks.server_chaos --calls 10000``.
 
 Four cheap scenes and seven bombs. Aim: every call is answered, right or with a code that says to try again; none later
 than half a second after the deadline; ``/healthz`` below 200 ms at the 99th percentile; the whole server below
 2 GiB. Ends after that many answers, some seven minutes on two quiet cores, or after ``--minutes``; where that comes
-first, ``--state FILE`` keeps what was seen, and the same command goes on from there. Prints a row for RESULTS.md.
+first, ``--state FILE`` keeps what was seen, and the same command goes on from there. ``--record`` keeps what was seen.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ import anyio
 import cv2
 from mcp import Client
 
+from research.results.record import add_record_option, recording, values_table
 from tests import bombs
 from tests.server_process import (
     HttpServer,
@@ -43,6 +44,13 @@ Reply: TypeAlias = tuple[Any, str | None]
 
 RETRYABLE = ("busy", "worker_killed", "worker_unavailable", "deadline_exceeded")
 DEADLINE_S = 20.0
+_AIMS: dict[str, float | str] = {
+    "wrong": 0,
+    "lost": 0,
+    "`/healthz` 99th percentile, ms": 200,
+    "slowest reply, s": DEADLINE_S + 0.5,
+    "memory, most, MiB": 2048,
+}
 BACK_OFF_S = 1.5, 5.0  # before a client that was told to try again does
 N_PLACES = 4
 _SIDE_PX = 320
@@ -66,28 +74,32 @@ class Tally:
 
     @classmethod
     def read(cls, path: Path | None) -> Tally:
-        """What an earlier run saw; nothing without one."""
+        """Read the counts of an earlier run, if there is one."""
         if path is None or not path.exists():
             return cls()
         kept = json.loads(path.read_text())
         return cls(**{**kept, "ends": Counter(kept["ends"]), "codes": Counter(kept["codes"])})
 
-    def row(self, n_clients: int) -> str:
-        """The row of RESULTS.md."""
+    def table(self) -> list[str]:
+        """What was seen, as the lines of a table."""
         times = sorted(self.healthy_ms) or [float("nan")]
-        median, p99 = times[len(times) // 2], times[-1 - len(times) // 100]
-        ends, load = self.ends, os.getloadavg()[1]
-        told = ", ".join(f"{n} {code}" for code, n in self.codes.most_common())
-        return (
-            f"| {self.seconds / 60:.1f} | {self.n_answered}, of them {ends['right']} right, {ends['wrong']} wrong, "
-            f"{ends['lost']} lost | {sum(self.codes.values())} ({told}) | {median:.0f}, {p99:.0f} ms | "
-            f"{self.slowest_s:.1f} s | {self.peak_mib:.0f} MiB | {n_clients} clients, {ends['kills']} kills, "
-            f"load {load:.0f} |"
-        )
+        values: dict[str, float | str] = {
+            "calls answered": self.n_answered,
+            "minutes": self.seconds / 60,
+            **{name: self.ends[name] for name in ("right", "wrong", "lost")},
+            "told to try again": sum(self.codes.values()),
+            **{f"of these {code}": count for code, count in self.codes.most_common()},
+            "workers killed": self.ends["kills"],
+            "`/healthz` median, ms": round(times[len(times) // 2]),
+            "`/healthz` 99th percentile, ms": round(times[-1 - len(times) // 100]),
+            "slowest reply, s": self.slowest_s,
+            "memory, most, MiB": round(self.peak_mib),
+        }
+        return values_table(values, _AIMS)
 
 
 async def chaos(n_calls: int, n_clients: int, period_s: float, minutes: float, state: Path | None) -> Tally:
-    """Ask until so many calls are answered, or the time is up."""
+    """Send calls until enough are answered or the time is up."""
     tally = Tally.read(state)
     with tempfile.TemporaryDirectory() as directory:
         asked = questions(Path(directory).resolve())
@@ -194,14 +206,20 @@ def _by_path(path: Path) -> dict[str, Any]:
     return {"image": {"kind": "path", "path": str(path)}}
 
 
-if __name__ == "__main__":
+def main() -> int:
+    """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--calls", type=int, default=10_000)
     parser.add_argument("--clients", type=int, default=64)
     parser.add_argument("--period", type=float, default=5.0, help="seconds between kills")
     parser.add_argument("--minutes", type=float, default=7.5, help="no call is begun after")
     parser.add_argument("--state", type=Path, help="file that keeps what was seen, to go on from")
-    given = parser.parse_args()
-    seen = anyio.run(chaos, given.calls, given.clients, given.period, given.minutes, given.state)
-    print(seen.row(given.clients))
-    sys.exit(1 if seen.ends["wrong"] or seen.ends["lost"] else 0)
+    given = add_record_option(parser).parse_args()
+    with recording("server", ["chaos"], given.record):
+        seen = anyio.run(chaos, given.calls, given.clients, given.period, given.minutes, given.state)
+        print(*seen.table(), sep="\n")
+    return 1 if seen.ends["wrong"] or seen.ends["lost"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,4 +1,4 @@
-"""Checks of the server that nobody here wrote.
+"""Run the official conformance checks on the server.
 
 ``python -m research.benchmarks.server_conformance``. Exit status 0 if all pass.
 

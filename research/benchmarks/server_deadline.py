@@ -1,9 +1,10 @@
-"""Whether hostile images are answered by the deadline: ``python -m research.benchmarks.server_deadline``. Linux only.
+"""Check that hostile images are answered by the deadline.
 
-Each family of ``door_costs`` at its larger size, and a large photograph that is no bomb, is sent to a server whose
-deadline is one second; meanwhile another process asks for ``/healthz`` all the time. Aims: an answer within half a
-second after the deadline, the longest ``/healthz`` below 200 ms. Prints Markdown, kept in RESULTS.md; exit status 1 if
-one is late.
+``python -m research.benchmarks.server_deadline``. Linux only.
+
+Each family of ``tests.image_costs`` at its larger size, and a large photograph, is sent to a server whose deadline is
+one second. Another process asks for ``/healthz`` all the time. Aims: an answer within half a second after the deadline,
+the longest ``/healthz`` below 200 ms. Prints Markdown; ``--record`` keeps it. Exit status 1 if one is late.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pathlib import Path
 import anyio
 from mcp import Client
 
+from research.results.record import add_record_option, recording
 from tests.image_costs import FAMILIES
 from tests.server_process import HttpServer, health_times_ms, http_server, write_large_image
 
@@ -34,16 +36,13 @@ async def ask(server: HttpServer, path: Path) -> tuple[float, str]:
     return taken, getattr(result.content[0], "text", "").partition(":")[0] if result.is_error else "answered"
 
 
-def main() -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--deadline", type=float, default=1.0, help="of the server, seconds")
-    asked = parser.parse_args()
+def measure(deadline_s: float) -> list[str]:
+    """Print the answer to each image; return those that come late."""
     late = []
     print("| image | file, MiB | reply after, s | answer | `/healthz` median, longest, ms |\n|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as directory:
         folder = Path(directory).resolve()
-        flags = ("--root", str(folder), "--threads", "1", "--deadline-s", str(asked.deadline))
+        flags = ("--root", str(folder), "--threads", "1", "--deadline-s", str(deadline_s))
         with http_server(*flags) as server:
             for name, path in _images(folder):
                 with health_times_ms(server) as times:
@@ -52,10 +51,20 @@ def main() -> int:
                 print(
                     f"| {name} | {path.stat().st_size / (1 << 20):.2f} | {taken:.2f} | {answer} | {shown} |", flush=True
                 )
-                if taken > asked.deadline + LATE_S:
+                if taken > deadline_s + LATE_S:
                     late.append(name)
                 path.unlink()
                 time.sleep(_SETTLE_S)
+    return late
+
+
+def main() -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--deadline", type=float, default=1.0, help="of the server, seconds")
+    asked = add_record_option(parser).parse_args()
+    with recording("server", ["deadline_images"], asked.record):
+        late = measure(asked.deadline)
     if late:
         print(f"later than {LATE_S} s after the deadline: {', '.join(late)}", file=sys.stderr)
     return 1 if late else 0

@@ -1,4 +1,4 @@
-"""Many callers at once: ``python -m research.benchmarks.server_load``. Linux only.
+"""Send calls from many clients at once: ``python -m research.benchmarks.server_load``. Linux only.
 
 1,000 mixed calls of both tools from 16 clients against two workers: none lost, each answer the library's for that
 image, memory of the workers within 10 % after warming up. Then one of the workers is killed under load: the other keeps
@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import anyio
 from mcp import Client
 
+from research.results.record import add_record_option, recording, values_table
 from tests.server_process import (
     child_processes,
     http_server,
@@ -33,6 +34,7 @@ from tests.server_process import (
 )
 from vehanchor import estimate_gsd, measure_area
 from vehanchor.detection.detector import load_detector
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model, resolve_segmenter
 from vehanchor.segmentation.segmenter import load_segmenter
 
@@ -51,8 +53,8 @@ class MixedCall(NamedTuple):
 
 def mixed_calls(images: list[Path]) -> list[MixedCall]:
     """Both tools, images by path and in base64, areas by estimated and by given scale, and calls to be refused."""
-    detector = load_detector(resolve_model(), threads=1)
-    segmenter = load_segmenter(*resolve_segmenter(), threads=1)
+    detector = load_detector(resolve_model(), Runtime(threads=1))
+    segmenter = load_segmenter(*resolve_segmenter(), Runtime(threads=1))
     calls: list[MixedCall] = []
     for image in images:
         by_path = {"image": {"kind": "path", "path": str(image)}, **_WHOLE}
@@ -79,7 +81,7 @@ def mixed_calls(images: list[Path]) -> list[MixedCall]:
 
 
 async def answered(url: str, call: MixedCall, tally: Counter[str]) -> Any:
-    """The answer to a call, after as many refusals for want of a place as it takes."""
+    """The answer to a call; a ``busy`` server is asked again."""
     while True:
         try:
             async with Client(url, read_timeout_seconds=120) as client:
@@ -116,13 +118,15 @@ async def load(url: str, calls: list[MixedCall], n_calls: int, n_clients: int, p
             group.start_soon(client)
     seconds = time.perf_counter() - started
     growth = [100 * (resident_mib(worker) / before - 1) for worker, before in warm.items()]
-    print(
-        f"{n_calls} calls from {n_clients} clients in {seconds:.1f} s ({n_calls / seconds:.1f} a second): {dict(tally)}"
-    )
-    print(
-        f"memory of the workers, MiB: {[round(resident_mib(worker)) for worker in workers]}; growth after warming up,"
-    )
-    print(f"per cent: {[round(percent, 1) for percent in growth]}")
+    values: dict[str, float | str] = {
+        "calls": n_calls,
+        "clients": n_clients,
+        "right": tally["right"],
+        "wrong": tally["wrong"],
+        "calls a second": n_calls / seconds,
+        "largest growth of a worker's memory after warming up, %": max(growth, default=float("nan")),
+    }
+    print(*values_table(values), "", sep="\n")
     return tally["right"] == n_calls and all(percent < 10 for percent in growth)
 
 
@@ -148,9 +152,8 @@ async def killed(url: str, calls: list[MixedCall], pid: int, seconds: float) -> 
         os.kill(child_processes(pid)[0], signal.SIGKILL)
     after = sorted(moment - kill_at for moment in moments if moment > kill_at)
     longest = max(b - a for a, b in zip([0.0, *after], after, strict=False)) if after else seconds
-    print(
-        f"kill -9 of one of two workers: {dict(tally)}; {len(after)} answers after it, longest silence {longest:.2f} s"
-    )
+    values = {**tally, "answers after `kill -9` of one of two workers": len(after), "longest silence, s": longest}
+    print(*values_table(values), "", sep="\n")
     return tally["wrong"] == 0 and len(after) > 0
 
 
@@ -160,8 +163,8 @@ def main() -> None:
     parser.add_argument("--calls", type=int, default=1000)
     parser.add_argument("--clients", type=int, default=16)
     parser.add_argument("--kill-s", type=float, default=30.0)
-    options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as directory:
+    options = add_record_option(parser).parse_args()
+    with tempfile.TemporaryDirectory() as directory, recording("server", ["load", "load_killed"], options.record):
         calls = mixed_calls(write_images(Path(directory).resolve()))
         with http_server("--root", directory, "--threads", "1", "--workers", "2") as server:
             fine = anyio.run(load, server.url, calls, options.calls, options.clients, server.pid)

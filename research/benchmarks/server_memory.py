@@ -1,4 +1,4 @@
-"""Memory of a whole server after its tools were called: ``python -m research.benchmarks.server_memory [--in-process]``.
+"""Measure the memory of a whole server after calls: ``python -m research.benchmarks.server_memory [--in-process]``.
 
 Aim: with worker processes at most 1.3 times that of one process, and a warm call at most 10 ms slower.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import statistics
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import anyio
 from mcp import Client
 
+from research.results.record import add_record_option, recording, values_table
 from tests.server_process import IDLE_S, http_server, memory_mib, middle_box, target, write_images
 
 
@@ -46,22 +46,27 @@ async def measure(*flags: str, n_rounds: int, n_calls: int) -> None:
                     started = time.perf_counter()
                     await call("measure_area", {**by_path, **box, "gsd_m_per_px": 0.15})
                     taken_ms.append(1000 * (time.perf_counter() - started))
-    print(f"PSS once loaded: {sum(loaded):.0f} MiB {_shown(loaded)}")
-    print(f"PSS after both tools, twice at once: {sum(called):.0f} MiB {_shown(called)}")
-    print(f"PSS {IDLE_S:g} s later: {sum(idle):.0f} MiB {_shown(idle)}")
-    print(
-        f"measure_area with a known scale: median {statistics.median(taken_ms):.1f} ms, fastest {min(taken_ms):.1f} ms"
-    )
+    values: dict[str, float | str] = {
+        "PSS once loaded, MiB": round(sum(loaded)),
+        "PSS after both tools, twice at once, MiB": round(sum(called)),
+        f"PSS {IDLE_S:g} s later, MiB": round(sum(idle)),
+        "processes": len(idle),
+        "measure_area with a known scale, median, ms": statistics.median(taken_ms),
+        "measure_area with a known scale, fastest, ms": min(taken_ms),
+    }
+    print(*values_table(values), sep="\n")
 
 
-def _shown(parts: list[float]) -> str:
-    return "(" + ", ".join(f"{part:.0f}" for part in parts) + ")"
-
-
-if __name__ == "__main__":
+def main() -> None:
+    """Command line; unknown options are passed on to the server."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=2, help="of both tools, before memory is looked at")
     parser.add_argument("--calls", type=int, default=20, help="that are timed")
-    given, others = parser.parse_known_args()
-    anyio.run(lambda: measure(*others, n_rounds=given.rounds, n_calls=given.calls))
-    sys.exit(0)
+    given, others = add_record_option(parser).parse_known_args()
+    key = "memory_in_process" if "--in-process" in others else "memory_workers"
+    with recording("server", [key], given.record):
+        anyio.run(lambda: measure(*others, n_rounds=given.rounds, n_calls=given.calls))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,4 +1,4 @@
-"""What a call over stdio costs beyond the library's.
+"""Measure what a call over stdio costs beyond the library.
 
 ``python -m research.benchmarks.server_overhead``. Aim: < 15 ms, median.
 
@@ -22,6 +22,7 @@ import numpy as np
 from mcp import Client, StdioServerParameters
 from pydantic import BaseModel
 
+from research.results.record import add_record_option, header, recording, values_table
 from tests.server_process import (
     IDLE_S,
     SERVE,
@@ -34,14 +35,15 @@ from tests.server_process import (
 )
 from vehanchor import estimate_gsd, measure_area
 from vehanchor.detection.detector import load_detector
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model, resolve_segmenter
 from vehanchor.segmentation.segmenter import load_segmenter
 
 
 async def overhead(n_calls: int, threads: int) -> None:
     """Library and server in turns, so that both meet the same machine."""
-    detector = load_detector(resolve_model(), threads=threads)
-    segmenter = load_segmenter(*resolve_segmenter(), threads=threads)
+    detector = load_detector(resolve_model(), Runtime(threads=threads))
+    segmenter = load_segmenter(*resolve_segmenter(), Runtime(threads=threads))
     with tempfile.TemporaryDirectory() as directory:
         image = write_images(Path(directory).resolve())[0]
         by_path = {"image": {"kind": "path", "path": str(image)}, "detail": "full"}
@@ -70,11 +72,9 @@ async def overhead(n_calls: int, threads: int) -> None:
                         library.append(1000 * (middle - started))
                         called.append(1000 * (ended - middle))
                 differences = [b - a for a, b in zip(library, called, strict=True)]
-                print(
-                    f"{tool}: library {statistics.median(library):.1f} ms, over stdio "
-                    f"{statistics.median(called):.1f} ms, overhead {statistics.median(differences):.1f} ms at the "
-                    f"median of {n_calls} calls on 1024 x 1024"
-                )
+                medians = [statistics.median(each) for each in (library, called, differences)]
+                shown = " | ".join(f"{median:.1f}" for median in medians)
+                print(f"| `{tool}` | {n_calls} | {shown} |", flush=True)
 
 
 async def workers_cost(n_calls: int, threads: int) -> None:
@@ -109,19 +109,15 @@ async def workers_cost(n_calls: int, threads: int) -> None:
                             taken.append((pair[0], pair[1]))
                     differences = sorted(a - b for a, b in taken)
                     quarter = len(differences) // 4
-                    print(
-                        f"{words}: worker {statistics.median(a for a, _ in taken):.1f} ms, in process "
-                        f"{statistics.median(b for _, b in taken):.1f} ms; difference "
-                        f"{statistics.median(differences):+.1f} ms at the median of {n_calls} pairs, quartiles "
-                        f"{differences[quarter]:+.1f} and {differences[-1 - quarter]:+.1f}; processor time a call "
-                        f"{used[0] / n_calls:.1f} and {used[1] / n_calls:.1f} ms",
-                        flush=True,
-                    )
+                    medians = [statistics.median(each) for each in (*zip(*taken, strict=True), differences)]
+                    shown = " | ".join(f"{median:.1f}" for median in medians)
+                    quartiles = f"{differences[quarter]:+.1f}, {differences[-1 - quarter]:+.1f}"
+                    spent = " | ".join(f"{each / n_calls:.1f}" for each in used)
+                    print(f"| {words} | {shown} | {quartiles} | {spent} |", flush=True)
             await anyio.sleep(IDLE_S)
             held = [sum(memory_mib(server.pid)) for server in (isolated, single)]
-            print(
-                f"idle, PSS: {held[0]:.0f} MiB with a worker, {held[1]:.0f} in process: {held[0] / held[1]:.2f} times"
-            )
+            values = {"with a worker, MiB": held[0], "in process, MiB": held[1], "times": held[0] / held[1]}
+            print("", *values_table(values), sep="\n")
 
 
 _LINE: dict[str, Any] = {"lines": [{"points": [{"x": 5, "y": 5}, {"x": 90, "y": 90}]}]}
@@ -139,7 +135,8 @@ async def first_list(n_starts: int) -> None:
         async with Client(StdioServerParameters(command=SERVE[0], args=SERVE[1:])) as client:
             await client.list_tools()
             times.append(time.perf_counter() - started)
-    print(f"first tools/list after {statistics.median(times):.2f} s at the median of {n_starts} starts")
+    values = {"first `tools/list` after the start, median, s": statistics.median(times), "starts": n_starts}
+    print("", *values_table(values), sep="\n")
 
 
 def main() -> None:
@@ -149,12 +146,17 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--starts", type=int, default=7)
     parser.add_argument("--workers", action="store_true", help="measure what workers cost over HTTP")
-    options = parser.parse_args()
+    options = add_record_option(parser).parse_args()
     if options.workers:
-        anyio.run(workers_cost, options.calls, options.threads)
+        with recording("server", ["workers", "workers_idle"], options.record):
+            times = ("worker, ms", "in process, ms", "difference, median, ms", "quartiles, ms")
+            print(header("call", *times, "worker, CPU ms", "in process, CPU ms"))
+            anyio.run(workers_cost, options.calls, options.threads)
         return
-    anyio.run(overhead, options.calls, options.threads)
-    anyio.run(first_list, options.starts)
+    with recording("server", ["overhead_stdio", "first_list"], options.record):
+        print(header("call, 1024 x 1024 px", "calls", "library, ms", "over stdio, ms", "overhead, median, ms"))
+        anyio.run(overhead, options.calls, options.threads)
+        anyio.run(first_list, options.starts)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Speed and memory: ``python -m research.benchmarks.speed``. Prints Markdown, kept in RESULTS.md with the machine.
+"""Measure speed and memory: ``python -m research.benchmarks.speed``. Prints Markdown; ``--record`` keeps it.
 
 The whole pipeline on a 4096 x 4096 scene is timed against bare ONNX Runtime on the same tiles, in turns, and against
 all of its own networks; ``--detector`` names other files that take turns with it.
@@ -7,7 +7,6 @@ all of its own networks; ``--detector`` names other files that take turns with i
 from __future__ import annotations
 
 import argparse
-import platform
 import statistics
 import subprocess
 import sys
@@ -21,14 +20,15 @@ import numpy as np
 import onnxruntime
 
 from research.benchmarks.networks_time import networks_seconds
+from research.results.record import add_record_option, recording
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import search_levels
 from vehanchor.detection.nms import oriented_nms
-from vehanchor.estimate import analyse_scale
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import read_reduced_window, tile_grid
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions, Search
+from vehanchor.verbs import analyse_scale
 from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
@@ -82,9 +82,10 @@ def pipeline(rounds: int, others: list[str]) -> list[str]:
         name = detector.path.stem
         ratio = statistics.median(w / b for w, b in zip(whole[k], bare[k], strict=True))
         lines += [
-            f"| {name}: pipeline, 4096 x 4096, {n_boxes} boxes | {statistics.median(whole[k]):.2f} s |",
-            f"| {name}: bare ONNX Runtime, the same {len(tiles)} tiles | {statistics.median(bare[k]):.2f} s |",
-            f"| {name}: pipeline / bare (median of {rounds} pairs) | {ratio:.3f} |",
+            f"| {name}: pipeline, 4096 x 4096, s | {statistics.median(whole[k]):.2f} |",
+            f"| {name}: vehicles found | {n_boxes} |",
+            f"| {name}: bare ONNX Runtime, the same {len(tiles)} tiles, s | {statistics.median(bare[k]):.2f} |",
+            f"| {name}: pipeline / bare | {ratio:.3f} |",
             f"| {name}: pipeline / all its networks | {statistics.median(added[k]):.3f} |",
         ]
         if k:
@@ -105,7 +106,7 @@ def peak_memory() -> str:
             "print(next(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')))"
         )
         kib = int(subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout)
-    return f"| peak memory, 4096 x 4096 PNG | {kib / 1024:.0f} MiB |"
+    return f"| peak memory, 4096 x 4096 PNG, MiB | {kib / 1024:.0f} |"
 
 
 def nms_time() -> str:
@@ -121,7 +122,7 @@ def nms_time() -> str:
         started = time.perf_counter()
         kept = oriented_nms(boxes, scores)
         times.append(time.perf_counter() - started)
-    return f"| oriented NMS, 50,000 boxes ({len(kept)} kept) | {statistics.median(times):.2f} s |"
+    return f"| oriented NMS of 50,000 boxes, {len(kept)} kept, s | {statistics.median(times):.2f} |"
 
 
 def _command_time(*command: str) -> float:
@@ -137,8 +138,8 @@ def start_up() -> list[str]:
     """Import and help times, the bare interpreter's taken off for the import."""
     interpreter = _command_time("-c", "pass")
     return [
-        f"| import vehanchor | {_command_time('-c', 'import vehanchor') - interpreter:.2f} s |",
-        f"| vehanchor --help | {_command_time('-m', 'vehanchor', '--help'):.2f} s |",
+        f"| import vehanchor, s | {_command_time('-c', 'import vehanchor') - interpreter:.2f} |",
+        f"| vehanchor --help, s | {_command_time('-m', 'vehanchor', '--help'):.2f} |",
     ]
 
 
@@ -147,11 +148,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--detector", action="append", default=[], help="file or name; may be repeated")
-    options = parser.parse_args()
-    print(f"{platform.machine()}, onnxruntime {onnxruntime.__version__}, OpenCV {cv2.__version__}\n")
-    print("| what | measured |\n|---|---|")
-    for line in [*pipeline(options.rounds, options.detector), peak_memory(), nms_time(), *start_up()]:
-        print(line, flush=True)
+    options = add_record_option(parser).parse_args()
+    with recording("speed", ["pipeline_all"], options.record, rounds=options.rounds):
+        print("| quantity | value |\n|---|---|")
+        for line in [*pipeline(options.rounds, options.detector), peak_memory(), nms_time(), *start_up()]:
+            print(line, flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""Optional stopping: ``python -m research.benchmarks.stopping --data FOLDER``. Prints Markdown, kept in RESULTS.md.
+"""Measure optional stopping.
+
+``python -m research.benchmarks.stopping --data FOLDER``. Prints Markdown; ``--record`` keeps it.
 
 Each val image is searched once; mosaics of 0.2 m/px are then laid out of what was found in them, towns with fields
 between, and searched by the real order and rule. Fleets differ from mosaic to mosaic as much as the reference length
@@ -17,6 +19,7 @@ import cv2
 import numpy as np
 
 from research.benchmarks.gigapixel import CELL_PX, GSD_M, SETS, layout, pictures
+from research.results.record import add_record_option, header, recording
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.convergence import ANYTIME_PIXELS, next_check, settled, stop_rule
 from vehanchor.detection.detections import Detections
@@ -109,7 +112,7 @@ class Mosaic:
         self.side = side
 
     def detections(self, found: NDArray[Any]) -> Detections:
-        """What a search that has found these boxes has to say."""
+        """Detections of a search that has found these boxes."""
         kept = np.flatnonzero(found)
         kept = kept[np.argsort(-self.scores[kept], kind="stable")]
         look = FleetAppearance(self.odds[kept[:_LOOKS]], self.lengths[kept[:_LOOKS]])
@@ -170,7 +173,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--mosaics", type=int, default=300)
     parser.add_argument("--side", type=int, default=8192)
-    chosen = parser.parse_args()
+    chosen = add_record_option(parser).parse_args()
     detector = load_detector(resolve_model(None))
     towns = {name: searched(pictures(chosen.data, name, table), detector) for name, table in SETS.items()}
     fields = searched(pictures(chosen.data, "empty", "table.csv"), detector)
@@ -183,18 +186,20 @@ def main() -> None:
         for effort, outcomes in found.items():
             outcomes.append(outcome(mosaic, detector, ScaleOptions.of({"effort": effort})))
     full = np.array([each.gsd for each in found["full"]])
-    print("| effort | cover | tiles, median | settled | |log to full|: median, 95th | within its statistical 95 % |")
-    print("|---|---|---|---|---|---|")
-    for effort, outcomes in found.items():
-        off = np.abs(np.log(np.array([each.gsd for each in outcomes]) / full))
-        ended = np.array([each.settled for each in outcomes])
-        honest = off <= 1.96 * np.array([each.statistical for each in outcomes])
-        print(
-            f"| {effort} | {np.mean([each.covered for each in outcomes]):.3f} | "
-            f"{np.median([each.share for each in outcomes]):.3f} | {ended.mean():.2f} | "
-            f"{np.nanmedian(off):.4f}, {np.nanpercentile(off, 95):.4f} | {honest.mean():.3f} |",
-            flush=True,
-        )
+    columns = ["effort", "cover of the 95 % interval", "tiles, median", "ended early", "difference to `full`: median"]
+    columns += ["95th percentile", "of them within the statistical 95 %"]
+    with recording("speed", ["stopping"], chosen.record):
+        print(header(*columns))
+        for effort, outcomes in found.items():
+            off = np.abs(np.log(np.array([each.gsd for each in outcomes]) / full))
+            honest = np.mean(off <= 1.96 * np.array([each.statistical for each in outcomes]))
+            print(
+                f"| {effort} | {np.mean([each.covered for each in outcomes]):.1%} | "
+                f"{np.median([each.share for each in outcomes]):.1%} | "
+                f"{np.mean([each.settled for each in outcomes]):.0%} | {np.nanmedian(off):.2%} | "
+                f"{np.nanpercentile(off, 95):.1%} | {honest:.1%} |",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

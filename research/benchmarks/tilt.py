@@ -1,10 +1,10 @@
-"""Cameras that look aside: ``python -m research.benchmarks.tilt {warped,courts,real,nadir} DATA [--cache FOLDER]``.
+"""Measure tilted cameras: ``python -m research.benchmarks.tilt {warped,courts,real,nadir} DATA [--cache FOLDER]``.
 
-``warped`` sees orthophotos of known scale by known homographies (pitch -90 to -45, roll within 10 degrees, three focal
+``warped`` warps orthophotos of known scale by known homographies (pitch -90 to -45, roll within 10 degrees, three focal
 lengths): the tilt by cars, by metadata (angles off by a degree or so, the height by 5 %) and by both; areas of
 rectangles anywhere in the frame, treated and not. ``courts`` does so with rendered sports grounds, one whole court in
-each image, and no metadata. ``real`` reads the eight pitches of DATA/tilt. ``nadir`` counts images from straight above
-that are taken for tilted.
+each image, and no metadata. ``real`` reads the eight pitches of DATA/tilt. ``nadir`` counts nadir images that
+are taken for tilted ones.
 """
 
 from __future__ import annotations
@@ -23,16 +23,19 @@ import cv2
 import numpy as np
 
 from research.benchmarks.flights import read, spoiled
+from research.results.record import add_record_option, recording
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.scene_scale import SceneScalePrior, load_scene_scale
 from vehanchor.detection.search import search
+from vehanchor.engine import Engine
 from vehanchor.errors import TooObliqueError
-from vehanchor.estimate import analyse_detections, open_detector
+from vehanchor.estimate import analyse_detections
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import ImageFacts, image_facts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.metadata.lens import equivalent_lens
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.runtime import Runtime
 from vehanchor.options import ScaleOptions
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.evidence import View
@@ -68,7 +71,7 @@ _CANNES_COLUMNS = 49
 
 
 class Aside(NamedTuple):
-    """An image with its true plane, its detections and its scene-scale prior."""
+    """A tilted view with its truth, its detections and its scene-scale prior."""
 
     image: NDArray[np.uint8]
     plane: GroundPlane
@@ -79,7 +82,7 @@ class Aside(NamedTuple):
 def looked_at(
     image: ImageSource, detector: Detector, cache: Path | None
 ) -> tuple[ImageFacts, Detections, SceneScalePrior | None]:
-    """Facts of an image and what the search found in it, from a folder where it was searched before."""
+    """Facts, detections and prior of an image, from the cache if it was searched before."""
     with open_raster(image) as raster:
         facts = image_facts(raster)
         key = hashlib.sha256(f"{detector.card.sha256} {facts.image_id}".encode()).hexdigest()[:24]
@@ -87,7 +90,7 @@ def looked_at(
         if known is not None and known.exists():
             detections, prior = from_json(json.loads(known.read_text()))
             return facts, detections, prior
-        network = load_scene_scale(providers=detector.providers)
+        network = load_scene_scale(detector.runtime)
         prior = None if network is None else network.look(raster)
         detections = search(raster, detector, ScaleOptions().search, scene=prior)
     if known is not None:
@@ -97,7 +100,7 @@ def looked_at(
 
 
 def seen_aside(ground: NDArray[np.uint8], plane: GroundPlane, aim: ArrayLike | None = None) -> NDArray[np.uint8]:
-    """The ground as a camera sees it; its scale at the centre is the ground's. Beyond its edges it is mirrored.
+    """Project an orthophoto into a tilted view with the same scale at the centre; beyond its edges it is mirrored.
 
     Args:
         ground: ``[h, w, 3]`` from straight above.
@@ -135,7 +138,7 @@ def rectangles(plane: GroundPlane, rng: np.random.Generator) -> Iterator[tuple[N
 
 
 def _in_image(plane: GroundPlane, above: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The way back from ``GroundPlane.from_above``."""
+    """Invert ``GroundPlane.from_above``."""
     corners = np.array([(0.0, 0.0), (plane.width_px, 0.0), (plane.width_px, plane.height_px), (0.0, plane.height_px)])
     move = cv2.getPerspectiveTransform(plane.from_above(corners).astype(np.float32), corners.astype(np.float32))
     return np.asarray(cv2.perspectiveTransform(above[None], move)[0], dtype=np.float64)
@@ -156,7 +159,7 @@ def estimated(
 
 
 def told(plane: GroundPlane, rng: np.random.Generator) -> CameraMetadata:
-    """Metadata of a camera, about right."""
+    """Camera metadata with drawn errors."""
     return CameraMetadata(
         height_m=plane.height_m * float(np.exp(rng.normal(0, _HEIGHT_LOG_SD))),
         height_tag="RelativeAltitude",
@@ -178,7 +181,7 @@ def orthophotos(data: Path, split: str, number: int) -> list[Path]:
 
 
 def warped(data: Path, split: str, number: int, tilts: Sequence[float], detector: Detector, cache: Path | None) -> None:
-    """Print the tables of orthophotos seen from aside."""
+    """Print the tables of tilted orthophotos."""
     grounds = [(read(path), 0.2) for path in orthophotos(data, split, number)]
     rows = {tilt: [_row(*ground, tilt, seed, detector, cache) for seed, ground in enumerate(grounds)] for tilt in tilts}
     print("| pitch | images | 25 cars | cars alone, focal length known | unknown | warned of | metadata | with cars |")
@@ -210,7 +213,7 @@ def _median(found: Sequence[dict[str, float]], name: str, factor: float = 1.0) -
 def _row(
     ground: NDArray[np.uint8], gsd: float, tilt: float, seed: int, detector: Detector, cache: Path | None
 ) -> dict[str, float]:
-    """What is off in one image, degrees and shares."""
+    """Errors of one image, degrees and shares."""
     rng = np.random.default_rng([seed, round(tilt), 20261122])
     focal = equivalent_lens(*_SIZE, float(rng.choice(_FOCALS_35MM[tilt > _WIDEST_AT_DEG :]))).pixels
     plane = GroundPlane(gsd, tilt, focal, *_SIZE, float(rng.uniform(-10, 10)))
@@ -252,7 +255,7 @@ def _off_areas(
 
 
 def courts(number: int, tilts: Sequence[float], cpu_s: float, detector: Detector) -> None:
-    """Print the table of rendered sports grounds seen from aside, one whole court in each, without a tilt or vehicles.
+    """Print the table of tilted sports grounds, one whole court in each, without metadata or vehicles.
 
     Args:
         number: grounds, if they are done in time.
@@ -286,7 +289,7 @@ def courts(number: int, tilts: Sequence[float], cpu_s: float, detector: Detector
 def _court_row(
     ground: NDArray[np.uint8], whole: Sequence[NDArray[np.float64]], tilt: float, seed: int, detector: Detector
 ) -> dict[str, float]:
-    """What is off in one view with a whole court in it, degrees and shares."""
+    """Errors of one view with a whole court, degrees and shares."""
     rng = np.random.default_rng([seed, round(tilt), 20261122])
     focal = equivalent_lens(*_SIZE, float(rng.choice(_FOCALS_35MM[tilt > _WIDEST_AT_DEG :]))).pixels
     plane = GroundPlane(0.1, tilt, focal, *_SIZE, float(rng.uniform(-10, 10)))
@@ -351,7 +354,7 @@ def real(data: Path, detector: Detector, cache: Path | None) -> None:
 
 
 def nadir(data: Path, split: str, least: int, detector: Detector, cache: Path | None) -> None:
-    """Count images from straight above that are taken for tilted: those with labelled cars, and rows of neighbours."""
+    """Count nadir images that are taken for tilted: those with labelled cars, and rows of neighbours."""
     print("| set | images | 25 cars | a tilt in the record | a warning | the same, focal length known | ", end="")
     print("by cars alone, median | 95th percentile |")
     print("|---|---|---|---|---|---|---|---|")
@@ -412,17 +415,19 @@ def main() -> None:
     parser.add_argument("--images", type=int, default=12, help="grounds that are seen from aside")
     parser.add_argument("--labelled", type=int, default=1, help="nadir: least labelled cars of an image")
     parser.add_argument("--cpu-seconds", type=float, default=900.0, help="courts: then no other ground is begun")
-    chosen = parser.parse_args()
-    detector = open_detector(None, ScaleOptions(), threads=1)
-    if chosen.what == "warped":
-        tilts = chosen.tilts or _TILTS_DEG
-        warped(chosen.data, chosen.split, chosen.images, tilts, detector, chosen.cache)
-    elif chosen.what == "courts":
-        courts(chosen.images, chosen.tilts or _COURT_TILTS_DEG, chosen.cpu_seconds, detector)
-    elif chosen.what == "real":
-        real(chosen.data, detector, chosen.cache)
-    else:
-        nadir(chosen.data, chosen.split, chosen.labelled, detector, chosen.cache)
+    chosen = add_record_option(parser).parse_args()
+    detector = Engine(runtime=Runtime(threads=1)).detector
+    keys = {"warped": ["angles", "areas"], "courts": ["courts", "court_areas"], "real": ["photographs"]}
+    with recording("tilt", keys.get(chosen.what, [chosen.what]), chosen.record):
+        if chosen.what == "warped":
+            tilts = chosen.tilts or _TILTS_DEG
+            warped(chosen.data, chosen.split, chosen.images, tilts, detector, chosen.cache)
+        elif chosen.what == "courts":
+            courts(chosen.images, chosen.tilts or _COURT_TILTS_DEG, chosen.cpu_seconds, detector)
+        elif chosen.what == "real":
+            real(chosen.data, detector, chosen.cache)
+        else:
+            nadir(chosen.data, chosen.split, chosen.labelled, detector, chosen.cache)
 
 
 if __name__ == "__main__":

@@ -27,11 +27,23 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
-__all__ = ["Table", "add_record_option", "load", "names_of", "recording", "tables_of", "write"]
+__all__ = [
+    "Table",
+    "add_record_option",
+    "header",
+    "load",
+    "names_of",
+    "recording",
+    "tables_of",
+    "values_table",
+    "write",
+]
 
 FOLDER = Path(__file__).parent
 _LINE_CHARACTERS = 118
@@ -137,6 +149,26 @@ def recording(
     for k, table in enumerate(tables_of(printed.getvalue())):
         key = keys[k] if k < len(keys) else f"{keys[-1]}_{k + 1}"
         write(topic, f"{key}_{suffix}" if suffix else key, table, folder=folder, **facts)
+
+
+def header(*columns: str) -> str:
+    """The two lines that begin a Markdown table."""
+    return f"| {' | '.join(columns)} |\n|" + "---|" * len(columns)
+
+
+def values_table(values: Mapping[str, float | str], aims: Mapping[str, float | str] | None = None) -> list[str]:
+    """The lines of a table with one quantity a row; three significant digits, or all of a whole number."""
+    lines = [header("quantity", "value", "aim") if aims else header("quantity", "value")]
+    for name, value in values.items():
+        cells = [name, _shown(value), *([str(aims.get(name, ""))] if aims else [])]
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def _shown(value: float | str) -> str:
+    if isinstance(value, str | int | np.integer):
+        return str(value)
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
 
 
 class _Copy(io.StringIO):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -103,11 +103,7 @@ def train(network: nn.Module, examples: Examples, losses: Losses, recipe: Recipe
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     network.to(device)
     averaged = copy.deepcopy(network).eval()
-    kernels = [p for p in network.parameters() if p.ndim > 1]
-    others = [p for p in network.parameters() if p.ndim <= 1]
-    optimizer = torch.optim.AdamW(
-        [{"params": kernels, "weight_decay": recipe.weight_decay}, {"params": others, "weight_decay": 0.0}]
-    )
+    optimizer = _optimizer(network, recipe.weight_decay)
     first, steps = 0, recipe.schedule.steps
     if run and (run / _CHECKPOINT).exists():
         state = torch.load(run / _CHECKPOINT, map_location=device, weights_only=True)
@@ -117,25 +113,14 @@ def train(network: nn.Module, examples: Examples, losses: Losses, recipe: Recipe
         torch.set_rng_state(state["random"].cpu())
         first = state["step"]
         print(f"resumed at step {first}", flush=True)
-
-    size = recipe.batch or 1
-    loader = iter(
-        DataLoader(
-            examples,  # type: ignore[arg-type]  # torch asks for its own base class, and uses __getitem__ alone
-            batch_size=recipe.batch,
-            sampler=range(first * size, steps * size),
-            num_workers=recipe.workers,
-            prefetch_factor=4 if recipe.workers else None,
-            generator=torch.Generator(),  # its draw must not move the state that a checkpoint keeps
-        )
-    )
+    batches = _batches(examples, recipe, first)
     network.train()
     sums: dict[str, float] = {}
     started = time.monotonic()
     for step in range(first, steps):
         for group in optimizer.param_groups:
             group["lr"] = recipe.schedule.rate(step)
-        batch = next(loader)
+        batch = next(batches)
         with torch.autocast(device.type, torch.bfloat16, enabled=recipe.bfloat16):
             parts = losses(network, batch, device)
         optimizer.zero_grad(set_to_none=True)
@@ -161,6 +146,29 @@ def train(network: nn.Module, examples: Examples, losses: Losses, recipe: Recipe
             }
             save_atomically(state, run / _CHECKPOINT)
     return averaged.to("cpu")
+
+
+def _optimizer(network: nn.Module, weight_decay: float) -> torch.optim.Optimizer:
+    """AdamW; biases and normalisation keep their weights."""
+    kernels = [p for p in network.parameters() if p.ndim > 1]
+    others = [p for p in network.parameters() if p.ndim <= 1]
+    return torch.optim.AdamW(
+        [{"params": kernels, "weight_decay": weight_decay}, {"params": others, "weight_decay": 0.0}]
+    )
+
+
+def _batches(examples: Examples, recipe: Recipe, first: int) -> Iterator[Any]:
+    """The batches from a step on."""
+    size = recipe.batch or 1
+    loader: DataLoader[Any] = DataLoader(
+        examples,  # type: ignore[arg-type]  # torch asks for its own base class, and uses __getitem__ alone
+        batch_size=recipe.batch,
+        sampler=range(first * size, recipe.schedule.steps * size),
+        num_workers=recipe.workers,
+        prefetch_factor=4 if recipe.workers else None,
+        generator=torch.Generator(),  # its draw must not move the state that a checkpoint keeps
+    )
+    return iter(loader)
 
 
 def load_average(network: nn.Module, run: Path) -> None:

@@ -1,1 +1,1 @@
-"""The MCP server of VehAnchor: the library's functions as stateless tools, over stdio and HTTP."""
+"""MCP server of VehAnchor: the library as stateless tools over stdio and HTTP."""

@@ -1,4 +1,4 @@
-"""The server, without a transport."""
+"""The MCP server, independent of its transport."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from vehanchor_server.tools.registry import create_tools
 from vehanchor_server.tools.strict_tool import StrictTool
 
 _FIXED: tuple[CacheableMethod, ...] = ("tools/list", "resources/list", "resources/read")
-_LIST_TTL_MS = 3_600_000  # they change with the server's version only
+_LIST_TTL_MS = 3_600_000  # lists change only with the server's version
 
 
 def create_server(
     services: Services, *, auth: AuthSettings | None = None, token_verifier: TokenVerifier | None = None
 ) -> MCPServer[object]:
-    """The MCP server with all its tools.
+    """Create the MCP server with all its tools.
 
     Args:
-        services: what the tools work with.
-        auth: how callers over HTTP show who they are; with ``token_verifier``.
-        token_verifier: checks their tokens.
+        services: shared parts of the tools.
+        auth: authentication over HTTP; needs ``token_verifier``.
+        token_verifier: verifies bearer tokens.
     """
     tools = create_tools(services)
     return _Server(
         "vehanchor",
         title="VehAnchor",
-        description="Metric scale and areas from aerial images without metadata: cars as the ruler.",
+        description="Metric scale, distances and areas from aerial images without metadata. Cars are the ruler.",
         instructions=_instructions(tools, services.settings),
         version=version("vehanchor"),
         icons=[_icon()],
@@ -54,14 +54,14 @@ def create_server(
 
 
 def _icon() -> Icon:
-    """The server's picture, itself in the address: nothing has to be fetched, and a host behind no network shows it."""
+    """Return the server's icon as a ``data:`` address, so that hosts fetch nothing."""
     picture = files("vehanchor_server").joinpath("icon.png").read_bytes()
     source = f"data:image/png;base64,{base64.b64encode(picture).decode()}"
     return Icon(src=source, mime_type="image/png", sizes=["48x48"])
 
 
 class _Server(MCPServer[object]):
-    """The SDK's server, which does not repeat a name of any length to who sent it."""
+    """The SDK's server, with a limit on the length of an unknown tool's name in its error."""
 
     async def call_tool(
         self, name: str, arguments: dict[str, Any], context: Context[object, Any] | None = None
@@ -73,7 +73,7 @@ class _Server(MCPServer[object]):
         """
         known = [tool.name for tool in self._tool_manager.list_tools()]
         if name not in known:
-            raise CallError("unknown_tool", f"there is no tool {shortened(name)!r}. There is: {', '.join(known)}.")
+            raise CallError("unknown_tool", f"there is no tool {shortened(name)!r}. Tools: {', '.join(known)}.")
         return await super().call_tool(name, arguments, context)
 
 
@@ -84,7 +84,7 @@ def _instructions(tools: Sequence[StrictTool], settings: Settings) -> str:
     if settings.image_hosts:
         kinds.append("url, on " + " or ".join(settings.image_hosts))
     return (
-        "VehAnchor takes the cars in aerial images as the ruler. "
+        "VehAnchor uses the cars in aerial images as a ruler. "
         f"{' '.join(f'{tool.title}: {tool.name}.' for tool in tools)} "
-        f"Act on results whose status is ok. Images are accepted by {'; '.join(kinds)}."
+        f"Act only on results with status ok. Images are accepted by {'; '.join(kinds)}."
     )

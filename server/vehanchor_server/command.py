@@ -1,4 +1,4 @@
-"""``vehanchor serve``, ``view``, ``schemas`` and ``skill``, for the command line to mount."""
+"""The commands ``vehanchor serve``, ``view``, ``schemas`` and ``skill``."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import typer
 from vehanchor_server.settings import Settings, SettingsError
 
 if TYPE_CHECKING:
-    from vehanchor.options.fields import Choice
+    from vehanchor.options.option import Option
 
-_VIEWED_WITH = (  # settings that are options of ``view``, too
+_VIEW_SETTINGS = (  # settings that are also options of ``view``
     "detector",
     "segmenter",
     "calibration",
@@ -27,12 +27,12 @@ _VIEWED_WITH = (  # settings that are options of ``view``, too
     "max_megapixels",
     "max_windowed_megapixels",
 )
-_VIEW_DEADLINE_S = 600.0  # a person sees how far it is, and can leave
+_VIEW_DEADLINE_S = 600.0  # people see the progress and can leave
 
 
 def _parameters() -> list[inspect.Parameter]:
-    """The options of ``serve``: the transport, and one for each setting."""
-    http = Annotated[bool, typer.Option("--http", help="Listen for HTTP instead of serving stdin and stdout.")]
+    """List the options of ``serve``: the transport and every setting."""
+    http = Annotated[bool, typer.Option("--http", help="Serve over HTTP instead of stdio.")]
     kinds = typing.get_type_hints(Settings)
     return [
         inspect.Parameter("http", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=http),
@@ -41,12 +41,12 @@ def _parameters() -> list[inspect.Parameter]:
 
 
 def _parameter(setting: Field[Any], kind: Any) -> inspect.Parameter:
-    """A setting as Typer wants it; not given, it is None, or False for a flag, so that its variable may speak."""
-    stated: Choice = setting.metadata["choice"]
+    """Convert a setting to a Typer option; the default None (flags: False) lets the environment variable apply."""
+    declared: Option = setting.metadata["option"]
     option = typer.Option(
-        f"--{stated.flag or setting.name.replace('_', '-')}",
+        f"--{declared.flag or setting.name.replace('_', '-')}",
         help=_help(setting),
-        metavar=stated.metavar or None,
+        metavar=declared.metavar or None,
         rich_help_panel=setting.metadata["panel"],
         show_default=False,
     )
@@ -62,8 +62,8 @@ def _parameter(setting: Field[Any], kind: Any) -> inspect.Parameter:
 
 
 def _help(setting: Field[Any]) -> str:
-    """The setting's sentence, with its default in brackets."""
-    text: str = setting.metadata["choice"].help
+    """Return the setting's help with its default in brackets."""
+    text: str = setting.metadata["option"].help
     default = setting.metadata["if_unset"]
     if setting.default and setting.default is not True:
         default = f"{setting.default:g}" if isinstance(setting.default, float) else str(setting.default)
@@ -71,20 +71,20 @@ def _help(setting: Field[Any]) -> str:
 
 
 def serve(http: bool = False, **options: Any) -> None:
-    """Serve the tools to agents over MCP: on stdin and stdout, or over HTTP at /mcp.
+    """Serve the tools over MCP: on stdio, or over HTTP at /mcp.
 
-    Every option is also a variable: --max-image-mb is VEHANCHOR_MAX_IMAGE_MB, --root is VEHANCHOR_ROOTS. Several paths
-    in one variable are separated by the system's path separator.
+    Every option has an environment variable: --max-image-mb is VEHANCHOR_MAX_IMAGE_MB, --root is VEHANCHOR_ROOTS. The
+    system's path separator separates several paths in one variable.
     """
     given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
     try:
-        settings = Settings.from_environment(**{name: value for name, value in given.items() if _says_something(value)})
+        settings = Settings.from_environment(**{name: value for name, value in given.items() if _is_given(value)})
         if http:
             from vehanchor_server.transport.http import serve_http
 
             serve_http(settings)
         else:
-            gc.disable()  # importing the SDK makes thousands of classes: looking for garbage among them is slow
+            gc.disable()  # importing the SDK creates thousands of classes, which slows collection
             try:
                 from vehanchor_server.transport.stdio import serve_stdio
             finally:
@@ -99,8 +99,8 @@ serve.__signature__ = inspect.Signature(_parameters())  # type: ignore[attr-defi
 serve.__annotations__ = {each.name: each.annotation for each in _parameters()}  # and where it looks for the types
 
 
-def _says_something(value: Any) -> bool:
-    """Whether an option was given: 0 is a value, and a flag's absence is none."""
+def _is_given(value: Any) -> bool:
+    """Return whether an option was given; 0 is a value."""
     return value is not None and value is not False and value != ()
 
 
@@ -108,33 +108,35 @@ def view(
     photographs: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[FOLDER]", help="Folder of photographs, or one of them. Others can be dropped.", show_default=False
+            metavar="[FOLDER]",
+            help="Folder of photographs, or one photograph. Drop others on the page.",
+            show_default=False,
         ),
     ] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of 127.0.0.1; 0 for any that is free.")] = 0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 for a free one.")] = 0,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
     **options: Any,
 ) -> None:
-    """Look at photographs in a page of your own browser: scale, vehicles, rulers; distances and areas by clicks.
+    """Show photographs in your browser with scale, vehicles and rulers; measure distances and areas by clicks.
 
-    The page is served to this machine only, at an address with a random token, until Ctrl-C.
+    Only this machine can reach the page, at an address with a random token. Ctrl-C ends it.
     """
     import webbrowser
 
     from vehanchor_server.transport.viewer import serve_viewer
 
     def opened(url: str) -> None:
-        typer.echo(f"Open {url} in a browser of this machine. Ctrl-C ends it.", err=True)
+        typer.echo(f"Open {url} in a browser on this machine. Press Ctrl-C to stop.", err=True)
         if browser:
             webbrowser.open(url)
 
     try:
-        chosen = photographs.resolve() if photographs is not None and photographs.is_file() else None
-        roots = () if photographs is None else (photographs if chosen is None else chosen.parent,)
+        selected = photographs.resolve() if photographs is not None and photographs.is_file() else None
+        roots = () if photographs is None else (photographs if selected is None else selected.parent,)
         given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
-        said: dict[str, Any] = {name: value for name, value in given.items() if _says_something(value)}
-        settings = Settings(roots=roots, deadline_s=_VIEW_DEADLINE_S, in_process=True, **said)  # one's own photographs
-        serve_viewer(settings, chosen, port, opened)
+        chosen: dict[str, Any] = {name: value for name, value in given.items() if _is_given(value)}
+        settings = Settings(roots=roots, deadline_s=_VIEW_DEADLINE_S, in_process=True, **chosen)
+        serve_viewer(settings, selected, port, opened)
     except SettingsError as error:
         typer.echo(f"error[invalid_settings]: {error}", err=True)
         raise typer.Exit(2) from None
@@ -151,7 +153,7 @@ def _own_parameters(command: Any) -> list[inspect.Parameter]:
 
 _VIEW_PARAMETERS = [
     *_own_parameters(view),
-    *(each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in _parameters() if each.name in _VIEWED_WITH),
+    *(each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in _parameters() if each.name in _VIEW_SETTINGS),
 ]
 view.__signature__ = inspect.Signature(_VIEW_PARAMETERS)  # type: ignore[attr-defined]
 view.__annotations__ = {each.name: each.annotation for each in _VIEW_PARAMETERS}
@@ -160,7 +162,7 @@ view.__annotations__ = {each.name: each.annotation for each in _VIEW_PARAMETERS}
 def schemas(
     directory: Annotated[Path, typer.Argument(help="Directory to write to.")] = Path("schemas"),
 ) -> None:
-    """Write the tools' JSON Schemas, and the same tools as Anthropic and OpenAI definitions."""
+    """Write the tools' JSON Schemas and their Anthropic and OpenAI definitions."""
     from vehanchor_server.schemas import write_schemas
 
     for path in write_schemas(directory):
@@ -173,11 +175,11 @@ def skill(
         typer.Option(
             "--install",
             metavar="DIR",
-            help="Folder of an agent's skills, such as ~/.claude/skills: writes DIR/vehanchor/SKILL.md.",
+            help="Skill folder of an agent, such as ~/.claude/skills: write DIR/vehanchor/SKILL.md.",
         ),
     ] = None,
 ) -> None:
-    """Print the skill file for agents, or install it where an agent looks for its skills."""
+    """Print the skill file for agents, or install it in a skill folder."""
     from importlib.resources import files
 
     text = files("vehanchor_server").joinpath("SKILL.md").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The one base of the server's own pydantic models, and the types of numbers that callers send."""
+"""Base class of the server's pydantic models, and strict types of numbers."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from typing import Annotated, TypeAlias
 from pydantic import BaseModel, ConfigDict, Strict
 
 Number: TypeAlias = Annotated[float, Strict()]
-"""A number, and nothing that might be read as one: ``true`` is no metre."""
+"""A number; strings and booleans are refused."""
 
 WholeNumber: TypeAlias = Annotated[int, Strict()]
-"""A number without a fraction."""
+"""An integer; strings and booleans are refused."""
 
 Flag: TypeAlias = Annotated[bool, Strict()]
-"""Yes or no, and no number."""
+"""A boolean; numbers and strings are refused."""
 
 
 class FrozenModel(BaseModel):
-    """Values that do not change, without unknown fields, NaN or infinity."""
+    """Immutable model without unknown fields, NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

@@ -1,4 +1,4 @@
-"""The server's tools for a model that this process talks to itself: no transport, the same calls and answers."""
+"""The server's tools within this process, without a transport."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mcp import Client
 from mcp.types import TextContent
 
 from vehanchor_server.app import create_server
-from vehanchor_server.calls.compact import GIVE_BACK
+from vehanchor_server.calls.compact import REUSE_SCALE
 from vehanchor_server.schemas import anthropic_definition, openai_definition
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -24,18 +24,18 @@ if TYPE_CHECKING:
 
     from mcp.types import CallToolResult
 
-_FOR_DRAWING = ("outline",)  # hundreds of numbers that tell a model nothing
+_DRAWING_FIELDS = ("outline",)  # hundreds of numbers without use to a model
 
 
 class InProcessTools:
-    """A server and a client of it, to be used as a context manager, from any thread.
+    """A server with its client: a context manager for use from any thread.
 
     Args:
-        settings: the operator's options; paths are read below its roots only.
+        settings: the operator's options; images are read only below its roots.
 
     Attributes:
-        anthropic_tools: the tools' definitions for the Messages API, as in ``schemas/anthropic.json``.
-        openai_tools: those for the Chat Completions API; ``schemas/openai.json`` holds them for Responses.
+        anthropic_tools: tool definitions for the Messages API, as in ``schemas/anthropic.json``.
+        openai_tools: tool definitions for the Chat Completions API; ``schemas/openai.json`` is for Responses.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -48,7 +48,7 @@ class InProcessTools:
         self._stack = ExitStack()
 
     def __enter__(self) -> InProcessTools:
-        log = logging.getLogger("vehanchor_server.calls")  # a line a call is for operators
+        log = logging.getLogger("vehanchor_server.calls")  # the log of calls is for operators
         self._stack.callback(log.setLevel, log.level)
         log.setLevel(logging.WARNING)
         self._portal = self._stack.enter_context(start_blocking_portal())
@@ -63,11 +63,11 @@ class InProcessTools:
         """Call a tool.
 
         Args:
-            name: of the tool, as the model gives it.
-            arguments: as the model gives them.
+            name: name of the tool.
+            arguments: arguments of the call.
 
         Returns:
-            What the model reads, and whether it is an error: the sentence and, below it, the record as JSON.
+            The text for the model (a sentence, then the record as JSON), and whether it is an error.
         """
         result = self._portal.call(self._client.call_tool, name, arguments)
         return _text(result), bool(result.is_error)
@@ -76,15 +76,15 @@ class InProcessTools:
 def open_tools(
     roots: Sequence[Path], *, detector: str | None = None, segmenter: tuple[Path, Path] | None = None
 ) -> InProcessTools:
-    """Open the tools for a model; the entry point that ``vehanchor evaluate vlm --agent`` looks for.
+    """Open the tools for a model: the entry point of ``vehanchor evaluate vlm --agent``.
 
     Args:
-        roots: directories below which images are read.
-        detector: bundled name or path; None for the default one.
+        roots: directories of images.
+        detector: bundled name or path; None for the default.
         segmenter: encoder and decoder; None for the bundled one.
 
     Raises:
-        SettingsError: a directory is not there.
+        SettingsError: a directory does not exist.
     """
     return InProcessTools(Settings(roots=tuple(roots), detector=detector, segmenter=segmenter, in_process=True))
 
@@ -97,6 +97,6 @@ def _text(result: CallToolResult) -> str:
     lines = [block.text for block in result.content if isinstance(block, TextContent)]
     record = result.structured_content
     if record is not None and not result.is_error:
-        lines = [line for line in lines if not line.startswith(GIVE_BACK)]  # the record has the scale
-        lines.append(json.dumps({key: value for key, value in record.items() if key not in _FOR_DRAWING}))
+        lines = [line for line in lines if not line.startswith(REUSE_SCALE)]  # the record also has the scale
+        lines.append(json.dumps({key: value for key, value in record.items() if key not in _DRAWING_FIELDS}))
     return "\n".join(lines)

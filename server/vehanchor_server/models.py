@@ -1,4 +1,4 @@
-"""The operator's models, loaded once and late: a server answers its first questions before they are there."""
+"""The operator's models, loaded once and on demand, so that the server answers its first requests at once."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from vehanchor.errors import VehAnchorError
 from vehanchor.models.files import read_model
+from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
 from vehanchor.models.zoo import (
     bundled_segmenter,
     fleet_beside,
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from vehanchor.detection.detector import Detector
+    from vehanchor.engine import Engine
     from vehanchor.models.precision import Precision
     from vehanchor.scale.calibration import Calibration
     from vehanchor.segmentation.segmenter import Segmenter
@@ -34,22 +36,20 @@ T = TypeVar("T")
 SLOW_IMPORTS = (
     "vehanchor_server.tools.registry",
     "vehanchor_server.calls.overlay",
-    "vehanchor.measure.area",
+    "vehanchor.engine",
     "vehanchor.pictures.area",
-    "vehanchor.detection.detector",
-    "vehanchor.segmentation.segmenter",
 )
-"""What a first call would wait for."""
+"""Modules that a first call would wait for."""
 
 _logger = logging.getLogger(__name__)
 
 
 class _OnDemand(Generic[T]):
-    """A model that is loaded when it is first asked for.
+    """A model that is loaded on first use.
 
     Args:
-        name: of the model, and of the setting that names it.
-        load: loads it.
+        name: name of the model and of its setting.
+        load: loads the model.
     """
 
     def __init__(self, name: str, load: Callable[[], T]) -> None:
@@ -61,14 +61,14 @@ class _OnDemand(Generic[T]):
 
     @property
     def ready(self) -> bool:
-        """Whether it is loaded."""
+        """Whether the model is loaded."""
         return self._value is not None
 
     def get(self) -> T:
-        """The model; blocks while it is loaded.
+        """Return the model; block while it loads.
 
         Raises:
-            CallError: ``model_unavailable``; the operator's paths stay in the log.
+            CallError: ``model_unavailable``; only the log has the operator's paths.
         """
         with self._lock:
             if self._value is None:
@@ -80,14 +80,14 @@ class _OnDemand(Generic[T]):
                     raise CallError(
                         "model_unavailable",
                         f"this server's {self._name} cannot be loaded ({error.code}). "
-                        f"Its operator must look at --{self._name}.",
+                        f"Its operator must check --{self._name}.",
                     ) from error
                 self.failure = None
             return self._value
 
 
 class Models:
-    """Loads what the settings name.
+    """The models of the settings.
 
     Args:
         settings: the operator's options.
@@ -95,14 +95,16 @@ class Models:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self._detector = _OnDemand("detector", self._load_detector)
-        self._segmenter = _OnDemand("segmenter", self._load_segmenter)
+        self._engine: Engine | None = None
+        self._lock = threading.Lock()
+        self._detector = _OnDemand("detector", lambda: self.engine().detector)
+        self._segmenter = _OnDemand("segmenter", lambda: self.engine().segmenter)
         self._calibration = _OnDemand("calibration", self._load_calibration)
         self._required: list[_OnDemand[Any]] = [self._detector]
         if settings.calibration is not None:
             self._required.append(self._calibration)
         if settings.segmenter is not None or bundled_segmenter() is not None:
-            self._required.append(self._segmenter)  # else measure_area says that there is none, and the rest works
+            self._required.append(self._segmenter)  # otherwise measure_area reports that there is none
 
     @property
     def ready(self) -> bool:
@@ -111,15 +113,15 @@ class Models:
 
     @property
     def failure(self) -> str | None:
-        """The code of the error that loading ended with, None without one."""
+        """Error code of the last failed load, or None."""
         return next((model.failure for model in self._required if model.failure), None)
 
     def files(self) -> tuple[Path, ...]:
-        """All files that loading reads, as far as they exist."""
+        """List all existing files that loading reads."""
         settings = self._settings
         found: list[Path] = []
         for resolve in (lambda: (self._detector_file(),), lambda: resolve_segmenter(settings.segmenter)):
-            with contextlib.suppress(VehAnchorError):  # loading will say what is missing
+            with contextlib.suppress(VehAnchorError):  # loading will report a missing file
                 found += resolve()
         beside = [other for path in found[:1] for other in (fleet_beside(path), verifier_beside(path)) if other]
         found += [*beside, *([settings.calibration] if settings.calibration is not None else [])]
@@ -129,54 +131,59 @@ class Models:
         return tuple(found)
 
     def preload(self, delay_s: float = 0.0) -> None:
-        """Load in the background after a while; a failure is logged, and met again by the first call."""
+        """Load in the background after a delay; log failures, which the first call meets again."""
         timer = threading.Timer(delay_s, self.load_all)
         timer.name, timer.daemon = "vehanchor-preload", True
         timer.start()
 
-    def detector(self) -> Detector:
-        """The detector; blocks while it is loaded.
+    def detector(self, call: Runtime | None = None) -> Detector:
+        """Return the detector for a call; block while it loads.
 
         Raises:
             CallError: ``model_unavailable``.
         """
-        return self._detector.get()
+        return self._detector.get().under(call or Runtime())
 
     def calibration(self) -> Calibration | None:
-        """The detector's reference length as the operator measured it; None without.
+        """Return the operator's calibration of the detector, or None.
 
         Raises:
             CallError: ``model_unavailable``.
         """
         return None if self._settings.calibration is None else self._calibration.get()
 
-    def segmenter(self) -> Segmenter:
-        """The segmenter; blocks while it is loaded.
+    def segmenter(self, call: Runtime | None = None) -> Segmenter:
+        """Return the segmenter for a call; block while it loads.
 
         Raises:
             CallError: ``model_unavailable``.
         """
-        return self._segmenter.get()
+        return self._segmenter.get().under(call or Runtime())
 
     def load_all(self) -> None:
-        """Load what the settings name, and what else a first call would wait for; a failure is logged."""
+        """Load all models and the slow modules; log failures."""
         for load in (self.detector, self.calibration, self.segmenter):
             with contextlib.suppress(CallError):  # logged where it was raised
                 load()
         for module in SLOW_IMPORTS:
             importlib.import_module(module)
 
-    # OpenCV and ONNX Runtime are slow to load: not before they are needed.
+    # Import OpenCV and ONNX Runtime late, because they load slowly.
 
     def _detector_file(self) -> Path:
         return resolve_model(self._settings.detector, cast("Precision", self._settings.precision))
 
-    def _load_detector(self) -> Detector:
-        from vehanchor.detection.detector import load_detector
-        from vehanchor.models.session import DEFAULT_PROVIDERS
+    def engine(self) -> Engine:
+        """Return the engine of the settings, without loading models."""
+        with self._lock:
+            if self._engine is None:
+                from vehanchor.engine import Engine
 
-        path, providers = self._detector_file(), self._settings.providers or DEFAULT_PROVIDERS
-        return load_detector(path, threads=self._settings.threads, providers=providers)
+                settings = self._settings
+                precision = cast("Precision", settings.precision)
+                runtime = Runtime(settings.threads, settings.providers or DEFAULT_PROVIDERS, precision)
+                self._engine = Engine(settings.detector, settings.segmenter, runtime=runtime)
+            return self._engine
 
     def _load_calibration(self) -> Calibration:
         from vehanchor.scale.calibration import load_calibration
@@ -186,10 +193,3 @@ class Models:
         card = self.detector().card
         calibration.check_detector(card.name, card.sha256)
         return calibration
-
-    def _load_segmenter(self) -> Segmenter:
-        from vehanchor.models.session import DEFAULT_PROVIDERS
-        from vehanchor.segmentation.segmenter import load_segmenter
-
-        paths, providers = resolve_segmenter(self._settings.segmenter), self._settings.providers or DEFAULT_PROVIDERS
-        return load_segmenter(*paths, threads=self._settings.threads, providers=providers)

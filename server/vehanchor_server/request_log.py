@@ -1,4 +1,4 @@
-"""One line of JSON on stderr for every tool call, and for everything else that is logged."""
+"""JSON log on stderr: one line per tool call, and all other messages."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _logger = logging.getLogger("vehanchor_server.calls")
 
 
 def log_call(tool: str, status: str, seconds: float, record: Mapping[str, Any] | None) -> None:
-    """Log a call: tool, how it ended, milliseconds and megapixels; nothing of what the image shows.
+    """Log a call: tool, status, milliseconds and megapixels, but no image content.
 
     Args:
-        tool: its name.
-        status: the record's status, or the error's code.
-        seconds: how long it took.
-        record: the structured result, None if there is none.
+        tool: name of the tool.
+        status: status of the record, or code of the error.
+        seconds: duration.
+        record: structured result, or None.
     """
     fields: dict[str, Any] = {"tool": tool, "status": status, "ms": round(1000 * seconds, 1)}
     if record is not None:
@@ -34,13 +34,13 @@ def log_call(tool: str, status: str, seconds: float, record: Mapping[str, Any] |
 
 
 class RepeatLimit(logging.Filter):
-    """Passes a few lines of one place in the code in a while, and then says how many more there were.
+    """Rate limit for log lines from the same place in the code; it counts the dropped lines.
 
-    Lines of calls always pass: there is one a call.
+    Lines of calls always pass.
 
     Args:
-        n_lines: that pass in a period.
-        period_s: seconds.
+        n_lines: lines that pass per period.
+        period_s: length of a period, seconds.
     """
 
     def __init__(self, n_lines: int = 20, period_s: float = 10.0) -> None:
@@ -50,7 +50,7 @@ class RepeatLimit(logging.Filter):
         self._seen: dict[tuple[str, str, int], tuple[float, int]] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether the line passes; the first of a new period tells how many of the last one did not."""
+        """Return whether the line passes; the first line of a period has the number dropped in the previous one."""
         if record.name == _logger.name:
             return True
         place = record.name, record.pathname, record.lineno
@@ -59,15 +59,15 @@ class RepeatLimit(logging.Filter):
             if n > self._n_lines:
                 record.__dict__["fields"] = {**getattr(record, "fields", {}), "not_shown_before": n - self._n_lines}
             began, n = record.created, 0
-        self._seen[place] = began, n + 1  # as many as there are places in the code that log
+        self._seen[place] = began, n + 1  # bounded by the number of logging calls in the code
         return n < self._n_lines
 
 
 class JsonFormatter(logging.Formatter):
-    """A log record as one line of JSON."""
+    """Formatter of log records as JSON lines."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """The line."""
+        """Format a record as one line of JSON."""
         line: dict[str, Any] = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
@@ -81,7 +81,7 @@ class JsonFormatter(logging.Formatter):
 
 
 def configure_logging() -> None:
-    """Send everything to stderr as JSON: stdout belongs to the protocol. Before the SDK sets up its own."""
+    """Log everything to stderr as JSON, because stdout belongs to the protocol; call it before the SDK starts."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonFormatter())
     handler.addFilter(RepeatLimit())

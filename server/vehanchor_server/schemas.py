@@ -1,4 +1,4 @@
-"""The tools' contracts as files: JSON Schemas, and the same tools as Anthropic and OpenAI definitions.
+"""Schema files of the tools: JSON Schemas, and definitions for Anthropic and OpenAI.
 
 * ``<tool>.input.json``, ``<tool>.output.json``: JSON Schema 2020-12 of arguments and structured result
 * ``anthropic.json``: a list for ``tools`` of the Messages API
@@ -22,13 +22,13 @@ _NOT_IN_STRICT_MODE = ("default", "minLength", "maxLength", "minProperties", "ma
 
 
 def write_schemas(directory: Path) -> list[Path]:
-    """Write all files.
+    """Write all schema files.
 
     Args:
-        directory: made if it is not there.
+        directory: target; created if missing.
 
     Returns:
-        The files.
+        The written files.
     """
     directory.mkdir(parents=True, exist_ok=True)
     written = []
@@ -40,7 +40,7 @@ def write_schemas(directory: Path) -> list[Path]:
 
 
 def schema_files() -> dict[str, str]:
-    """Every file's name and text."""
+    """Return the name and text of every file."""
     contract = create_tools(create_services(Settings()))
     documents: dict[str, Any] = {}
     for tool in contract:
@@ -52,12 +52,12 @@ def schema_files() -> dict[str, str]:
 
 
 def anthropic_definition(tool: StrictTool) -> dict[str, Any]:
-    """The tool as Anthropic's Messages API takes it."""
+    """Return the tool's definition for Anthropic's Messages API."""
     return {"name": tool.name, "description": tool.description, "input_schema": tool.parameters}
 
 
 def openai_definition(tool: StrictTool) -> dict[str, Any]:
-    """The tool as OpenAI's Responses API takes it, in strict mode: what may be left out is required but nullable."""
+    """Return the tool's definition for OpenAI's Responses API in strict mode: all arguments required, some nullable."""
     return {
         "type": "function",
         "name": tool.name,

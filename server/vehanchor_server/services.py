@@ -1,4 +1,4 @@
-"""Shared parts of one server: its options, models, images and places for calls."""
+"""Shared parts of a server: options, models, image sources, capacity and workers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vehanchor_server.calls.capacity import Capacity
 from vehanchor_server.calls.worker_process import WorkerLimits
 from vehanchor_server.calls.workers import WorkerPool
 from vehanchor_server.images.fetch import Fetcher
-from vehanchor_server.images.path_access import Sandbox
+from vehanchor_server.images.path_access import PathAccess
 from vehanchor_server.images.source import ImageSources
 from vehanchor_server.models import Models
 from vehanchor_server.settings import Settings
@@ -19,14 +19,14 @@ from vehanchor_server.settings import Settings
 
 @dataclass(frozen=True)
 class Services:
-    """Everything that tools work with; one for each server.
+    """Shared parts of a server's tools.
 
     Attributes:
         settings: the operator's options.
         models: the operator's models.
-        sources: where images come from.
-        capacity: how much runs at once.
-        workers: the processes that work; None where this one does.
+        sources: image sources.
+        capacity: limit of concurrent calls.
+        workers: worker processes; None if this process does the work.
     """
 
     settings: Settings
@@ -37,9 +37,9 @@ class Services:
 
     @property
     def readable(self) -> tuple[Path, ...] | None:
-        """Files and folders that work reads; None leaves it all that the server's user may read.
+        """Files and folders that workers may read; None for no confinement.
 
-        Drivers of accelerators need devices, sockets and caches of their own.
+        Workers with accelerators are unconfined, because drivers need devices, sockets and caches.
         """
         providers = {name.strip().lower().removesuffix("executionprovider") for name in self.settings.providers}
         if self.settings.unconfined or providers - {"cpu"}:
@@ -53,35 +53,35 @@ class Services:
 
     @property
     def failure(self) -> str | None:
-        """The code of the error that loading the models ended with, None without one."""
+        """Error code of the last failed load of a model, or None."""
         return self.models.failure if self.workers is None else self.workers.failure
 
     def preload(self, delay_s: float = 0.0) -> None:
-        """Load the models in the background, after a while, wherever they run."""
+        """Load the models in the background after a delay, in the workers or here."""
         if self.workers is None:
             self.models.preload(delay_s)
         else:
             self.workers.start(delay_s)
 
     def close(self) -> None:
-        """Accept no more calls, and stop those that run."""
+        """Refuse new calls and stop the running ones."""
         self.capacity.close()
         if self.workers is not None:
             self.workers.close()
 
 
 def create_services(settings: Settings) -> Services:
-    """Make the parts of a server; nothing is loaded or started yet."""
+    """Create the parts of a server without loading or starting anything."""
     n_calls = settings.max_concurrency or _default_concurrency()
     workers = None
     if not settings.in_process:
         limits = WorkerLimits(settings.max_worker_bytes, (os.cpu_count() or 1) * settings.deadline_s)
-        workers = WorkerPool(partial(_working_services, settings), n_calls, limits)
+        workers = WorkerPool(partial(_worker_services, settings), n_calls, limits)
     return _services(settings, n_calls, workers)
 
 
-def _working_services(settings: Settings) -> Services:
-    """The parts of a worker, which has no workers itself."""
+def _worker_services(settings: Settings) -> Services:
+    """Create the parts of a worker process."""
     return _services(settings, 1, None)
 
 
@@ -91,7 +91,7 @@ def _services(settings: Settings, n_calls: int, workers: WorkerPool | None) -> S
         settings=settings,
         models=Models(settings),
         sources=ImageSources(
-            sandbox=Sandbox(settings.roots, settings.spelled_roots),
+            paths=PathAccess(settings.roots, settings.spelled_roots),
             fetcher=Fetcher(settings.image_hosts, max_bytes, settings.fetch_timeout_s),
             max_bytes=max_bytes,
         ),
@@ -101,5 +101,5 @@ def _services(settings: Settings, n_calls: int, workers: WorkerPool | None) -> S
 
 
 def _default_concurrency() -> int:
-    """One call for each CPU, and two at least."""
+    """Return one call per CPU, at least two."""
     return max(2, os.cpu_count() or 1)

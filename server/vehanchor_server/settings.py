@@ -1,7 +1,7 @@
-"""The operator's decisions: where images may come from, which model, how much work, who may call.
+"""Settings of the operator: image sources, models, limits and access.
 
-Nothing here can be changed by a caller. A field is declared once, with its default and its words: it is an option of
-``vehanchor serve`` and a ``VEHANCHOR_*`` variable of the field's name without being named anywhere else.
+Callers cannot change settings. Each field is declared once, with its default and help text. The option of
+``vehanchor serve`` and the ``VEHANCHOR_*`` variable follow from its name.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import urlsplit
 
-from vehanchor.models.precision import Precision
-from vehanchor.options import DECODED_BYTES_PER_PIXEL, Effort, ImageLimits
-from vehanchor.options.fields import choice
+from vehanchor.errors import InvalidParameterError
+from vehanchor.options import DECODED_BYTES_PER_PIXEL, ImageLimits, Search, declared_option, models
+from vehanchor.options.option import Option, metadata_of, option, option_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,157 +28,149 @@ _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _EVERYWHERE = ("0.0.0.0", "::")
 _TRUE, _FALSE = ("1", "true", "yes", "on"), ("0", "false", "no", "off")
 _MIB, _MEGAPIXEL = 1 << 20, 1_000_000
-_SOURCES, _WORK, _HTTP = "Where images may come from", "Models and limits", "HTTP"
+_SOURCES, _WORK, _HTTP = "Image sources", "Models and limits", "HTTP"
 
 
 class SettingsError(ValueError):
-    """An option has no meaning, or two options contradict each other; the message says which and what to do."""
+    """A setting is invalid, or two settings contradict each other; the message has the remedy."""
 
 
 def _words(help_text: str, *, panel: str, metavar: str = "", flag: str = "", if_unset: str = "") -> dict[str, Any]:
-    """Metadata of a field: all that is said about it.
+    """Build the metadata of a field.
 
     Args:
         help_text: one sentence for ``--help``.
         panel: heading in ``--help``.
-        metavar: what stands for the value.
-        flag: the option's name; empty for the field's own.
-        if_unset: what a default of None means, in words.
+        metavar: placeholder of the value.
+        flag: name of the option; empty for the field's own.
+        if_unset: meaning of a default of None.
     """
-    return {**choice(help_text, metavar=metavar, flag=flag), "panel": panel, "if_unset": if_unset}
+    return {**option(help_text, metavar=metavar, flag=flag), "panel": panel, "if_unset": if_unset}
+
+
+def _declared(declared: str | Option, *, panel: str) -> dict[str, Any]:
+    """Metadata of a field that is an option of the library: its help and limits are the option's.
+
+    Args:
+        declared: the option, or its keyword.
+        panel: heading in ``--help``.
+    """
+    found = declared_option(declared) if isinstance(declared, str) else declared
+    return {
+        **metadata_of(found),
+        "panel": panel,
+        "if_unset": "",
+    }
 
 
 @dataclass(frozen=True)
 class Settings:
-    """The operator's options; each is explained where it is declared.
+    """The operator's settings; the metadata of each field has its help text.
 
     Raises:
-        SettingsError: an option has no meaning, or two of them contradict each other.
+        SettingsError: a setting is invalid, or two settings contradict each other.
     """
 
     roots: tuple[Path, ...] = field(
         default=(),
-        metadata=_words("Directory below which images may be read by path; repeatable.", panel=_SOURCES, flag="root"),
+        metadata=_words("Directory of images that callers may read by path; repeatable.", panel=_SOURCES, flag="root"),
     )
     image_hosts: tuple[str, ...] = field(
         default=(),
-        metadata=_words("Host that images may be fetched from (https); repeatable.", panel=_SOURCES, flag="image-host"),
-    )
-    detector: str | None = field(default=None, metadata=_words("Bundled name or path of the detector.", panel=_WORK))
-    precision: str = field(
-        default="float32",
-        metadata=_words("Numbers of the bundled detector: float32, int8, or auto for the quicker.", panel=_WORK),
-    )
-    segmenter: tuple[Path, Path] | None = field(
-        default=None,
         metadata=_words(
-            "ONNX files of the segmenter.", panel=_WORK, metavar="ENCODER DECODER", if_unset="the bundled one"
+            "Host from which images may be fetched (https); repeatable.", panel=_SOURCES, flag="image-host"
         ),
     )
-    calibration: Path | None = field(  # for callers who name neither region nor reference length
-        default=None,
-        metadata=_words("Reference length that 'vehanchor calibrate' measured.", panel=_WORK, metavar="FILE"),
+    detector: str | None = field(default=None, metadata=_declared(models.DETECTOR, panel=_WORK))
+    precision: str = field(default="float32", metadata=_declared(models.PRECISION, panel=_WORK))
+    segmenter: tuple[Path, Path] | None = field(default=None, metadata=_declared(models.SEGMENTER, panel=_WORK))
+    calibration: Path | None = field(  # for callers who give neither region nor reference length
+        default=None, metadata=_declared(models.CALIBRATION, panel=_WORK)
     )
-    threads: int | None = field(default=None, metadata=_words("CPU threads of a model.", panel=_WORK))
-    providers: tuple[str, ...] = field(
-        default=(),
-        metadata=_words(
-            "Where models run: cpu, cuda, tensorrt, coreml, openvino, directml; repeatable, in order of preference.",
-            panel=_WORK,
-            flag="provider",
-            if_unset="cpu",
-        ),
-    )
-    min_score: float | None = field(default=None, metadata=_words("Lowest detection score.", panel=_WORK))
-    effort: str = field(
-        default="auto",
-        metadata=_words("How much is searched where the caller does not say: full, auto or fast.", panel=_WORK),
-    )
-    max_tiles: int | None = field(
-        default=None, metadata=_words("Tiles of an image that are searched at most.", panel=_WORK, if_unset="all")
-    )
-    max_search_s: float | None = field(
-        default=None,
-        metadata=_words("Seconds after which a search gives what it has found.", panel=_WORK, if_unset="no limit"),
-    )
+    threads: int | None = field(default=None, metadata=_declared(models.THREADS, panel=_WORK))
+    providers: tuple[str, ...] = field(default=(), metadata=_declared(models.PROVIDERS, panel=_WORK))
+    min_score: float | None = field(default=Search.min_score, metadata=_declared("min_score", panel=_WORK))
+    effort: str = field(default=Search.effort, metadata=_declared("effort", panel=_WORK))
+    max_tiles: int | None = field(default=Search.max_tiles, metadata=_declared("max_tiles", panel=_WORK))
+    max_search_s: float | None = field(default=Search.max_seconds, metadata=_declared("max_seconds", panel=_WORK))
     max_image_mb: float = field(
         default=ImageLimits.max_bytes / _MIB, metadata=_words("Largest image file, MiB.", panel=_WORK)
     )
     max_megapixels: float = field(
         default=ImageLimits.max_pixels / _MEGAPIXEL,
-        metadata=_words("Largest image decoded whole, megapixels.", panel=_WORK),
+        metadata=_words("Largest image decoded at once, megapixels.", panel=_WORK),
     )
     max_decoded_mb: float | None = field(
         default=None,
         metadata=_words(
-            "Memory that decoding an image may take, MiB.",
+            "Memory limit for decoding an image, MiB.",
             panel=_WORK,
-            if_unset=f"{ImageLimits.max_decoded_bytes / _MIB:g}, and what the megapixels need",
+            if_unset=f"{ImageLimits.max_decoded_bytes / _MIB:g}, or more for the megapixels",
         ),
     )
     max_windowed_megapixels: float = field(
         default=ImageLimits.max_windowed_pixels / _MEGAPIXEL,
-        metadata=_words("Largest TIFF read by windows, megapixels.", panel=_WORK),
+        metadata=_words("Largest TIFF read in windows, megapixels.", panel=_WORK),
     )
     never_ask: bool = field(
         default=False,
         metadata=_words(
-            "Never ask the person at a client for a region, a height or a known length at low confidence.", panel=_WORK
+            "Never ask the user for a region, a height or a known length; for unattended agents.", panel=_WORK
         ),
     )
     max_concurrency: int | None = field(
-        default=None, metadata=_words("Calls at once in a process.", panel=_WORK, if_unset="one a CPU, at least 2")
+        default=None, metadata=_words("Concurrent calls per process.", panel=_WORK, if_unset="one per CPU, at least 2")
     )
-    in_process: bool = field(  # for a host on one's own machine: see SECURITY.md
-        default=False,
-        metadata=_words("Decode and compute here, not in processes that can be killed at the deadline.", panel=_WORK),
-    )
-    unconfined: bool = field(  # for systems on which a worker needs more than Python, the models and the roots
+    in_process: bool = field(  # only for your own images: see SECURITY.md
         default=False,
         metadata=_words(
-            "Let worker processes read, write and start what this user may; on Linux they cannot.", panel=_WORK
+            "Decode and compute in this process, not in workers that can be killed at the deadline.", panel=_WORK
         ),
     )
-    max_worker_mb: float = field(  # of one process, of which there are at most as many as calls at once
-        default=2048.0,
-        metadata=_words("Data of a worker process beside its models, MiB; it ends beyond.", panel=_WORK),
+    unconfined: bool = field(  # for systems where a worker needs more than Python, the models and the roots
+        default=False,
+        metadata=_words("Give workers all rights of this user; otherwise they are confined on Linux.", panel=_WORK),
     )
-    deadline_s: float = field(  # below the 60 s at which common clients give up
+    max_worker_mb: float = field(  # per process; at most one process per concurrent call
+        default=2048.0,
+        metadata=_words("Memory limit of a worker in addition to its models, MiB.", panel=_WORK),
+    )
+    deadline_s: float = field(  # common clients give up after 60 s
         default=55.0, metadata=_words("Seconds after which a call ends.", panel=_WORK)
     )
     fetch_timeout_s: float = field(
-        default=20.0, metadata=_words("Seconds that fetching an image may take.", panel=_SOURCES)
+        default=20.0, metadata=_words("Time limit for fetching an image, seconds.", panel=_SOURCES)
     )
     host: str = field(default="127.0.0.1", metadata=_words("Address to listen on.", panel=_HTTP))
     port: int = field(default=8000, metadata=_words("Port to listen on.", panel=_HTTP))
-    workers: int = field(default=1, metadata=_words("Processes that share the port.", panel=_HTTP))
+    workers: int = field(default=1, metadata=_words("Number of processes that share the port.", panel=_HTTP))
     allowed_hosts: tuple[str, ...] = field(  # name, name:port or name:*
         default=(),
         metadata=_words(
-            "Host header to accept beside the loopback ones; repeatable.", panel=_HTTP, flag="allowed-host"
+            "Accepted Host header besides the loopback names; repeatable.", panel=_HTTP, flag="allowed-host"
         ),
     )
     allowed_origins: tuple[str, ...] = field(
         default=(),
         metadata=_words(
-            "Origin header to accept beside the loopback ones; repeatable.", panel=_HTTP, flag="allowed-origin"
+            "Accepted Origin header besides the loopback names; repeatable.", panel=_HTTP, flag="allowed-origin"
         ),
     )
-    public_url: str | None = field(default=None, metadata=_words("URL under which callers reach /mcp.", panel=_HTTP))
+    public_url: str | None = field(default=None, metadata=_words("Public URL of /mcp.", panel=_HTTP))
     token_file: Path | None = field(
-        default=None, metadata=_words("File with one accepted bearer token a line.", panel=_HTTP)
+        default=None, metadata=_words("File with one accepted bearer token per line.", panel=_HTTP)
     )
-    oidc_issuer: str | None = field(default=None, metadata=_words("Issuer whose JWTs are accepted.", panel=_HTTP))
-    oidc_audience: str | None = field(
-        default=None, metadata=_words("Audience that those JWTs must carry.", panel=_HTTP)
-    )
+    oidc_issuer: str | None = field(default=None, metadata=_words("Issuer of accepted JWTs.", panel=_HTTP))
+    oidc_audience: str | None = field(default=None, metadata=_words("Required audience of these JWTs.", panel=_HTTP))
     max_body_mb: float = field(default=32.0, metadata=_words("Largest request, MiB.", panel=_HTTP))
-    body_timeout_s: float = field(default=60.0, metadata=_words("Seconds a request may take to arrive.", panel=_HTTP))
+    body_timeout_s: float = field(
+        default=60.0, metadata=_words("Time limit for receiving a request, seconds.", panel=_HTTP)
+    )
     max_connections: int = field(
-        default=512, metadata=_words("Connections at once in a process; the next are closed.", panel=_HTTP)
+        default=512, metadata=_words("Concurrent connections per process; further ones are closed.", panel=_HTTP)
     )
     max_connections_per_address: int = field(  # a proxy is one address
-        default=256, metadata=_words("Connections at once from one address.", panel=_HTTP)
+        default=256, metadata=_words("Concurrent connections per address.", panel=_HTTP)
     )
     insecure: bool = field(default=False, metadata=_words("Listen publicly without authentication.", panel=_HTTP))
 
@@ -197,16 +189,14 @@ class Settings:
 
     def _check_numbers(self) -> None:
         for each in fields(self):
-            value = getattr(self, each.name)
+            value, declared = getattr(self, each.name), option_of(each)
+            if declared is not None and declared.takes is not None and value is not None:
+                _check(declared, each.name, value)
+                continue
             if isinstance(value, bool) or not isinstance(value, (int, float)):
                 continue
-            if not (math.isfinite(value) and (value > 0 or (each.name == "min_score" and value == 0))):
+            if not (math.isfinite(value) and value > 0):
                 raise SettingsError(f"{each.name} is {value}: use a finite number > 0")
-        for name, words in (("effort", typing.get_args(Effort)), ("precision", typing.get_args(Precision))):
-            if getattr(self, name) not in words:
-                raise SettingsError(f"{name} is {getattr(self, name)!r}: use one of {', '.join(words)}")
-        if self.min_score is not None and self.min_score > 1:
-            raise SettingsError(f"min_score is {self.min_score}: it lies in 0..1")
 
     def _check_authentication(self) -> None:
         if (self.oidc_issuer is None) != (self.oidc_audience is None):
@@ -222,23 +212,23 @@ class Settings:
 
     @property
     def spelled_roots(self) -> tuple[Path, ...]:
-        """The roots as the operator wrote them, absolute, links in them unresolved."""
+        """The roots as given by the operator: absolute, with unresolved links."""
         spelled: tuple[Path, ...] = self.__dict__["_spelled"]
         return spelled
 
     @property
     def authenticated(self) -> bool:
-        """Whether HTTP callers must show a token."""
+        """Whether HTTP callers need a token."""
         return self.token_file is not None or self.oidc_issuer is not None
 
     @property
     def loopback(self) -> bool:
-        """Whether HTTP listens where only this machine reaches it."""
+        """Whether HTTP listens on the loopback interface only."""
         return self.host in _LOOPBACK
 
     @property
     def image_limits(self) -> ImageLimits:
-        """The cost of an image that is accepted here."""
+        """Limits on accepted images."""
         max_pixels = round(self.max_megapixels * _MEGAPIXEL)
         if self.max_decoded_mb is None:
             max_decoded_bytes = max(ImageLimits.max_decoded_bytes, DECODED_BYTES_PER_PIXEL * max_pixels)
@@ -249,24 +239,24 @@ class Settings:
             max_pixels=max_pixels,
             max_windowed_pixels=round(self.max_windowed_megapixels * _MEGAPIXEL),
             max_decoded_bytes=max_decoded_bytes,
-            max_unpacked_bytes=1,  # no caller fills the disk: a large JPEG is refused
+            max_unpacked_bytes=1,  # refuse large JPEGs, so that callers cannot fill the disk
         )
 
     @property
     def max_worker_bytes(self) -> int:
-        """Data that a worker process may take beside its models."""
+        """Memory limit of a worker in addition to its models."""
         return round(self.max_worker_mb * _MIB)
 
     @property
     def max_body_bytes(self) -> int:
-        """Size of an HTTP request that is accepted."""
+        """Largest accepted HTTP request."""
         return round(self.max_body_mb * _MIB)
 
     def check_exposure(self) -> None:
-        """Refuse to listen where others reach the server and none has to show a token.
+        """Refuse to listen on a public address without authentication.
 
         Raises:
-            SettingsError: a public address, no authentication, and not ``insecure``.
+            SettingsError: a public address without authentication and without ``insecure``.
         """
         if not (self.loopback or self.authenticated or self.insecure):
             raise SettingsError(
@@ -276,12 +266,12 @@ class Settings:
 
     @classmethod
     def from_environment(cls, environ: Mapping[str, str] | None = None, /, **given: Any) -> Settings:
-        """Options from ``VEHANCHOR_*`` variables, those ``given`` (and not None) first.
+        """Read settings from ``VEHANCHOR_*`` variables; ``given`` values other than None take precedence.
 
-        Paths are separated by the system's path separator, other lists by commas. An empty variable is none.
+        The system's path separator separates paths, commas separate other lists. An empty variable counts as unset.
 
         Raises:
-            SettingsError: a variable cannot be read, or what it says has no meaning.
+            SettingsError: a variable is malformed or invalid.
         """
         environ = os.environ if environ is None else environ
         chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
@@ -292,16 +282,16 @@ class Settings:
         return cls(**chosen)
 
     def to_json(self) -> str:
-        """All options, for ``from_json`` in another process; unlike variables, with nothing that separates values."""
+        """Serialise all settings for ``from_json`` in another process, without separators inside values."""
         values = {each.name: getattr(self, each.name) for each in fields(self)}
         return json.dumps({**values, "roots": self.spelled_roots}, default=str)
 
     @classmethod
     def from_json(cls, text: str) -> Settings:
-        """The options that ``to_json`` gave.
+        """Restore settings from ``to_json``.
 
         Raises:
-            SettingsError: one of them has no meaning here.
+            SettingsError: a setting is invalid.
         """
         values: dict[str, Any] = json.loads(text)
         for name, form in _forms().items():
@@ -310,6 +300,19 @@ class Settings:
             elif values[name] is not None:
                 values[name] = form.type(values[name])
         return cls(**values)
+
+
+def _check(declared: Option, name: str, value: Any) -> None:
+    """Check a value as the library does.
+
+    Raises:
+        SettingsError: the option takes no such value.
+    """
+    assert declared.takes is not None
+    try:
+        declared.takes.check(name, value)
+    except InvalidParameterError as error:
+        raise SettingsError(str(error)) from None
 
 
 def _is_web_address(text: str) -> bool:
@@ -321,12 +324,12 @@ def _is_web_address(text: str) -> bool:
 
 
 def variable_name(name: str) -> str:
-    """The environment variable of a field."""
+    """Return the environment variable of a field."""
     return f"VEHANCHOR_{name.upper()}"
 
 
 class _Form(NamedTuple):
-    """How a field's values are written: one or many of a type."""
+    """Type of a field's values, and whether it takes several."""
 
     type: Any
     many: bool
@@ -344,20 +347,20 @@ def _forms() -> dict[str, _Form]:
 
 
 def _checked_root(root: Path) -> Path:
-    """The directory, resolved; a root that is missing or is everything is a mistake to tell at once."""
+    """Resolve a root; refuse missing directories and the whole file system."""
     try:
         resolved = Path(root).resolve(strict=True)
     except OSError as error:
         raise SettingsError(f"root {root}: {error.strerror}; give an existing directory") from None
     if not resolved.is_dir():
-        raise SettingsError(f"root {root} is not a directory; give the directory that holds the images")
+        raise SettingsError(f"root {root} is not a directory; give the directory of the images")
     if resolved == Path(resolved.anchor):
-        raise SettingsError(f"root {root} is the whole file system; give the directory that holds the images")
+        raise SettingsError(f"root {root} is the whole file system; give the directory of the images")
     return resolved
 
 
 def _from_text(variable: str, text: str, form: _Form) -> Any:
-    """A variable's text as the field's type."""
+    """Convert a variable's text to the field's type."""
     try:
         if form.type is bool:
             if text.lower() not in _TRUE + _FALSE:
@@ -374,13 +377,13 @@ def _from_text(variable: str, text: str, form: _Form) -> Any:
 
 
 def _split_paths(variable: str, text: str) -> list[str]:
-    """The paths of a variable; refuses a name with the separator in it, which would be read as other directories."""
+    """Split the paths of a variable; refuse an existing path that contains the separator."""
     parts = text.split(os.pathsep)
     for start, end in combinations(range(len(parts) + 1), 2):
         joined = os.pathsep.join(parts[start:end])
         if end - start > 1 and os.path.exists(joined):  # noqa: PTH110 - no error for a name that no path can have
             raise SettingsError(
-                f"{variable} is {text!r}: {joined!r} exists, but {os.pathsep!r} separates paths in a variable. Name it "
-                "by an option of 'vehanchor serve', or rename it"
+                f"{variable} is {text!r}: {joined!r} exists, but {os.pathsep!r} separates paths in a variable. Use "
+                "an option of 'vehanchor serve', or rename it"
             )
     return parts

@@ -21,28 +21,44 @@ if TYPE_CHECKING:
     from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.batch.files import find_images
     from vehanchor.detection.detector import Detector
-    from vehanchor.estimate import analyse_scale, estimate_gsd
-    from vehanchor.flight.estimate import estimate_flight
-    from vehanchor.measure.area import analyse_area, measure_area
-    from vehanchor.measure.distance import analyse_distance, measure_distance
+    from vehanchor.engine import Engine
+    from vehanchor.models.runtime import Cancellation, Runtime
     from vehanchor.options import Frame, ImageLimits, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, KnownScale
     from vehanchor.scale.calibration import Calibration, load_calibration
     from vehanchor.segmentation.segmenter import Segmenter
+    from vehanchor.verbs import (
+        analyse_area,
+        analyse_distance,
+        analyse_scale,
+        estimate_flight,
+        estimate_gsd,
+        measure_area,
+        measure_distance,
+    )
 
     __version__: str
 
 _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
+    "analysis.measured": ("AreaAnalysis", "DistanceAnalysis"),
+    "analysis.scale": ("ScaleAnalysis",),
     "batch.files": ("find_images",),
     "detection.detector": ("Detector",),
-    "measure.distance": ("DistanceAnalysis", "analyse_distance", "measure_distance"),
-    "estimate": ("ScaleAnalysis", "analyse_scale", "estimate_gsd"),
-    "flight.estimate": ("estimate_flight",),
-    "measure.area": ("AreaAnalysis", "analyse_area", "measure_area"),
+    "engine": ("Engine",),
+    "models.runtime": ("Cancellation", "Runtime"),
     "options": ("Frame", "ImageLimits", "Lengths", "Reading", "Reference", "Rulers", "ScaleOptions", "Search"),
     "records": ("AreaMeasurement", "DistanceMeasurement", "FlightEstimate", "GsdEstimate", "KnownScale"),
     "scale.calibration": ("Calibration", "load_calibration"),
     "segmentation.segmenter": ("Segmenter",),
+    "verbs": (
+        "analyse_area",
+        "analyse_distance",
+        "analyse_scale",
+        "estimate_flight",
+        "estimate_gsd",
+        "measure_area",
+        "measure_distance",
+    ),
 }
 _HOME = {name: module for module, names in _LAZY.items() for name in names}
 
@@ -50,9 +66,11 @@ __all__ = [
     "AreaAnalysis",
     "AreaMeasurement",
     "Calibration",
+    "Cancellation",
     "Detector",
     "DistanceAnalysis",
     "DistanceMeasurement",
+    "Engine",
     "FlightEstimate",
     "Frame",
     "GsdEstimate",
@@ -62,6 +80,7 @@ __all__ = [
     "Reading",
     "Reference",
     "Rulers",
+    "Runtime",
     "ScaleAnalysis",
     "ScaleOptions",
     "Search",

@@ -1,67 +1,91 @@
-"""The verbs for programs that wait: the same arguments and records, the work in a thread that ends when nobody waits.
+"""The verbs for asynchronous programs: the same arguments and records; the work runs in a thread.
 
 >>> import anyio, vehanchor.aio
 >>> anyio.run(vehanchor.aio.estimate_gsd, "photo.jpg")  # doctest: +SKIP
+
+If the caller is cancelled, the running model ends within a layer.
 """
 
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 import anyio
 import anyio.to_thread
 
-from vehanchor import estimate
-from vehanchor.measure import area, distance
-from vehanchor.models.session import stoppable
-from vehanchor.options import ScaleOptions
+from vehanchor import verbs
+from vehanchor.models.runtime import Cancellation
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from typing import Unpack
 
-    from vehanchor.analysis.measured import DistanceAnalysis
+    from vehanchor.engine import AreaKeywords, EstimateKeywords, FlightKeywords, MeasureKeywords
+    from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.measure.coordinates import Place
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
+    from vehanchor.options import ScaleOptions
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate
 
-__all__ = ["estimate_gsd", "measure_area", "measure_distance"]
+__all__ = ["estimate_flight", "estimate_gsd", "measure_area", "measure_distance"]
 
-Result = TypeVar("Result")
-
-_KEPT_APART = frozenset(
-    {"detector", "segmenter", "threads", "providers", "progress"}
-    | {"box", "points", "gsd_m_per_px", "scale", "object_height_m"}
-)  # keywords of the verbs that are no options of the method
+T = TypeVar("T")
 
 
-async def estimate_gsd(image: ImageSource, **keywords: Any) -> GsdEstimate:
-    """Estimate the scale; the keywords, the record and the errors are those of ``vehanchor.estimate_gsd``."""
-    return (await _ended_with_its_caller(estimate.analyse_scale, image, keywords)).estimate
+@overload
+async def estimate_gsd(
+    image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[EstimateKeywords]
+) -> GsdEstimate: ...
 
 
-async def measure_area(image: ImageSource, **keywords: Any) -> AreaMeasurement:
-    """Measure an area; the keywords, the record and the errors are those of ``vehanchor.measure_area``."""
-    return (await _ended_with_its_caller(area.analyse_area, image, keywords)).measurement
+@overload
+async def estimate_gsd(
+    image: list[Any] | tuple[Any, ...],
+    options: ScaleOptions | None = None,
+    **keywords: Unpack[EstimateKeywords],
+) -> list[GsdEstimate]: ...
 
 
-async def measure_distance(image: ImageSource, path: Sequence[Place], **keywords: Any) -> DistanceMeasurement:
-    """Measure a distance; the keywords, the record and the errors are those of ``vehanchor.measure_distance``."""
-
-    def analyse(image: ImageSource, options: ScaleOptions, **apart: Any) -> DistanceAnalysis:
-        return distance.analyse_distance(image, path, options, **apart)
-
-    return (await _ended_with_its_caller(analyse, image, keywords)).measurement
+async def estimate_gsd(
+    image: Any, options: ScaleOptions | None = None, **keywords: Unpack[EstimateKeywords]
+) -> GsdEstimate | list[GsdEstimate]:
+    """Estimate the scale of an image, or of each image of a list; see ``vehanchor.estimate_gsd``."""
+    return await _in_thread(partial(verbs.estimate_gsd, image, options), keywords)
 
 
-async def _ended_with_its_caller(verb: Callable[..., Result], image: ImageSource, keywords: dict[str, Any]) -> Result:
-    """Run a verb in a thread; when its caller is cancelled, the running model ends within a layer."""
-    apart = {name: value for name, value in keywords.items() if name in _KEPT_APART}
-    options = ScaleOptions.of({name: value for name, value in keywords.items() if name not in _KEPT_APART})
-    run_options = stoppable()
-    work = partial(verb, image, options, run_options=run_options, **apart)
+async def measure_area(
+    image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[AreaKeywords]
+) -> AreaMeasurement:
+    """Measure the area of an object; see ``vehanchor.measure_area``."""
+    return await _in_thread(partial(verbs.measure_area, image, options), keywords)
+
+
+async def measure_distance(
+    image: ImageSource,
+    path: Sequence[Place],
+    options: ScaleOptions | None = None,
+    **keywords: Unpack[MeasureKeywords],
+) -> DistanceMeasurement:
+    """Measure the length of a line on the ground; see ``vehanchor.measure_distance``."""
+    return await _in_thread(partial(verbs.measure_distance, image, path, options), keywords)
+
+
+async def estimate_flight(
+    images: Iterable[ImageSource | InputPhotograph],
+    options: ScaleOptions | None = None,
+    **keywords: Unpack[FlightKeywords],
+) -> FlightEstimate:
+    """Estimate the scales of the photographs of one flight; see ``vehanchor.estimate_flight``."""
+    return await _in_thread(partial(verbs.estimate_flight, images, options), keywords)
+
+
+async def _in_thread(verb: Callable[..., T], keywords: Mapping[str, Any]) -> T:
+    """Run a verb in a thread; cancel the verb if the caller is cancelled."""
+    cancellation = keywords.get("cancellation") or Cancellation()
+    work = partial(verb, **{**keywords, "cancellation": cancellation})
     try:
         return await anyio.to_thread.run_sync(work, abandon_on_cancel=True)
     except anyio.get_cancelled_exc_class():
-        run_options.terminate = True
+        cancellation.cancel()
         raise

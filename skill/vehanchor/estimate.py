@@ -11,20 +11,17 @@ from __future__ import annotations
 import hashlib
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING
 
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.detections import NOT_SEARCHED, Detections
-from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import search
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
 from vehanchor.models.files import models_sha256, read_model
-from vehanchor.models.session import named_providers
-from vehanchor.models.zoo import bundled_courts, bundled_scene_scale, resolve_model
-from vehanchor.options import ScaleOptions
+from vehanchor.models.zoo import bundled_courts, bundled_scene_scale
 from vehanchor.records import FrameScale, GsdEstimate, KnownScale, Notice, RulerScale, SceneScaleEstimate
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.agreement import disagreements
@@ -39,18 +36,14 @@ from vehanchor.tilt.camera_tilt import metadata_tilt
 from vehanchor.tilt.estimate import tilt_notice
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-    from typing import Unpack
-
-    import onnxruntime
+    from collections.abc import Sequence
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.convergence import Convergence
+    from vehanchor.detection.detector import Detector
     from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.sources.opening import ImageSource
-    from vehanchor.options import Frame, OptionKeywords
+    from vehanchor.options import Frame, ScaleOptions
     from vehanchor.rulers.decision import RulerShare, ScaleDecision
     from vehanchor.rulers.evidence import Evidence
     from vehanchor.rulers.vehicles import VehicleEvidence
@@ -59,147 +52,28 @@ _MODEL_DIGITS = 12
 GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale may differ by this from another before a warning
 
 
-@overload
-def estimate_gsd(
-    image: ImageSource,
-    *,
-    detector: Detector | str | os.PathLike[str] | None = None,
-    threads: int | None = None,
-    providers: Sequence[str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    **options: Unpack[OptionKeywords],
-) -> GsdEstimate: ...
-
-
-@overload
-def estimate_gsd(
-    image: list[str] | list[Path] | list[ImageSource] | tuple[ImageSource, ...],
-    *,
-    detector: Detector | str | os.PathLike[str] | None = None,
-    threads: int | None = None,
-    providers: Sequence[str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    **options: Unpack[OptionKeywords],
-) -> list[GsdEstimate]: ...
-
-
-def estimate_gsd(
-    image: Any,
-    *,
-    detector: Detector | str | os.PathLike[str] | None = None,
-    threads: int | None = None,
-    providers: Sequence[str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    **options: Unpack[OptionKeywords],
-) -> GsdEstimate | list[GsdEstimate]:
-    """Estimate the ground sampling distance of an aerial image from the cars in it, and from what other rulers say.
-
-    Args:
-        image: path, encoded bytes, binary file object, Pillow image, rasterio dataset, or array (H x W x 3 RGB or
-            H x W; uint8, uint16 or float). A list of them gives a list; ``vehanchor.find_images`` makes one of folders
-            and patterns, ``vehanchor batch`` goes on where one of thousands cannot be read.
-        detector: a bundled model's name, the path of an ONNX oriented-box model, or a loaded ``Detector``; default the
-            bundled one.
-        threads: CPU threads for the model; None leaves it to ONNX Runtime. Ignored for a loaded ``Detector``.
-        providers: where models run, in order of preference, as ``["cuda", "cpu"]``: with ``cpu`` among them one that
-            is missing gives way, and the log says so. None for the CPU. Ignored for a loaded ``Detector``.
-        progress: called with (tiles done, tiles in all).
-        **options: the fields of ``vehanchor.options``' groups: ``min_score``, ``nms_iou``, ``search_scales``,
-            ``tile_px``, ``stride_px``, ``effort``, ``max_tiles``, ``max_seconds`` (``Search``), ``aggregation``,
-            ``alpha`` (``Lengths``), ``reference_length_m``, ``region``, ``calibration`` (``Reference``),
-            ``frame_width_px``, ``frame_height_px``, ``coordinates`` (``Frame``), ``bands``, ``limits``, ``bgr``,
-            ``max_megapixels`` (``Reading``), ``rulers``, ``metadata``, ``known_lengths``, ``height_m``,
-            ``focal_35mm`` (``Rulers``).
-
-    Returns:
-        The record, or a list of records; ``gsd_m_per_px`` is None, never a guess, where no ruler finds anything.
-
-    Raises:
-        ImageError: the image cannot be used; see ``vehanchor.errors`` for its kinds.
-        ModelError: the detector cannot be used.
-        InvalidParameterError: an option has no meaning.
-        FrameError: the frame has another aspect ratio than the image.
-        CalibrationError: the calibration cannot be read, or was made for another detector.
-    """
-    chosen = ScaleOptions.of(options)
-    model = open_detector(detector, chosen, threads=threads, providers=providers)
-    if isinstance(image, list | tuple):
-        return [analyse_scale(each, chosen, detector=model, progress=progress).estimate for each in image]
-    return analyse_scale(image, chosen, detector=model, progress=progress).estimate
-
-
-def analyse_scale(
-    image: ImageSource,
-    options: ScaleOptions | None = None,
-    *,
-    detector: Detector | str | os.PathLike[str] | None = None,
-    threads: int | None = None,
-    providers: Sequence[str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
-) -> ScaleAnalysis:
-    """As ``estimate_gsd``, with the detections behind the number.
-
-    Args:
-        image: as in ``estimate_gsd``.
-        options: every choice of the method; None for the defaults.
-        detector: as in ``estimate_gsd``.
-        threads: as in ``estimate_gsd``.
-        providers: as in ``estimate_gsd``.
-        progress: as in ``estimate_gsd``.
-        run_options: ONNX Runtime's, for a caller that may have to end a running model (``terminate``).
-
-    Returns:
-        The record, the detections and which of them were kept.
-
-    Raises:
-        VehAnchorError: as ``estimate_gsd``.
-    """
-    chosen = options or ScaleOptions()
-    model = open_detector(detector, chosen, threads=threads, providers=providers)
-    with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits, bgr=chosen.reading.bgr) as raster:
-        analysis = analyse_raster(raster, model, chosen, progress=progress, run_options=run_options)
-    seen = image if can_be_read_again(image) else None
-    return replace(analysis, image=seen, reading=chosen.reading, ground=raster.ground)
-
-
-def open_detector(
-    detector: Detector | str | os.PathLike[str] | None,
-    options: ScaleOptions,
-    *,
-    threads: int | None = None,
-    providers: Sequence[str] | None = None,
-) -> Detector:
-    """Open a detector; check before the work that it knows the region and that the rulers exist."""
+def checked_detector(detector: Detector, options: ScaleOptions) -> Detector:
+    """The detector, after a check that the options' rulers exist and that it knows their region: before the work."""
     check_rulers(options.rulers)
-    if not isinstance(detector, Detector):
-        path = resolve_model(None if detector is None else str(detector))
-        detector = load_detector(path, threads=threads, providers=named_providers(providers))
     reference_length(detector.card, options.reference, None)
     return detector
 
 
-def analyse_raster(
-    raster: Raster,
-    detector: Detector,
-    options: ScaleOptions,
-    *,
-    progress: Callable[[int, int], None] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
-) -> ScaleAnalysis:
-    """As ``analyse_scale``, of an image that is open already."""
-    view = search_raster(raster, detector, options, progress=progress, run_options=run_options)
-    return analyse_detections(view)
+def analyse_image(image: ImageSource, detector: Detector, options: ScaleOptions) -> ScaleAnalysis:
+    """Open an image, search it and measure its scale; see ``Engine.analyse_scale``."""
+    reading = options.reading
+    with open_raster(image, bands=reading.bands, limits=reading.limits, bgr=reading.bgr) as raster:
+        analysis = analyse_raster(raster, detector, options)
+    seen = image if can_be_read_again(image) else None
+    return replace(analysis, image=seen, reading=reading, ground=raster.ground)
 
 
-def search_raster(
-    raster: Raster,
-    detector: Detector,
-    options: ScaleOptions,
-    *,
-    progress: Callable[[int, int], None] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
-) -> View:
+def analyse_raster(raster: Raster, detector: Detector, options: ScaleOptions) -> ScaleAnalysis:
+    """Search an open image and measure its scale; the detector's runtime says how, and for which call."""
+    return analyse_detections(search_raster(raster, detector, options))
+
+
+def search_raster(raster: Raster, detector: Detector, options: ScaleOptions) -> View:
     """Take the scene-scale prior of an open image, and search it: the first half of ``analyse_raster``."""
     options.frame.check(raster.width_px, raster.height_px)
     options = options.in_pixels(raster.width_px, raster.height_px)
@@ -208,21 +82,10 @@ def search_raster(
     tilt = metadata_tilt(facts, options)  # an image with the horizon in sight is refused before the work
     kinds = {ruler.kind for ruler in rulers}
     weighed = detector.card.votes or Vehicles.kind not in kinds  # else the prior has nothing to weigh
-    wanted = weighed and SceneScale.kind in kinds
-    network = load_scene_scale(threads=detector.threads, providers=detector.providers) if wanted else None
-    prior = None if network is None else network.look(raster, run_options=run_options)
-    view = View(
-        facts,
-        NOT_SEARCHED,
-        detector.card,
-        options,
-        partial(resolved_share, raster),
-        raster,
-        detector.providers,
-        run_options,
-        prior,
-        tilt,
-    )
+    network = load_scene_scale(detector.runtime) if weighed and SceneScale.kind in kinds else None
+    prior = None if network is None else network.look(raster)
+    resolved = partial(resolved_share, raster)
+    view = View(facts, NOT_SEARCHED, detector.card, options, resolved, raster, detector.runtime, prior, tilt)
     if not any(ruler.needs_search for ruler in rulers):
         return view
     detections = search(
@@ -231,8 +94,6 @@ def search_raster(
         options.search,
         scene=prior,
         convergence=None if tilt else partial(_convergence, view),  # in a tilted view lengths differ with the place
-        progress=progress,
-        run_options=run_options,
     )
     return replace(view, detections=detections)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from vehanchor.detection.detector import Detector
+    from vehanchor.engine import Engine
 
 _NEEDED = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pydantic", "mcp")
 _EXTRAS = {"rasterio": "geo", "matplotlib": "plots", "pyarrow": "parquet", "ray": "ray"}
@@ -58,16 +58,15 @@ class SelfTest:
         return abs(self.gsd_m_per_px / self.true_gsd_m_per_px - 1) <= _TOLERANCE
 
 
-def self_test(detector: Detector) -> SelfTest:
+def self_test(engine: Engine) -> SelfTest:
     """Render a scene and measure it."""
-    from vehanchor.estimate import estimate_gsd
     from vehanchor_scenes import render_scene
 
     scene = render_scene(
         gsd_m_per_px=_SCENE_GSD_M, width_px=_SCENE_PX, height_px=_SCENE_PX, n_vehicles=40, seed=_SCENE_SEED
     )
     started = time.perf_counter()
-    record = estimate_gsd(scene.image, detector=detector)
+    record = engine.estimate(scene.image)
     return SelfTest(_SCENE_GSD_M, record.gsd_m_per_px, record.status, time.perf_counter() - started)
 
 
@@ -88,7 +87,7 @@ class FolderCheck:
 
 def check_images(
     images: Sequence[str],
-    detector: Detector,
+    engine: Engine,
     progress: Callable[[int, int], None],
     max_megapixels: float | None = None,
 ) -> FolderCheck:
@@ -96,18 +95,17 @@ def check_images(
 
     Args:
         images: paths.
-        detector: vehicle detector.
+        engine: measures the images.
         progress: called with (images done, images in total).
         max_megapixels: as in ``estimate_gsd``.
     """
     from vehanchor.errors import VehAnchorError
-    from vehanchor.estimate import estimate_gsd
 
     check = FolderCheck()
     for image in images:
         check.n += 1
         try:
-            record = estimate_gsd(image, detector=detector, max_megapixels=max_megapixels)
+            record = engine.estimate(image, max_megapixels=max_megapixels)
         except VehAnchorError as error:
             check.reasons[error.code] += 1
         else:

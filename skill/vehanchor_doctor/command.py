@@ -13,6 +13,7 @@ from vehanchor.cli.terminal import FAILED_TEST, exit_on_error, facts_table, prin
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from vehanchor.engine import Engine
     from vehanchor_doctor.checks import FolderCheck
 
 
@@ -35,41 +36,39 @@ def doctor(
     """List installed versions, measure a scene of known scale, and try VehAnchor on your images."""
     with exit_on_error():
         from vehanchor.batch.files import find_images
-        from vehanchor.detection.detector import load_detector
-        from vehanchor.models.session import named_providers
-        from vehanchor.models.zoo import resolve_model
+        from vehanchor.engine import Engine
+        from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
         from vehanchor_doctor.checks import installed, self_test
 
         images = find_images(inputs) if inputs else []
         print_table(facts_table("installed", installed()))
-        detector = load_detector(resolve_model(None), providers=named_providers(provider or None))
+        engine = Engine(runtime=Runtime(providers=provider or DEFAULT_PROVIDERS))
+        engine.load()
         passed = True
         if test:
-            found = self_test(detector)
+            found = self_test(engine)
             passed = found.passed
             measured = "no scale" if found.gsd_m_per_px is None else f"{found.gsd_m_per_px:.4g} m/px"
             facts = [
                 ("self-test", "passed" if passed else "FAILED: reinstall, or report this"),
                 ("measured", f"{measured} ({found.status}); true: {found.true_gsd_m_per_px:g} m/px"),
-                ("seconds", f"about {found.seconds:.1f} per megapixel" if found.seconds else "0"),
+                ("seconds", f"{found.seconds:.1f}"),
             ]
             print_table(facts_table("a rendered scene", facts))
         if images:
             chosen = sorted(random.Random(0).sample(images, min(sample, len(images))))
             print_table(
-                facts_table(f"{len(chosen)} of {len(images)} images", _advice(_check(chosen, detector, max_megapixels)))
+                facts_table(f"{len(chosen)} of {len(images)} images", _advice(_check(chosen, engine, max_megapixels)))
             )
         if not passed:
             raise typer.Exit(FAILED_TEST)
 
 
-def _check(images: Sequence[str], detector: object, max_megapixels: float | None) -> FolderCheck:
-    from vehanchor.detection.detector import Detector
+def _check(images: Sequence[str], engine: Engine, max_megapixels: float | None) -> FolderCheck:
     from vehanchor_doctor.checks import check_images
 
-    assert isinstance(detector, Detector)
     report = seldom(lambda n, total: f"{n} of {total} images", sys.stderr)
-    return check_images(images, detector, report, max_megapixels)
+    return check_images(images, engine, report, max_megapixels)
 
 
 def _advice(check: FolderCheck) -> list[tuple[str, str]]:

@@ -1,1 +1,1 @@
-"""Reading benchmark data and measuring against it."""
+"""Evaluation of VehAnchor on data of known truth."""

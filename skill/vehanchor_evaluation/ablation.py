@@ -1,4 +1,4 @@
-"""The paper's Table III: one choice of the method changed at a time, all from the same boxes."""
+"""The paper's Table III: one option of the method changed at a time, on the same boxes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Boxes = Literal["detector", "labels"]
 
 _LENGTHS_M = (4.5, REFERENCE_LENGTH_M, 5.5)  # paper: European, DOTA's, North American
 _MANY_VEHICLES = 20  # paper
-_GSD_EDGES = (0.0, 0.3, 0.5, 0.7, float("inf"))  # the paper gives below 0.3 and above 0.7
+_GSD_EDGES = (0.0, 0.3, 0.5, 0.7, float("inf"))  # the paper reports below 0.3 and above 0.7
 _PAPER: dict[tuple[str, str, Boxes], tuple[float, float | None]] = {
     ("aggregation", "kde", "detector"): (0.0687, 0.833),
     ("aggregation", "median", "detector"): (0.0731, 0.840),
@@ -47,19 +47,19 @@ _PAPER: dict[tuple[str, str, Boxes], tuple[float, float | None]] = {
 
 
 class AblationRow(BaseModel):
-    """The error with one choice changed."""
+    """Error with one option changed."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    choice: str = Field(description="The choice that is varied.")
-    setting: str = Field(description="Its value; a reference length is given as a factor on the one in use.")
-    boxes: Boxes = Field(description="Whose vehicles: the detector's or the labels'.")
+    choice: str = Field(description="The option that varies.")
+    setting: str = Field(description="Its value; a reference length is a factor of the current one.")
+    boxes: Boxes = Field(description="Source of the vehicles: detector or labels.")
     errors: ErrorRow = Field(description="The errors.")
-    paper_median: float | None = Field(description="Median error that the paper gives for it.")
-    paper_within_20: float | None = Field(description="Share of errors below 20 % that the paper gives for it.")
+    paper_median: float | None = Field(description="Median error in the paper.")
+    paper_within_20: float | None = Field(description="Share of errors below 20 % in the paper.")
 
     def flat(self) -> dict[str, object]:
-        """The row's values by column."""
+        """Flatten the row to values by column."""
         return {
             "choice": self.choice,
             "setting": self.setting,
@@ -75,7 +75,7 @@ class AblationReport(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    data: str = Field(description="Where the images come from.")
+    data: str = Field(description="Source of the images.")
     detector: str = Field(description="Name of the detector.")
     detector_sha256: str = Field(description="SHA-256 of its file.")
     rows: tuple[AblationRow, ...] = Field(description="The table.")
@@ -88,16 +88,16 @@ class _Variant(NamedTuple):
 
 
 def ablate(benchmark: ScaleBenchmark) -> AblationReport:
-    """Repeat the second half of the skill with one choice changed, on the boxes of the benchmark.
+    """Repeat the estimates on the benchmark's boxes with one option changed at a time.
 
-    Aggregation, reference length and outlier filter are varied with the detector's and with the labelled vehicles;
-    number of vehicles and true scale split the detector's estimates.
+    Aggregation, reference length and outlier filter vary for detected and for labelled vehicles. Number of vehicles and
+    true GSD split the estimates from detections.
 
     Args:
-        benchmark: found and labelled vehicles.
+        benchmark: detected and labelled vehicles.
 
     Returns:
-        A row for each setting and kind of boxes, with the paper's number where it has one.
+        A row for each setting and kind of boxes, with the paper's number if it has one.
     """
     sides: list[tuple[Boxes, tuple[ScaleTrial, ...], Callable[[KnownScaleImage], ScaleOptions]]] = [
         ("detector", benchmark.trials, benchmark.options_of)
@@ -107,7 +107,7 @@ def ablate(benchmark: ScaleBenchmark) -> AblationReport:
     rows = []
     for variant in _variants():
         for boxes, trials, options_of in sides:
-            again = [_repeated(trial, options_of, variant, benchmark) for trial in trials]
+            again = [_repeat(trial, options_of, variant, benchmark) for trial in trials]
             rows.append(_row(variant.choice, variant.setting, boxes, again))
     rows += [_row(choice, setting, "detector", some) for choice, setting, some in _splits(benchmark.trials)]
     return AblationReport(
@@ -138,15 +138,15 @@ def _with_length(analysis: ScaleAnalysis, options: ScaleOptions, factor: float) 
     return replace(options, reference=Reference(length))
 
 
-def _repeated(
+def _repeat(
     trial: ScaleTrial,
     options_of: Callable[[KnownScaleImage], ScaleOptions],
     variant: _Variant,
     benchmark: ScaleBenchmark,
 ) -> ScaleTrial:
-    """The trial with one choice changed, from the same vehicles; the detail is looked at around those kept then."""
+    """Repeat a trial with one option changed, on the same vehicles; the resolved detail follows the kept vehicles."""
     if trial.searched is None:
-        raise InvalidParameterError(f"the vehicles of {trial.image.path} were not kept: use benchmark_scale")
+        raise InvalidParameterError(f"the trial of {trial.image.path} lacks its vehicles: use benchmark_scale")
     options = variant.changed(trial.analysis, options_of(trial.image))
     return replace(trial, analysis=trial.searched.analysis(benchmark.detector, options))
 

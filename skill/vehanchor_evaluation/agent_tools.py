@@ -1,7 +1,7 @@
-"""Tools that a language model may use while it is evaluated; whoever has them registers an entry point.
+"""Tools for a language model under evaluation, provided through entry points.
 
-The evaluation knows no server. A distribution with tools names, in the group ``vehanchor.agent_tools``, a function
-``(roots, *, detector, segmenter)`` that returns a context manager of a ``ToolCaller``; VehAnchor's own server does so.
+The evaluation does not depend on a server. A distribution registers, in the group ``vehanchor.agent_tools``, a function
+``(roots, *, detector, segmenter)`` that returns a context manager of a ``ToolCaller``. VehAnchor's server does this.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ class ToolCaller(Protocol):
     """Tools for a model.
 
     Attributes:
-        anthropic_tools: their definitions for the Messages API.
-        openai_tools: their definitions for the Chat Completions API.
+        anthropic_tools: tool definitions for the Messages API.
+        openai_tools: tool definitions for the Chat Completions API.
     """
 
     anthropic_tools: list[dict[str, Any]]
     openai_tools: list[dict[str, Any]]
 
     def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
-        """Do what the model asks for; gives what it reads and whether that tells an error."""
+        """Execute a tool call; return the text for the model and whether it is an error."""
 
 
 class ToolsFactory(Protocol):
-    """The object that an entry point names."""
+    """Type of the entry point's object."""
 
     def __call__(
         self, roots: Sequence[Path], *, detector: str | None, segmenter: tuple[Path, Path] | None
     ) -> AbstractContextManager[ToolCaller]:
-        """Open tools that read images below ``roots`` only, with these models; None takes the bundled ones."""
+        """Open tools that read only images below ``roots``, with these models; None for the bundled ones."""
 
 
 def open_agent_tools(
     roots: Sequence[Path], *, detector: str | None = None, segmenter: tuple[Path, Path] | None = None
 ) -> AbstractContextManager[ToolCaller]:
-    """Open the tools that are installed; of several the first by name.
+    """Open the installed tools; if there are several, the first by name.
 
     Args:
         roots: folders whose images the tools may read.
@@ -54,18 +54,18 @@ def open_agent_tools(
         segmenter: paths of encoder and decoder; None for the bundled one.
 
     Raises:
-        MissingExtraError: there are none, or they cannot be loaded.
+        MissingExtraError: no tools are installed, or they cannot be loaded.
     """
     registered = sorted(entry_points(group=GROUP), key=lambda point: point.name)
     if not registered:
         raise MissingExtraError(
-            f"--agent needs tools for models, and no installed package has any (entry points of {GROUP!r}): install "
+            f"--agent needs tools for models, but no installed package has any (entry points of {GROUP!r}): install "
             "vehanchor with its server"
         )
     try:
         factory: ToolsFactory = registered[0].load()
     except (ImportError, AttributeError) as error:
         raise MissingExtraError(
-            f"--agent needs tools for models, and {registered[0].value!r} cannot be loaded ({error}): reinstall them"
+            f"--agent needs tools for models, but {registered[0].value!r} cannot be loaded ({error}): reinstall it"
         ) from None
     return factory(roots, detector=detector, segmenter=segmenter)

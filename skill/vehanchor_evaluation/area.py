@@ -1,11 +1,11 @@
-"""Error of measured areas on a benchmark, with its two sources told apart.
+"""Error of measured areas on a benchmark, split by its two sources.
 
-The scale of an image comes from one search for vehicles (``vehanchor_evaluation.search``), whatever the number of its
-objects; each object's mask comes from its box. Three areas follow from them:
+One search for vehicles (``vehanchor_evaluation.search``) gives the scale of an image for all its objects. Each object's
+box gives its mask. Scale and mask give three areas:
 
-* **end to end**: the model's mask, the estimated scale, ``A = N_px * GSD^2``: what a user gets;
-* **true scale** (GT-GSD): the model's mask with the image's true scale: the segmenter's error alone;
-* **true mask** (GT-mask): the object's true mask with the estimated scale: the scale's error alone.
+* **end to end**: the model's mask and the estimated scale, ``A = N_px * GSD^2``, as a user gets it;
+* **true scale** (GT-GSD): the model's mask and the true scale, which isolates the segmenter's error;
+* **true mask** (GT-mask): the true mask and the estimated scale, which isolates the scale's error.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.batch.pool import finished_in_threads
 from vehanchor.errors import VehAnchorError
+from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ImageLimits
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor.segmentation.prompt import Prompt
-from vehanchor.storage.journal import Journal, Key, Source
+from vehanchor.storage.journal import Journal, Key
 from vehanchor_evaluation.area_errors import AreaErrors, area_errors
 from vehanchor_evaluation.known_scale import FileIssue
 
@@ -41,18 +42,18 @@ if TYPE_CHECKING:
 
 
 class MaskTrial(BaseModel):
-    """The mask that the segmenter gave for one entry, in figures."""
+    """Figures of the segmenter's mask for one entry."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     entry: str
     mask_area_px: int = Field(description="Pixels of the model's mask; 0 counts as no answer.")
-    mask_score: float = Field(description="The segmenter's own estimate of its overlap with the true one.")
-    mask_iou: float = Field(description="That overlap: intersection over union.")
+    mask_score: float = Field(description="The segmenter's estimate of its overlap with the true mask.")
+    mask_iou: float = Field(description="True overlap: intersection over union.")
 
 
 class AreaTrial(BaseModel):
-    """The pipeline's answer about one entry."""
+    """Measured areas of one entry."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -62,7 +63,7 @@ class AreaTrial(BaseModel):
     true_area_m2: float
     true_gsd_m_per_px: float
     true_mask_area_px: int
-    gsd_m_per_px: float | None = Field(description="Estimated scale; null without an anchor.")
+    gsd_m_per_px: float | None = Field(description="Estimated scale; null without one.")
     confidence: float
     n_vehicles: int
     mask_area_px: int
@@ -77,23 +78,23 @@ MaskLog: TypeAlias = Journal[MaskTrial]
 
 
 def open_mask_log(path: Path | None, benchmark_sha256: str, segmenter_sha256: str) -> MaskLog:
-    """Open the masks' figures of earlier runs on the same benchmark with the same segmenter.
+    """Open the log of masks of earlier runs on the same benchmark with the same segmenter.
 
     Args:
-        path: of the file; None keeps figures in memory only.
-        benchmark_sha256: what ``load_benchmark`` gave.
-        segmenter_sha256: of the segmenter's files.
+        path: path of the file; None keeps figures in memory only.
+        benchmark_sha256: SHA-256 from ``load_benchmark``.
+        segmenter_sha256: SHA-256 of the segmenter's files.
 
     Raises:
-        InvalidParameterError: the file is no such log.
-        OutputError: it cannot be read or written.
+        InvalidParameterError: the file is not a log of these masks.
+        OutputError: the file cannot be read or written.
     """
     settings = {"vehanchor": version("vehanchor"), "benchmark": benchmark_sha256, "segmenter": segmenter_sha256}
     return Journal(path, settings, dump=MaskTrial.model_dump, load=MaskTrial.model_validate)
 
 
 def _key(entry: BenchmarkEntry) -> Key:
-    """The entry, and its image as it is now."""
+    """Identify an entry and the current state of its image."""
     return (entry.name, *Source.of(entry.image))
 
 
@@ -108,20 +109,20 @@ def segment_entries(
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[dict[str, MaskTrial], list[FileIssue]]:
-    """Segment the entries that the log does not know yet, each prompted by its box; the log takes the results.
+    """Segment the entries that the log lacks, each prompted by its box, and add them to the log.
 
     Args:
-        benchmark: that they belong to.
-        folder: of the benchmark.
-        entries: what to segment.
-        segmenter: shared by all workers.
-        log: of this benchmark and segmenter.
-        limits: of the images.
-        workers: images at once, each held in memory.
-        progress: called with (entries done, entries in all).
+        benchmark: the benchmark.
+        folder: folder of the benchmark.
+        entries: entries to segment.
+        segmenter: the segmenter, shared by all workers.
+        log: log for this benchmark and segmenter.
+        limits: limits for the images.
+        workers: images in parallel, each held in memory.
+        progress: called with (entries done, total).
 
     Returns:
-        The masks' figures by entry; entries and images that could not be segmented, which never stop a run.
+        The masks' figures by entry, and issues of entries and images that could not be segmented.
     """
     keys = {entry.name: _key(entry) for entry in entries}
     missing = sorted((entry for entry in entries if keys[entry.name] not in log), key=_image)
@@ -153,7 +154,7 @@ def _segment_image(
     limits: ImageLimits,
     entries: Sequence[BenchmarkEntry],
 ) -> tuple[list[MaskTrial], list[FileIssue]]:
-    """All entries of one image."""
+    """Segment all entries of one image."""
     trials, issues = [], []
     image = Path(entries[0].image)
     try:
@@ -182,7 +183,7 @@ def _mask_trial(entry: BenchmarkEntry, found: Segmentation, truth: NDArray[np.bo
 
 
 def _overlap(entry: BenchmarkEntry, found: Segmentation, truth: NDArray[np.bool_]) -> float:
-    """Intersection over union; the model's window and the entry's box may each reach out of the other."""
+    """Compute intersection over union; the model's window and the entry's box can each extend beyond the other."""
     window = found.window
     left, top = int(entry.corners[0]), int(entry.corners[1])
     height, width = truth.shape
@@ -201,12 +202,12 @@ def area_trials(
     """Join masks and scales.
 
     Args:
-        entries: of the benchmark.
-        masks: by entry.
-        scales: by image.
+        entries: entries of the benchmark.
+        masks: masks' figures by entry.
+        scales: scales by image.
 
     Returns:
-        The trials of those entries that have both, in the order of ``entries``.
+        Trials of the entries that have both, in the order of ``entries``.
     """
     return [
         _area_trial(entry, masks[entry.name], scales[entry.image])
@@ -234,7 +235,7 @@ def _area_trial(entry: BenchmarkEntry, mask: MaskTrial, scale: GsdEstimate) -> A
 
 
 def summarise_area(trials: Sequence[AreaTrial]) -> list[AreaErrors]:
-    """The table's rows: end to end, of it what has a scale and what a planner may use, and both sources of error."""
+    """Summarise trials as rows: end to end (all, with a scale, confident), and each source of error."""
     scaled = [trial for trial in trials if trial.gsd_m_per_px is not None]
     usable = [trial for trial in trials if trial.confidence >= FALLBACK_CONFIDENCE]
     return [

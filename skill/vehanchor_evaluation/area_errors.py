@@ -1,4 +1,4 @@
-"""Errors of measured areas: the columns of the paper's Table II, by category, and the polarisation ratio."""
+"""Errors of measured areas: the columns of the paper's Table II, by category, with the polarisation ratio."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-NO_ANSWER = 1.0  # no scale, no mask or no number counts as an error of 100 %
+NO_ANSWER = 1.0  # a missing scale, mask or number counts as an error of 100 %
 
 
 class CategoryErrors(BaseModel):
@@ -24,28 +24,28 @@ class CategoryErrors(BaseModel):
 
 
 class AreaErrors(BaseModel):
-    """One row of the table; errors and shares are fractions."""
+    """Row of the table; errors and shares are fractions."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: str
-    entries: int = Field(description="Areas that were asked for.")
-    answered: int = Field(description="Of these, how many got a number; the others count as an error of 100 %.")
-    median: float | None = Field(description="Of the absolute relative error; null without entries.")
-    mean: float | None = Field(description="Of the absolute relative error.")
+    entries: int = Field(description="Areas requested.")
+    answered: int = Field(description="Areas with a number; the others count as an error of 100 %.")
+    median: float | None = Field(description="Median absolute relative error; null without entries.")
+    mean: float | None = Field(description="Mean absolute relative error.")
     below_10: float | None = Field(description="Share of errors below 10 %.")
     below_25: float | None
     below_50: float | None
     below_100: float | None
     catastrophic: float | None = Field(description="Share of errors of 100 % or more.")
     polarisation: float | None = Field(
-        description="Worst category's median error over the best one's; null with one category or a best of 0."
+        description="Worst category's median error divided by the best one's; null with one category or a best of 0."
     )
     categories: dict[str, CategoryErrors]
 
 
 def relative_error(area: float | None, truth: float) -> float:
-    """``|area - truth| / truth``; 1 without an answer."""
+    """Compute ``|area - truth| / truth``; 1 without an answer."""
     return NO_ANSWER if area is None else abs(area / truth - 1.0)
 
 
@@ -53,8 +53,8 @@ def area_errors(name: str, answers: Iterable[tuple[str, float | None, float]]) -
     """Summarise answers.
 
     Args:
-        name: of the row.
-        answers: category, area that was said (None for none) and true area, of each entry.
+        name: name of the row.
+        answers: category, stated area (None for no answer) and true area of each entry.
     """
     every = list(answers)
     errors = np.array([relative_error(area, truth) for _, area, truth in every])

@@ -1,4 +1,4 @@
-"""Results of an area benchmark: the record, and its tables in Markdown."""
+"""Report of an area benchmark: the record, and its tables in Markdown."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 
 class AreaReport(BaseModel):
-    """The findings of a run, and what they depend on."""
+    """Results of a run and their basis."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     vehanchor: str = Field(description="Version of the library.")
     benchmark_sha256: str
-    recipe: dict[str, Any] = Field(description="How the benchmark was made.")
-    available: dict[str, int] = Field(description="Objects it was chosen from, by category.")
+    recipe: dict[str, Any] = Field(description="Recipe of the benchmark.")
+    available: dict[str, int] = Field(description="Objects available for the choice, by category.")
     run: dict[str, Any] = Field(description="Models and options.")
     rows: tuple[AreaErrors, ...]
-    facts: tuple[str, ...] = Field(description="What else to know, a sentence each.")
+    facts: tuple[str, ...] = Field(description="Further facts, one sentence each.")
     left_out: dict[str, int] = Field(description="Files and entries that could not be measured, by reason.")
 
 
@@ -42,7 +42,7 @@ def area_report(
     facts: Sequence[str],
     issues: Sequence[FileIssue],
 ) -> AreaReport:
-    """Put a report together."""
+    """Create a report."""
     return AreaReport(
         vehanchor=version("vehanchor"),
         benchmark_sha256=sha256,
@@ -56,7 +56,7 @@ def area_report(
 
 
 def area_markdown(report: AreaReport) -> str:
-    """The table, the medians by category, and what they rest on."""
+    """Format the table, the medians by category, and their basis."""
     headings = (
         "area",
         "entries",
@@ -94,17 +94,17 @@ def _median(row: AreaErrors, category: str) -> str:
 def write_area_report(
     folder: Path, stem: str, report: AreaReport, records: Sequence[BaseModel], issues: Sequence[FileIssue]
 ) -> list[Path]:
-    """Write the report as JSON and Markdown, each entry as a line of CSV, and what was left out.
+    """Write the report as JSON and Markdown, the entries as CSV, and the issues as CSV.
 
     Args:
-        folder: made.
-        stem: of the names.
+        folder: created if it does not exist.
+        stem: stem of the file names.
         report: the results.
-        records: one for each entry.
-        issues: what was left out.
+        records: one record per entry.
+        issues: files and entries that were left out.
 
     Returns:
-        The files.
+        The written files.
 
     Raises:
         OutputError: a file cannot be written.

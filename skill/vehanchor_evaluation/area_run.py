@@ -1,4 +1,4 @@
-"""A whole run over a benchmark of areas: masks, scales, trials and the report on them."""
+"""Run over an area benchmark: masks, scales, trials and report."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class AreaRun:
     """Results of a run.
 
     Attributes:
-        report: the table with what it rests on.
-        trials: one for each entry that has a mask and whose image could be searched.
-        issues: what was left out.
+        report: the table and its basis.
+        trials: one for each entry with a mask and a searched image.
+        issues: files and entries that were left out.
     """
 
     report: AreaReport
@@ -55,21 +55,21 @@ def measure_benchmark(
     workers: int | None = None,
     progress: Callable[[str], Callable[[int, int], None] | None] | None = None,
 ) -> AreaRun:
-    """Measure the entries of a benchmark and tell the errors of mask and scale apart.
+    """Measure the entries of a benchmark and separate the errors of masks and scales.
 
     Args:
-        folder: of the benchmark.
+        folder: folder of the benchmark.
         detector: finds the vehicles.
         segmenter: finds the objects.
-        options: every choice of the method.
-        logs: folder of what earlier runs found, and will; None keeps nothing.
-        classes: of the detector, that count as vehicles, as it was opened with.
-        limit: measure the first entries only; categories take turns.
-        workers: images at once, each held in memory; None for a good number.
-        progress: given what is done next, gives what is called with (done, in all).
+        options: options of the estimate.
+        logs: folder for logs that let a later run resume; None keeps no logs.
+        classes: detector classes that count as vehicles, as when the detector was opened.
+        limit: measure only the first entries; categories alternate.
+        workers: images in parallel, each held in memory; None chooses a number.
+        progress: takes the name of the next step and returns a function that is called with (done, total).
 
     Raises:
-        InvalidParameterError: the folder holds no benchmark, or a log is none.
+        InvalidParameterError: the folder holds no benchmark, or a file is not a log.
         OutputError: a log cannot be written.
     """
     built, benchmark_sha = load_benchmark(folder)
@@ -113,7 +113,7 @@ def _scales(
 
 
 def _run_facts(detector: Detector, segmenter: Segmenter, options: ScaleOptions, limit: int | None) -> dict[str, Any]:
-    """Models and options, for the report."""
+    """Describe models and options for the report."""
     return {
         "detector": {"name": detector.card.name, "sha256": detector.card.sha256},
         "segmenter": {"name": segmenter.card.name, "sha256": segmenter.card.sha256},
@@ -128,10 +128,10 @@ def _run_facts(detector: Detector, segmenter: Segmenter, options: ScaleOptions, 
 
 
 def _facts(trials: Sequence[AreaTrial], entries: Sequence[BenchmarkEntry], detector: str, segmenter: str) -> list[str]:
-    """The grounds that the table rests on, a sentence each."""
+    """Describe the basis of the table, one sentence each."""
     facts = [
         f"{len(trials)} of {len(entries)} entries measured, in {len({trial.image for trial in trials})} images",
-        f"detector {detector}, segmenter {segmenter}; no scale, or no mask, counts as an error of 100 %",
+        f"detector {detector}, segmenter {segmenter}; a missing scale or mask counts as an error of 100 %",
     ]
     if trials:
         iou = np.array([trial.mask_iou for trial in trials])

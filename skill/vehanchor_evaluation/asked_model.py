@@ -1,4 +1,4 @@
-"""The questions of ``questions``, put to a real vision-language model: with the tools, or by its eye alone."""
+"""Answers of a real vision-language model to the questions of ``questions``, with or without tools."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _INTERVAL = re.compile(_NUMBER + r"\s*(?:m2|m\^2|m\u00b2|m)?\s*(?:to|-|\u2013|\.
 
 
 class ModelAnswers(NamedTuple):
-    """What became of the questions, those that were asked; why the run ended early (None: it did not)."""
+    """Outcomes of the questions, and the reason for an early end (None if the run is complete)."""
 
     outcomes: list[Outcome]
     stopped: str | None
@@ -52,16 +52,16 @@ class ModelAnswers(NamedTuple):
 def ask_model(
     questions: Iterable[Question], api: ModelApi, tools: ToolCaller | None = None, *, max_turns: int = 8
 ) -> ModelAnswers:
-    """Ask a model each question by itself, with the picture.
+    """Ask a model each question separately, with the image.
 
-    The run ends early once the budget is spent, the service refuses the key or the model, or a request fails after all
-    attempts; replies that are kept cost nothing the next time.
+    The run ends early if the budget is spent, the service refuses the key or the model, or a request fails after all
+    attempts. Stored replies are free in the next run.
 
     Args:
-        questions: in the order in which they are asked.
+        questions: questions in order.
         api: the model.
-        tools: that it may call; None for by its eye alone.
-        max_turns: replies that it may give to one question.
+        tools: tools that it may call; None for none.
+        max_turns: maximum number of replies to one question.
     """
     outcomes: list[Outcome] = []
     try:
@@ -73,7 +73,7 @@ def ask_model(
 
 
 def read_answer(reply: str) -> tuple[float, float] | bool | None:
-    """Read the last ``ANSWER=`` of a reply: an interval, yes or no; None for anything else, such as unknown."""
+    """Parse the last ``ANSWER=`` of a reply: an interval, yes or no; None for anything else, such as "unknown"."""
     lines = _ANSWER.findall(reply)
     text = lines[-1].strip(" .*_`\"'").lower().replace(",", "") if lines else ""
     if text in ("yes", "no"):
@@ -100,7 +100,7 @@ def _ask(question: Question, api: ModelApi, tools: ToolCaller | None, max_turns:
 
 
 def _status(result: ToolResult, *, before: bool) -> bool:
-    """Whether the latest thing that was measured may be acted on; what measures nothing leaves it as it was."""
+    """Update whether the latest measurement is usable; calls without a measurement leave it unchanged."""
     record: Any = None
     if not result.is_error:
         try:
@@ -125,7 +125,7 @@ def _words(question: Question, measuring: bool) -> str:
 
 
 def _picture(question: Question) -> str:
-    """The image as JPEG in base64, no larger than models see."""
+    """Encode the image as base64 JPEG, reduced to the size that models see."""
     with open_raster(question.image, limits=DATASET_LIMITS) as raster:
         seen = read_reduced(raster)
     factor = min(1.0, _MAX_SIDE_PX / max(seen.shape[:2]))

@@ -1,4 +1,4 @@
-"""Detections against labelled boxes: average precision, and whether lengths come out right."""
+"""Detections compared with labelled boxes: average precision and errors of length."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 HIT_IOU = 0.5
-IGNORED_SHARE = 0.5  # a detection with so much of its area on a box to ignore is neither hit nor false alarm
+IGNORED_SHARE = 0.5  # a detection with this share of its area on an ignored box is neither hit nor false alarm
 
 
 class MatchedDetections(NamedTuple):
-    """The detections of one image that count, and what they are.
+    """Detections of one image without ignored ones, matched with labels.
 
     Attributes:
-        scores: ``[n]`` of the detections that count, best first.
-        lengths_px: ``[n]`` their lengths.
-        label: ``[n]`` index of the label that each hits, -1 for a false alarm.
+        scores: ``[n]`` scores, best first.
+        lengths_px: ``[n]`` lengths.
+        label: ``[n]`` index of the matched label; -1 for a false alarm.
         label_lengths_px: ``[m]`` lengths of all labels.
     """
 
@@ -42,17 +42,14 @@ def match_detections(
     *,
     iou: float = HIT_IOU,
 ) -> MatchedDetections:
-    """Match detections to labels as VOC does: from the best score down, each label once.
+    """Match detections with labels as in VOC: by falling score, each label once.
 
     Args:
         boxes: ``[n, 5]`` detections ``(x, y, length, width, angle)``.
         scores: ``[n]`` their scores.
         labels: ``[m, 5]`` labelled vehicles.
-        ignored: ``[k, 5]`` boxes (doubtful, difficult, cut off) on which a detection is neither hit nor false alarm.
+        ignored: ``[k, 5]`` boxes (doubtful, difficult, cut off) where a detection is neither hit nor false alarm.
         iou: least oriented IoU of a hit.
-
-    Returns:
-        The detections that count.
     """
     order = np.argsort(-scores, kind="stable")
     boxes, scores = boxes[order], scores[order]
@@ -73,10 +70,10 @@ def match_detections(
 
 
 def average_precision(images: Iterable[MatchedDetections]) -> float:
-    """Area below the precision envelope over recall, all images together (VOC 2010 and later, COCO).
+    """Compute the area under the precision envelope over recall for all images (VOC 2010 and later, COCO).
 
     Returns:
-        0..1; NaN without a label.
+        0..1; NaN without labels.
     """
     chosen = list(images)
     n_labels = sum(len(image.label_lengths_px) for image in chosen)
@@ -91,13 +88,13 @@ def average_precision(images: Iterable[MatchedDetections]) -> float:
 
 
 class LengthError(NamedTuple):
-    """How long the boxes of labels of some lengths are.
+    """Errors of detected lengths for labels in a range of lengths.
 
     Attributes:
         low_px: shortest label of the bin.
-        high_px: longest.
+        high_px: longest label of the bin.
         labels: number of labels.
-        found: how many of them were hit.
+        found: number of labels that were detected.
         bias: median of ``length / label - 1`` of those.
         spread: standard deviation of the same, from the quartiles.
     """
@@ -113,15 +110,15 @@ class LengthError(NamedTuple):
 def length_errors(
     images: Iterable[MatchedDetections], edges_px: Sequence[float], *, min_score: float = 0.0
 ) -> list[LengthError]:
-    """Signed error of the detected length by labelled length.
+    """Compute the signed error of detected lengths by labelled length.
 
     Args:
         images: matched detections.
-        edges_px: of the bins, ascending.
-        min_score: detections below it are left out.
+        edges_px: edges of the bins, ascending.
+        min_score: detections below this score are left out.
 
     Returns:
-        One row a bin; bias and spread are NaN for a bin without a hit.
+        One row per bin; bias and spread are NaN for a bin without detections.
     """
     truth, every, error = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
     for image in images:

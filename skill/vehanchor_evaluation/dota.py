@@ -1,6 +1,6 @@
-"""DOTA data: ``images/`` and, in ``labelTxt*/``, text files of ``x1 y1 x2 y2 x3 y3 x4 y4 class difficult`` lines.
+"""DOTA data: ``images/``, and text files in ``labelTxt*/`` with lines ``x1 y1 x2 y2 x3 y3 x4 y4 class difficult``.
 
-The files start with ``imagesource:`` and ``gsd:`` lines in versions 1.0 and 1.5; version 2.0 keeps these in ``meta/``.
+In versions 1.0 and 1.5 the files start with ``imagesource:`` and ``gsd:`` lines; version 2.0 has these in ``meta/``.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SMALL_VEHICLE = "small-vehicle"
-_HORIZONTAL = re.compile(r"hbb|task2|reclabel", re.IGNORECASE)  # folders of upright boxes: their lengths are not cars'
+_HORIZONTAL = re.compile(r"hbb|task2|reclabel", re.IGNORECASE)  # axis-aligned boxes: useless as lengths
 _SHOWN_PROBLEMS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class DotaLabels:
-    """The labels of one image.
+    """Labels of one image.
 
     Attributes:
-        gsd_m_per_px: ground sampling distance of the header, or None where it is missing or ``None``.
+        gsd_m_per_px: ground sampling distance in the header; None if it is missing or ``None``.
         corners: ``[n, 4, 2]`` float64 corners in pixels, in order around each box.
         classes: ``n`` class names, as written.
         difficult: ``[n]`` bool, the last field.
@@ -43,7 +43,7 @@ class DotaLabels:
     difficult: NDArray[np.bool_]
 
     def of_class(self, *names: str) -> NDArray[np.float64]:
-        """Corners ``[k, 4, 2]`` of the labels with one of these class names."""
+        """Select the corners ``[k, 4, 2]`` of the labels with one of these class names."""
         keep = np.array([name in names for name in self.classes], dtype=bool)
         return np.asarray(self.corners[keep])
 
@@ -52,11 +52,11 @@ def parse_labels(text: str, problems: list[str] | None = None) -> DotaLabels:
     """Parse the text of one label file.
 
     Args:
-        text: of the file.
-        problems: takes a message for each malformed line, which is then left out; None refuses the text instead.
+        text: content of the file.
+        problems: collects a message for each malformed line, which is skipped; None raises an error instead.
 
     Raises:
-        ValueError: a line is malformed and ``problems`` is None; the message gives its number.
+        ValueError: a line is malformed and ``problems`` is None; the message has its number.
     """
     gsd: float | None = None
     corners: list[list[float]] = []
@@ -102,7 +102,7 @@ def read_labels(path: Path, problems: list[str] | None = None) -> DotaLabels:
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is not text, or a line is malformed and ``problems`` is None; the message names file and line.
+        ValueError: the file is not text, or a line is malformed and ``problems`` is None.
     """
     try:
         return parse_labels(path.read_text(encoding="utf-8-sig"), problems)
@@ -111,13 +111,13 @@ def read_labels(path: Path, problems: list[str] | None = None) -> DotaLabels:
 
 
 def labelled_boxes(path: Path, classes: Sequence[str] = (SMALL_VEHICLE,)) -> NDArray[np.float64]:
-    """Labelled vehicles of one image, the difficult ones too, as ``[n, 5]`` boxes ``(x, y, length, width, angle)``.
+    """Read the labelled vehicles of one image, difficult ones included: ``[n, 5]`` (x, y, length, width, angle).
 
-    Malformed lines are left out: ``survey_dota`` and its like report them.
+    Malformed lines are skipped; ``survey_dota`` and other surveys report them.
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is not text.
+        ValueError: the file is not text.
     """
     boxes = boxes_from_corners(read_labels(path, []).of_class(*classes))
     return np.asarray(boxes[boxes[:, 2] > 0])
@@ -127,15 +127,15 @@ def survey_dota(folder: Path, labels: Path | None = None) -> KnownScaleSet:
     """Find the images of one split of DOTA and their scales.
 
     Args:
-        folder: of a split, with ``images/`` (searched in depth) and ``labelTxt*/``; of several label folders the one of
-            the latest version is taken, oriented boxes only.
+        folder: folder of a split, with ``images/`` (searched recursively) and ``labelTxt*/``; the latest version with
+            oriented boxes is used.
         labels: another folder of labels.
 
     Returns:
-        The images with a ``gsd:``; the others, labels without an image and malformed lines as issues.
+        The images with a ``gsd:``; the issues list other images, labels without an image, and malformed lines.
 
     Raises:
-        InvalidParameterError: there are no such folders.
+        InvalidParameterError: a folder is missing.
     """
     if not (folder / "images").is_dir():
         splits = sorted(path.parent.name for path in folder.glob("*/images") if path.is_dir())
@@ -144,12 +144,13 @@ def survey_dota(folder: Path, labels: Path | None = None) -> KnownScaleSet:
     label_folder = labels or _latest_labels(folder)
     if not label_folder.is_dir():
         raise InvalidParameterError(f"no label folder at {str(label_folder)!r}")
-    texts = {path.stem: path for path in sorted(label_folder.rglob("*.txt")) if not _upright(path, label_folder)}
+    files = sorted(label_folder.rglob("*.txt"))
+    texts = {path.stem: path for path in files if not _is_axis_aligned(path, label_folder)}
     images, issues = [], []
     seen: dict[str, Path] = {}
     for path in image_files(folder / "images"):
         if path.stem in seen:
-            message = f"{seen[path.stem]} has the same name: only that one is used"
+            message = f"{seen[path.stem]} has the same name, and only that one is used"
             issues.append(FileIssue(path, "duplicate_name", message))
             continue
         seen[path.stem] = path
@@ -169,7 +170,7 @@ def survey_dota(folder: Path, labels: Path | None = None) -> KnownScaleSet:
             message = "; ".join(problems[:_SHOWN_PROBLEMS]) + more
             issues.append(FileIssue(text, "malformed_labels", message, skipped=False))
         if gsd is None:
-            issues.append(FileIssue(path, "no_gsd", "its labels have no 'gsd:' line, or one without a number"))
+            issues.append(FileIssue(path, "no_gsd", "its labels have no 'gsd:' line with a number"))
             continue
         n_vehicles = sum(name == SMALL_VEHICLE for name in read.classes)
         images.append(KnownScaleImage(path, gsd, labelled_vehicles=n_vehicles, labels=text))
@@ -188,12 +189,12 @@ def _latest_labels(folder: Path) -> Path:
     raise InvalidParameterError(f"no labelTxt*/ (or labels/) folder in {str(folder)!r}; name one with --labels")
 
 
-def _upright(path: Path, label_folder: Path) -> bool:
+def _is_axis_aligned(path: Path, label_folder: Path) -> bool:
     return any(_HORIZONTAL.search(part) for part in path.relative_to(label_folder).parts[:-1])
 
 
 def _meta_gsd(path: Path) -> float | None:
-    """The ``gsd:`` of a file of version 2.0's ``meta/``."""
+    """Read the ``gsd:`` of a file in ``meta/`` of version 2.0."""
     if not path.is_file():
         return None
     for line in path.read_text(encoding="utf-8-sig").splitlines():

@@ -1,4 +1,4 @@
-"""The figures of a scale benchmark: true against predicted, cumulative error, calibration, and a sheet of images."""
+"""Figures of a scale benchmark: predicted against true GSD, cumulative error, calibration, and a sheet of images."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ _GAP_PX = 12
 
 
 def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
-    """Predicted against true GSD, logarithmic, with the +-10 % band and the resolution guard's line.
+    """Plot predicted against true GSD on logarithmic axes, with the +-10 % band and the resolution guard.
 
     Args:
-        trials: of the detector; those without an estimate are marked at the lower edge.
+        trials: trials of the detector; images without an estimate are marked at the lower edge.
 
     Returns:
-        A figure; see ``vehanchor.pictures.plot.write_plot``.
+        A figure for ``vehanchor.pictures.plot.write_plot``.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -79,16 +79,16 @@ def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
 
 
 def _guard_gsd(trials: Sequence[ScaleTrial]) -> float:
-    """The predicted scale from which the resolution guard holds: 0.3 m/px, or finer where the model needs it."""
+    """Get the predicted GSD above which the resolution guard applies: 0.3 m/px, or less if the detector needs it."""
     limits = [t.analysis.estimate.reference_length_m / t.analysis.guard_length_px for t in trials]
     return float(np.median(limits)) if limits else GUARD_GSD_M_PER_PX
 
 
 def plot_cumulative_error(curves: Mapping[str, Sequence[ScaleTrial]]) -> Figure:
-    """Share of images below an error, for each kind of boxes; images without an estimate never come below any.
+    """Plot the share of images below an error for each kind of boxes; images without an estimate count as errors.
 
     Args:
-        curves: name to trials.
+        curves: trials by name.
 
     Returns:
         A figure.
@@ -119,33 +119,33 @@ def plot_cumulative_error(curves: Mapping[str, Sequence[ScaleTrial]]) -> Figure:
 
 
 def interval_coverage(trials: Sequence[ScaleTrial], nominal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Observed coverage of the intervals at other levels than 95 %: they are log-normal, so they scale.
+    """Compute the observed coverage at other levels than 95 % by scaling the lognormal intervals.
 
     Args:
-        trials: with an estimate, at least one.
+        trials: at least one trial, all with an estimate.
         nominal: ``[k]`` levels in 0..1.
 
     Returns:
-        ``[k]`` share of trials whose truth lies in the interval of that level.
+        ``[k]`` share of trials whose true GSD lies in the interval of each level.
     """
     from scipy.stats import norm
 
     estimates = [trial.analysis.estimate for trial in trials]
     reach = np.array([np.log((e.gsd_ci95_high_m_per_px or np.nan) / (e.gsd_m_per_px or np.nan)) for e in estimates])
     error = np.abs(np.log1p([trial.signed_error for trial in trials]))
-    needed = error / reach * Z95  # standard deviations off
+    needed = error / reach * Z95  # error in standard deviations
     reached = norm.ppf((1 + np.asarray(nominal)) / 2)
     return np.asarray((needed[None, :] <= reached[:, None]).mean(axis=1))
 
 
 def plot_calibration(trials: Sequence[ScaleTrial]) -> Figure:
-    """Whether interval and confidence mean what they say.
+    """Plot the calibration of interval and confidence.
 
-    Left: nominal against observed coverage of the interval. Right: by bins of confidence, the median error and the
-    share of errors above 20 %.
+    Left: observed against nominal coverage of the interval. Right: median error and share of errors above 20 %, by bins
+    of confidence.
 
     Args:
-        trials: of the detector; those without an estimate say nothing here.
+        trials: trials of the detector; images without an estimate are ignored.
 
     Returns:
         A figure.
@@ -157,7 +157,7 @@ def plot_calibration(trials: Sequence[ScaleTrial]) -> Figure:
     left, right = (_axes(axes) for axes in figure.subplots(1, 2))
     known = [trial for trial in trials if trial.estimated]
     nominal = np.linspace(0.0, 0.99, 100)
-    left.plot([0, 1], [0, 1], color=_GREY, lw=1, ls="--", label="as it should be")
+    left.plot([0, 1], [0, 1], color=_GREY, lw=1, ls="--", label="ideal")
     if known:
         left.plot(nominal, interval_coverage(known, nominal), color=_BLUE, lw=2, label=f"{len(known)} images")
     left.axvline(0.95, color=_GREY, lw=0.8, ls=":")
@@ -196,11 +196,11 @@ def _confidence_bars(axes: Axes, trials: Sequence[ScaleTrial]) -> None:
 
 
 def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibration) -> Figure:
-    """How a calibration came about: the vehicles' lengths in metres, their density, the mode and its interval.
+    """Plot a calibration: the vehicles' lengths in metres, their density, the mode and its interval.
 
     Args:
-        images: vehicles and true scales that were measured.
-        calibration: what came of them.
+        images: vehicles and true scales.
+        calibration: the calibration from them.
 
     Returns:
         A figure.
@@ -244,7 +244,7 @@ def _axes(axes: Axes) -> Axes:
 
 
 def _plain_log(axes: Axes) -> None:
-    """Ticks such as 0.1, 0.2, 0.5 instead of powers of ten."""
+    """Label logarithmic axes with ticks such as 0.1, 0.2, 0.5 instead of powers of ten."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     for axis in (axes.xaxis, axes.yaxis):
@@ -257,11 +257,11 @@ def _plain_log(axes: Axes) -> None:
 
 
 class SheetCell(NamedTuple):
-    """One picture of a sheet.
+    """Cell of a sheet.
 
     Attributes:
         picture: ``[h, w, 3]`` RGB.
-        lines: texts below it, the first in bold.
+        lines: lines of text below it, the first in bold.
     """
 
     picture: NDArray[np.uint8]
@@ -269,7 +269,7 @@ class SheetCell(NamedTuple):
 
 
 def sheet_trials(trials: Sequence[ScaleTrial], per_row: int = 3) -> dict[str, tuple[ScaleTrial, ...]]:
-    """The best, the middle and the worst estimates, each once."""
+    """Select the best, the middle and the worst estimates without repetition."""
     ordered = sorted((trial for trial in trials if trial.estimated), key=lambda trial: trial.error)
     count = min(per_row, len(ordered) // 3)
     start = (len(ordered) - count) // 2
@@ -283,10 +283,10 @@ def sheet_trials(trials: Sequence[ScaleTrial], per_row: int = 3) -> dict[str, tu
 
 
 def sheet_cell(trial: ScaleTrial) -> SheetCell:
-    """An image with its vehicles drawn, its error and its confidence.
+    """Draw an image with its vehicles, error and confidence.
 
     Raises:
-        ImageError: the image cannot be read any more.
+        ImageError: the image can no longer be read.
     """
     estimate = trial.analysis.estimate
     with open_raster(trial.image.path, limits=DATASET_LIMITS) as raster:
@@ -305,10 +305,10 @@ def sheet_cell(trial: ScaleTrial) -> SheetCell:
 
 
 def draw_sheet(rows: Sequence[Sequence[SheetCell]]) -> NDArray[np.uint8]:
-    """Pictures side by side in rows, each above its texts.
+    """Arrange cells in rows, each picture above its text.
 
     Args:
-        rows: of cells; a row may be shorter than the longest.
+        rows: rows of cells, of any lengths.
 
     Returns:
         ``[h, w, 3]`` RGB.
@@ -328,7 +328,7 @@ def draw_sheet(rows: Sequence[Sequence[SheetCell]]) -> NDArray[np.uint8]:
 
 
 def _cell(cell: SheetCell) -> NDArray[np.uint8]:
-    """The picture fitted into a square, its texts below."""
+    """Draw a picture fitted into a square, with its text below."""
     height, width = cell.picture.shape[:2]
     factor = _CELL_PX / max(height, width)
     size = max(1, round(width * factor)), max(1, round(height * factor))

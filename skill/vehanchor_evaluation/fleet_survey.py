@@ -1,4 +1,4 @@
-"""Reference length of a region's fleet, from vehicles in images of known scale: labelled, or found by a model."""
+"""Fleet calibration: the reference length of a region from labelled or detected vehicles in images of known scale."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class FleetSurvey(NamedTuple):
-    """Vehicles of known scale, and the files that could not be used."""
+    """Vehicles of known scale, and issues of files that could not be used."""
 
     images: list[SurveyedImage]
     issues: list[FileIssue]
@@ -32,12 +32,12 @@ def labelled_vehicles(data: KnownScaleSet, classes: Sequence[str] = (SMALL_VEHIC
 
     Args:
         data: images of known scale.
-        classes: of labels, that count as vehicles.
+        classes: label classes that count as vehicles.
     """
     survey = FleetSurvey([], list(data.issues))
     for image in data.images:
         if image.labels is None:
-            survey.issues.append(FileIssue(image.path, "no_label", "no labels beside it"))
+            survey.issues.append(FileIssue(image.path, "no_label", "no label file found"))
             continue
         try:
             boxes = labelled_boxes(image.labels, classes)
@@ -54,13 +54,13 @@ def found_vehicles(
     card: DetectorCard,
     options: ScaleOptions,
 ) -> FleetSurvey:
-    """Collect the vehicles that a model has found, less the outliers that an estimate drops.
+    """Collect the vehicles that a model has found, without the outliers that an estimate drops.
 
     Args:
         data: images of known scale.
-        searched: what ``search_images`` found in each.
-        card: of the model.
-        options: every choice of the method.
+        searched: results of ``search_images`` by image.
+        card: model card of the detector.
+        options: options of the estimate.
     """
     survey = FleetSurvey([], list(data.issues))
     weighted = (options.lengths.aggregation or card.aggregation) == "weighted_kde"
@@ -77,14 +77,14 @@ def found_vehicles(
 
 
 def calibrate_labelled(survey: FleetSurvey, card: DetectorCard | None = None) -> Calibration:
-    """Measure the mode of labelled lengths, as the paper does.
+    """Measure the mode of labelled lengths, as in the paper.
 
     Args:
         survey: labelled vehicles.
-        card: of the only model that the calibration is for; None for any that draws boxes as the labels are.
+        card: model card of the only detector that may use the calibration; None for any whose boxes match the labels.
 
     Raises:
-        CalibrationRefusedError: too few vehicles, or imagery too coarse.
+        CalibrationRefusedError: there are too few vehicles, or the imagery is too coarse.
     """
     return calibrate(
         survey.images,
@@ -96,10 +96,10 @@ def calibrate_labelled(survey: FleetSurvey, card: DetectorCard | None = None) ->
 
 
 def calibrate_found(survey: FleetSurvey, card: DetectorCard) -> Calibration:
-    """Measure the mode of the lengths that a model finds, its way to draw boxes included: for it alone.
+    """Measure the mode of detected lengths, for this detector only, because it includes the detector's bias.
 
     Raises:
-        CalibrationRefusedError: too few vehicles, or imagery too coarse.
+        CalibrationRefusedError: there are too few vehicles, or the imagery is too coarse.
     """
     return calibrate(
         survey.images,

@@ -1,4 +1,4 @@
-"""Georeferenced images: their own geotransform tells the true scale."""
+"""Georeferenced images, whose geotransform gives the true GSD."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 
 
 def survey_geotiffs(paths: Sequence[Path]) -> KnownScaleSet:
-    """Read the true scale of orthophotos from their georeference, at their centre.
+    """Read the true GSD at the centre of orthophotos from their georeference.
 
-    Pixels in degrees are taken at their latitude, and Mercator's stretched metres by its cosine: see
+    Pixels in degrees and Mercator's metres are converted at the image's latitude: see
     ``vehanchor.imagery.metadata.georeference``.
 
     Args:
         paths: files, and folders to search for images.
 
     Returns:
-        The images with a georeference; the others as issues.
+        The images with a georeference; the issues list the others.
 
     Raises:
         InvalidParameterError: a path does not exist.
@@ -44,7 +44,7 @@ def survey_geotiffs(paths: Sequence[Path]) -> KnownScaleSet:
             issues.append(FileIssue(file, error.code, str(error)))
             continue
         if gsd is None:
-            issues.append(FileIssue(file, "no_georeference", "the file carries no scale that makes sense"))
+            issues.append(FileIssue(file, "no_georeference", "the file has no valid georeference"))
             continue
         images.append(KnownScaleImage(file, gsd, labels=labels_beside(file)))
     source = str(paths[0]) if len(paths) == 1 else f"{len(paths)} georeferenced files"

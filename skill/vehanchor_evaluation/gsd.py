@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.detections import Detections
-from vehanchor.estimate import analyse_scale, open_detector
+from vehanchor.estimate import analyse_image, checked_detector
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import Reference, ScaleOptions
 from vehanchor.scale.lengths import kde_mode
@@ -30,17 +30,17 @@ if TYPE_CHECKING:
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
 
-HIGH_ERROR = 0.20  # paper: 51 of 306 "high-error images" is what an error above 20 % gives
+HIGH_ERROR = 0.20  # paper: an error above 20 % gives its 51 of 306 "high-error images"
 
 
 @dataclass(frozen=True, eq=False)
 class ScaleTrial:
-    """The pipeline's answer for one image of known scale.
+    """Estimate for one image of known scale.
 
     Attributes:
         image: the image.
-        analysis: the answer.
-        searched: the vehicles it was made from, for another look at them; None where they were not kept.
+        analysis: analysis of the estimate.
+        searched: its detections, for further analyses; None if they were not kept.
     """
 
     image: KnownScaleImage
@@ -49,7 +49,7 @@ class ScaleTrial:
 
     @property
     def signed_error(self) -> float:
-        """``(GSD - truth) / truth``; NaN without an estimate."""
+        """Signed relative error ``(GSD - truth) / truth``; NaN without an estimate."""
         gsd = self.analysis.estimate.gsd_m_per_px
         return math.nan if gsd is None else gsd / self.image.gsd_m_per_px - 1.0
 
@@ -60,7 +60,7 @@ class ScaleTrial:
 
     @property
     def estimated(self) -> bool:
-        """Whether there is an estimate."""
+        """Whether the image has an estimate."""
         return self.analysis.estimate.gsd_m_per_px is not None
 
     @property
@@ -77,20 +77,20 @@ def run_trials(
 ) -> Iterator[ScaleTrial]:
     """Estimate the scale of each image in turn."""
     for image in images:
-        yield ScaleTrial(image, analyse_scale(image.path, options, detector=detector))
+        yield ScaleTrial(image, analyse_image(image.path, detector, options or ScaleOptions()))
 
 
 class ErrorSummary(NamedTuple):
-    """The columns of the paper's Table I.
+    """Columns of the paper's Table I.
 
     Attributes:
         images: number of images.
         coverage: share with an estimate.
-        median: of the absolute relative error.
-        mean: of the absolute relative error.
+        median: median absolute relative error.
+        mean: mean absolute relative error.
         within_10: share of errors below 10 %.
         within_20: share of errors below 20 %.
-        bias: median of the signed relative error where there is an estimate.
+        bias: median signed relative error of images with an estimate.
     """
 
     images: int
@@ -130,16 +130,16 @@ def summarise_errors(signed_errors: ArrayLike) -> ErrorSummary:
 
 @dataclass(frozen=True, eq=False)
 class ScaleBenchmark:
-    """The pipeline on images of known scale, with found and with labelled vehicles.
+    """Estimates on images of known scale, from detected and from labelled vehicles.
 
     Attributes:
         data: the images.
-        detector: card of the model.
-        trials: every image that could be searched, with the detector's vehicles.
-        baseline: those with labels, with the labelled vehicles through the same filter and mode.
-        issues: files left out, or not used whole.
-        options_of: the method's choices for one image; the region may differ.
-        label_options_of: the same for labelled vehicles.
+        detector: model card of the detector.
+        trials: every searched image, with detected vehicles.
+        baseline: every image with labels, with labelled vehicles and the same filter and mode.
+        issues: files left out or used in part.
+        options_of: gives the options for an image; the region can differ.
+        label_options_of: gives the options for labelled vehicles.
     """
 
     data: KnownScaleSet
@@ -154,22 +154,22 @@ class ScaleBenchmark:
 def check_options(
     detector: Detector, data: KnownScaleSet, options_of: Callable[[KnownScaleImage], ScaleOptions]
 ) -> None:
-    """Check, before the work, that a model knows the region of every image, and the calibration is its own.
+    """Check, before the search, that a detector has the region of every image and owns the calibration.
 
     Raises:
-        InvalidParameterError: it does not know one of the regions.
-        CalibrationMismatchError: the calibration was made for another model.
+        InvalidParameterError: the detector lacks a region.
+        CalibrationMismatchError: the calibration was made for another detector.
     """
     for options in {id(options): options for options in map(options_of, data.images)}.values():
-        open_detector(detector, options)
+        checked_detector(detector, options)
 
 
 def with_regions(options: ScaleOptions, regions: Mapping[str, str]) -> Callable[[KnownScaleImage], ScaleOptions]:
     """Choose the options of an image by its set.
 
     Args:
-        options: of all images.
-        regions: by set, whose reference length is taken instead.
+        options: options for all images.
+        regions: region by set; it replaces the reference length.
     """
     chosen = {name: replace(options, reference=Reference(region=region)) for name, region in regions.items()}
     return lambda image: chosen.get(image.set, options)
@@ -184,21 +184,21 @@ def benchmark_scale(
     label_options_of: Callable[[KnownScaleImage], ScaleOptions] | None = None,
     label_classes: Sequence[str] = (SMALL_VEHICLE,),
 ) -> ScaleBenchmark:
-    """Turn vehicles found and vehicles labelled into scales.
+    """Estimate scales from detected and from labelled vehicles.
 
     Args:
         data: images of known scale.
-        searched: what ``search_images`` found in each.
-        detector: card of the model.
-        options_of: the method's choices for an image.
-        label_options_of: those for labelled vehicles; default the same.
-        label_classes: classes of labels that count as vehicles.
+        searched: results of ``search_images`` by image.
+        detector: model card of the detector.
+        options_of: gives the options for an image.
+        label_options_of: gives the options for labelled vehicles; default: the same.
+        label_classes: label classes that count as vehicles.
 
     Returns:
-        All trials; images and labels that could not be used are among the issues.
+        All trials; the issues list images and labels that could not be used.
 
     Raises:
-        InvalidParameterError: the model does not know a region.
+        InvalidParameterError: the detector lacks a region.
     """
     label_options_of = label_options_of or options_of
     issues = list(data.issues)
@@ -229,10 +229,10 @@ class _Row(BaseModel):
 
 
 class ErrorRow(_Row):
-    """One row of the table: errors where there is an estimate, as the paper counts."""
+    """Row of the table; errors cover images with an estimate, as in the paper."""
 
-    name: str = Field(description="Which boxes, on which images.")
-    images: int = Field(ge=0, description="Images with an estimate; all errors are over these.")
+    name: str = Field(description="Kind of boxes, and images.")
+    images: int = Field(ge=0, description="Images with an estimate; errors cover these.")
     of_images: int = Field(ge=0, description="Images tried.")
     coverage: float | None = Field(description="images / of_images.")
     median: float | None = Field(description="Median of the absolute relative error.")
@@ -241,9 +241,9 @@ class ErrorRow(_Row):
     within_20: float | None = Field(description="Share of errors below 20 %.")
     bias: float | None = Field(description="Median of the signed relative error.")
     interval_coverage: float | None = Field(description="Share of true scales inside the 95 % interval.")
-    usable: int = Field(ge=0, description="Images whose scale may be used: status ok.")
+    usable: int = Field(ge=0, description="Images with a usable scale: status ok.")
     usable_share: float | None = Field(description="usable / of_images.")
-    usable_wrong: int = Field(ge=0, description="Of the usable ones, those with an error above 20 %.")
+    usable_wrong: int = Field(ge=0, description="Usable images with an error above 20 %.")
 
     @classmethod
     def of(cls, name: str, trials: Iterable[ScaleTrial]) -> ErrorRow:
@@ -273,30 +273,28 @@ class ErrorRow(_Row):
 
 
 class ScaleReport(_Row):
-    """Table I, and what the paper says of confidence and guard, on some data."""
+    """Table I on some data, with the paper's figures on confidence and resolution guard."""
 
-    data: str = Field(description="Where the images come from.")
+    data: str = Field(description="Source of the images.")
     detector: str = Field(description="Name of the detector.")
     detector_sha256: str = Field(description="SHA-256 of its file.")
-    reference_length_m: tuple[float, ...] = Field(
-        description="L_ref of the estimates, metres, each once, shortest first."
-    )
+    reference_length_m: tuple[float, ...] = Field(description="Distinct L_ref of the estimates, metres, ascending.")
     label_reference_length_m: float | None = Field(
-        description="KDE mode of the labelled lengths of these very images, metres; null without labels."
+        description="KDE mode of the labelled lengths of these images, metres; null without labels."
     )
     rows: tuple[ErrorRow, ...] = Field(description="The table.")
     skipped: dict[str, int] = Field(description="Images left out, by reason.")
-    noted: dict[str, int] = Field(description="Images used in part or with labels in part, by reason.")
+    noted: dict[str, int] = Field(description="Images or labels used in part, by reason.")
     no_vehicle_found: int = Field(description="Images without an estimate: the detector found nothing.")
     no_vehicle_labelled: int = Field(description="Images with labels, none of them a vehicle.")
     confidence_error_pearson: float | None = Field(description="Correlation of confidence and absolute error.")
-    confidence_error_spearman: float | None = Field(description="The same of their ranks.")
+    confidence_error_spearman: float | None = Field(description="Rank correlation of confidence and absolute error.")
     high_errors: int = Field(description="Estimates with an error above 20 %.")
-    high_errors_guarded: int = Field(description="Of these, those that the resolution guard caps.")
-    high_errors_low_confidence: int = Field(description="Of these, those with a confidence below 0.5.")
+    high_errors_guarded: int = Field(description="Of these, estimates that the resolution guard caps.")
+    high_errors_low_confidence: int = Field(description="Of these, estimates with a confidence below 0.5.")
     low_errors: int = Field(description="Estimates with an error of at most 20 %.")
-    low_errors_guarded: int = Field(description="Of these, those that the resolution guard caps.")
-    low_errors_low_confidence: int = Field(description="Of these, those with a confidence below 0.5.")
+    low_errors_guarded: int = Field(description="Of these, estimates that the resolution guard caps.")
+    low_errors_low_confidence: int = Field(description="Of these, estimates with a confidence below 0.5.")
 
 
 def report_scale(benchmark: ScaleBenchmark) -> ScaleReport:
@@ -326,10 +324,10 @@ def report_scale(benchmark: ScaleBenchmark) -> ScaleReport:
         confidence_error_spearman=_pearson(_ranks(confidence), _ranks(errors)),
         high_errors=len(high),
         high_errors_guarded=_guarded(high),
-        high_errors_low_confidence=_unsure(high),
+        high_errors_low_confidence=_low_confidence(high),
         low_errors=len(low),
         low_errors_guarded=_guarded(low),
-        low_errors_low_confidence=_unsure(low),
+        low_errors_low_confidence=_low_confidence(low),
     )
 
 
@@ -358,7 +356,7 @@ def _guarded(trials: Iterable[ScaleTrial]) -> int:
     return sum(trial.analysis.estimate.resolution_guard for trial in trials)
 
 
-def _unsure(trials: Iterable[ScaleTrial]) -> int:
+def _low_confidence(trials: Iterable[ScaleTrial]) -> int:
     return sum(trial.analysis.estimate.confidence < FALLBACK_CONFIDENCE for trial in trials)
 
 
@@ -369,7 +367,7 @@ def _ranks(values: np.ndarray) -> np.ndarray:
 
 
 def _pearson(first: np.ndarray, second: np.ndarray) -> float | None:
-    """None where it is not defined: fewer than three values, or no spread."""
+    """Compute Pearson's correlation; None if it is undefined: fewer than three values, or no spread."""
     if len(first) < 3 or np.ptp(first) == 0 or np.ptp(second) == 0:
         return None
     return float(np.corrcoef(first, second)[0, 1])

@@ -1,4 +1,4 @@
-"""Objects of an image as masks, from a picture that numbers them or from COCO's polygons and run lengths."""
+"""Instance masks from label images and from COCO's polygons and run lengths."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class InstanceMask:
-    """One annotated object.
+    """Annotated object.
 
     Attributes:
         instance: its number in the image.
-        category: its class, lower case with hyphens.
+        category: its class, in lower case with hyphens.
         left_px: column of the mask's first pixel in the image.
-        top_px: row of it.
-        mask: ``[h, w]`` bool, as small as holds the object.
+        top_px: row of the mask's first pixel in the image.
+        mask: ``[h, w]`` bool, cropped to the object.
     """
 
     instance: int
@@ -38,20 +38,20 @@ class InstanceMask:
 
     @property
     def box(self) -> tuple[float, float, float, float]:
-        """x1, y1, x2, y2 around the pixels; the image's first pixel spans 0 to 1."""
+        """Bounding box x1, y1, x2, y2 of the pixels; the image's first pixel spans 0 to 1."""
         height, width = self.mask.shape
         return self.left_px, self.top_px, self.left_px + width, self.top_px + height
 
 
 @dataclass(frozen=True, eq=False)
 class AnnotatedImage:
-    """An image of known scale with annotated objects.
+    """Image of known scale with annotated objects.
 
     Attributes:
-        name: of the image, unique in its data set.
-        path: the image.
-        gsd_m_per_px: its true scale.
-        read_masks: reads all its objects; raises OSError or ValueError where that fails.
+        name: name of the image, unique in its data set.
+        path: path of the image.
+        gsd_m_per_px: its true GSD.
+        read_masks: reads all its objects; raises OSError or ValueError on failure.
     """
 
     name: str
@@ -61,11 +61,11 @@ class AnnotatedImage:
 
 
 def read_pixels(path: Path, flags: int = cv2.IMREAD_UNCHANGED) -> NDArray[Any]:
-    """Decode a picture whose values are labels: exactly as stored, from any path that Python can open.
+    """Decode a label image exactly as stored, from any path that Python can open.
 
     Raises:
         ImageNotFoundError: there is no such file.
-        ImageDecodeError: it is not a picture, or a damaged one.
+        ImageDecodeError: the file is damaged or not an image.
     """
     try:
         data = np.frombuffer(path.read_bytes(), np.uint8)
@@ -73,18 +73,18 @@ def read_pixels(path: Path, flags: int = cv2.IMREAD_UNCHANGED) -> NDArray[Any]:
         raise ImageNotFoundError(f"{path}: {error.strerror}") from None
     pixels = cv2.imdecode(data, flags) if len(data) else None
     if pixels is None:
-        raise ImageDecodeError(f"{path}: not a picture, or a damaged one")
+        raise ImageDecodeError(f"{path}: damaged, or not an image")
     return np.asarray(pixels)
 
 
 def split_instances(ids: NDArray[np.integer[Any]]) -> Iterator[tuple[int, int, int, NDArray[np.bool_]]]:
-    """The objects of a picture that numbers them.
+    """Split a label image into its objects.
 
     Args:
-        ids: ``[h, w]``, 0 for the background; numbers need not follow each other.
+        ids: ``[h, w]``, 0 for the background; numbers may have gaps.
 
     Yields:
-        Number, left, top and the mask, ``[h', w']`` bool, of each, in the order of their numbers.
+        Number, left, top and mask, ``[h', w']`` bool, of each object, in the order of the numbers.
     """
     from scipy.ndimage import find_objects
 
@@ -102,20 +102,20 @@ def split_instances(ids: NDArray[np.integer[Any]]) -> Iterator[tuple[int, int, i
 def decode_segmentation(segmentation: Any, width_px: int, height_px: int) -> tuple[int, int, NDArray[np.bool_]] | None:
     """Rasterise the ``segmentation`` of a COCO annotation.
 
-    Polygons are what iSAID's own tools write: rings of pixel centres (``cv2.findContours``), each ring one piece of the
-    object. Filled with their outline, as here, they give the mask back; ``pycocotools`` takes the same numbers for
-    corners and loses half a pixel all around. Holes are not in such polygons.
+    iSAID's tools write polygons as rings of pixel centres (``cv2.findContours``): one ring per piece of the object, no
+    holes. Filling them with their outline, as here, restores the mask. ``pycocotools`` reads the same numbers as
+    corners and loses half a pixel on every side.
 
     Args:
         segmentation: a list of rings ``[x1, y1, x2, y2, ...]``, or run lengths ``{"size": [h, w], "counts": ...}``.
-        width_px: of the image.
-        height_px: of the image.
+        width_px: width of the image.
+        height_px: height of the image.
 
     Returns:
-        Left, top and the mask ``[h', w']`` bool; None where no pixel is inside the image.
+        Left, top and the mask ``[h', w']`` bool; None if no pixel is inside the image.
 
     Raises:
-        ValueError: it is neither.
+        ValueError: the segmentation has neither form.
     """
     if isinstance(segmentation, dict):
         whole = _decode_run_lengths(segmentation, width_px, height_px)
@@ -124,7 +124,7 @@ def decode_segmentation(segmentation: Any, width_px: int, height_px: int) -> tup
     if not rings or any(
         ring.ndim != 1 or len(ring) < 2 or len(ring) % 2 or not np.isfinite(ring).all() for ring in rings
     ):
-        raise ValueError("a segmentation is neither a list of rings x1, y1, x2, y2, ... nor run lengths")
+        raise ValueError("a segmentation must be a list of rings x1, y1, x2, y2, ... or run lengths")
     points = [np.rint(ring.reshape(-1, 2)).astype(np.int32) for ring in rings]
     every = np.concatenate(points)
     left, top = np.maximum(every.min(axis=0), 0)
@@ -132,17 +132,17 @@ def decode_segmentation(segmentation: Any, width_px: int, height_px: int) -> tup
     if right <= left or bottom <= top:
         return None
     canvas = np.zeros((bottom - top, right - left), np.uint8)
-    for ring in points:  # one by one: drawn together, what two rings share would be a hole
+    for ring in points:  # one by one: in a single call, the overlap of two rings would become a hole
         cv2.fillPoly(canvas, [ring - np.array([left, top], np.int32)], 1)
     return (int(left), int(top), canvas > 0) if canvas.any() else None
 
 
 def _decode_run_lengths(segmentation: dict[str, Any], width_px: int, height_px: int) -> NDArray[np.bool_]:
-    """COCO's run lengths, as numbers or in their compressed text: background and object in turn, column by column."""
+    """Decode COCO's run lengths, as numbers or text: background and object alternate, column by column."""
     counts = segmentation.get("counts")
     runs = _uncompress(counts) if isinstance(counts, str) else counts
     if segmentation.get("size") != [height_px, width_px] or not isinstance(runs, list):
-        raise ValueError(f"run lengths need counts and the image's size, [{height_px}, {width_px}]")
+        raise ValueError(f"run lengths must have counts and the image's size, [{height_px}, {width_px}]")
     lengths = np.asarray(runs, np.int64)
     if (lengths < 0).any() or lengths.sum() != width_px * height_px:
         raise ValueError(f"run lengths cover {lengths.sum()} pixels of {width_px * height_px}")
@@ -151,9 +151,11 @@ def _decode_run_lengths(segmentation: dict[str, Any], width_px: int, height_px: 
 
 
 def _uncompress(text: str) -> list[int]:
-    """Five bits a character, lowest first, a sixth says that more follow; from the third run on, differences to the
-    run before the last.
-    """  # noqa: D205 - one sentence
+    """Decode COCO's compressed run lengths.
+
+    Each character holds five bits, lowest first, and a sixth bit if more follow. From the third run on, numbers are
+    differences to the run before the last.
+    """
     runs: list[int] = []
     value = shift = 0
     for character in text:

@@ -1,12 +1,12 @@
-"""iSAID: instance masks of DOTA's images, in any layout that it is unpacked to.
+"""iSAID: instance masks of DOTA's images, in any unpacked layout.
 
-Two pictures beside or apart from each image ``P0003.png`` (Waqas Zamir et al., 2019, and its development kit):
+Each image ``P0003.png`` has two label images, in any folder (Waqas Zamir et al., 2019, and its development kit):
 
-* ``P0003_instance_id_RGB.png`` numbers the objects, ``R + 256 G + 65536 B``, 0 for the background;
-* ``P0003_instance_color_RGB.png`` paints each in the colour of its category.
+* ``P0003_instance_id_RGB.png`` numbers the objects, ``R + 256 G + 65536 B``, with 0 for the background;
+* ``P0003_instance_color_RGB.png`` shows each object in the colour of its category.
 
-Where a folder has none of these, its COCO files (``iSAID_train.json``, ``instances_val.json``, ...) are read instead:
-their category numbers differ from release to release, so that names decide.
+A folder without these is read from its COCO files (``iSAID_train.json``, ``instances_val.json``, ...). Their category
+numbers differ between releases, so categories are identified by name.
 """
 
 from __future__ import annotations
@@ -61,18 +61,17 @@ _ALIASES = {"store-tank": "storage-tank", "harbour": "harbor"}
 
 
 def find_annotated_images(folder: Path, known: KnownScaleSet) -> tuple[list[AnnotatedImage], list[FileIssue]]:
-    """The images of a copy of iSAID whose scale is known from DOTA.
+    """Find the images of a copy of iSAID whose scale is known from DOTA.
 
     Args:
-        folder: holds iSAID's pictures or COCO files, in any folders below.
-        known: DOTA's images with their scales, as ``vehanchor_evaluation.dota.survey_dota`` finds them.
+        folder: folder with iSAID's label images or COCO files, at any depth.
+        known: DOTA's images with their scales, from ``vehanchor_evaluation.dota.survey_dota``.
 
     Returns:
-        The images, by name, and what was left out: DOTA's issues, COCO files that cannot be read, images without
-        annotations.
+        The images by name, and issues: DOTA's, unreadable COCO files, images without annotations.
 
     Raises:
-        InvalidParameterError: ``folder`` has neither instance pictures nor COCO files with instances.
+        InvalidParameterError: ``folder`` has neither label images nor COCO files with instances.
     """
     issues = list(known.issues)
     readers = _readers(folder, issues)
@@ -80,30 +79,30 @@ def find_annotated_images(folder: Path, known: KnownScaleSet) -> tuple[list[Anno
     for image in known.images:
         reader = readers.get(image.path.stem)
         if reader is None:
-            issues.append(FileIssue(image.path, "no_masks", f"no annotation of it in {folder}"))
+            issues.append(FileIssue(image.path, "no_masks", f"{folder} has no annotation of it"))
         else:
             images.append(AnnotatedImage(image.path.stem, image.path, image.gsd_m_per_px, reader))
     return images, issues
 
 
 def instance_numbers(rgb: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """Numbers of an instance picture, ``R + 256 G + 65536 B``: ``[h, w, 3]`` to ``[h, w]``."""
+    """Convert an instance image ``[h, w, 3]`` to numbers ``R + 256 G + 65536 B``: ``[h, w]``."""
     red, green, blue = (rgb[:, :, band].astype(np.int32) for band in range(3))
     return red | green << 8 | blue << 16
 
 
 def read_instances(id_picture: Path, colour_picture: Path) -> list[InstanceMask]:
-    """All objects of one image, each of the category whose colour most of its pixels have.
+    """Read all objects of one image; the colour of most of its pixels decides an object's category.
 
-    Those of a colour that stands for none are ``unlabelled``.
+    Objects of an unknown colour are ``unlabelled``.
 
     Args:
         id_picture: ``*_instance_id_RGB.png``.
         colour_picture: ``*_instance_color_RGB.png``.
 
     Raises:
-        ImageError: a picture cannot be read.
-        ValueError: they differ in size.
+        ImageError: an image cannot be read.
+        ValueError: the images differ in size.
     """
     numbers = instance_numbers(read_pixels(id_picture, cv2.IMREAD_COLOR)[:, :, ::-1])
     painted = instance_numbers(read_pixels(colour_picture, cv2.IMREAD_COLOR)[:, :, ::-1])
@@ -132,10 +131,10 @@ def _readers(folder: Path, issues: list[FileIssue]) -> dict[str, Callable[[], li
     for path in sorted(folder.rglob("*" + ID_SUFFIX)):
         name = path.name.removesuffix(ID_SUFFIX)
         colours = path.with_name(name + COLOUR_SUFFIX)
-        if not colours.is_file():  # as downloaded, the two kinds are in folders of their own
+        if not colours.is_file():  # as downloaded, the two kinds are in separate folders
             colours = next(iter(sorted(folder.rglob(name + COLOUR_SUFFIX))), colours)
         if name in found:
-            issues.append(FileIssue(path, "duplicate_name", "a picture of the same name was found before it"))
+            issues.append(FileIssue(path, "duplicate_name", "another image has the same name; only that is used"))
             continue
         found[name] = partial(read_instances, path, colours)
     if not found:
@@ -152,7 +151,7 @@ def _readers(folder: Path, issues: list[FileIssue]) -> dict[str, Callable[[], li
 
 
 def _read_coco(path: Path, issues: list[FileIssue]) -> dict[str, Callable[[], list[InstanceMask]]]:
-    """The images of a COCO file; a file of another kind has none."""
+    """Read the images of a COCO file; other files have none."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         names = {entry["id"]: _category_name(entry["name"]) for entry in document["categories"]}

@@ -1,4 +1,4 @@
-"""Images whose scale is known, and the files that could not be taken, each with the reason."""
+"""Images of known scale, and issues of files that could not be used."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 DATASET_LIMITS = ImageLimits(max_bytes=2 << 30, max_pixels=500_000_000)
-"""Benchmark images are the user's own, not a stranger's: DOTA's largest have 20,000 x 20,000 px."""
+"""Limits for benchmark images, which users trust; the largest in DOTA have 20,000 x 20,000 px."""
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".avif")
 
 
 class KnownScaleImage(NamedTuple):
-    """An image and its true scale.
+    """Image and its true scale.
 
     Attributes:
-        path: the image.
+        path: path of the image.
         gsd_m_per_px: its true ground sampling distance.
-        set: the set it belongs to, or an empty string.
+        set: name of its set, or an empty string.
         split: ``train``, ``val`` or an empty string.
-        labelled_vehicles: number of labelled small vehicles, None where unknown.
-        labels: its file of DOTA labels, None where there is none.
-        gsd_log_sd: standard deviation of the log of that scale; 0 for one that is taken to be exact.
+        labelled_vehicles: number of labelled small vehicles; None if unknown.
+        labels: its file of DOTA labels; None without one.
+        gsd_log_sd: standard deviation of the log of the true GSD; 0 if it counts as exact.
     """
 
     path: Path
@@ -42,13 +42,13 @@ class KnownScaleImage(NamedTuple):
 
 
 class FileIssue(NamedTuple):
-    """A fault of one file of the data.
+    """Problem with one file of the data.
 
     Attributes:
         file: the file.
-        reason: stable word for the kind, as in ``no_gsd``; codes of ``vehanchor.errors`` for images.
-        message: what was found.
-        skipped: whether the image is left out; else it is used without what is wrong.
+        reason: stable code such as ``no_gsd``; for images the code of the error in ``vehanchor.errors``.
+        message: description of the problem.
+        skipped: whether the image is left out; otherwise it is used without the faulty part.
     """
 
     file: Path
@@ -59,12 +59,12 @@ class FileIssue(NamedTuple):
 
 @dataclass(frozen=True)
 class KnownScaleSet:
-    """The contents of a folder, a table or a list of files.
+    """Images of known scale from a folder, a table or a list of files.
 
     Attributes:
-        source: the folder, table or files, in words.
-        images: those of known scale, in a fixed order.
-        issues: files that could not be taken, or not whole.
+        source: name of the folder, table or files.
+        images: images of known scale, in a fixed order.
+        issues: files that could not be used, or only in part.
     """
 
     source: str
@@ -74,7 +74,7 @@ class KnownScaleSet:
     def chosen(
         self, *, set_name: str | None = None, split: str | None = None, limit: int | None = None
     ) -> KnownScaleSet:
-        """The images of one set, of one split, and of those the first few; None takes all."""
+        """Select images by set, split and number; None selects all."""
         images = [
             image
             for image in self.images
@@ -83,23 +83,23 @@ class KnownScaleSet:
         return replace(self, images=tuple(images[:limit]))
 
     def without_duplicates(self) -> KnownScaleSet:
-        """Each file once; what is named again becomes an issue."""
+        """Keep each file once; repeated files become issues."""
         first: dict[Path, KnownScaleImage] = {}
         issues = list(self.issues)
         for image in self.images:
             if image.path in first:
-                issues.append(FileIssue(image.path, "duplicate_name", "named more than once: only the first is used"))
+                issues.append(FileIssue(image.path, "duplicate_name", "listed more than once; only the first is used"))
             first.setdefault(image.path, image)
         return replace(self, images=tuple(first.values()), issues=tuple(issues))
 
 
 def image_files(folder: Path) -> list[Path]:
-    """All files below a folder with an image's suffix, sorted by their path."""
+    """List all files below a folder with an image suffix, sorted by path."""
     return sorted(path for path in folder.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file())
 
 
 def files_of(paths: Sequence[Path]) -> list[Path]:
-    """Every image once: files as they are named, of folders all images below them.
+    """List distinct images: the given files, and all images below the given folders.
 
     Raises:
         InvalidParameterError: a path does not exist.
@@ -113,7 +113,7 @@ def files_of(paths: Sequence[Path]) -> list[Path]:
 
 
 def labels_beside(image: Path) -> Path | None:
-    """Labels of an image, where they usually are: in ``labels/`` or ``labelTxt*/`` beside its folder, or in its own."""
+    """Find the labels of an image in ``labels/`` or ``labelTxt*/`` next to its folder, or in its folder."""
     name = f"{image.stem}.txt"
     around = image.parent.parent
     for folder in (around / "labels", *sorted(around.glob("labelTxt*"), reverse=True), image.parent):
@@ -124,10 +124,10 @@ def labels_beside(image: Path) -> Path | None:
 
 @contextmanager
 def naming(file: Path) -> Iterator[None]:
-    """Name the file in errors that end a run over many.
+    """Add the file's name to errors that end a run over many files.
 
     Raises:
-        VehAnchorError: of the kind that was raised.
+        VehAnchorError: the original kind of error.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""Photographs whose scale another ruler than vehicles tells: the camera's height, or what else there is."""
+"""Photographs of known scale from rulers other than vehicles, for example the camera's height."""
 
 from __future__ import annotations
 
@@ -36,27 +36,26 @@ def survey_photographs(
     options: ScaleOptions,
     known_lengths: Callable[[Sequence[Path]], KnownLengthTable] | None = None,
 ) -> KnownScaleSet:
-    """Take the scale of photographs from all rulers but vehicles and the look of the ground.
+    """Measure the scale of photographs with all rulers except vehicles and the scene-scale prior.
 
     Args:
         paths: files, and folders to search for images.
         detector: named in the records; it does not run.
-        options: every choice of the method; rulers that they leave out are not heard.
-        known_lengths: reads the lines of known length of single photographs, given what they are; None for none.
+        options: options of the estimate; they can exclude rulers.
+        known_lengths: reads the lines of known length for these files; None for none.
 
     Returns:
-        The photographs of which one knows the scale, with what it may be off by; as issues the others, and those whose
-        camera looked aside.
+        The photographs with a scale and its uncertainty. The issues list the others, including tilted photographs.
 
     Raises:
-        InvalidParameterError: a path does not exist, or the options leave no such ruler.
+        InvalidParameterError: a path does not exist, or the options exclude all these rulers.
     """
     rulers = tuple(
         each.kind for each in active_rulers(options.rulers) if each.sets_scale and each.independent_of_vehicles
     )
     if not rulers:
-        raise InvalidParameterError("photographs need another ruler than vehicles: leave --rulers and --metadata alone")
-    apart = replace(
+        raise InvalidParameterError("photographs need a ruler other than vehicles: drop --rulers and --metadata")
+    without_vehicles = replace(
         options,
         rulers=replace(options.rulers, rulers=rulers),
         reading=replace(options.reading, limits=DATASET_LIMITS),
@@ -66,20 +65,18 @@ def survey_photographs(
     lines = known_lengths(files) if known_lengths else {}
     for file in files:
         try:
-            with open_raster(file, bands=apart.reading.bands, limits=DATASET_LIMITS) as raster:
-                record = analyse_raster(raster, detector, with_lines_of(apart, lines, file)).estimate
+            with open_raster(file, bands=without_vehicles.reading.bands, limits=DATASET_LIMITS) as raster:
+                record = analyse_raster(raster, detector, with_lines_of(without_vehicles, lines, file)).estimate
         except VehAnchorError as error:
             issues.append(FileIssue(file, error.code, str(error)))
             continue
         gsd, low, high = record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
         if gsd is None or low is None or high is None:
-            why = " ".join(notice.message for notice in record.warnings) or "no ruler but vehicles finds anything in it"
+            why = " ".join(notice.message for notice in record.warnings) or "no ruler other than vehicles gives a scale"
             issues.append(FileIssue(file, "no_other_ruler", why))
             continue
         if record.tilt is not None:
-            why = (
-                f"the camera looked {record.tilt.tilt_deg:.0f} degrees aside: one scale does not hold for all vehicles"
-            )
+            why = f"the camera is tilted by {record.tilt.tilt_deg:.0f} degrees: vehicles have different scales"
             issues.append(FileIssue(file, "camera_tilted", why))
             continue
         log_sd = math.log(high / low) / (2 * Z95)

@@ -1,9 +1,8 @@
-"""Questions that a planner asks of an image (how far, how large, does it fit), answered with tools and without.
+"""Planner questions about images (how far, how large, does it fit), answered with and without tools.
 
-The images are scenes of known scale, as ``vehanchor scene`` writes them, or photographs of known scale; the planner is
-a script, so that what is counted is the tools' answers and their cost, not a model's luck (``asked_model`` asks one).
-Where a scale is not to be used it may ask a person, who has measured one stretch of the ground. Without tools it takes
-every pixel for one of a usual size.
+The images are scenes from ``vehanchor scene``, or photographs of known scale. The planner is a script, so the results
+depend only on the tools' answers and their cost; ``asked_model`` uses a real model. If a scale is not usable, the
+planner can ask a person, who has measured one line on the ground. Without tools it assumes a usual pixel size.
 """
 
 from __future__ import annotations
@@ -32,31 +31,31 @@ Kind: TypeAlias = Literal["distance", "area", "fit"]
 Verdict: TypeAlias = Literal["right", "wrong", "no answer"]
 
 CHARACTERS_A_TOKEN = 4
-USUAL_GSD_M = 0.15  # what a planner without tools takes a pixel for
-USUAL_ERROR = 0.3  # and how far it trusts that
-_FIT_SHARES = (0.6, 1.6)  # what is to fit, of the room that there is: one that does and one that does not
+USUAL_GSD_M = 0.15  # assumption of a planner without tools
+USUAL_ERROR = 0.3  # and its assumed relative error
+_FIT_SHARES = (0.6, 1.6)  # required length as a share of the available one: one fits, one does not
 _LEAST_OBJECT_PX = 900
-_ABOUT_TWO = 7  # questions about two photographs: four distances, and three fits
-_CATEGORIES = ("swimming-pool", "building", "sports-court")  # things with an edge of their own
+_QUESTIONS_PER_TWO = 7  # questions per two photographs: four distances and three fits
+_CATEGORIES = ("swimming-pool", "building", "sports-court")  # objects with a clear outline
 _FALLBACK = 0.5
 
 STRETCH = ((0.4, 0.6), (0.6, 0.6))
-"""Ends of what a person has measured, as fractions of the sides."""
+"""Ends of the line that a person has measured, as fractions of the sides."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """One question and its truth.
+    """Question and its true answer.
 
     Attributes:
-        kind: distance and area are answered by a number, fit by yes or no.
+        kind: distance and area need a number, fit needs yes or no.
         image: the scene.
-        words: as a user would ask.
-        places: x, y of the ends of a line, or of a box' corners, as fractions of the sides.
+        words: the question in a user's words.
+        places: x, y of the ends of a line, or of two corners of a box, as fractions of the sides.
         truth: metres, square metres, or whether it fits (1 or 0).
-        needed_m: what is to fit.
-        size_px: of the image.
-        stretch_m: of the ground, along ``STRETCH``, as a person has measured it with a tape, to a decimetre.
+        needed_m: length that must fit.
+        size_px: size of the image.
+        stretch_m: length of ``STRETCH`` on the ground, measured with a tape to a decimetre.
     """
 
     kind: Kind
@@ -71,14 +70,14 @@ class Question:
 
 @dataclass
 class Outcome:
-    """What became of a question.
+    """Result of a question.
 
     Attributes:
         question: the question.
-        verdict: no answer where the tool said not to rely on it, or an interval leaves "does it fit" open.
-        acted_on_low: a number was used although its confidence was low.
-        calls: of tools.
-        tokens: of what was said to tools and read from them; of a model, what its service counted.
+        verdict: "no answer" if the result is not usable, or if the interval leaves "does it fit" open.
+        acted_on_low: whether the planner used a number of low confidence.
+        calls: number of tool calls.
+        tokens: tokens sent to and read from tools; for a model, the service's count.
     """
 
     question: Question
@@ -89,29 +88,29 @@ class Outcome:
 
 
 class PlannerScore(BaseModel):
-    """A row of the table."""
+    """Row of the table."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: str
     questions: int
-    right: int = Field(description="The truth lies in the interval that was answered, or yes and no are right.")
+    right: int = Field(description="The interval contains the truth, or yes/no is correct.")
     wrong: int
     no_answer: int
-    acted_on_low: int = Field(description="Numbers that were used although their confidence was low.")
+    acted_on_low: int = Field(description="Numbers of low confidence that the planner used.")
     calls_per_right: float | None
     tokens_per_right: float | None
 
 
 def read_questions(folder: Path, limit: int) -> list[Question]:
-    """Make the same questions of the same scenes: two distances, an area and a fit of each, as far as it has them.
+    """Create questions about scenes: two distances, fits, and an area if possible; the same scenes give the same ones.
 
     Args:
-        folder: scenes with their truth beside them.
-        limit: so many at most.
+        folder: scenes with their ground truth.
+        limit: maximum number of questions.
 
     Raises:
-        InvalidParameterError: there is no scene.
+        InvalidParameterError: the folder has no scene.
     """
     questions: list[Question] = []
     for record_path in sorted(folder.glob("*.json")):
@@ -126,21 +125,23 @@ def read_questions(folder: Path, limit: int) -> list[Question]:
             about = [*distances, *_areas(image, record)]
             questions += [replace(question, stretch_m=stretch_m) for question in about]
     if not questions:
-        raise InvalidParameterError(f"{str(folder)!r} has no scene: write some by 'vehanchor scene {folder}/a.png ...'")
+        raise InvalidParameterError(
+            f"{str(folder)!r} has no scene: create some with 'vehanchor scene {folder}/a.png ...'"
+        )
     return questions[:limit]
 
 
 def questions_of_photographs(images: Sequence[KnownScaleImage], limit: int) -> list[Question]:
-    """Make questions of images of known scale: two distances and a fit, or two, of each. Areas need masks.
+    """Create questions about images of known scale: two distances and one or two fits each, no areas.
 
     Args:
-        images: whose scale is taken to be exact; of more than are needed, some that are spread evenly over them.
-        limit: so many questions at most.
+        images: images whose scale counts as exact; if there are more than needed, evenly spaced ones are used.
+        limit: maximum number of questions.
 
     Raises:
         ImageError: an image cannot be read.
     """
-    n_needed = min(len(images), -(-2 * limit // _ABOUT_TWO))
+    n_needed = min(len(images), -(-2 * limit // _QUESTIONS_PER_TWO))
     questions: list[Question] = []
     for number in range(n_needed):
         image = images[number * len(images) // n_needed]
@@ -171,7 +172,7 @@ def _distances(image: Path, size_px: tuple[int, int], gsd: float, *, both_fits: 
 
 
 def _areas(image: Path, record: dict[str, Any]) -> list[Question]:
-    """The largest object that lies wholly inside, by its mask."""
+    """Ask for the area of the largest object that lies completely inside the image."""
     width, height = record["width_px"], record["height_px"]
     whole = [
         item
@@ -196,13 +197,13 @@ def _areas(image: Path, record: dict[str, Any]) -> list[Question]:
 
 
 @dataclass
-class _Talk:
-    """The planner's talk with the tools: what it costs, and the scale that it gives back.
+class _Dialogue:
+    """Dialogue of the planner with the tools; it reuses each image's scale.
 
     Attributes:
-        tools: that it calls.
-        with_person: it may ask a person where a scale is not to be used.
-        scales: by image.
+        tools: the tools.
+        with_person: whether the planner asks a person if a scale is not usable.
+        scales: scales by image.
     """
 
     tools: ToolCaller
@@ -215,19 +216,19 @@ class _Talk:
             return outcome
         asked = self._measure_stretch(question)
         again, _ = self._measure(question)
-        talk = (outcome, asked, again)
-        return replace(again, calls=sum(each.calls for each in talk), tokens=sum(each.tokens for each in talk))
+        dialogue = (outcome, asked, again)
+        return replace(again, calls=sum(each.calls for each in dialogue), tokens=sum(each.tokens for each in dialogue))
 
     def _measure_stretch(self, question: Question) -> Outcome:
-        """Tell the tool what a person says; the scale with it takes the place of the one before."""
+        """Give the tool the line that a person measured; the new scale replaces the earlier one."""
         (x1, y1), (x2, y2) = STRETCH
         line = {"x1": x1, "y1": y1, "x2": x2, "y2": y2, "metres": question.stretch_m}
-        arguments = {**_about(question), "known_lengths": [line]}
+        arguments = {**_image_arguments(question), "known_lengths": [line]}
         _, tokens = self._call(question, "estimate_gsd", arguments)
         return Outcome(question, "no answer", calls=1, tokens=tokens)
 
     def _call(self, question: Question, tool: str, arguments: dict[str, Any]) -> tuple[dict[str, Any], float]:
-        """The record that a tool answers, empty for an error, and what was said and read."""
+        """Call a tool; return its record, empty for an error, and the tokens sent and read."""
         answer, is_error = self.tools.call(tool, arguments)
         record: dict[str, Any] = {} if is_error else json.loads(answer.splitlines()[-1])
         if record.get("scale") is not None:
@@ -236,7 +237,7 @@ class _Talk:
 
     def _measure(self, question: Question) -> tuple[Outcome, dict[str, Any]]:
         (x1, y1), (x2, y2) = question.places
-        arguments = _about(question)
+        arguments = _image_arguments(question)
         if question.kind == "area":
             tool, arguments["targets"] = "measure_area", [{"box": {"x_min": x1, "y_min": y1, "x_max": x2, "y_max": y2}}]
         else:
@@ -247,30 +248,30 @@ class _Talk:
         verdict: Verdict = "no answer"
         if record.get("status") == "ok":
             unit = "area_ci95_{}_m2" if question.kind == "area" else "distance_ci95_{}_m"
-            verdict = _judged_interval(question, record[unit.format("low")], record[unit.format("high")])
+            verdict = _interval_verdict(question, record[unit.format("low")], record[unit.format("high")])
         confidence = record.get("confidence")
         low = verdict != "no answer" and confidence is not None and confidence < _FALLBACK
         return Outcome(question, verdict, low, 1, tokens), record
 
 
-def _about(question: Question) -> dict[str, Any]:
+def _image_arguments(question: Question) -> dict[str, Any]:
     return {"image": {"kind": "path", "path": str(question.image.resolve())}, "coordinates": "fraction"}
 
 
 def ask_with_tools(questions: Iterable[Question], tools: ToolCaller, *, with_person: bool = False) -> list[Outcome]:
-    """Ask the tools, giving each image's scale back; a result that is not ok is no answer.
+    """Answer questions with tools, reusing each image's scale; a result that is not ok counts as no answer.
 
     Args:
-        questions: in the order in which they are asked.
-        tools: that answer.
-        with_person: where a result is not ok, a person is asked for the one length that they have measured.
+        questions: questions in order.
+        tools: the tools.
+        with_person: whether a person supplies one measured length if a result is not ok.
     """
-    talk = _Talk(tools, with_person)
-    return [talk.ask(question) for question in questions]
+    dialogue = _Dialogue(tools, with_person)
+    return [dialogue.ask(question) for question in questions]
 
 
 def ask_blindly(questions: Iterable[Question]) -> list[Outcome]:
-    """Multiply pixels by a usual size."""
+    """Answer questions by multiplying pixels by a usual pixel size."""
     outcomes = []
     for question in questions:
         (x1, y1), (x2, y2) = question.places
@@ -279,25 +280,25 @@ def ask_blindly(questions: Iterable[Question]) -> list[Outcome]:
             value, spread = across * down * USUAL_GSD_M**2, (1 + USUAL_ERROR) ** 2
         else:
             value, spread = math.hypot(across, down) * USUAL_GSD_M, 1 + USUAL_ERROR
-        outcomes.append(Outcome(question, _judged_interval(question, value / spread, value * spread)))
+        outcomes.append(Outcome(question, _interval_verdict(question, value / spread, value * spread)))
     return outcomes
 
 
 def judge_answer(question: Question, answer: tuple[float, float] | bool | None) -> Verdict:
-    """Hold an answer against the truth.
+    """Compare an answer with the truth.
 
     Args:
-        question: that was asked.
-        answer: an interval, or for "does it fit" yes or no; None for none.
+        question: the question.
+        answer: an interval, or yes or no for "does it fit"; None for no answer.
     """
     if not isinstance(answer, bool):
-        return "no answer" if answer is None else _judged_interval(question, *answer)
+        return "no answer" if answer is None else _interval_verdict(question, *answer)
     if question.kind != "fit":
         return "no answer"
     return "right" if answer == bool(question.truth) else "wrong"
 
 
-def _judged_interval(question: Question, low: float, high: float) -> Verdict:
+def _interval_verdict(question: Question, low: float, high: float) -> Verdict:
     if question.kind != "fit":
         return "right" if low <= question.truth <= high else "wrong"
     if low < question.needed_m < high:
@@ -306,7 +307,7 @@ def _judged_interval(question: Question, low: float, high: float) -> Verdict:
 
 
 def score(name: str, outcomes: Sequence[Outcome]) -> PlannerScore:
-    """Count."""
+    """Count verdicts, calls and tokens."""
     verdicts = [outcome.verdict for outcome in outcomes]
     right = verdicts.count("right")
     calls, tokens = sum(each.calls for each in outcomes), sum(each.tokens for each in outcomes)

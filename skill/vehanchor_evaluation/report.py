@@ -1,4 +1,4 @@
-"""Results as files: JSON for programs, CSV for spreadsheets, Markdown for readers."""
+"""Result files: JSON for programs, CSV for spreadsheets, Markdown for readers."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.known_scale import FileIssue
 
 _SHORT_SHA = 12
-_LISTED_LENGTHS = 5  # more reference lengths are given as their range
+_LISTED_LENGTHS = 5  # more reference lengths are reported as a range
 
 
 def percent(value: float | None, digits: int = 1, *, signed: bool = False) -> str:
-    """A share as text; a dash for None."""
+    """Format a share as a percentage; a dash for None."""
     return "-" if value is None else f"{value:{'+' if signed else ''}.{digits}%}".replace("%", " %")
 
 
 def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table in Markdown."""
+    """Format a table in Markdown."""
     lines = ["| " + " | ".join(cells) + " |" for cells in (headings, *rows)]
     lines.insert(1, "|" + "---|" * len(headings))
     return "\n".join(lines) + "\n"
@@ -38,17 +38,17 @@ def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> st
 def write_results(
     folder: Path, stem: str, record: BaseModel, rows: Sequence[Mapping[str, object]], markdown: str
 ) -> list[Path]:
-    """Write a result three times: ``<stem>.json``, its table as ``<stem>.csv``, and ``<stem>.md``.
+    """Write a result as ``<stem>.json``, its table as ``<stem>.csv``, and ``<stem>.md``.
 
     Args:
-        folder: made where it does not exist.
-        stem: of the names.
+        folder: created if it does not exist.
+        stem: stem of the file names.
         record: the whole result.
         rows: its table, all with the same keys.
-        markdown: the text for readers.
+        markdown: text for readers.
 
     Returns:
-        The files.
+        The written files.
 
     Raises:
         OutputError: a file cannot be written.
@@ -61,12 +61,12 @@ def write_results(
 
 
 def write_table(path: Path, rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()) -> Path:
-    """Write rows with the same keys as CSV; None is an empty cell.
+    """Write rows with the same keys as CSV; None becomes an empty cell.
 
     Args:
-        path: of the file; its folder is made where there is none.
+        path: path of the file; its folder is created if it does not exist.
         rows: the table.
-        columns: their keys, where there may be no row to tell them.
+        columns: keys of the rows, needed only if the table can be empty.
 
     Raises:
         OutputError: the file cannot be written.
@@ -89,7 +89,7 @@ def _write(path: Path, text: str) -> Path:
 
 
 def write_issues(path: Path, issues: Iterable[FileIssue]) -> Path:
-    """Write what was wrong with which file as CSV.
+    """Write the issues of files as CSV.
 
     Raises:
         OutputError: the file cannot be written.
@@ -102,7 +102,7 @@ def write_issues(path: Path, issues: Iterable[FileIssue]) -> Path:
 
 
 def write_trials(path: Path, benchmark: ScaleBenchmark) -> Path:
-    """Write one line an image as CSV: truth, estimate, error, confidence, and the same of its labels.
+    """Write one line per image as CSV: truth, estimate, error, confidence, and the same from its labels.
 
     Raises:
         OutputError: the file cannot be written.
@@ -138,7 +138,7 @@ def _trial_row(trial: ScaleTrial, labelled: ScaleTrial | None) -> dict[str, obje
 
 
 def scale_markdown(report: ScaleReport) -> str:
-    """Table I with the facts below it."""
+    """Format Table I with its basis."""
     rows = [
         (
             row.name,
@@ -170,21 +170,21 @@ def scale_markdown(report: ScaleReport) -> str:
             else f"; KDE mode of these labels: {report.label_reference_length_m:.4g} m"
         ),
         f"No estimate, as no vehicle was found: {report.no_vehicle_found} images; "
-        f"labels without a vehicle: {report.no_vehicle_labelled}",
+        f"images with labels but no labelled vehicle: {report.no_vehicle_labelled}",
         f"Skipped: {_counts(report.skipped)}; used in part: {_counts(report.noted)}",
         f"Confidence against error: Pearson {_number(report.confidence_error_pearson)}, "
         f"Spearman {_number(report.confidence_error_spearman)}",
-        f"Errors above 20 %: {report.high_errors}, of which the resolution guard flags {report.high_errors_guarded} "
-        f"and a confidence below 0.5 flags {report.high_errors_low_confidence}; of the {report.low_errors} others "
+        f"Errors above 20 %: {report.high_errors}; the resolution guard flags {report.high_errors_guarded} of them, a "
+        f"confidence below 0.5 flags {report.high_errors_low_confidence}. The {report.low_errors} others: "
         f"{report.low_errors_guarded} and {report.low_errors_low_confidence}",
     ]
     title = f"Detector `{report.detector}` ({report.detector_sha256[:_SHORT_SHA]}) on `{report.data}`"
-    over = "Errors are over images with an estimate; wrong is above 20 %."
+    over = "Errors cover images with an estimate; an error above 20 % is wrong."
     return f"{title}. {over}\n\n{markdown_table(headings, rows)}\n{_bullets(facts)}"
 
 
 def ablation_markdown(report: AblationReport) -> str:
-    """Table III beside the paper's numbers."""
+    """Format Table III with the paper's numbers."""
     rows = [
         (
             row.choice,
@@ -201,7 +201,7 @@ def ablation_markdown(report: AblationReport) -> str:
     ]
     headings = ("choice", "setting", "boxes", "images", "median", "mean", "< 20 %", "paper: median", "paper: < 20 %")
     title = f"Detector `{report.detector}` ({report.detector_sha256[:_SHORT_SHA]}) on `{report.data}`"
-    return f"{title}. Errors are over images with an estimate.\n\n{markdown_table(headings, rows)}"
+    return f"{title}. Errors cover images with an estimate.\n\n{markdown_table(headings, rows)}"
 
 
 def _number(value: float | None) -> str:

@@ -1,10 +1,10 @@
-"""A benchmark of areas in the manner of the paper's RS-GSD: objects of known mask in images of known scale.
+"""Area benchmark modelled on the paper's RS-GSD: objects with known masks in images of known scale.
 
-The paper's has 100 entries in 8 categories of iSAID, irregular objects oversampled. It names three of the categories;
-the other five are our choice among those that stay where they are. Left out are vehicles (the ruler itself), ships and
-aircraft, and bridges and harbours, where the object ends by convention only.
+The paper's benchmark has 100 entries in 8 categories of iSAID, and oversamples irregular objects. It names three of the
+categories; the other five are our choice of immobile objects. Vehicles (the ruler itself), ships and aircraft are left
+out, and so are bridges and harbours, whose outline is a convention.
 
-On disk it is a folder: ``benchmark.json``, and a white-on-black picture of each object's mask, as small as its box.
+A benchmark is a folder with ``benchmark.json`` and a white-on-black image of each object's mask, cropped to its box.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 DEFAULT_ENTRIES = 100
 CATEGORIES = (
-    "swimming-pool",  # these three are the paper's
+    "swimming-pool",  # the paper names these three
     "roundabout",
     "ground-track-field",
     "soccer-ball-field",
@@ -46,9 +46,9 @@ CATEGORIES = (
     "baseball-diamond",
     "storage-tank",
 )
-IRREGULAR = ("swimming-pool", "roundabout")  # oversampled in the paper; by how much is ours to choose
+IRREGULAR = ("swimming-pool", "roundabout")  # oversampled in the paper by an unpublished factor
 IRREGULAR_WEIGHT = 2
-MIN_SIDE_PX = 15  # of the box: below it neither a mask nor a red rectangle says much
+MIN_SIDE_PX = 15  # of the box; smaller objects are too coarse for a mask or a red rectangle
 _FILE, _MASKS = "benchmark.json", "masks"
 
 
@@ -57,15 +57,15 @@ class _Record(BaseModel):
 
 
 class BenchmarkEntry(_Record):
-    """One object whose area is asked for."""
+    """Object whose area is requested."""
 
     name: str = Field(description="Image and object.")
     image: str = Field(description="Path of the image.")
-    category: str = Field(description="What it is.")
-    box: BoundingBox = Field(description="The box around its mask.")
-    gsd_m_per_px: float = Field(gt=0, description="True scale of the image.")
+    category: str = Field(description="Category of the object.")
+    box: BoundingBox = Field(description="Bounding box of its mask.")
+    gsd_m_per_px: float = Field(gt=0, description="True GSD of the image.")
     mask_area_px: int = Field(gt=0, description="Pixels of its true mask.")
-    mask: str = Field(description="Picture of its true mask, relative to the benchmark's folder.")
+    mask: str = Field(description="Image of its true mask, relative to the benchmark's folder.")
 
     @property
     def area_m2(self) -> float:
@@ -74,36 +74,30 @@ class BenchmarkEntry(_Record):
 
     @property
     def corners(self) -> tuple[float, float, float, float]:
-        """The box as a prompt: x1, y1, x2, y2."""
+        """Box as a prompt: x1, y1, x2, y2."""
         return self.box.x1_px, self.box.y1_px, self.box.x2_px, self.box.y2_px
 
 
 class Recipe(_Record):
-    """How a benchmark is made: from what data, and which objects. The same recipe gives the same entries."""
+    """Recipe of a benchmark: its data and the choice of objects. The same recipe gives the same entries."""
 
     isaid: tuple[str, ...] = Field(default=(), description="Folders of iSAID annotations.")
-    dota: tuple[str, ...] = Field(
-        default=(), description="For each of them, the folder of DOTA's split that it belongs to."
-    )
-    segments: str | None = Field(default=None, description="Folder of an index of numbered masks, instead.")
+    dota: tuple[str, ...] = Field(default=(), description="For each of them, the folder of the same split of DOTA.")
+    segments: str | None = Field(default=None, description="Instead: folder of an index of numbered masks.")
     split: str | None = Field(default=None, description="Split of that index.")
-    entries: int | None = Field(default=DEFAULT_ENTRIES, gt=0, description="How many; null takes every object.")
-    seed: int = Field(default=0, ge=0, description="Of the choice.")
-    categories: tuple[str, ...] | None = Field(
-        default=None, description="To choose from; null takes whatever there is."
-    )
-    min_side_px: int = Field(
-        default=MIN_SIDE_PX, gt=0, description="Shorter side of the box from which an object counts."
-    )
+    entries: int | None = Field(default=DEFAULT_ENTRIES, gt=0, description="Number of entries; null for every object.")
+    seed: int = Field(default=0, ge=0, description="Seed of the random choice.")
+    categories: tuple[str, ...] | None = Field(default=None, description="Categories to choose from; null for all.")
+    min_side_px: int = Field(default=MIN_SIDE_PX, gt=0, description="Smallest shorter side of an object's box.")
 
     def annotated_images(self) -> tuple[list[AnnotatedImage], list[FileIssue]]:
-        """The data.
+        """Find the annotated images.
 
         Returns:
-            The images, and what was left out.
+            The images, and issues of files that were left out.
 
         Raises:
-            InvalidParameterError: a folder is not what it should be.
+            InvalidParameterError: a folder does not have the expected layout.
         """
         if self.segments is not None:
             return segments.find_annotated_images(Path(self.segments), self.split)
@@ -116,29 +110,29 @@ class Recipe(_Record):
 
 
 class Benchmark(_Record):
-    """All entries, in an order in which categories take turns: any number of the first ones is balanced."""
+    """Benchmark; categories alternate, so any number of first entries is balanced."""
 
     recipe: Recipe
     entries: tuple[BenchmarkEntry, ...]
-    available: dict[str, int] = Field(description="Objects that there were to choose from, by category.")
-    too_small: int = Field(description="Objects left out for their size.")
+    available: dict[str, int] = Field(description="Objects available for the choice, by category.")
+    too_small: int = Field(description="Objects left out because they are too small.")
 
     def mask(self, folder: Path, entry: BenchmarkEntry) -> NDArray[np.bool_]:
-        """The true mask of an entry, ``[h, w]`` bool of its box.
+        """Read the true mask of an entry, ``[h, w]`` bool of its box.
 
         Raises:
-            ImageError: the picture cannot be read.
-            ValueError: it is not the one that belongs to the entry.
+            ImageError: the image of the mask cannot be read.
+            ValueError: the mask does not match the entry.
         """
         mask = np.asarray(read_pixels(folder / entry.mask, cv2.IMREAD_GRAYSCALE) > 0)
         if int(mask.sum()) != entry.mask_area_px:
-            raise ValueError(f"{folder / entry.mask} has {mask.sum()} px, the entry says {entry.mask_area_px}")
+            raise ValueError(f"{folder / entry.mask} has {mask.sum()} px, but the entry has {entry.mask_area_px}")
         return mask
 
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """An object that could become an entry; its mask is kept encoded."""
+    """Candidate for an entry; its mask is kept encoded."""
 
     image: AnnotatedImage
     instance: int
@@ -153,23 +147,24 @@ def build_benchmark(
 ) -> tuple[Benchmark, list[FileIssue]]:
     """Choose objects and write the benchmark.
 
-    Within a category one object of each image is taken before any second one; images and objects come in random order.
+    Images and objects are drawn in random order. Within a category, each image gives one object before any gives a
+    second.
 
     Args:
-        recipe: what to choose from, and how.
-        folder: made; an older benchmark in it is replaced.
-        workers: images read at once.
-        progress: called with (images read, images in all).
+        recipe: data and choice of objects.
+        folder: created; an older benchmark in it is replaced.
+        workers: images read in parallel.
+        progress: called with (images read, total).
 
     Returns:
-        The benchmark, as written, and what of the data was left out.
+        The written benchmark, and issues of data that were left out.
 
     Raises:
-        InvalidParameterError: the data are not there, or there is nothing to choose from.
+        InvalidParameterError: the data are missing, or there are no objects to choose from.
         OutputError: the folder cannot be written.
     """
     images, issues = recipe.annotated_images()
-    images = _named_once(images, issues)
+    images = _without_duplicates(images, issues)
     found: dict[str, list[_Candidate]] = {category: [] for category in recipe.categories or ()}
     n_small, known = 0, set[str]()
     with ThreadPoolExecutor(workers) as pool:
@@ -200,7 +195,7 @@ def build_benchmark(
         (folder / _MASKS).mkdir(parents=True, exist_ok=True)
         for entry, candidate in zip(entries, chosen, strict=True):
             (folder / entry.mask).write_bytes(candidate.png)
-        with whole_file(folder / _FILE) as partial:  # last: a folder with this file is complete
+        with whole_file(folder / _FILE) as partial:  # written last: it marks the folder as complete
             partial.write_text(benchmark.model_dump_json(indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         raise OutputError(f"cannot write the benchmark to {str(folder)!r}: {error.strerror}") from None
@@ -210,13 +205,13 @@ def build_benchmark(
 def open_benchmark(
     recipe: Recipe, folder: Path, *, workers: int = 1, progress: Callable[[int, int], None] | None = None
 ) -> list[FileIssue]:
-    """Build a benchmark, unless the folder holds the one of this recipe already.
+    """Build a benchmark unless the folder already holds the one of this recipe.
 
     Returns:
-        What of the data was left out; nothing where there was nothing to build.
+        Issues of data that were left out; empty if the benchmark existed.
 
     Raises:
-        InvalidParameterError: as ``build_benchmark``, or the folder holds one of another recipe.
+        InvalidParameterError: as in ``build_benchmark``, or the folder holds a benchmark of another recipe.
         OutputError: the folder cannot be written.
     """
     if not (folder / _FILE).exists():
@@ -225,8 +220,8 @@ def open_benchmark(
     differing = [name for name in Recipe.model_fields if getattr(built, name) != getattr(recipe, name)]
     if differing:
         raise InvalidParameterError(
-            f"{folder} holds a benchmark of other choices (they differ in {', '.join(differing)}): choose another "
-            f"folder, or take it as it is with --benchmark {folder}"
+            f"{folder} holds a benchmark of another recipe (different: {', '.join(differing)}): choose another "
+            f"folder, or use the existing one with --benchmark {folder}"
         )
     return []
 
@@ -235,10 +230,10 @@ def load_benchmark(folder: Path) -> tuple[Benchmark, str]:
     """Read a benchmark.
 
     Returns:
-        The benchmark and the SHA-256 of its file, by which results are tied to it.
+        The benchmark and the SHA-256 of its file, which results refer to.
 
     Raises:
-        InvalidParameterError: the folder holds none, or one that this version cannot read.
+        InvalidParameterError: the folder holds no benchmark, or one that this version cannot read.
     """
     path = folder / _FILE
     try:
@@ -254,17 +249,17 @@ def load_benchmark(folder: Path) -> tuple[Benchmark, str]:
 
 
 def quotas(available: Mapping[str, int], n_entries: int | None) -> dict[str, int]:
-    """How many entries each category gets: irregular ones twice as many, none more than it has.
+    """Divide entries among categories: irregular ones get twice as many, and none gets more than it has.
 
-    What a small category cannot give goes to the others by the same weights; what is left over by rounding goes to the
+    Entries that a small category cannot fill go to the others by the same weights. Entries left by rounding go to the
     largest remainders.
 
     Args:
         available: objects by category.
-        n_entries: in all; None for every object.
+        n_entries: total number of entries; None for every object.
 
     Returns:
-        Entries by category, in the order of ``available``; they sum to ``n_entries``, or to all there is.
+        Entries by category, in the order of ``available``; they sum to ``n_entries`` or to the available number.
     """
     if n_entries is None:
         return dict(available)
@@ -287,19 +282,19 @@ def _weight(category: str) -> int:
     return IRREGULAR_WEIGHT if category in IRREGULAR else 1
 
 
-def _named_once(images: list[AnnotatedImage], issues: list[FileIssue]) -> list[AnnotatedImage]:
-    """Entries are told apart by their image's name: of two with the same name the second is an issue."""
+def _without_duplicates(images: list[AnnotatedImage], issues: list[FileIssue]) -> list[AnnotatedImage]:
+    """Keep one image of each name, because names identify entries; a second one becomes an issue."""
     first: dict[str, AnnotatedImage] = {}
     for image in images:
         if image.name in first:
-            message = f"{first[image.name].path} has the same name: only that one is used"
+            message = f"{first[image.name].path} has the same name, and only that one is used"
             issues.append(FileIssue(image.path, "duplicate_name", message))
         first.setdefault(image.name, image)
     return list(first.values())
 
 
-class _Reading(NamedTuple):
-    """Objects of an image that may become entries, how many are too small, all categories in it, what went wrong."""
+class _ImageObjects(NamedTuple):
+    """Candidates in an image, number of objects that are too small, all categories, and the issue if there is one."""
 
     candidates: list[_Candidate]
     n_small: int = 0
@@ -307,20 +302,22 @@ class _Reading(NamedTuple):
     issue: FileIssue | None = None
 
 
-def _read_candidates(image: AnnotatedImage, recipe: Recipe) -> _Reading:
+def _read_candidates(image: AnnotatedImage, recipe: Recipe) -> _ImageObjects:
     if not image.path.is_file():
-        return _Reading([], issue=FileIssue(image.path, "no_image", "annotated, but there is no such file"))
+        return _ImageObjects(
+            [], issue=FileIssue(image.path, "no_image", "it has annotations, but there is no such file")
+        )
     try:
         masks = image.read_masks()
     except (OSError, ValueError) as error:
-        return _Reading([], issue=FileIssue(image.path, "unreadable_masks", str(error)))
+        return _ImageObjects([], issue=FileIssue(image.path, "unreadable_masks", str(error)))
     wanted = [mask for mask in masks if recipe.categories is None or mask.category in recipe.categories]
     large = [mask for mask in wanted if min(mask.mask.shape) >= recipe.min_side_px]
     candidates = [
         _Candidate(image, mask.instance, mask.category, mask.box, int(mask.mask.sum()), _png(mask.mask))
         for mask in large
     ]
-    return _Reading(candidates, len(wanted) - len(large), frozenset(mask.category for mask in masks))
+    return _ImageObjects(candidates, len(wanted) - len(large), frozenset(mask.category for mask in masks))
 
 
 def _png(mask: NDArray[np.bool_]) -> bytes:

@@ -1,6 +1,7 @@
-"""One search for vehicles over many images, kept on disk: an interrupted one goes on where it stopped, and every table
-and figure is made from the same boxes.
-"""  # noqa: D205 - one sentence
+"""Search for vehicles in many images, kept on disk.
+
+An interrupted search resumes, and every table and figure uses the same boxes.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +19,14 @@ from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.estimate import analyse_detections, networks_sha256, search_raster
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import ImageFacts
+from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Lengths, ScaleOptions, Search
 from vehanchor.rulers.evidence import View
 from vehanchor.rulers.registry import needs_search
 from vehanchor.rulers.vehicles import select
 from vehanchor.scale.defaults import OUTLIER_ALPHA
-from vehanchor.storage.journal import Journal, Source
+from vehanchor.storage.journal import Journal
 from vehanchor.storage.stored import from_json, to_json
 from vehanchor_evaluation.known_scale import DATASET_LIMITS, FileIssue
 
@@ -39,12 +41,12 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.known_scale import KnownScaleSet
 
 ABLATION_ALPHAS = (1.0, OUTLIER_ALPHA, None)  # paper, Table III
-MAX_WORKERS = 4  # by default: each holds an image in memory
+MAX_WORKERS = 4  # default; each holds an image in memory
 
 
 @dataclass(frozen=True, eq=False)
 class SearchedImage:
-    """The findings of the first half of the skill in one image.
+    """Search results for one image.
 
     Attributes:
         detections: the vehicles.
@@ -60,10 +62,10 @@ class SearchedImage:
     prior: SceneScalePrior | None = None
 
     def analysis(self, card: DetectorCard, options: ScaleOptions) -> ScaleAnalysis:
-        """Lead these vehicles through the second half of the skill.
+        """Estimate the scale from these vehicles.
 
         Raises:
-            InvalidParameterError: the search has not looked at the detail with this factor of the filter.
+            InvalidParameterError: the search did not measure the resolved detail for this alpha.
             KnownLengthError: a line of known length leaves the image.
         """
         options = options.in_pixels(self.image.width_px, self.image.height_px)
@@ -77,7 +79,7 @@ DetectionLog: TypeAlias = Journal[SearchedImage]
 
 
 def default_workers() -> int:
-    """Images that are worth searching at once on this machine."""
+    """Choose the number of images to search in parallel on this machine."""
     return min(MAX_WORKERS, os.cpu_count() or 1)
 
 
@@ -87,17 +89,17 @@ _FORM = 3  # of what is kept of an image: a log of another form is refused
 def open_detection_log(
     path: Path | None, detector: Detector, options: ScaleOptions, classes: Sequence[str | int] | None = None
 ) -> DetectionLog:
-    """Open what earlier searches with the same model and options have found.
+    """Open the log of earlier searches with the same detector and options.
 
     Args:
-        path: of the file; None keeps findings in memory only.
-        detector: the model.
-        options: of the search; what only the second half of the skill reads does not matter.
-        classes: of the model, that count as vehicles; None for its own.
+        path: path of the file; None keeps results in memory only.
+        detector: the detector.
+        options: options of the search; options of the later stages are ignored.
+        classes: detector classes that count as vehicles; None for its default.
 
     Raises:
-        InvalidParameterError: the file is no such log.
-        OutputError: it cannot be read or written.
+        InvalidParameterError: the file is not a log of this search.
+        OutputError: the file cannot be read or written.
     """
     settings = {
         "vehanchor": version("vehanchor"),
@@ -111,7 +113,7 @@ def open_detection_log(
 
 
 def _of_full_search(chosen: Search) -> dict[str, Any]:
-    """What a full search depends on."""
+    """Select the options that affect a full search."""
     early = ("effort", "max_tiles", "max_seconds")
     return {name: value for name, value in asdict(chosen).items() if name not in early}
 
@@ -134,19 +136,19 @@ def search_images(
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[tuple[Path, SearchedImage | FileIssue]]:
-    """Search images that the log does not know yet; an image that cannot be used never stops the search.
+    """Search the images that the log lacks; unusable images never stop the search.
 
     Args:
-        images: the files, each once.
-        detector: the model, shared by all workers.
-        options: of the search, which is always a full one: tables must not depend on when one ends. Of what only the
-            second half reads, ``alpha`` may be one more that is looked at.
-        log: takes what is found, at once.
-        workers: images searched at the same time, each held in memory.
-        progress: called with (images done, images in all).
+        images: distinct files.
+        detector: the detector, shared by all workers.
+        options: options of the search. Every tile is searched, so that tables do not depend on an early stop. The
+            resolved detail is also measured for ``options.lengths.alpha``.
+        log: receives each result at once.
+        workers: images searched in parallel, each held in memory.
+        progress: called with (images done, total).
 
     Yields:
-        Each file with what was found, in order; or with why it could not be searched.
+        Each file in order, with its results or with the reason why it could not be searched.
     """
     options = replace(options, search=replace(options.search, effort="full", max_tiles=None, max_seconds=None))
     files = list(images)
@@ -154,7 +156,7 @@ def search_images(
     tell = progress or (lambda _done, _total: None)
     keys = {file: Source.of(file) for file in files}
     alphas = tuple(dict.fromkeys((*ABLATION_ALPHAS, options.lengths.alpha)))
-    missing = [file for file in files if not _covered(log.get(keys[file]), alphas)]
+    missing = [file for file in files if not _has_alphas(log.get(keys[file]), alphas)]
     issues: dict[Path, FileIssue] = {}
     tell(len(files) - len(missing), len(files))
     work = partial(_search, detector=detector, options=options, alphas=alphas)
@@ -170,7 +172,7 @@ def search_images(
             tell(done, len(files))
     for file in files:
         known = issues.get(file) or log.get(keys[file])
-        assert known is not None  # found just now, or before
+        assert known is not None  # found now or earlier
         yield file, known
 
 
@@ -184,20 +186,20 @@ def search_known_scale(
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[Path, SearchedImage | FileIssue]:
-    """Search all images with a model; what the cache knows is not searched again.
+    """Search all images that the cache lacks.
 
     Args:
-        data: images of known scale; they are the user's own, and may be as large as ``DATASET_LIMITS`` allows.
-        detector: the model.
-        options: of the search.
-        classes: of the model, that count as vehicles, as it was opened with.
-        cache: file of what was found so far, and will be; None keeps nothing.
-        workers: images at the same time; None for a good number.
-        progress: called with (images done, images in all).
+        data: images of known scale, which belong to the user; ``DATASET_LIMITS`` apply.
+        detector: the detector.
+        options: options of the search.
+        classes: detector classes that count as vehicles, as when the detector was opened.
+        cache: log of the search, which lets a later run resume; None keeps no log.
+        workers: images in parallel; None chooses a number.
+        progress: called with (images done, total).
 
     Raises:
-        InvalidParameterError: the cache is no log of a search.
-        OutputError: it cannot be read or written.
+        InvalidParameterError: the cache is not a log of a search.
+        OutputError: the cache cannot be read or written.
     """
     options = replace(options, reading=replace(options.reading, limits=DATASET_LIMITS))
     return dict(
@@ -212,7 +214,7 @@ def search_known_scale(
     )
 
 
-def _covered(known: SearchedImage | None, alphas: Sequence[float | None]) -> bool:
+def _has_alphas(known: SearchedImage | None, alphas: Sequence[float | None]) -> bool:
     return known is not None and all(alpha in known.resolved for alpha in alphas)
 
 

@@ -1,6 +1,6 @@
-"""Folders of images with numbered masks: an ``index.csv`` and one 16-bit picture for each image and category.
+"""Folders of images with numbered masks: an ``index.csv``, and a 16-bit label image for each image and category.
 
-Columns: ``image`` and ``mask`` (relative to the folder), ``category``, ``gsd_m_per_px``; ``split`` where there is one.
+Columns: ``image`` and ``mask`` (relative to the folder), ``category``, ``gsd_m_per_px``, and optionally ``split``.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ _COLUMNS = ("image", "mask", "category", "gsd_m_per_px")
 
 
 def find_annotated_images(folder: Path, split: str | None = None) -> tuple[list[AnnotatedImage], list[FileIssue]]:
-    """The images of an index, each as often as it has a picture of masks.
+    """Read the images of an index, one for each label image.
 
     Args:
-        folder: holds ``index.csv``.
-        split: take only the rows of this split; None takes all.
+        folder: folder with ``index.csv``.
+        split: use only rows of this split; None uses all.
 
     Returns:
-        The images, in the index's order, and the rows that were left out.
+        The images in the index's order, and issues of rows that were left out.
 
     Raises:
-        InvalidParameterError: there is no such index, a column is missing, or the split has no rows.
+        InvalidParameterError: the index or a column is missing, or the split has no rows.
     """
     index = folder / "index.csv"
     try:
@@ -58,7 +58,7 @@ def find_annotated_images(folder: Path, split: str | None = None) -> tuple[list[
         if not (math.isfinite(gsd) and gsd > 0 and all(row[column] for column in _COLUMNS)):
             issues.append(FileIssue(index, "malformed_row", f"line {line}: expected {','.join(_COLUMNS)}, gsd > 0"))
         elif row["mask"] in seen:
-            issues.append(FileIssue(index, "duplicate_name", f"line {line}: {row['mask']} is listed before"))
+            issues.append(FileIssue(index, "duplicate_name", f"line {line}: {row['mask']} is already listed"))
         else:
             seen.add(row["mask"])
             path, mask = folder / row["image"], folder / row["mask"]
@@ -68,12 +68,12 @@ def find_annotated_images(folder: Path, split: str | None = None) -> tuple[list[
 
 
 def read_numbered_masks(path: Path, category: str) -> list[InstanceMask]:
-    """The objects of one picture of numbers, 8 or 16 bit, 0 for the background.
+    """Read the objects of a label image of 8 or 16 bit with 0 as background.
 
     Raises:
-        ImageError: it cannot be read, or is not such a picture.
+        ImageError: the file cannot be read, or is not a label image.
     """
     numbers = read_pixels(path)
     if numbers.ndim != 2 or numbers.dtype not in (np.uint8, np.uint16):
-        raise ImageFormatError(f"{path}: masks are one band of 8 or 16 bit, this is {numbers.dtype} {numbers.shape}")
+        raise ImageFormatError(f"{path}: masks must have one band of 8 or 16 bit, got {numbers.dtype} {numbers.shape}")
     return [InstanceMask(number, category, left, top, mask) for number, left, top, mask in split_instances(numbers)]

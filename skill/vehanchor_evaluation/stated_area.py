@@ -1,4 +1,4 @@
-"""The area that a language model states in its last line, ``AREA=<number>``."""
+"""Parser of the area that a language model states in its last line, ``AREA=<number>``."""
 
 from __future__ import annotations
 
@@ -30,26 +30,26 @@ _UNITS = [(re.compile(pattern, re.IGNORECASE), factor) for factor, pattern in _M
 
 
 class StatedArea(NamedTuple):
-    """The reading of a reply: an area in square metres, or why there is none."""
+    """Parsed reply: an area in square metres, or the reason why it is missing."""
 
     area_m2: float | None
     problem: Problem | None = None
 
 
 def read_area(reply: str) -> StatedArea:
-    """Read the last ``AREA=`` of a reply.
+    """Parse the last ``AREA=`` of a reply.
 
     Numbers may have thousands separators (comma, point, apostrophe, underscore or space between groups of three) and
-    exponents (``1.2e3``, ``1.2 x 10^3``); of comma and point the later is the decimal one, and a single one before
-    three digits means thousands where it is a comma. Without a unit the number is square metres, as was asked for; km2,
-    ha, cm2, ft2, yd2 and acres are converted. Any other unit (pixels, say), a range and a negative number are refused.
-    Words before the number and brackets after it do not matter.
+    exponents (``1.2e3``, ``1.2 x 10^3``). If a number has commas and points, the last of them is the decimal separator.
+    A single comma before three digits separates thousands. A number without a unit is in square metres; km2, ha, cm2,
+    ft2, yd2 and acres are converted. Other units (pixels, for example), ranges and negative numbers are refused. Words
+    before the number and brackets after it are ignored.
 
     Args:
-        reply: all that the model said.
+        reply: the model's full reply.
 
     Returns:
-        The area, or the reason why there is none.
+        The area, or the reason why it is missing.
     """
     lines = _LINE.findall(reply)
     if not lines:
@@ -73,7 +73,7 @@ def read_area(reply: str) -> StatedArea:
 
 
 def _plain(text: str) -> str:
-    """Without LaTeX and superscripts."""
+    """Replace LaTeX and superscripts by plain text."""
     text = re.sub(r"\\times|\\cdot", "x", text)
     text = re.sub(r"\\(?:text|mathrm|mathbf|boxed|approx|sim|[,;:! ])|[{}$]", " ", text)
     text = re.sub(r"10([\u2070\u00b9\u00b2\u00b3\u2074-\u2079]+)", lambda m: "10^" + _digits(m[1]), text)
@@ -86,7 +86,7 @@ def _digits(superscripts: str) -> str:
 
 
 def _value(digits: str) -> float | None:
-    """The number that digits and separators stand for; None where that is not clear."""
+    """Parse digits and separators; None if they are ambiguous."""
     text = re.sub(r"['\u2019_ \u00a0\u2009\u202f]", "", digits)
     points, commas = text.count("."), text.count(",")
     if points and commas:

@@ -1,4 +1,4 @@
-"""Images of known scale from one of the three sources: a split of DOTA, a table, georeferenced files."""
+"""Images of known scale from one of three sources: a split of DOTA, a table, georeferenced files."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ def survey_known_scale(
         labels: folder of DOTA's labels; None for the latest.
         set_name: only this set of the table.
         split: only this split of the table.
-        limit: only the first so many.
+        limit: only the first images, up to this number.
 
     Returns:
-        The images, none where no file has a known scale: its issues say why.
+        The images of known scale, possibly none; the issues give the reasons.
 
     Raises:
-        InvalidParameterError: not exactly one source, one that is not what it should be, or no image of that set and
-            split.
+        InvalidParameterError: there is not exactly one source, the source is invalid, or the set and split have no
+            image.
     """
     if sum((dota is not None, table is not None, bool(geotiff))) != 1:
-        raise InvalidParameterError("name the images by one of --dota DIR, --table FILE and --geotiff FILES")
+        raise InvalidParameterError("give the images with one of --dota DIR, --table FILE and --geotiff FILES")
     if dota is not None:
         data = survey_dota(dota, labels)
     elif table is not None:
@@ -55,5 +55,5 @@ def survey_known_scale(
     chosen = data.chosen(set_name=set_name, split=split, limit=limit)
     if data.images and not chosen.images:
         sets = ", ".join(sorted({f"{image.set or '-'} ({image.split or '-'})" for image in data.images}))
-        raise InvalidParameterError(f"no image of set {set_name!r} and split {split!r}; there are {sets}")
+        raise InvalidParameterError(f"no image of set {set_name!r} and split {split!r}; the table has {sets}")
     return chosen

@@ -1,4 +1,4 @@
-"""A table of images of known scale: a CSV with the columns ``file`` and ``gsd_m_per_px``."""
+"""Table of images of known scale: a CSV with the columns ``file`` and ``gsd_m_per_px``."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ if TYPE_CHECKING:
 
 
 def read_table(path: Path) -> list[KnownScaleImage]:
-    """Read a CSV with the columns ``file`` (relative to the table) and ``gsd_m_per_px``; ``set``, ``split`` and
-    ``labelled_small_vehicles`` are read where they are given.
+    """Read a CSV with the columns ``file`` (relative to the table) and ``gsd_m_per_px``.
+
+    The columns ``set``, ``split`` and ``labelled_small_vehicles`` are optional.
 
     Raises:
         InvalidParameterError: a column is missing or a scale is not a positive number; the message names the line.
         OSError: the table cannot be read.
-    """  # noqa: D205 - the columns belong together
+    """
     return [_image(path, number, row) for number, row in _rows(path)]
 
 
 def survey_table(path: Path) -> KnownScaleSet:
-    """As ``read_table``, with the labels that lie beside the images; a bad line is reported and left out.
+    """Read a table and find the labels of its images; invalid lines become issues.
 
     Raises:
-        InvalidParameterError: the table cannot be read, or has no such columns at all.
+        InvalidParameterError: the table cannot be read, or lacks the columns.
     """
     images, issues, n_rows = [], [], 0
     try:
@@ -41,13 +42,13 @@ def survey_table(path: Path) -> KnownScaleSet:
                 issues.append(FileIssue(path, "malformed_row", str(error)))
                 continue
             if not image.path.is_file():
-                issues.append(FileIssue(image.path, "no_image", f"line {number} of the table names it; no such file"))
+                issues.append(FileIssue(image.path, "no_image", f"line {number} of the table: no such file"))
                 continue
             images.append(image._replace(labels=labels_beside(image.path)))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InvalidParameterError(f"cannot read table {str(path)!r}: {error}") from None
     if n_rows and len([issue for issue in issues if issue.reason == "malformed_row"]) == n_rows:
-        raise InvalidParameterError(f"no line of the table can be used; the first: {issues[0].message}")
+        raise InvalidParameterError(f"no line of the table can be used; the first problem: {issues[0].message}")
     return KnownScaleSet(str(path), tuple(images), tuple(issues)).without_duplicates()
 
 
@@ -67,7 +68,7 @@ def _image(path: Path, number: int, row: Mapping[str, str | None]) -> KnownScale
     except (KeyError, TypeError, ValueError) as error:
         raise InvalidParameterError(f"{path}, line {number}: expected file,gsd_m_per_px ({error})") from None
     if not file:
-        raise InvalidParameterError(f"{path}, line {number}: the file is not named")
+        raise InvalidParameterError(f"{path}, line {number}: the column file is empty")
     if not (math.isfinite(gsd) and gsd > 0):
         raise InvalidParameterError(f"{path}, line {number}: gsd_m_per_px is {gsd}, not a positive number")
     return KnownScaleImage(path.parent / file, gsd, row.get("set") or "", row.get("split") or "", count)

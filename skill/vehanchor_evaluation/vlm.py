@@ -1,8 +1,8 @@
-"""Areas by the eye of a vision-language model: the paper's baselines, and the same model with this project's tools.
+"""Areas stated by a vision-language model: the paper's baselines, and the same model with VehAnchor's tools.
 
-The protocol is the paper's: the system role, the target in a red rectangle, one question that asks for square metres
-and for a last line ``AREA=<number>``; the hinted setting adds one sentence. Every model gets the same query. A refusal,
-or a reply without such a number, counts as an error of 100 %, as does a pipeline without a scale.
+The protocol is the paper's: a system role, a red rectangle around the target, and one question that asks for square
+metres in a last line ``AREA=<number>``. The hinted setting adds one sentence. Every model gets the same query. A
+refusal or a reply without a number counts as an error of 100 %, as does a pipeline without a scale.
 """
 
 from __future__ import annotations
@@ -48,23 +48,23 @@ _AGENT = (
     "The file is {path}. The picture that you see is {width} x {height} px: give that size as frame. In the picture's "
     "pixels the red rectangle has the corners ({x1:.1f}, {y1:.1f}) and ({x2:.1f}, {y2:.1f})."
 )
-MAX_SIDE_PX = 1568  # the longest side that the Messages API shows to models without reducing it
+MAX_SIDE_PX = 1568  # the longest side that the Messages API does not reduce
 MAX_TURNS = 8
 _RED_RGB = (255, 0, 0)
 _JPEG_QUALITY = 95
-_FAILURES_IN_A_ROW = 5  # then the service is down, and the rest would fail as well
+_FAILURES_IN_A_ROW = 5  # then the service is down and further requests would fail
 
 
 @dataclass(frozen=True)
 class Query:
-    """The question, and how it is put.
+    """Form of the question.
 
     Attributes:
         hint: append the paper's sentence on the length of cars.
-        agent: let the model use the tools; it is told the file, the picture's size and the rectangle's corners, which
-            a planner knows.
-        max_side_px: longest side of the picture; larger images are reduced.
-        max_turns: replies that an agent may give for one entry.
+        agent: let the model use tools; the prompt gives the file, the image's size and the rectangle's corners, which a
+            planner knows.
+        max_side_px: longest side of the image in the prompt; larger images are reduced.
+        max_turns: maximum number of replies of an agent for one entry.
     """
 
     hint: bool = False
@@ -74,7 +74,7 @@ class Query:
 
 
 class VlmTrial(BaseModel):
-    """A model's answer about one entry."""
+    """Answer of a model about one entry."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -84,18 +84,18 @@ class VlmTrial(BaseModel):
     true_area_m2: float
     stated_area_m2: float | None
     problem: str | None = Field(
-        description="Why there is no area: refused, too_many_turns, no_area_line, no_number, ambiguous_number, "
+        description="Why the area is missing: refused, too_many_turns, no_area_line, no_number, ambiguous_number, "
         "unknown_unit."
     )
     last_line: str = Field(description="Last line of the reply.")
-    turns: int = Field(description="Replies; one without tools.")
+    turns: int = Field(description="Replies; 1 without tools.")
     tool_calls: str = Field(description="Tools called, in order.")
     input_tokens: int
     output_tokens: int
 
 
 class VlmRun(NamedTuple):
-    """Trials in the order of the entries, what failed, and why the run ended early (None: it did not)."""
+    """Trials in the order of the entries, issues, and the reason for an early end (None if the run is complete)."""
 
     trials: list[VlmTrial]
     issues: list[FileIssue]
@@ -103,13 +103,13 @@ class VlmRun(NamedTuple):
 
 
 class Question(NamedTuple):
-    """The picture that a model sees.
+    """Image in the prompt.
 
     Attributes:
         jpeg: the image with the red rectangle.
-        width_px: of the picture.
-        height_px: of it.
-        corners: x1, y1, x2, y2 of the target's box in its pixels; the rectangle is drawn just outside.
+        width_px: width of the image in the prompt.
+        height_px: height of the image in the prompt.
+        corners: x1, y1, x2, y2 of the target's box in its pixels; the rectangle lies just outside.
     """
 
     jpeg: bytes
@@ -123,9 +123,9 @@ def draw_question(image: NDArray[np.uint8], scale: float, box: Sequence[float], 
 
     Args:
         image: ``[h, w, 3]`` RGB.
-        scale: pixels of ``image`` per pixel that the box is given in; 1, or less where it is a reduced copy.
+        scale: pixels of ``image`` per pixel of the box's image; 1, or less for a reduced copy.
         box: x1, y1, x2, y2.
-        max_side_px: of the picture; images are never enlarged.
+        max_side_px: longest side of the result; images are never enlarged.
     """
     height, width = image.shape[:2]
     factor = min(1.0, max_side_px / max(width, height))
@@ -133,7 +133,7 @@ def draw_question(image: NDArray[np.uint8], scale: float, box: Sequence[float], 
     picture = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if factor < 1 else np.array(image)
     corners = np.asarray(box, np.float64) * scale * np.tile(np.array(size) / (width, height), 2)
     line = max(2, round(max(size) / 500))
-    outset = (line + 1) // 2  # the line keeps off the object
+    outset = (line + 1) // 2  # the line stays clear of the object
     first = np.floor(corners[:2]).astype(int) - outset
     last = np.ceil(corners[2:]).astype(int) - 1 + outset
     first, last = np.maximum(first, 0), np.minimum(last, np.array(size) - 1)
@@ -155,18 +155,18 @@ def run_vlm_trials(
 ) -> VlmRun:
     """Ask about every entry.
 
-    An entry that fails is reported and left out; the run ends early, with what it has, once the budget is spent, the
-    service refuses the key or the model, or five requests in a row fail.
+    Failed entries become issues. The run ends early and keeps its results if the budget is spent, the service refuses
+    the key or the model, or five requests in a row fail.
 
     Args:
-        entries: of a benchmark.
+        entries: entries of a benchmark.
         api: the model.
-        query: what to ask.
-        tools: for an agent.
-        workers: requests at once.
-        progress: called with (entries done, entries in all).
+        query: form of the question.
+        tools: tools for an agent.
+        workers: parallel requests.
+        progress: called with (entries done, total).
     """
-    round_ = _Round(api, query, tools)
+    round_ = _Collector(api, query, tools)
     with closing(finished_in_threads(workers, round_.work, entries)) as answers:
         for done, (entry, answer) in enumerate(answers, start=1):
             round_.take(entry, answer)
@@ -177,19 +177,19 @@ def run_vlm_trials(
     )
 
 
-class _Round:
-    """Answers as they come, and whether to go on."""
+class _Collector:
+    """Collector of answers, which decides when the run ends."""
 
     def __init__(self, api: ModelApi, query: Query, tools: ToolCaller | None) -> None:
         self._ask_with = api, query, tools
-        self._ended = Event()  # so that no thread takes up another entry before the run has heard of the end
+        self._ended = Event()  # stops threads from starting another entry before the main thread knows of the end
         self._failures = 0
         self.trials: dict[str, VlmTrial] = {}
         self.issues: list[FileIssue] = []
         self.stopped: str | None = None
 
     def work(self, entry: BenchmarkEntry) -> VlmTrial | None:
-        """Ask about an entry; None once the run has ended."""
+        """Ask about an entry; None after the end of the run."""
         if self._ended.is_set():
             return None
         try:
@@ -199,7 +199,7 @@ class _Round:
             raise
 
     def take(self, entry: BenchmarkEntry, answer: Future[VlmTrial | None]) -> None:
-        """Keep an answer, also one that was under way when the run ended, or say why there is none."""
+        """Keep an answer, even one in flight when the run ended, or record why it is missing."""
         try:
             trial = answer.result()
         except (BudgetSpentError, ApiRefusedError) as error:
@@ -268,5 +268,5 @@ def _ask(entry: BenchmarkEntry, api: ModelApi, query: Query, tools: ToolCaller |
 
 
 def summarise_vlm(name: str, trials: Sequence[VlmTrial]) -> AreaErrors:
-    """The table's row of a model."""
+    """Summarise a model's trials as a row of the table."""
     return area_errors(name, ((t.category, t.stated_area_m2, t.true_area_m2) for t in trials))

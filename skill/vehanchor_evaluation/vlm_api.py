@@ -1,8 +1,8 @@
 """Vision-language models behind the Anthropic Messages API and the OpenAI Chat Completions API.
 
-The providers' own clients (extra ``examples``) send the requests and try again: on 408, 409, 429 and 5xx, on timeouts
-and lost connections, after what ``Retry-After`` says. They keep no replies and know no ceilings: both are here. Keys
-come from the environment only; they are never part of what is kept, hashed or told.
+The providers' clients (extra ``examples``) send the requests. They retry on 408, 409, 429, 5xx, timeouts and lost
+connections, and respect ``Retry-After``. This module adds a store of replies and limits on cost. Keys come only from
+the environment; they are never stored, hashed or printed.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ if TYPE_CHECKING:
 Provider: TypeAlias = Literal["anthropic", "openai", "openai-compatible"]
 PROVIDERS: tuple[Provider, ...] = ("anthropic", "openai", "openai-compatible")
 _KEY_VARIABLES = {"anthropic": "ANTHROPIC_API_KEY", "openai": "OPENAI_API_KEY", "openai-compatible": "OPENAI_API_KEY"}
-_NO_KEY = "none"  # for compatible servers that need none: the client insists on one
-_REFUSALS = (401, 403, 404)  # the key, or the model: no other request would fare better
+_NO_KEY = "none"  # for compatible servers without keys: the client requires one
+_REFUSALS = (401, 403, 404)  # the key or the model is wrong: other requests would fail, too
 _JPEG = "image/jpeg"
 Messages: TypeAlias = list[dict[str, Any]]
 
 
 class RequestFailedError(Exception):
-    """A request failed for good, after all attempts."""
+    """A request failed after all attempts."""
 
 
 class ApiRefusedError(Exception):
-    """The service refuses the key or does not know the model."""
+    """The service refuses the key or lacks the model."""
 
 
 class BudgetSpentError(Exception):
-    """A ceiling is reached."""
+    """A limit on cost is reached."""
 
 
 class ToolCall(NamedTuple):
-    """A call of a tool, as a model wants it made."""
+    """Tool call that a model requests."""
 
     id: str
     name: str
@@ -56,7 +56,7 @@ class ToolCall(NamedTuple):
 
 
 class ToolResult(NamedTuple):
-    """The outcome of a call, as the model reads it."""
+    """Result of a tool call for the model."""
 
     text: str
     is_error: bool
@@ -64,14 +64,14 @@ class ToolResult(NamedTuple):
 
 @dataclass(frozen=True)
 class Reply:
-    """A model's answer.
+    """Reply of a model.
 
     Attributes:
         text: all text of the reply.
         refused: whether the service marks it as a refusal.
-        tool_calls: what the model wants to have done before it goes on.
-        input_tokens: of the request.
-        output_tokens: of the reply.
+        tool_calls: tool calls that the model requests before it continues.
+        input_tokens: tokens of the request.
+        output_tokens: tokens of the reply.
         message: the reply as the conversation's next message.
     """
 
@@ -85,12 +85,12 @@ class Reply:
 
 @dataclass
 class Budget:
-    """Ceilings of a run, and how fast it may go; cached replies cost nothing.
+    """Limits on cost and rate of a run; stored replies are free.
 
     Attributes:
-        max_requests: requests that may be answered; None for no ceiling.
-        max_tokens: input and output tokens together. What is under way when it is reached is still paid for.
-        requests_per_minute: requests are spaced evenly; None for as fast as the service answers.
+        max_requests: maximum number of requests; None for no limit.
+        max_tokens: maximum number of input and output tokens; requests in flight at the limit still complete.
+        requests_per_minute: rate of evenly spaced requests; None for no limit.
     """
 
     max_requests: int | None = None
@@ -105,13 +105,13 @@ class Budget:
         """Take one request from the budget and wait for its turn.
 
         Raises:
-            BudgetSpentError: there is none left.
+            BudgetSpentError: the budget is spent.
         """
         with self._lock:
             if self.max_requests is not None and self.requests >= self.max_requests:
-                raise BudgetSpentError(f"{self.requests} requests made, the ceiling of --max-requests")
+                raise BudgetSpentError(f"{self.requests} requests made, the limit of --max-requests")
             if self.max_tokens is not None and self.tokens >= self.max_tokens:
-                raise BudgetSpentError(f"{self.tokens} tokens used, the ceiling of --max-tokens is {self.max_tokens}")
+                raise BudgetSpentError(f"{self.tokens} tokens used, the limit of --max-tokens is {self.max_tokens}")
             self.requests += 1
             now = time.monotonic()
             start = max(now, self._next_start)
@@ -121,36 +121,36 @@ class Budget:
             time.sleep(start - now)
 
     def spend(self, tokens: int) -> None:
-        """Count what a request has used."""
+        """Count the tokens of a request."""
         with self._lock:
             self.tokens += tokens
 
 
 def reply_journal(folder: Path | None) -> Journal[dict[str, Any]]:
-    """Open the responses that are kept in a folder, so that none is asked for twice; None keeps them in memory.
+    """Open the stored responses of a folder, which are never requested again; None keeps them in memory.
 
     Raises:
-        InvalidParameterError: the file there is no journal.
-        OutputError: it cannot be read or written.
+        InvalidParameterError: the file in the folder is not a journal.
+        OutputError: the file cannot be read or written.
     """
     path = None if folder is None else folder / "replies.jsonl"
     return Journal(path, {"responses": "as the service gave them"}, dump=dict, load=dict)
 
 
 def _request_key(provider: str, base_url: str, payload: dict[str, Any]) -> Key:
-    """SHA-256 of all that a response depends on; the key to the service is none of it."""
+    """Hash everything that a response depends on (SHA-256); the service's key is not included."""
     text = json.dumps([provider, base_url, payload], sort_keys=True, ensure_ascii=True)
     return (hashlib.sha256(text.encode()).hexdigest(),)
 
 
 class ModelApi(ABC):
-    """One model of one provider.
+    """Model of a provider.
 
     Attributes:
-        provider: of the model.
-        model: its name there.
-        base_url: of the service.
-        budget: ceilings, shared by all threads.
+        provider: provider of the model.
+        model: the provider's name of the model.
+        base_url: address of the service.
+        budget: limits, shared by all threads.
     """
 
     def __init__(
@@ -167,13 +167,13 @@ class ModelApi(ABC):
         self._client, self._api_error, self._replies = client, api_error, replies
 
     def ask(self, system: str, messages: Messages, tools: ToolCaller | None = None) -> Reply:
-        """Ask, or read the reply that is kept.
+        """Ask the model, or read the stored reply.
 
         Raises:
             RequestFailedError: the request failed after all attempts.
             ApiRefusedError: the key or the model is refused.
-            BudgetSpentError: a ceiling is reached.
-            OutputError: the reply cannot be kept.
+            BudgetSpentError: a limit on cost is reached.
+            OutputError: the reply cannot be stored.
         """
         payload = self._payload(system, messages, tools)
         key = _request_key(self.provider, self.base_url, payload)
@@ -181,43 +181,41 @@ class ModelApi(ABC):
         if response is None:
             self.budget.begin()
             response = self._send(payload)
-            reply = self._checked(response)
+            reply = self._parse(response)
             self.budget.spend(reply.input_tokens + reply.output_tokens)
             self._replies.add(key, response)
             return reply
-        return self._checked(response)
+        return self._parse(response)
 
     def _send(self, payload: dict[str, Any]) -> dict[str, Any]:
         try:
             response = self._create(payload).to_dict(mode="json", exclude_none=True, warnings=False)
         except self._api_error as error:
             status = getattr(error, "status_code", None)
-            if status in (401, 403):  # the service's own message may quote the key
+            if status in (401, 403):  # the service's message may quote the key
                 raise ApiRefusedError(f"{self.base_url} refuses the key ({status})") from None
             if status in _REFUSALS:
                 raise ApiRefusedError(
-                    f"{self.base_url} has no model {self.model!r}, or no such API ({status})"
+                    f"{self.base_url} lacks the model {self.model!r} or this API ({status})"
                 ) from None
             reason = f"status {status}" if status else type(error).__name__
             message = str(error).replace(self._client.api_key, "***")
             raise RequestFailedError(f"{reason}: {message[:300]}") from None
         return dict(response)
 
-    def _checked(self, response: dict[str, Any]) -> Reply:
+    def _parse(self, response: dict[str, Any]) -> Reply:
         try:
             return self._read(response)
         except (KeyError, TypeError, IndexError, ValueError) as error:
-            raise RequestFailedError(
-                f"the reply is not of the expected form: {type(error).__name__}: {error}"
-            ) from None
+            raise RequestFailedError(f"the reply has an unexpected form: {type(error).__name__}: {error}") from None
 
     @abstractmethod
     def first_messages(self, system: str, text: str, jpeg_base64: str) -> Messages:
-        """A conversation that starts with a picture and a question."""
+        """Start a conversation with an image and a question."""
 
     @abstractmethod
     def next_messages(self, messages: Messages, reply: Reply, results: Sequence[ToolResult]) -> Messages:
-        """The conversation after a reply and what came of its tool calls."""
+        """Continue a conversation with a reply and the results of its tool calls."""
 
     @abstractmethod
     def _payload(self, system: str, messages: Messages, tools: ToolCaller | None) -> dict[str, Any]: ...
@@ -230,14 +228,14 @@ class ModelApi(ABC):
 
 
 class AnthropicApi(ModelApi):
-    """The Messages API."""
+    """Anthropic's Messages API."""
 
     def __init__(self, *args: Any, max_output_tokens: int) -> None:
         super().__init__(*args)
         self._max_output_tokens = max_output_tokens
 
     def first_messages(self, system: str, text: str, jpeg_base64: str) -> Messages:
-        """See ``ModelApi``; the system prompt is a field of its own here."""
+        """See ``ModelApi``; this API has a separate field for the system prompt."""
         del system
         source = {"type": "base64", "media_type": _JPEG, "data": jpeg_base64}
         return [{"role": "user", "content": [{"type": "image", "source": source}, {"type": "text", "text": text}]}]
@@ -281,11 +279,11 @@ class AnthropicApi(ModelApi):
 
 
 class OpenAiApi(ModelApi):
-    """The Chat Completions API, OpenAI's own or a compatible one (vLLM, DashScope, ...)."""
+    """Chat Completions API of OpenAI or a compatible service (vLLM, DashScope, ...)."""
 
     def __init__(self, *args: Any, max_output_tokens: int) -> None:
         super().__init__(*args)
-        # OpenAI's newer models refuse the older name, and most compatible servers know that one only
+        # OpenAI's newer models refuse the older name; most compatible servers accept only that one
         name = "max_completion_tokens" if self.provider == "openai" else "max_tokens"
         self._limits = {name: max_output_tokens}
 
@@ -333,7 +331,7 @@ class OpenAiApi(ModelApi):
 
 
 def _arguments(text: str) -> dict[str, Any]:
-    """A model's JSON; what is none becomes arguments that the tool will refuse, so that the model is told."""
+    """Parse a model's JSON; invalid JSON becomes arguments that the tool refuses, so the model gets the error."""
     try:
         arguments = json.loads(text or "{}")
     except ValueError:
@@ -357,18 +355,18 @@ def open_api(
 
     Args:
         provider: ``anthropic``, ``openai`` or ``openai-compatible``.
-        model: its name there.
-        replies: so far, see ``reply_journal``.
-        budget: ceilings.
-        base_url: of the service; None for the provider's own, needed for a compatible one.
-        key_variable: the environment variable with the key; None for the provider's usual one.
-        max_output_tokens: of one reply.
-        timeout_s: of one attempt.
+        model: the provider's name of the model.
+        replies: stored replies, see ``reply_journal``.
+        budget: limits on cost and rate.
+        base_url: address of the service; None for the provider's own, required for a compatible one.
+        key_variable: environment variable with the key; None for the provider's usual one.
+        max_output_tokens: maximum number of tokens of one reply.
+        timeout_s: time limit of one attempt.
         max_retries: attempts after the first.
 
     Raises:
         MissingExtraError: the provider's client is not installed.
-        InvalidParameterError: there is no key in the environment, or no address for a compatible service.
+        InvalidParameterError: the environment has no key, or the address of a compatible service is missing.
     """
     _check_address(provider, base_url)
     key = _key(provider, key_variable)
@@ -380,16 +378,16 @@ def open_api(
 
 def _check_address(provider: Provider, base_url: str | None) -> None:
     if provider == "openai-compatible" and base_url is None:
-        raise InvalidParameterError("a compatible service needs its address: --base-url http://host:8000/v1")
+        raise InvalidParameterError("a compatible service needs an address: --base-url http://host:8000/v1")
     address = urlsplit(base_url or "")
     if base_url is not None and (not address.scheme.startswith("http") or address.username or address.query):
         raise InvalidParameterError(
-            "--base-url is http(s)://host/path, without user, password or key: those come from the environment"
+            "--base-url must be http(s)://host/path without user, password or key: keys come from the environment"
         )
 
 
 def _key(provider: Provider, key_variable: str | None) -> str:
-    """The user's key, from the environment only."""
+    """Read the user's key from the environment."""
     variable = key_variable or _KEY_VARIABLES[provider]
     key = os.environ.get(variable)
     if not key and provider == "openai-compatible" and key_variable is None:
@@ -400,7 +398,7 @@ def _key(provider: Provider, key_variable: str | None) -> str:
 
 
 def _client(provider: Provider, options: dict[str, Any]) -> tuple[Any, type[Exception]]:
-    """The provider's own client, and the base of its errors."""
+    """Create the provider's client, and get the base of its errors."""
     try:
         if provider == "anthropic":
             import anthropic

@@ -1,4 +1,4 @@
-"""Report on a run of questions to a vision-language model."""
+"""Report of an area benchmark with a vision-language model."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ if TYPE_CHECKING:
 
 
 def report_stem(query: Query) -> str:
-    """Stem of the names of a report's files: each setting has its own."""
+    """Build the stem of a report's file names, which differs by setting."""
     return "_".join(["vlm", *_settings(query)])
 
 
 def vlm_report(
     benchmark: Benchmark, sha256: str, api: ModelApi, query: Query, run: VlmRun, n_entries: int
 ) -> AreaReport:
-    """Put a report together.
+    """Create a report.
 
     Args:
-        benchmark: whose entries were asked about.
-        sha256: of its file.
+        benchmark: benchmark of the questions.
+        sha256: SHA-256 of its file.
         api: the model.
-        query: what was asked.
+        query: form of the question.
         run: the answers.
-        n_entries: how many entries were to be asked about.
+        n_entries: number of entries that were planned.
     """
     facts = [
-        f"{len(run.trials)} of {n_entries} entries asked, {api.provider} {api.model}; no number counts as an error of "
-        "100 %",
+        f"{len(run.trials)} of {n_entries} entries asked, {api.provider} {api.model}; a missing number counts as an "
+        "error of 100 %",
         *_replies(run.trials),
-        f"this run: {api.budget.requests} requests, {api.budget.tokens} tokens; other replies were on disk",
+        f"this run: {api.budget.requests} requests, {api.budget.tokens} tokens; other replies came from disk",
     ]
     settings: dict[str, Any] = {
         "provider": api.provider,
@@ -59,7 +59,7 @@ def _settings(query: Query) -> list[str]:
 
 
 def _replies(trials: Sequence[VlmTrial]) -> list[str]:
-    """How the model answered, a sentence each."""
+    """Describe the model's replies, one sentence each."""
     if not trials:
         return []
     problems = Counter(trial.problem for trial in trials if trial.problem)

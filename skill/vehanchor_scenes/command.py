@@ -33,7 +33,9 @@ def scene(
     seed: Annotated[int, typer.Option(metavar="N", help="The same seed and options give the same image.")] = 0,
     vehicles: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Most cars; 0 removes all vehicles. Default: as many as the place has."),
+        typer.Option(
+            metavar="N", help="Maximum number of cars; 0 removes all vehicles. Default: as many as the place has."
+        ),
     ] = None,
     fleet: Annotated[float, typer.Option(metavar="M", help="Mean length of the cars, metres: 2 to 8.")] = 4.6,
     layout: Annotated[LayoutChoice | None, typer.Option(help="Kind of place. Default: the seed decides.")] = None,

@@ -47,8 +47,8 @@ def render_scene(
         width_px: image width, 16 to 16384.
         height_px: image height, 16 to 16384.
         seed: at least 0; determines the place, its colours, the sun and the camera.
-        n_vehicles: most small vehicles; large ones are thinned by the same share. 0 removes all vehicles, None keeps
-            them all.
+        n_vehicles: maximum number of small vehicles; large ones are thinned by the same share. 0 removes all vehicles,
+            None keeps them all.
         mean_vehicle_length_m: mean length of the fleet, 2 to 8.
         layout: ``urban``, ``parking``, ``countryside`` or ``sports``; None: the seed chooses from the first three.
 

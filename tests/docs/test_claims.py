@@ -11,7 +11,6 @@ from dataclasses import fields as fields_of
 from importlib import import_module
 from importlib.metadata import entry_points
 from importlib.util import find_spec
-from inspect import signature
 from pathlib import Path
 
 import pytest
@@ -19,9 +18,8 @@ import pytest
 from tests.conftest import ROOT
 from tests.docs.documents import DOCUMENTS
 from tests.packaging.dockerfile import read_dockerfile
-from vehanchor.estimate import open_detector
-from vehanchor.measure.area import measure_area
-from vehanchor.options import Frame, Lengths, Reading, Reference, ScaleOptions, Search
+from vehanchor.engine import AreaKeywords, Engine
+from vehanchor.options import Frame, Lengths, Reading, Reference, Search
 from vehanchor.records import AreaMeasurement, GsdEstimate
 from vehanchor_server.settings import Settings
 
@@ -56,7 +54,7 @@ def test_the_commands_options_and_variables_it_names_exist(document: Path) -> No
     records = set(GsdEstimate.model_fields) | set(AreaMeasurement.model_fields)
     measured = re.findall(r"`(\w+_(?:m|m2|px|m_per_px|m2|ci95_\w+))`", text)
     choices = {field.name for group in (Search, Lengths, Reference, Frame, Reading) for field in fields_of(group)}
-    choices |= set(signature(measure_area).parameters)
+    choices |= set(AreaKeywords.__annotations__)
     assert not set(measured) - records - choices
 
 
@@ -81,7 +79,7 @@ def _found(name: str) -> bool:
 
 
 def test_how_much_longer_cars_are_in_north_america_is_said_once_and_as_the_model_has_it() -> None:
-    card = open_detector(None, ScaleOptions()).card
+    card = Engine().detector.card
     assert card.fleet_lengths is not None
     shortest, longest = card.fleet_lengths.length_m
     america = card.region_lengths_m["north_america"]

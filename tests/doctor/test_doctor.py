@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 
 from tests.conftest import ROOT
 from vehanchor.cli.app import app
-from vehanchor.detection.detector import load_detector
-from vehanchor.models.zoo import resolve_model
+from vehanchor.engine import Engine
 from vehanchor_doctor import checks
 
 SCENES = ROOT / "examples" / "scenes"
@@ -24,7 +23,7 @@ def run(*arguments: object) -> tuple[int, str, str]:
 
 
 def test_the_bundled_model_passes_the_self_test() -> None:
-    found = checks.self_test(load_detector(resolve_model(None)))
+    found = checks.self_test(Engine())
     assert found.passed, found
 
 

@@ -199,7 +199,7 @@ def test_no_object_of_a_category_is_an_error_that_lists_what_there_is(recipe: Re
 def test_a_folder_is_not_used_for_two_recipes(recipe: Recipe, tmp_path: Path) -> None:
     assert open_benchmark(recipe, tmp_path) == []
     assert open_benchmark(recipe, tmp_path) == []
-    with pytest.raises(InvalidParameterError, match="differ in entries, seed"):
+    with pytest.raises(InvalidParameterError, match="different: entries, seed"):
         open_benchmark(recipe.model_copy(update={"seed": 3, "entries": 2}), tmp_path)
 
 
@@ -313,7 +313,7 @@ def test_another_choice_needs_another_folder_but_a_benchmark_may_be_named(run: A
     assert run("--build-only").exit_code == 0
     refused = run("--seed", 4)
     assert refused.exit_code == 2
-    assert "differ in seed" in refused.stderr
+    assert "different: seed" in refused.stderr
     models = ["--detector", data / "detector.onnx", "--segmenter", data / "encoder.onnx", data / "decoder.onnx"]
     words = ["evaluate", "area", *models, "--benchmark", "out/benchmark", "--out", "second", "--limit", 1]
     assert CliRunner().invoke(cli.app, [str(word) for word in words]).exit_code == 0
@@ -324,7 +324,7 @@ def test_another_choice_needs_another_folder_but_a_benchmark_may_be_named(run: A
 def test_data_are_named_one_way(words: list[str]) -> None:
     result = CliRunner().invoke(cli.app, ["evaluate", "area", "--out", "out", *words])
     assert result.exit_code == 2
-    assert "name the data one way" in result.stderr
+    assert "give one source of data" in result.stderr
 
 
 @pytest.mark.slow

@@ -15,8 +15,8 @@ from tests.known_scale_data import REFERENCE_M, cars, dota_lines, paint, write_g
 from vehanchor.cli import app as cli
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ImageTooLargeError
-from vehanchor.estimate import analyse_scale
 from vehanchor.options import ScaleOptions
+from vehanchor.verbs import analyse_scale
 from vehanchor_evaluation import ablation
 from vehanchor_evaluation.gsd import benchmark_scale, summarise_errors, with_regions
 from vehanchor_evaluation.known_scale import KnownScaleImage, KnownScaleSet
@@ -164,7 +164,7 @@ def test_sets_have_rows_and_regions_of_their_own(tmp_path: Path, detector: Path)
         (["--set-region", "eu"], "use SET=REGION"),
         (["--set-region", "eu=atlantis"], "this model knows europe, north_america"),
         (["--set", "asia"], "no image of set 'asia'"),
-        (["--geotiff", tmp_path / "a.png"], "name the images by one of"),
+        (["--geotiff", tmp_path / "a.png"], "give the images with one of"),
     ):
         refused = _run(*arguments, *extra)
         assert refused.exit_code == 2

@@ -200,7 +200,7 @@ def test_photographs_of_known_scale_are_asked_about_by_their_table(folder: Path,
 
 @pytest.mark.parametrize(
     ("words", "told"),
-    [([], "name the images by FOLDER"), (["x", "--provider", "openai"], "needs --provider and --model")],
+    [([], "give the images as a FOLDER"), (["x", "--provider", "openai"], "needs --provider and --model")],
 )
 def test_what_is_asked_by_half_is_refused(words: list[str], told: str) -> None:
     result = CliRunner().invoke(app, ["evaluate", "questions", *words])

@@ -125,9 +125,9 @@ def test_a_source_is_named_one_way_and_its_images_may_be_chosen(dota: Path, tmp_
     paint(tmp_path / "plain.png", cars(20))
     assert survey_known_scale(geotiff=[tmp_path / "plain.png"]).images == ()
     assert len(survey_known_scale(dota=dota, limit=2).images) == 2
-    with pytest.raises(InvalidParameterError, match="name the images by one of"):
+    with pytest.raises(InvalidParameterError, match="give the images with one of"):
         survey_known_scale()
-    with pytest.raises(InvalidParameterError, match="name the images by one of"):
+    with pytest.raises(InvalidParameterError, match="give the images with one of"):
         survey_known_scale(dota=dota, table=tmp_path / "t.csv")
     with pytest.raises(InvalidParameterError, match="no image of set 'asia'"):
         survey_known_scale(dota=dota, set_name="asia")

@@ -212,7 +212,7 @@ def test_a_refused_key_or_model_ends_the_run(run: Any, service: ModelService, pr
     result = run(provider=provider)
     assert result.exit_code == 3
     assert len(service.requests) == 1
-    assert ("no model 'm'" if status == 404 else f"refuses the key ({status})") in result.stderr
+    assert ("lacks the model 'm'" if status == 404 else f"refuses the key ({status})") in result.stderr
 
 
 def test_a_service_that_is_down_ends_the_run(run: Any, data: Path, tmp_path: Path, service: ModelService) -> None:

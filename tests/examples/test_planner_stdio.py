@@ -37,55 +37,55 @@ def _record(**changes: Any) -> dict[str, Any]:
 
 
 @pytest.fixture
-def judge(example: Callable[[str], Any]) -> Callable[..., Any]:
+def decide_zone(example: Callable[[str], Any]) -> Callable[..., Any]:
     planner = example("planner_stdio")
 
-    def judged(record: dict[str, Any], *, error: float = 0.0) -> Any:
-        anchor = planner.Ruler("the anchor", relative_error=error)
-        return planner.judge(record, anchor, planner.Zone(0, 0, 80, 60), planner.Craft(4.0, 2.0))
+    def decided(record: dict[str, Any], *, error: float = 0.0) -> Any:
+        ruler = planner.Ruler("the ruler", relative_error=error)
+        return planner.decide_zone(record, ruler, planner.Zone(0, 0, 80, 60), planner.Craft(4.0, 2.0))
 
-    return judged
+    return decided
 
 
-def test_it_lands_where_the_lower_bound_fits_and_says_where(judge: Callable[..., Any]) -> None:
-    decision = judge(_record())
+def test_it_lands_where_the_lower_bound_fits_and_says_where(decide_zone: Callable[..., Any]) -> None:
+    decision = decide_zone(_record())
     assert decision.action == "land"
     assert (decision.center_x_px, decision.center_y_px, decision.needed_m) == (40.5, 30.5, 8.0)
-    assert decision.reason == "a circle of at least 8.5 m fits by the anchor (estimate 10.0 m), 8.0 m needed"
+    assert decision.reason == "a circle of at least 8.5 m fits by the ruler (estimate 10.0 m), 8.0 m needed"
 
 
-def test_an_estimate_that_fits_is_not_enough(judge: Callable[..., Any]) -> None:
-    decision = judge(_record(inscribed_diameter_ci95_low_m=7.9))
+def test_an_estimate_that_fits_is_not_enough(decide_zone: Callable[..., Any]) -> None:
+    decision = decide_zone(_record(inscribed_diameter_ci95_low_m=7.9))
     assert decision.action == "next_zone"
     assert decision.reason.startswith("too small: a circle of at least 7.9 m")
 
 
-def test_an_uncertain_anchor_takes_its_share_off_the_lower_bound(judge: Callable[..., Any]) -> None:
-    given = _record(confidence=None, scale=None)
-    assert judge(given, error=0.05).action == "land"
-    assert judge(given, error=0.10).action == "next_zone"
+def test_an_uncertain_ruler_takes_its_share_off_the_lower_bound(decide_zone: Callable[..., Any]) -> None:
+    given = _record(confidence=None, estimate=None)
+    assert decide_zone(given, error=0.05).action == "land"
+    assert decide_zone(given, error=0.10).action == "next_zone"
 
 
 @pytest.mark.parametrize("reason", get_args(Reason))
 def test_below_the_limit_of_confidence_it_holds_whatever_the_size_and_says_what_helps(
-    judge: Callable[..., Any], reason: str
+    decide_zone: Callable[..., Any], reason: str
 ) -> None:
-    record = _record(status="low_confidence", confidence=0.49, scale={"reason": reason})
-    decision = judge(record | {"inscribed_diameter_ci95_low_m": 100.0})
+    record = _record(status="low_confidence", confidence=0.49, estimate={"reason": reason})
+    decision = decide_zone(record | {"inscribed_diameter_ci95_low_m": 100.0})
     assert decision.action == "hold_altitude"
     assert "confidence 0.49" in decision.reason
     assert f": {reason}; " in decision.reason
     assert ("fly lower" in decision.reason) == (reason == "too_coarse")
 
 
-def test_without_an_anchor_it_holds(judge: Callable[..., Any]) -> None:
-    decision = judge(_record(status="no_scale", confidence=0.0, inscribed_diameter_ci95_low_m=None))
+def test_without_a_ruler_it_holds(decide_zone: Callable[..., Any]) -> None:
+    decision = decide_zone(_record(status="no_scale", confidence=0.0, inscribed_diameter_ci95_low_m=None))
     assert decision.action == "hold_altitude"
-    assert decision.reason == "no scale from the anchor: nothing to measure by"
+    assert decision.reason == "no scale from the ruler"
 
 
-def test_an_unclear_outline_is_no_place_to_land(judge: Callable[..., Any]) -> None:
-    decision = judge(_record(status="low_confidence"))  # of the mask: the scale's confidence is fine
+def test_an_unclear_outline_is_no_place_to_land(decide_zone: Callable[..., Any]) -> None:
+    decision = decide_zone(_record(status="low_confidence"))  # of the mask: the scale's confidence is fine
     assert decision.action == "next_zone"
     assert "outline" in decision.reason
 
@@ -125,14 +125,14 @@ def test_the_readme_has_all_four_cases() -> None:
 
 
 @pytest.mark.slow
-def test_it_tries_the_next_zone_and_then_the_next_anchor() -> None:
+def test_it_tries_the_next_zone_and_then_the_next_ruler() -> None:
     small, roof = "48 1 168 30", "255 160 535 470"
     decision, _ = _planned("safe.jpg", "--zone", *small.split(), "--zone", *roof.split())
     assert (decision["action"], decision["zone"]["x_min"]) == ("land", 255)
     roof_there = "318 48 406 100"
     decision, log = _planned("too_coarse.jpg", "--zone", *roof_there.split(), "--altitude", "60", "--focal", "120")
-    assert "planner: trying the next anchor: barometer" in log
-    assert (decision["action"], decision["anchor"]) == ("land", "barometer")
+    assert "planner: trying the next ruler: barometer" in log
+    assert (decision["action"], decision["ruler"]) == ("land", "barometer")
 
 
 @pytest.mark.slow

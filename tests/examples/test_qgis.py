@@ -47,5 +47,5 @@ def test_the_algorithms_give_the_commands_scale_and_layers_that_qgis_reads(tmp_p
         assert raster.transform.a == pytest.approx(estimate.gsd_m_per_px)
         assert (raster.width, raster.height) == (estimate.image_width_px, estimate.image_height_px)
     assert seen["by height"]["STATUS"] == "no_scale"  # no focal length is known: nothing is guessed
-    assert "the scale is not to be used" in seen["refused"]
+    assert "the scale is not usable" in seen["refused"]
     assert seen["cancelled"] == "cancelled"

@@ -9,7 +9,7 @@ import pytest
 
 from tests.conftest import ROOT
 
-MODULE_LINES = 450
+MODULE_LINES, FUNCTION_LINES = 450, 60
 RESEARCH = sorted((ROOT / "research").rglob("*.py"))
 
 
@@ -46,6 +46,13 @@ def test_nothing_imports_a_benchmark_but_another_benchmark(folder: str) -> None:
     assert not _importers_of("research.benchmarks", sorted((ROOT / folder).rglob("*.py")))
 
 
-def test_no_module_of_the_research_is_too_long_to_be_read_at_once() -> None:
-    lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in RESEARCH}
-    assert not {path: lines for path, lines in lengths.items() if lines > MODULE_LINES}
+def test_the_research_keeps_the_limits_of_the_house() -> None:
+    texts = {path: path.read_text(encoding="utf-8") for path in RESEARCH}
+    assert not [path for path, text in texts.items() if len(text.splitlines()) > MODULE_LINES]
+    assert not [
+        f"{path}: {node.name}"
+        for path, text in texts.items()
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        if (node.end_lineno or 0) - node.lineno + 1 > FUNCTION_LINES
+    ]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import anyio
 import cv2
 import numpy as np
 from mcp.types import CallToolResult, ImageContent, TextContent
@@ -41,3 +43,10 @@ def picture_of(result: CallToolResult) -> np.ndarray:
 def error_of(result: CallToolResult) -> str:
     assert result.is_error
     return text_of(result).partition(":")[0]
+
+
+async def reported(reports: Sequence[float]) -> None:
+    """Wait for the last report of a call's progress, which may come after its result."""
+    with anyio.move_on_after(60):
+        while not reports or reports[-1] < 100:
+            await anyio.sleep(0.01)

@@ -20,6 +20,7 @@ from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path
 from tests.server.transport.test_http import served
 from vehanchor.detection.detector import load_detector
+from vehanchor.models.runtime import Runtime
 from vehanchor_server.settings import Settings
 
 pytestmark = [pytest.mark.frameworks, pytest.mark.timeout(600)]
@@ -63,7 +64,7 @@ def test_a_framework_gets_the_librarys_records_and_reads_what_went_wrong(
     segmenter_paths: SamFiles,
     tmp_path: Path,
 ) -> None:
-    detector = load_detector(detector_path, threads=1)
+    detector = load_detector(detector_path, Runtime(threads=1))
     box = POOL_BOX["x_min"], POOL_BOX["y_min"], POOL_BOX["x_max"], POOL_BOX["y_max"]
     estimate = vehanchor.estimate_gsd(images / "cars.png", detector=detector)
     assert estimate.scale is not None

@@ -28,7 +28,7 @@ SAMPLES: dict[str, Any] = {
 COMPANIONS = {"oidc_issuer": {"oidc_audience": "x"}, "oidc_audience": {"oidc_issuer": "https://a.test"}}
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def app() -> typer.Typer:
     made = typer.Typer()
     made.command()(serve)
@@ -36,7 +36,7 @@ def app() -> typer.Typer:
     return made
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def shown(app: typer.Typer) -> list[str]:
     """The lines of ``serve --help``."""
     result = CliRunner().invoke(app, ["serve", "--help"], env={"COLUMNS": "200"})
@@ -138,6 +138,20 @@ def test_a_wrong_setting_is_a_line_on_stderr_and_status_2(app: typer.Typer) -> N
     assert result.exit_code == 2
     assert result.stdout == ""
     assert result.stderr == "error[invalid_settings]: deadline_s is -1.0: use a finite number > 0\n"
+
+
+def test_a_root_that_is_missing_is_a_line_on_stderr_and_status_2(app: typer.Typer, tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["serve", "--root", str(tmp_path / "missing")])
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith("error[invalid_settings]: root ")
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_a_public_address_without_authentication_is_refused(app: typer.Typer) -> None:
+    result = CliRunner().invoke(app, ["serve", "--http", "--host", "0.0.0.0"])
+    assert result.exit_code == 2
+    assert "refusing to listen on 0.0.0.0 without authentication" in result.stderr
 
 
 def test_schemas_are_written_and_named(app: typer.Typer, tmp_path: Path) -> None:

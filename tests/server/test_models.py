@@ -11,6 +11,7 @@ import pytest
 
 from tests.sam_models import SamFiles
 from vehanchor.detection.detector import load_detector
+from vehanchor.models.runtime import Runtime
 from vehanchor_server import models as models_module
 from vehanchor_server.errors import CallError
 from vehanchor_server.models import Models
@@ -106,7 +107,7 @@ def test_the_calibration_sets_the_reference_length_of_callers_who_know_nothing_b
 
 
 def test_a_calibration_must_be_the_detectors(settings: Settings, detector_path: Path, tmp_path: Path) -> None:
-    card = load_detector(detector_path, threads=1).card
+    card = load_detector(detector_path, Runtime(threads=1)).card
     fitting = calibration_file(tmp_path / "fitting.json", detector=card.name, detector_sha256=card.sha256)
     assert Models(replace(settings, calibration=fitting)).calibration() is not None
     foreign = calibration_file(tmp_path / "foreign.json", detector="other", detector_sha256="0" * 64)

@@ -15,6 +15,7 @@ from tests.sam_models import SamFiles
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path
 from vehanchor.detection.detector import load_detector
+from vehanchor.models.runtime import Runtime
 from vehanchor_server.schemas import schema_files, write_schemas
 from vehanchor_server.tools.portable_schema import portable_schema
 
@@ -114,7 +115,7 @@ async def test_real_results_are_valid(
 def test_the_librarys_own_records_are_valid(
     images: Path, files: dict[str, Any], detector_path: Path, segmenter_paths: SamFiles
 ) -> None:
-    detector = load_detector(detector_path, threads=1)
+    detector = load_detector(detector_path, Runtime(threads=1))
     estimate = vehanchor.estimate_gsd(images / "pool.png", detector=detector)
     jsonschema.validate(json.loads(estimate.model_dump_json()), files["estimate_gsd.output.json"])
     box = POOL_BOX["x_min"], POOL_BOX["y_min"], POOL_BOX["x_max"], POOL_BOX["y_max"]

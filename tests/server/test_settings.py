@@ -185,6 +185,6 @@ def test_a_variable_with_a_directory_whose_name_holds_the_separator_is_refused(t
 
 @pytest.mark.parametrize("field", fields(Settings), ids=lambda field: str(field.name))
 def test_every_field_says_its_help_its_panel_and_its_default(field: Field[Any]) -> None:
-    assert field.metadata["choice"].help.endswith(".")
+    assert field.metadata["option"].help.endswith(".")
     assert field.metadata["panel"]
     assert field.default is not MISSING

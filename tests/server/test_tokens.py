@@ -13,7 +13,7 @@ from mcp.types import CallToolResult, TextContent
 
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path, text_of
-from vehanchor_server.calls.compact import GIVE_BACK
+from vehanchor_server.calls.compact import REUSE_SCALE
 
 pytestmark = pytest.mark.anyio
 
@@ -98,16 +98,16 @@ async def test_a_model_that_is_shown_words_alone_can_give_the_scale_back(
         for tool, more in (("estimate_gsd", {}), ("measure_distance", {"lines": LINES})):
             told = await client.call_tool(tool, {**image, **more})
             assert told.structured_content is not None
-            scale = json.loads(words_of(told).partition(GIVE_BACK)[2])
+            scale = json.loads(words_of(told).partition(REUSE_SCALE)[2])
             assert scale == told.structured_content["scale"]
             again = await client.call_tool("measure_distance", {**image, "lines": LINES, "scale": scale})
             assert again.structured_content is not None
             assert again.structured_content["scale_source"] == "reused"
-            assert GIVE_BACK not in words_of(again), "it has it already"
+            assert REUSE_SCALE not in words_of(again), "it has it already"
         for name, detail in (("two.png", "short"), ("cars.png", "full")):  # one not to be used; a program's
             image = {"image": by_path(images / name)["image"]}
             told = await client.call_tool("estimate_gsd", {**image, "detail": detail})
-            assert GIVE_BACK not in words_of(told)
+            assert REUSE_SCALE not in words_of(told)
 
 
 async def test_a_short_answer_never_rounds_a_confidence_over_the_limit() -> None:

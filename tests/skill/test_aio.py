@@ -1,8 +1,8 @@
 from __future__ import annotations
 
+import inspect
 import threading
 from collections.abc import Callable
-from pathlib import Path
 
 import anyio
 import anyio.to_thread
@@ -47,7 +47,7 @@ async def test_the_records_are_those_of_the_verbs(detector: Detector) -> None:
 
 async def test_the_errors_are_those_of_the_verbs() -> None:
     with pytest.raises(InvalidParameterError, match="there is no option 'regoin'"):
-        await vehanchor.aio.estimate_gsd(_place(), regoin="europe")
+        await vehanchor.aio.estimate_gsd(_place(), regoin="europe")  # type: ignore[call-overload]
 
 
 async def test_who_waits_no_more_is_not_kept(detector: Detector, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,6 +82,16 @@ async def test_who_waits_no_more_is_not_kept(detector: Detector, monkeypatch: py
     assert tiles.n_begun == 1, "the search went on"
 
 
-def test_all_three_verbs_have_a_twin() -> None:
-    assert set(vehanchor.aio.__all__) == {"estimate_gsd", "measure_area", "measure_distance"}
-    assert Path(vehanchor.aio.__file__).exists()
+async def test_a_list_of_images_gives_a_list_of_records(detector: Detector) -> None:
+    images = [_place(), _place()[::-1]]
+    assert await vehanchor.aio.estimate_gsd(images, detector=detector) == vehanchor.estimate_gsd(
+        images, detector=detector
+    )
+
+
+@pytest.mark.parametrize("verb", ["estimate_gsd", "measure_area", "measure_distance", "estimate_flight"])
+def test_every_verb_has_a_twin_of_the_same_arguments(verb: str) -> None:
+    assert verb in vehanchor.aio.__all__
+    twin, original = getattr(vehanchor.aio, verb), getattr(vehanchor, verb)
+    assert inspect.signature(twin) == inspect.signature(original)
+    assert inspect.iscoroutinefunction(twin)

@@ -17,10 +17,11 @@ from tests.yards import YARDS, Yard, paint_yard
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
-from vehanchor.estimate import estimate_gsd
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.scale.lengths import dominant_group
+from vehanchor.verbs import estimate_gsd
 from vehanchor_evaluation.table import read_table
 from vehanchor_scenes import Scene, render_scene
 
@@ -40,7 +41,7 @@ def searching(tmp_path_factory: pytest.TempPathFactory) -> Detector:
 
 @pytest.fixture(scope="module")
 def bundled() -> Detector:
-    return Detector(resolve_model(), threads=2)
+    return Detector(resolve_model(), runtime=Runtime(threads=2))
 
 
 def _fleet(mean: float, n: int = 30) -> list[float]:

@@ -1,8 +1,8 @@
 """A QGIS plugin: VehAnchor's command as Processing algorithms."""
 
 
-def classFactory(iface):  # noqa: ARG001, N802 - QGIS calls it so
-    """Make the plugin."""
+def classFactory(iface):  # noqa: ARG001, N802 - QGIS's name
+    """Create the plugin."""
     from .plugin import VehAnchorPlugin
 
     return VehAnchorPlugin()

@@ -1,7 +1,7 @@
-"""Two algorithms, each a call of the command ``vehanchor``.
+"""Two algorithms that run the command ``vehanchor``.
 
-QGIS has a Python of its own, in which VehAnchor need not be: the command is a program, found on the path or named by
-the environment variable ``VEHANCHOR``.
+QGIS's own Python does not need VehAnchor: the command is a program on the PATH, or named by the environment variable
+``VEHANCHOR``.
 """
 
 import json
@@ -24,38 +24,38 @@ from qgis.core import (
     QgsProcessingParameterVectorDestination,
 )
 
-NOT_OK = 3  # the command's status where a scale is not to be used
-LOOK_EVERY_S = 0.2  # whether the user has cancelled
+NOT_OK = 3  # exit status of the command for an unusable scale
+POLL_S = 0.2  # interval of checks for cancellation
 
 
 class _Command(QgsProcessingAlgorithm):
-    """An algorithm that asks the command."""
+    """An algorithm that runs the command."""
 
     IMAGE, REGION, HEIGHT = "IMAGE", "REGION", "HEIGHT"
 
-    def createInstance(self):  # noqa: N802 - QGIS calls it so
-        """Another of the same."""
+    def createInstance(self):  # noqa: N802 - QGIS's name
+        """Create another instance."""
         return type(self)()
 
     def group(self):
-        """No group: they are two."""
+        """No group for two algorithms."""
         return ""
 
-    def groupId(self):  # noqa: N802 - QGIS calls it so
+    def groupId(self):  # noqa: N802 - QGIS's name
         """No group."""
         return ""
 
-    def add_questions(self):
-        """The image, and what helps to measure it."""
+    def add_parameters(self):
+        """Declare the image, the region and the height."""
         self.addParameter(QgsProcessingParameterFile(self.IMAGE, "Photograph"))
         self.addParameter(QgsProcessingParameterString(self.REGION, "Region, such as europe", optional=True))
         height = QgsProcessingParameterNumber(
-            self.HEIGHT, "Camera's height above the ground, m", QgsProcessingParameterNumber.Double, optional=True
+            self.HEIGHT, "Camera height above ground, m", QgsProcessingParameterNumber.Double, optional=True
         )
         self.addParameter(height)
 
     def arguments(self, parameters, context):
-        """The image and the options that were answered."""
+        """Build the command's arguments."""
         region = self.parameterAsString(parameters, self.REGION, context)
         words = [self.parameterAsFile(parameters, self.IMAGE, context)]
         words += ["--region", region] if region else []
@@ -64,13 +64,13 @@ class _Command(QgsProcessingAlgorithm):
         return words
 
     def ask(self, words, feedback):
-        """Run the command; what it prints, what it says beside it, and its status."""
+        """Run the command; return stdout, stderr and exit status."""
         program = os.environ.get("VEHANCHOR") or shutil.which("vehanchor")
         if program is None:
             raise QgsProcessingException(
-                "there is no command vehanchor: pip install 'vehanchor[geo]', or name it by the variable VEHANCHOR"
+                "command vehanchor not found: pip install 'vehanchor[geo]', or set the variable VEHANCHOR"
             )
-        # PYTHONHOME and PYTHONPATH are those of QGIS's own Python
+        # PYTHONHOME and PYTHONPATH belong to QGIS's own Python
         environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
         running = subprocess.Popen(
             [program, *words],
@@ -80,47 +80,47 @@ class _Command(QgsProcessingAlgorithm):
             encoding="utf-8",
             env=environment,
         )
-        told, said = self.wait(running, feedback)
-        feedback.pushInfo(said.strip())
+        output, errors = self.wait(running, feedback)
+        feedback.pushInfo(errors.strip())
         if feedback.isCanceled():
             raise QgsProcessingException("cancelled")
         if running.returncode not in (0, NOT_OK):
-            raise QgsProcessingException(said.strip() or f"vehanchor ended with status {running.returncode}")
-        return told, said, running.returncode
+            raise QgsProcessingException(errors.strip() or f"vehanchor ended with status {running.returncode}")
+        return output, errors, running.returncode
 
     def wait(self, running, feedback):
-        """What the command says on both streams, once it has ended or has been cancelled."""
+        """Return both streams when the command ends or is cancelled."""
         while True:
             try:
-                return running.communicate(timeout=LOOK_EVERY_S)
+                return running.communicate(timeout=POLL_S)
             except subprocess.TimeoutExpired:
                 if feedback.isCanceled():
                     running.terminate()
 
 
 class EstimateScale(_Command):
-    """Metres per pixel, whether to rely on it, and the vehicles as a layer."""
+    """Metres per pixel with confidence and status, and the vehicles as a layer."""
 
     BOXES = "BOXES"
 
     def name(self):
-        """The second half of its name."""
+        """Name of the algorithm after the provider's."""
         return "scale"
 
-    def displayName(self):  # noqa: N802 - QGIS calls it so
-        """What people read."""
+    def displayName(self):  # noqa: N802 - QGIS's name
+        """Displayed name."""
         return "Estimate the scale of a photograph"
 
-    def shortHelpString(self):  # noqa: N802 - QGIS calls it so
-        """What it does."""
+    def shortHelpString(self):  # noqa: N802 - QGIS's name
+        """Help text."""
         return (
-            "Measures metres per pixel from the cars in an aerial photograph. Rely on it where the status is ok. The "
-            "vehicles lie on the ground where the file is georeferenced, else in its pixels, y down."
+            "Measures metres per pixel from the cars in an aerial photograph. Use the scale only with status ok. The "
+            "vehicles have map coordinates if the file is georeferenced, otherwise pixels, y down."
         )
 
-    def initAlgorithm(self, configuration=None):  # noqa: ARG002, N802 - QGIS calls it so
-        """Declare what it takes and gives."""
-        self.add_questions()
+    def initAlgorithm(self, configuration=None):  # noqa: ARG002, N802 - QGIS's name
+        """Declare parameters and outputs."""
+        self.add_parameters()
         self.addParameter(
             QgsProcessingParameterVectorDestination(
                 self.BOXES, "Vehicles", QgsProcessing.TypeVectorPolygon, optional=True, createByDefault=False
@@ -130,8 +130,8 @@ class EstimateScale(_Command):
         self.addOutput(QgsProcessingOutputNumber("CONFIDENCE", "Confidence"))
         self.addOutput(QgsProcessingOutputString("STATUS", "Status"))
 
-    def processAlgorithm(self, parameters, context, feedback):  # noqa: N802 - QGIS calls it so
-        """Do it."""
+    def processAlgorithm(self, parameters, context, feedback):  # noqa: N802 - QGIS's name
+        """Run the algorithm."""
         boxes = None
         words = ["estimate", *self.arguments(parameters, context), "--json"]
         if parameters.get(self.BOXES):
@@ -147,34 +147,34 @@ class EstimateScale(_Command):
 
 
 class LocalMetres(_Command):
-    """The photograph as a raster in which QGIS measures."""
+    """The photograph as a raster in local metres."""
 
     RASTER = "RASTER"
 
     def name(self):
-        """The second half of its name."""
+        """Name of the algorithm after the provider's."""
         return "localmetres"
 
-    def displayName(self):  # noqa: N802 - QGIS calls it so
-        """What people read."""
+    def displayName(self):  # noqa: N802 - QGIS's name
+        """Displayed name."""
         return "Photograph in local metres"
 
-    def shortHelpString(self):  # noqa: N802 - QGIS calls it so
-        """What it does."""
-        return "Writes a GeoTIFF with the estimated size of a pixel, the upper left corner at 0, 0."
+    def shortHelpString(self):  # noqa: N802 - QGIS's name
+        """Help text."""
+        return "Writes a GeoTIFF with the estimated pixel size and the upper left corner at 0, 0."
 
-    def initAlgorithm(self, configuration=None):  # noqa: ARG002, N802 - QGIS calls it so
-        """Declare what it takes and gives."""
-        self.add_questions()
+    def initAlgorithm(self, configuration=None):  # noqa: ARG002, N802 - QGIS's name
+        """Declare parameters and outputs."""
+        self.add_parameters()
         self.addParameter(QgsProcessingParameterRasterDestination(self.RASTER, "Photograph in local metres"))
 
-    def processAlgorithm(self, parameters, context, feedback):  # noqa: N802 - QGIS calls it so
-        """Do it."""
+    def processAlgorithm(self, parameters, context, feedback):  # noqa: N802 - QGIS's name
+        """Run the algorithm."""
         raster = self.parameterAsOutputLayer(parameters, self.RASTER, context)
         with tempfile.TemporaryDirectory() as folder:
             picture = str(Path(folder) / "bar.png")
             words = ["scalebar", *self.arguments(parameters, context), "--output", picture, "--geotiff", raster]
-            _, said, status = self.ask(words, feedback)
+            _, errors, status = self.ask(words, feedback)
         if status == NOT_OK:
-            raise QgsProcessingException(f"the scale is not to be used: {said.strip() or 'see the log'}")
+            raise QgsProcessingException(f"the scale is not usable: {errors.strip() or 'see the log'}")
         return {self.RASTER: raster}

@@ -6,37 +6,37 @@ from .algorithms import EstimateScale, LocalMetres
 
 
 class VehAnchorProvider(QgsProcessingProvider):
-    """The algorithms, as the toolbox lists them."""
+    """Provider of the algorithms."""
 
     def id(self):
-        """The first half of each algorithm's name."""
+        """Name of the provider in algorithm names."""
         return "vehanchor"
 
     def name(self):
-        """What people read."""
+        """Displayed name."""
         return "VehAnchor"
 
-    def loadAlgorithms(self):  # noqa: N802 - QGIS calls it so
-        """Add them."""
+    def loadAlgorithms(self):  # noqa: N802 - QGIS's name
+        """Add the algorithms."""
         self.addAlgorithm(EstimateScale())
         self.addAlgorithm(LocalMetres())
 
 
 class VehAnchorPlugin:
-    """What QGIS loads: with a window or, for ``qgis_process``, without."""
+    """The plugin, for QGIS and for ``qgis_process``."""
 
     def __init__(self):
         self.provider = None
 
-    def initProcessing(self):  # noqa: N802 - QGIS calls it so
+    def initProcessing(self):  # noqa: N802 - QGIS's name
         """Register the provider."""
         self.provider = VehAnchorProvider()
         QgsApplication.processingRegistry().addProvider(self.provider)
 
-    def initGui(self):  # noqa: N802 - QGIS calls it so
-        """Begin: there is nothing but the provider."""
+    def initGui(self):  # noqa: N802 - QGIS's name
+        """Load the plugin: register the provider."""
         self.initProcessing()
 
     def unload(self):
-        """End."""
+        """Unload the plugin."""
         QgsApplication.processingRegistry().removeProvider(self.provider)

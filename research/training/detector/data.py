@@ -145,46 +145,11 @@ class Crop(NamedTuple):
 
 def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
     """Cut a rotated, flipped, rescaled crop; cars at the crop's edge and out of the length range become ignored."""
-    height, width = sample.image.shape[:2]
-    native = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or float(rng.uniform(14, 40))
-    target = float(np.exp(rng.uniform(*np.log(LENGTH_RANGE_PX))))
-    if native > LENGTH_RANGE_PX[1] and rng.random() < _FINER_SHARE:
-        target = float(np.exp(rng.uniform(np.log(LENGTH_RANGE_PX[1]), np.log(min(_FINEST_PX, 1.3 * native)))))
-    scale = min(target / native, _MAX_ENLARGEMENT * float(rng.uniform(0.6, 1.0)))
-    if len(sample.clutter) and rng.random() < _CLUTTER_SHARE:
-        focus = sample.clutter[rng.integers(len(sample.clutter))] + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
-    elif len(sample.boxes) and rng.random() < 0.75:
-        focus = sample.boxes[rng.integers(len(sample.boxes)), :2] + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
-    else:
-        focus = rng.uniform(0, 1, 2) * (width, height)
-    margin = np.minimum(0.4 * CROP_PX / scale, (width / 2, height / 2))
-    focus = np.clip(focus, margin, (width, height) - margin)
+    scale = _drawn_scale(rng, sample)
+    focus = _drawn_focus(rng, sample, scale)
     turn = rng.uniform(0, 2 * np.pi)
     flip = -1.0 if rng.random() < 0.5 else 1.0
-
-    # Source image reduced by averaging first (no aliasing), then one affine warp does the rest.
-    reduce = min(1.0, scale * 1.15)
-    source = sample.image
-    if reduce < 0.95:
-        half = CROP_PX / scale  # beyond any corner of the rotated crop
-        x0, y0 = (int(max(0, f - half)) for f in focus)
-        x1, y1 = int(min(width, focus[0] + half)), int(min(height, focus[1] + half))
-        x0, y0 = min(x0, width - 8), min(y0, height - 8)
-        part = source[y0 : max(y1, y0 + 8), x0 : max(x1, x0 + 8)]
-        small = cv2.resize(
-            part,
-            (max(4, round(part.shape[1] * reduce)), max(4, round(part.shape[0] * reduce))),
-            interpolation=cv2.INTER_AREA,
-        )
-        to_source = np.array(
-            [
-                [small.shape[1] / part.shape[1], 0, -x0 * small.shape[1] / part.shape[1]],
-                [0, small.shape[0] / part.shape[0], -y0 * small.shape[0] / part.shape[0]],
-            ]
-        )
-        source = np.asarray(small, dtype=np.uint8)
-    else:
-        to_source = np.array([[1.0, 0, 0], [0, 1.0, 0]])
+    source, to_source = _reduced(sample.image, focus, scale)
     rotation = np.array([[np.cos(turn) * flip, -np.sin(turn)], [np.sin(turn) * flip, np.cos(turn)]]) * scale
     forward = np.column_stack([rotation, CROP_PX / 2 - rotation @ focus])  # image (continuous px) -> crop
     # Continuous coordinates have pixel centres at +0.5; warpAffine works on pixel indices.
@@ -196,7 +161,6 @@ def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
         cv2.warpAffine(source, matrix, (CROP_PX, CROP_PX), flags=interpolation, borderValue=fill.tolist()),
         dtype=np.uint8,
     )
-
     covered = cv2.warpAffine(
         np.ones(source.shape[:2], np.uint8), matrix, (CROP_PX, CROP_PX), flags=cv2.INTER_NEAREST
     ).astype(bool)
@@ -204,19 +168,68 @@ def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
     def moved(points: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(points @ forward[:, :2].T + forward[:, 2])
 
-    boxes = boxes_from_corners(moved(box_corners(sample.boxes)))
-    ignore = moved(sample.ignore)
+    boxes, left_open = _judged(boxes_from_corners(moved(box_corners(sample.boxes))))
+    return Crop(image, boxes, np.concatenate([moved(sample.ignore), left_open]), covered)
+
+
+def _drawn_scale(rng: np.random.Generator, sample: TrainImage) -> float:
+    """Crop pixels per image pixel, so that the cars' length is log-uniform in its range."""
+    native = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or float(rng.uniform(14, 40))
+    target = float(np.exp(rng.uniform(*np.log(LENGTH_RANGE_PX))))
+    if native > LENGTH_RANGE_PX[1] and rng.random() < _FINER_SHARE:
+        target = float(np.exp(rng.uniform(np.log(LENGTH_RANGE_PX[1]), np.log(min(_FINEST_PX, 1.3 * native)))))
+    return min(target / native, _MAX_ENLARGEMENT * float(rng.uniform(0.6, 1.0)))
+
+
+def _drawn_focus(rng: np.random.Generator, sample: TrainImage, scale: float) -> NDArray[np.float64]:
+    """The image point in the middle of the crop: near clutter, near a car, or anywhere."""
+    height, width = sample.image.shape[:2]
+    if len(sample.clutter) and rng.random() < _CLUTTER_SHARE:
+        focus = sample.clutter[rng.integers(len(sample.clutter))] + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
+    elif len(sample.boxes) and rng.random() < 0.75:
+        focus = sample.boxes[rng.integers(len(sample.boxes)), :2] + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
+    else:
+        focus = rng.uniform(0, 1, 2) * (width, height)
+    margin = np.minimum(0.4 * CROP_PX / scale, (width / 2, height / 2))
+    return np.asarray(np.clip(focus, margin, (width, height) - margin))
+
+
+def _reduced(
+    image: NDArray[np.uint8], focus: NDArray[np.float64], scale: float
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """The part around the focus, reduced by averaging (no aliasing), and the affine map from the image to it."""
+    height, width = image.shape[:2]
+    reduce = min(1.0, scale * 1.15)
+    if reduce >= 0.95:
+        return image, np.array([[1.0, 0, 0], [0, 1.0, 0]])
+    half = CROP_PX / scale  # beyond any corner of the rotated crop
+    x0, y0 = (int(max(0, f - half)) for f in focus)
+    x1, y1 = int(min(width, focus[0] + half)), int(min(height, focus[1] + half))
+    x0, y0 = min(x0, width - 8), min(y0, height - 8)
+    part = image[y0 : max(y1, y0 + 8), x0 : max(x1, x0 + 8)]
+    size = (max(4, round(part.shape[1] * reduce)), max(4, round(part.shape[0] * reduce)))
+    small = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
+    to_source = np.array(
+        [
+            [small.shape[1] / part.shape[1], 0, -x0 * small.shape[1] / part.shape[1]],
+            [0, small.shape[0] / part.shape[0], -y0 * small.shape[0] / part.shape[0]],
+        ]
+    )
+    return np.asarray(small, dtype=np.uint8), to_source
+
+
+def _judged(boxes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The boxes that a crop shows whole and at a length to learn, and the corners of those to ignore."""
     corners = box_corners(boxes)
     near = np.any(np.all((corners > -4) & (corners < CROP_PX + 4), axis=2), axis=1)
     boxes, corners = boxes[near], corners[near]
     inside = ((boxes[:, :2] > 1) & (boxes[:, :2] < CROP_PX - 1)).all(axis=1)
-    whole = ((corners > -0.15 * boxes[:, 2, None, None]) & (corners < CROP_PX + 0.15 * boxes[:, 2, None, None])).all(
-        axis=(1, 2)
-    )
+    border = 0.15 * boxes[:, 2, None, None]
+    whole = ((corners > -border) & (corners < CROP_PX + border)).all(axis=(1, 2))
     sized = (boxes[:, 2] > 0.8 * LENGTH_RANGE_PX[0]) & (boxes[:, 2] < 1.3 * LENGTH_RANGE_PX[1])
     good = inside & whole & sized
     left_open = ~good & (boxes[:, 2] < _UNSEEN_PX)
-    return Crop(image, boxes[good], np.concatenate([ignore, corners[left_open]]), covered)
+    return boxes[good], corners[left_open]
 
 
 def lay_over(top: Crop, bottom: Crop) -> Crop:

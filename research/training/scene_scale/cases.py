@@ -1,4 +1,4 @@
-"""What a network sees on whole images of known scale, kept so that calibrating and reporting need not look again.
+"""Run a network on whole images of known scale and keep its answers for calibration and reports.
 
 ``python -m research.training.scene_scale.cases MODEL.onnx OUT.npz --on held_out``
 (or ``val``, ``train``; ``--sets`` for some).

@@ -1,4 +1,4 @@
-"""The scene's own opinion of its scale: tiles to look at, and one density over log metres per pixel from what was seen.
+"""Choose tiles of an image and combine their answers into one density over log metres per pixel.
 
 A network tells of a tile of 160 px how many metres a pixel is. An image is looked at on tiles spread over it at its own
 resolution and at 1/2, 1/4 and 1/8: the further view tells houses and roads where the near one sees nothing but grass.
@@ -46,7 +46,7 @@ class SceneBins:
 
 @dataclass(frozen=True)
 class SceneCalibration:
-    """From a network's answers to a density that can be believed (``research/training/scene_scale/calibrate.py``).
+    """Parameters from a network's answers to a calibrated density (``research/training/scene_scale/calibrate.py``).
 
     Attributes:
         temperature: exponent on the geometric mean of a level's tiles.

@@ -130,6 +130,15 @@ def _surface(
     return out.astype(np.float32)
 
 
+def _placed(rng: np.random.Generator, length_px: float, focus: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """A drawn outline, turned, at its size and place."""
+    outline = _outline(rng)
+    turned = _turned(np.concatenate(outline), rng)
+    parts = np.split(turned, np.cumsum([len(p) for p in outline])[:-1])
+    middle = 0.5 * (turned.min(axis=0) + turned.max(axis=0))
+    return [(p - middle) * (length_px / np.ptp(turned, axis=0).max()) + focus for p in parts]
+
+
 def composite(
     rng: np.random.Generator,
     background: NDArray[np.uint8],
@@ -151,12 +160,7 @@ def composite(
     """
     side = background.shape[0]
     image = background.astype(np.float32)
-    outline = _outline(rng)
-    turn = _turned(np.concatenate(outline), rng)
-    outline = np.split(turn, np.cumsum([len(p) for p in outline])[:-1])
-    turn_size = np.ptp(turn, axis=0).max()
-    middle = 0.5 * (turn.min(axis=0) + turn.max(axis=0))
-    placed = [(p - middle) * (length_px / turn_size) + focus for p in outline]
+    placed = _placed(rng, length_px, focus)
     mask = _filled(placed, side)
     shadow = rng.uniform(-0.12, 0.12, 2) * length_px
     dark = np.float32(rng.uniform(0.35, 0.75))

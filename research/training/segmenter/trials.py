@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from research.results.record import values_table
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
@@ -116,11 +118,11 @@ def report(by_method: dict[str, list[Trial]]) -> list[str]:
     mine = by_method[ours]
     seconds = np.array([t.seconds for t in mine])
     score, iou = np.array([t.score for t in mine]), np.array([t.iou for t in mine])
-    lines += [
-        "",
-        f"- one prompt, encoder and decoder: median {np.median(seconds):.3f} s, 95 % below "
-        f"{np.percentile(seconds, 95):.3f} s",
-        f"- predicted IoU against IoU: Pearson's r {np.corrcoef(score, iou)[0, 1]:+.3f}, mean {score.mean():.3f} "
-        f"against {iou.mean():.3f}",
-    ]
-    return lines
+    values = {
+        "one prompt, encoder and decoder: median, s": np.median(seconds),
+        "one prompt, encoder and decoder: 95 % below, s": np.percentile(seconds, 95),
+        "predicted IoU against IoU: Pearson's r": np.corrcoef(score, iou)[0, 1],
+        "predicted IoU, mean": score.mean(),
+        "IoU, mean": iou.mean(),
+    }
+    return [*lines, "", *values_table(values)]

@@ -1,1 +1,1 @@
-"""Training of the second look: whether what the detector found is a car, by its look and its surroundings."""
+"""Training of the verifier: whether a candidate of the detector is a car, by its pixels and their surroundings."""

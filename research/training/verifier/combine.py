@@ -1,4 +1,6 @@
-"""Weigh detector and second look: ``python -m research.training.verifier.combine RUN OUT.onnx``, after ``train``.
+"""Fit the weights of detector and verifier.
+
+``python -m research.training.verifier.combine RUN OUT.onnx``, after ``train``.
 
 The logit of a candidate's combined score is ``detector * logit(score) + look * logit + bias``. The three numbers are
 fitted on the candidates of the held-out tenth, each set counting by the root of its number, and become the metadata of
@@ -36,7 +38,7 @@ def fitted(logits: NDArray[np.float64], found: Candidates) -> Weights:
     """Logistic regression by Newton's method: the score is the chance of a car.
 
     Args:
-        logits: ``[n]`` of the second look.
+        logits: ``[n]`` of the verifier.
         found: the candidates.
     """
     design = np.column_stack([_logit(found.scores), logits, np.ones(len(logits))])
@@ -54,7 +56,7 @@ def fitted(logits: NDArray[np.float64], found: Candidates) -> Weights:
 
 
 def settled(weights: Weights, logits: NDArray[np.float64], found: Candidates) -> Weights:
-    """The same order of scores, with 0.5 and the hits' median where they are to be."""
+    """Rescale scores: 0.5 and the hits' median get their places, the order stays."""
     total = _logit(weights.score(found.scores, logits))
     limit = float(np.log(_CHANCE / (1 - _CHANCE)))
     ours = np.median(total[found.car & (total >= limit)]) - limit
@@ -92,7 +94,7 @@ def main() -> None:
     options.out.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(options.run / "verifier.onnx", options.out)
     metadata = {
-        "description": "VehAnchor network that takes a second look at a detector's candidates",
+        "description": "VehAnchor network that verifies a detector's candidates",
         "author": "VehAnchor",
         "license": LICENCE,
         "vehanchor.detector": options.detector,

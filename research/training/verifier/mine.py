@@ -19,6 +19,7 @@ from research.training.detector.data import TrainImage, distracted, draw_crop, l
 from research.training.detector.scenery import load_scenery
 from research.training.verifier.data import mined, save
 from vehanchor.detection.detector import Detector
+from vehanchor.models.runtime import Runtime
 
 _DISTRACTED_CROPS = 400
 _CAR_PX = 22.0  # where a crop has none
@@ -43,7 +44,7 @@ def main() -> None:
     parser.add_argument("--scenes", type=Path, help="folder of rendered scenes (render_scenes.py)")
     parser.add_argument("--without", default="", help="sets to leave out, comma between")
     options = parser.parse_args()
-    detector = Detector(options.model, threads=1)
+    detector = Detector(options.model, runtime=Runtime(threads=1))
     for held_out, name in ((True, "held_out"), (False, "train")):
         images = load_train_images(options.data / "vehicles", held_out=held_out)
         images += load_scenery(options.data, held_out=held_out)

@@ -1,4 +1,4 @@
-"""What the ground's word on sizes is worth.
+"""Measure what the scene-scale prior's opinion on sizes is worth.
 
 ``python -m research.training.verifier.sizes``, for ``combine --size-weight``.
 
@@ -31,7 +31,7 @@ _FALSE_ALARMS = (200, 100, 50, 25, 12)
 
 
 class SizedCandidates(NamedTuple):
-    """Candidates without the ground's word, and that word.
+    """Candidates without the prior's opinion on their size, and that opinion.
 
     Attributes:
         logits: ``[n]`` of their scores.

@@ -1,4 +1,4 @@
-"""Train the second look: ``python -m research.training.verifier.train RUN``, after ``research.training.verifier.mine``.
+"""Train the verifier: ``python -m research.training.verifier.train RUN``, after ``research.training.verifier.mine``.
 
 Writes ``RUN/verifier.onnx``: ``chips`` ``[n, 3, 48, 48]`` float32 in 0..1 to ``logit`` ``[n]``. Resumes from
 ``RUN/checkpoint.pt`` when it exists.
@@ -83,7 +83,7 @@ def main() -> None:
     export(trained, options.run / "verifier.onnx")
     seen = logits(trained, held_out.chips)
     detector = np.log(held_out.scores / (1 - held_out.scores))
-    for name, scores in (("detector", detector), ("second look", seen), ("sum", detector + seen)):
+    for name, scores in (("detector", detector), ("verifier", seen), ("sum", detector + seen)):
         print(name)
         print("\n".join(report(held_out.car, held_out.sets, scores)), flush=True)
 

@@ -1,4 +1,4 @@
-"""The page that hosts with MCP Apps show to people beside a tool's result."""
+"""The page that MCP App hosts show beside a tool's result."""
 
 from vehanchor_server.app_page.page import APP_META, APP_URI, app_extension, page_html, view_html
 from vehanchor_server.app_page.panel import PANEL_KEY, PanelData, panel_meta

@@ -1,6 +1,6 @@
-// ---- Photographs: those of the folder, and those that are dropped ----
+// ---- Photographs: the folder's and dropped ones ----
 
-const known = new Map(); // by path: the button, and the result once there is one
+const known = new Map(); // by path: the button, and the result if any
 let chosen;
 
 const nameOf = (path) => path.split(/[\\/]/).pop();
@@ -38,14 +38,14 @@ async function choose(path) {
   byId("status").hidden = true;
   byId("panel").setAttribute("aria-busy", "true");
   const entry = known.get(path);
-  const bar = html("progress", { max: "100", "aria-label": "How far the measurement is" });
+  const bar = html("progress", { max: "100", "aria-label": "Progress of the measurement" });
   byId("sections").replaceChildren(bar);
   progressed = (percent, message) => {
     if (chosen !== path || !bar.isConnected) return;
     bar.value = percent;
     say(`${nameOf(path)}: ${message}.`);
   };
-  say(`${nameOf(path)}: measuring.`);
+  say(`Measuring ${nameOf(path)}.`);
   let result = entry.result?.region === region ? entry.result.result : undefined;
   try {
     result ??= await request("tools/call", { name: call.tool, arguments: call.arguments });
@@ -68,7 +68,7 @@ async function take(files) {
       method: "POST", headers: { "content-type": "application/octet-stream" }, body: file,
     }).catch(() => undefined);
     if (!response?.ok) {
-      fail(response ? await response.text() : "the program has ended; start it again with 'vehanchor view'");
+      fail(response ? await response.text() : "The program has ended. Start 'vehanchor view' again.");
       continue;
     }
     const { path } = await response.json();
@@ -88,9 +88,9 @@ for (const [name, over] of [["dragenter", true], ["dragover", true], ["dragleave
 byId("files").addEventListener("change", (event) => take(event.target.files));
 byId("open").addEventListener("click", () => byId("files").click());
 byId("region").addEventListener("change", () => chosen && choose(chosen));
-say("Drop aerial photographs here, or choose one of the list.");
+say("Drop aerial photographs here, or choose one from the list.");
 byId("panel").setAttribute("aria-busy", "false");
 listPage(1).then(() => {
-  const wanted = decodeURIComponent(location.hash.slice(1)); // the one that the command named
+  const wanted = decodeURIComponent(location.hash.slice(1)); // the photograph of the command line
   if (known.has(wanted)) choose(wanted);
 }, (error) => fail(error.message));

@@ -17,7 +17,7 @@ function element(namespace, name, attributes, children) {
 const html = (name, attributes = {}, ...children) => element(null, name, attributes, children);
 const svg = (name, attributes = {}, ...children) => element(SVG, name, attributes, children);
 
-// A drawing is made for the width it has, so that its letters keep their size.
+// Redraw at the current width, so that the font size stays constant.
 function drawing(label, draw) {
   const canvas = svg("svg", { role: "img", "aria-label": label });
   let drawn = 0;
@@ -45,7 +45,7 @@ const interval = (low, high, unit) =>
 
 const STATUS = {
   ok: { words: "Safe to use", mark: "M2.5 8.5 6 12 13.5 4" },
-  low_confidence: { words: "Low confidence: fall back", mark: "M8 2 15 14H1ZM8 6.5v4M8 12v.6" },
+  low_confidence: { words: "Low confidence: do not use", mark: "M8 2 15 14H1ZM8 6.5v4M8 12v.6" },
   no_scale: { words: "No metric scale", mark: "M3 3l10 10M13 3 3 13" },
   failed: { words: "No result", mark: "M3 3l10 10M13 3 3 13" },
 };

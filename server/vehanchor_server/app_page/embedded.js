@@ -1,4 +1,4 @@
-// ---- Inside a host of MCP Apps ----
+// ---- Start inside an MCP App host ----
 
 function reportSize() {
   const height = Math.ceil(document.documentElement.getBoundingClientRect().height);
@@ -6,7 +6,7 @@ function reportSize() {
 }
 
 if (window.parent === window) {
-  say("This page shows results of VehAnchor inside a host of MCP Apps; opened by itself it has nothing to show.");
+  say("This page shows VehAnchor results inside an MCP App host. It shows nothing on its own.");
 } else {
   request("ui/initialize", {
     appInfo: { name: "VehAnchor panel", version: "1.0.0" },

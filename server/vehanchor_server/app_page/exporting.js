@@ -1,6 +1,6 @@
-// ---- Files to take away: the picture, the records, what is drawn ----
+// ---- Export: picture, records, GeoJSON ----
 
-const EXPORT_LEAST_PX = 1280; // a small image is enlarged, so that its letters can be read
+const EXPORT_LEAST_PX = 1280; // enlarge small images, so that labels are legible
 
 function download(name, data, type) {
   const url = URL.createObjectURL(data instanceof Blob ? data : new Blob([data], { type }));
@@ -11,7 +11,7 @@ function download(name, data, type) {
 const stem = () => call.arguments.image.path.split(/[\\/]/).pop().replace(/\.[^.]+$/, "");
 const records = (record) => ({ image: call.arguments.image.path, estimate: record, measured: call.measured.map((each) => each.record) });
 
-// In pixels of the image, y down, as the records' own __geo_interface__ has them.
+// In image pixels, y down, like the records' __geo_interface__.
 function features(record, drawing) {
   const feature = (geometry, properties) => ({ type: "Feature", geometry, properties });
   const closed = (ring) => [...ring, ring[0]];
@@ -71,7 +71,7 @@ function painted(record, image, drawing) {
     pen.fillRect(letters, height - 1.5 * letters, metres / each, letters / 2);
     write(`${number(metres)} m`, letters, height - 2 * letters);
   }
-  write(byId("sentence").textContent.split(": ")[0] + (usable(record) ? "" : ": not to be used"), letters, height + 2 * letters);
+  write(byId("sentence").textContent.split(": ")[0] + (usable(record) ? "" : ": do not use"), letters, height + 2 * letters);
   return canvas;
 }
 

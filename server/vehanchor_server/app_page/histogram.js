@@ -11,7 +11,7 @@ function histogramSection(scale, histogram) {
   const end = start + bin * bins.length;
   const mode = scale.mode_length_px;
   const top = Math.max(...bins.map((each) => each.kept + each.dropped), ...density, 1) * 1.05;
-  const guarded = scale.resolution_guard ? " The guard caps the vehicles' confidence." : "";
+  const guarded = scale.resolution_guard ? " The resolution guard caps the vehicles' confidence." : "";
 
   const draw = (width) => {
     const [left, right, above, below, height] = [34, width - 10, 40, 40, 250];
@@ -44,7 +44,7 @@ function histogramSection(scale, histogram) {
       const points = density.map((n, i) => `${x(start + ((end - start) * i) / (density.length - 1)).toFixed(1)},${y(n).toFixed(1)}`);
       shapes.push(svg("polyline", { class: "curve", points: points.join(" ") }));
     }
-    // Each label goes to the side away from the other line, unless it would leave the drawing there.
+    // Place each label away from the other line, if there is room.
     const mark = (kind, textKind, at, row, words, other) => {
       const room = 8 * words.length;
       const toLeft = at < other ? at - room > 0 : at + room > width;
@@ -68,15 +68,15 @@ function histogramSection(scale, histogram) {
         html("td", {}, whole(each.dropped)),
       ),
     );
-  const heads = ["length, px", "measured", "left out"].map((words) => html("th", { scope: "col" }, words));
+  const heads = ["length, px", "measured", "excluded"].map((words) => html("th", { scope: "col" }, words));
   return section(
     "Vehicle lengths", "", drawing(label, draw),
     html(
       "p", { class: "legend" },
       html("span", { class: "kept" }, "measured"),
-      scale.n_detections > scale.n_vehicles ? html("span", { class: "dropped" }, "outliers, left out") : undefined,
-      html("span", { class: "line mode" }, density.length ? "density and its peak P_mode" : `P_mode, the ${scale.aggregation}`),
-      html("span", { class: "line guard" }, "resolution guard: shorter vehicles cannot be trusted"),
+      scale.n_detections > scale.n_vehicles ? html("span", { class: "dropped" }, "outliers, excluded") : undefined,
+      html("span", { class: "line mode" }, density.length ? "density with its peak P_mode" : `P_mode, the ${scale.aggregation}`),
+      html("span", { class: "line guard" }, "resolution guard: shorter lengths are unreliable"),
     ),
     beyond ? html("p", { class: "legend" }, `${counted(beyond, "outlier")} longer than ${number(end)} px not shown.`) : undefined,
     html("details", {}, html("summary", {}, "As a table"), html("table", {}, html("tr", {}, ...heads), ...rows)),

@@ -1,12 +1,12 @@
 // ---- The host: JSON-RPC 2.0 over postMessage (MCP Apps, 2026-01-26) ----
 
 const PROTOCOL_VERSION = "2026-01-26";
-const FRAME_MAX_PX = 620; // not a share of the window: hosts make the window as high as the page
-const SHARPENS = false; // each look at a part would be a call that the host's user is asked about
+const FRAME_MAX_PX = 620; // absolute, because hosts make the window as high as the page
+const SHARPENS = false; // each view of a part would be a call that the user must confirm
 const waiting = new Map();
 let lastId = 0;
 
-// The host's origin is its own business: a page cannot know it, and nothing secret is sent.
+// The page cannot know the host's origin; its messages have no secrets.
 const send = (message) => window.parent.postMessage({ jsonrpc: "2.0", ...message }, "*");
 const notify = (method, params = {}) => send({ method, params });
 const request = (method, params) =>
@@ -43,7 +43,7 @@ window.addEventListener("message", ({ source, data }) => {
   } else if (answers[data.method]) {
     send({ id: data.id, result: answers[data.method]() });
   } else {
-    send({ id: data.id, error: { code: -32601, message: `${data.method} is not known here` } });
+    send({ id: data.id, error: { code: -32601, message: `unknown method ${data.method}` } });
   }
 });
 

@@ -1,11 +1,11 @@
-// ---- The program that serves this page: calls go to it, and tell how far they are ----
+// ---- Calls to the program that serves this page, with progress ----
 
 const FRAME_MAX_PX = Math.max(420, 0.75 * window.innerHeight);
 const SHARPENS = true;
 let progressed = () => {};
 canCallTools = true;
 
-const running = new Set(); // of calls about the photograph that is shown
+const running = new Set(); // calls about the current photograph
 const leave = () => running.forEach((aborter) => aborter.abort());
 
 async function request(method, params) {
@@ -18,7 +18,7 @@ async function request(method, params) {
   }
 }
 
-// The program answers with lines of JSON: how far it is, and the result last.
+// The program answers with JSON lines: progress, then the result.
 async function answer(params, signal) {
   const response = await fetch("call", {
     method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(params), signal,
@@ -36,6 +36,6 @@ async function answer(params, signal) {
       if (result) return result;
       progressed(progress, message);
     }
-    if (done) throw new Error("the program has ended; start it again with 'vehanchor view'");
+    if (done) throw new Error("the program has ended. Start 'vehanchor view' again");
   }
 }

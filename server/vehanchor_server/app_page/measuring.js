@@ -1,15 +1,15 @@
-// ---- Measuring by clicks: a distance, an area, a line of known length ----
+// ---- Measurements by clicks: distance, area, known length ----
 
-const LEAST_LINE_PX = 5; // of the image: shorter ones are refused
-const DRAGGED_PX = 5; // of the screen: less is a click
+const LEAST_LINE_PX = 5; // image pixels: shorter lines are refused
+const DRAGGED_PX = 5; // screen pixels: less is a click
 
 async function callTool(name, asked) {
   const result = await request("tools/call", { name, arguments: asked });
-  if (result.isError) throw new Error(textOf(result) || "the server did not say why");
+  if (result.isError) throw new Error(textOf(result) || "the server gave no reason");
   return result;
 }
 
-// The same question once more, with something added. Where pages get the image by themselves, no picture is asked for.
+// Repeat the call with more arguments. Request an overlay only if the page gets no image.
 const askAgain = (record, more) => {
   const pictured = call.result._meta?.[PANEL_KEY]?.picture_jpeg ? {} : { include_overlay: true };
   return callTool(call.tool ?? (isArea(record) ? "measure_area" : "estimate_gsd"), { ...call.arguments, ...more, ...pictured });
@@ -20,7 +20,7 @@ const sizeOf = (record) => {
   return record.distance_m === null ? `${whole(Math.round(record.length_px))} px` : `${number(record.distance_m)} m`;
 };
 
-// What spares the search: the scale of this result, in whatever form it has one.
+// The scale of this result, in any form, to skip the search.
 function knownScale(record) {
   const scale = record.scale ?? call.arguments.scale;
   if (scale) return { scale };
@@ -34,16 +34,16 @@ async function measureBetween(kind, ends, record) {
   else asked.targets = [{ box: { x_min: Math.min(x1, x2), y_min: Math.min(y1, y2), x_max: Math.max(x1, x2), y_max: Math.max(y1, y2) } }];
   const result = await callTool(`measure_${kind}`, asked);
   const found = recordOf(result);
-  if (kind === "area" && !found.mask_area_px) throw new Error("no object was found in that box");
+  if (kind === "area" && !found.mask_area_px) throw new Error("no object found in this box");
   return { kind, ends, record: found };
 }
 
 const MODES = {
-  distance: { words: "Distance", first: "Click two points, or draw a line.", then: "Now the other end." },
-  area: { words: "Area", first: "Draw a box tightly around one object.", then: "Now the opposite corner." },
+  distance: { words: "Distance", first: "Click two points, or drag a line.", then: "Click the other end." },
+  area: { words: "Area", first: "Draw a tight box around one object.", then: "Click the opposite corner." },
   known: {
-    words: "Draw a known length", first: "Click both ends of something on the ground whose length you know.",
-    then: "Now the other end.",
+    words: "Draw a known length", first: "Click both ends of a known length on the ground.",
+    then: "Click the other end.",
   },
 };
 
@@ -53,7 +53,7 @@ function measuring(record, view, canvas, redraw) {
   const form = lengthForm(record, words);
   const buttons = {};
   let mode, first, pressed, preview;
-  let choices = 0; // how often a tool was taken or put down
+  let choices = 0; // number of tool changes
 
   const sketch = (ends) => {
     preview?.remove();
@@ -83,7 +83,7 @@ function measuring(record, view, canvas, redraw) {
     const kind = mode;
     const [[x1, y1], [x2, y2]] = ends;
     const short = kind === "area" ? Math.min(Math.abs(x1 - x2), Math.abs(y1 - y2)) : Math.hypot(x1 - x2, y1 - y2);
-    if (short < LEAST_LINE_PX) return choose(kind, "That is too short to measure by. Click the first end again.");
+    if (short < LEAST_LINE_PX) return choose(kind, "Too short to measure. Click the first end again.");
     if (kind === "known") {
       choose(undefined, `${whole(Math.round(short))} px.`);
       mode = "known";
@@ -93,19 +93,19 @@ function measuring(record, view, canvas, redraw) {
     }
     choose(undefined, "Measuring.");
     const asked = choices;
-    const takeUpAgain = () => choices === asked && choose(kind, MODES[kind].first); // unless another was taken meanwhile
+    const reselect = () => choices === asked && choose(kind, MODES[kind].first); // unless the tool has changed
     try {
       call.measured.push(await measureBetween(kind, ends, record));
       refresh();
-      takeUpAgain();
+      reselect();
     } catch (error) {
-      takeUpAgain();
+      reselect();
       words.textContent = `Not measured: ${error.message}`;
     }
   };
 
   const inside = ([x, y]) => x >= 0 && y >= 0 && x <= record.image_width_px && y <= record.image_height_px;
-  // Both ends of a drag, or two clicks.
+  // A drag, or two clicks.
   view.frame.addEventListener("pointerdown", (event) => {
     const point = view.inImage(event);
     if (!mode || event.button || !inside(point)) return;
@@ -150,9 +150,9 @@ function measuring(record, view, canvas, redraw) {
   return { buttons: html("div", { class: "group" }, ...Object.values(buttons)), below: [words, form.row, list] };
 }
 
-// An area's own confidence is the scale's: where that is good, the mask is what is in doubt.
+// An area has the scale's confidence: if it is high, the mask is doubtful.
 const doubt = (record) =>
-  isArea(record) && record.confidence >= 0.5 ? "the outline is in doubt; look at it, or draw another box" : "low confidence";
+  isArea(record) && record.confidence >= 0.5 ? "doubtful outline; check it, or draw another box" : "low confidence";
 
 function measuredRow({ kind, record }, remove) {
   const isGood = record.status === "ok";
@@ -163,17 +163,17 @@ function measuredRow({ kind, record }, remove) {
     "li", { class: isGood ? "" : "untrusted" },
     html("span", { class: "note" }, kind === "area" ? "Area" : "Distance"),
     html("span", { class: "number" }, sizeOf(record)),
-    html("span", { class: "note" }, isGood ? bounds : `not to be used: ${doubt(record)}`),
+    html("span", { class: "note" }, isGood ? bounds : `do not use: ${doubt(record)}`),
     html("button", { type: "button", "aria-label": "Remove", on: { click: remove } }, "×"),
   );
 }
 
-// How long a drawn line is, in metres: then everything is measured again by it.
+// Ask for the length of a drawn line, then repeat all measurements with it.
 function lengthForm(record, words) {
-  const metres = html("input", { type: "number", min: "0.01", max: "100000", step: "any", "aria-label": "Metres between the two ends" });
+  const metres = html("input", { type: "number", min: "0.01", max: "100000", step: "any", "aria-label": "Metres between both ends" });
   const measure = html("button", { type: "button" }, "Measure again");
-  // No form element: hosts' sandboxes do not let forms be sent.
-  const row = html("div", { class: "row asked", hidden: true }, html("label", {}, "It is ", metres, " m long "), measure);
+  // No form element: hosts' sandboxes block forms.
+  const row = html("div", { class: "row asked", hidden: true }, html("label", {}, "Length ", metres, " m "), measure);
   let line;
   metres.addEventListener("keydown", (event) => {
     if (event.key === "Enter") measure.click();
@@ -181,7 +181,7 @@ function lengthForm(record, words) {
   measure.addEventListener("click", async () => {
     const value = Number(metres.value);
     if (!(value > 0)) {
-      words.textContent = "Give its length in metres.";
+      words.textContent = "Enter the length in metres.";
       return;
     }
     measure.disabled = true;
@@ -211,7 +211,7 @@ async function measureAllAgain(result) {
   for (const [i, { kind, ends }] of call.measured.entries()) call.measured[i] = await measureBetween(kind, ends, record);
 }
 
-// The tools read lines in the pixels of the caller's copy, where the call names one.
+// Lines are in pixels of the caller's frame, if the call has one.
 function knownLine(record, [one, other], metres) {
   const copy = call.arguments.frame;
   const across = copy ? copy.width_px / record.image_width_px : 1;

@@ -1,6 +1,6 @@
-"""The page as one HTML document that needs nothing else: styles and script inside, allowed by their hashes.
+"""The page as one self-contained HTML document: inline styles and script, allowed by their hashes.
 
-There are two of it, of the same parts: one for hosts of MCP Apps, one that ``vehanchor view`` serves to people.
+Two variants share most parts: one for MCP App hosts, one for ``vehanchor view``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from vehanchor.scale.defaults import REGIONS
 
 APP_URI = "ui://vehanchor/panel.html"
 APP_META: dict[str, Any] = {"ui": {"resourceUri": APP_URI}}
-"""For the ``_meta`` of each tool whose results the page shows."""
+"""The ``_meta`` of each tool whose results the page shows."""
 
 _SHARED = (
     "elements",
@@ -32,20 +32,20 @@ _SHARED = (
     "record",
     "panel",
 )
-_IN_HOSTS = ("call", "host", *_SHARED, "embedded")  # in this order
-_BY_ITSELF = ("call", "local", *_SHARED, "exporting", "chooser")
+_HOST_PARTS = ("call", "host", *_SHARED, "embedded")  # in this order
+_VIEW_PARTS = ("call", "local", *_SHARED, "exporting", "chooser")
 
 
 def app_extension() -> Apps:
-    """MCP Apps with the page as its one resource; tools point to it by ``APP_META``."""
+    """Create the MCP Apps extension with the page as its only resource; tools refer to it by ``APP_META``."""
     apps = Apps()
     apps.add_html_resource(
         APP_URI,
         page_html(),
         name="panel",
         title="VehAnchor panel",
-        description="Shows a result to people: the picture, all rulers, the histogram of vehicle lengths, the record.",
-        csp=ResourceCsp(connect_domains=[], resource_domains=[]),  # it loads nothing from anywhere
+        description="Shows a result: the picture, all rulers, the histogram of vehicle lengths, the record.",
+        csp=ResourceCsp(connect_domains=[], resource_domains=[]),  # the page loads nothing
         prefers_border=True,
     )
     return apps
@@ -53,14 +53,14 @@ def app_extension() -> Apps:
 
 @cache
 def page_html() -> str:
-    """The page for hosts of MCP Apps, an HTML5 document."""
-    return _assembled("panel.html", ("panel.css",), _IN_HOSTS, "img-src data:")
+    """Return the page for MCP App hosts, an HTML5 document."""
+    return _assembled("panel.html", ("panel.css",), _HOST_PARTS, "img-src data:")
 
 
 @cache
 def view_html() -> str:
-    """The page that ``vehanchor view`` serves: the same parts, and a list of photographs."""
-    page = _assembled("view.html", ("panel.css", "view.css"), _BY_ITSELF, "img-src data:", "connect-src 'self'")
+    """Return the page of ``vehanchor view``: the shared parts and a list of photographs."""
+    page = _assembled("view.html", ("panel.css", "view.css"), _VIEW_PARTS, "img-src data:", "connect-src 'self'")
     options = "".join(f'<option value="{name}">{name.replace("_", " ")}</option>' for name in REGIONS)
     return page.replace("{{regions}}", options)
 
@@ -85,7 +85,7 @@ def _assembled(template: str, styles: tuple[str, ...], scripts: tuple[str, ...],
 
 
 def _in_one_function(names: tuple[str, ...]) -> str:
-    """The script's parts in one function, so that the page has no global names."""
+    """Wrap the script's parts in one function, to avoid global names."""
     parts = "\n".join(_part(f"{name}.js") for name in names)
     return f'"use strict";\n(() => {{\n{parts}}})();\n'
 
@@ -95,6 +95,6 @@ def _part(name: str) -> str:
 
 
 def _hash_source(text: str) -> str:
-    """Name of an inline style or script in a content security policy that allows it."""
+    """Return the hash of an inline style or script for the content security policy."""
     digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
     return f"'sha256-{digest}'"

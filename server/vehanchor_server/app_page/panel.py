@@ -1,6 +1,6 @@
-"""Data for the page beyond the record: the image, what is drawn over it, and the histogram of lengths.
+"""Page data besides the record: the image, the shapes over it, and the histogram of lengths.
 
-It travels in the result's ``_meta``, which hosts keep from the model (MCP Apps, 2026-01-26, "Data Passing").
+The data is in the result's ``_meta``, which hosts hide from the model (MCP Apps, 2026-01-26, "Data Passing").
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ PANEL_KEY = "vehanchor/panel"
 
 _MAX_BINS = 40
 _CURVE_POINTS = 121
-_MAX_VEHICLES = 2000  # drawn; a result is no archive
-_LONGEST_SHOWN = 2.5  # medians; longer outliers are counted beside the axis, or one false alarm would squeeze the rest
+_MAX_VEHICLES = 2000  # limit of drawn vehicles
+_LONGEST_SHOWN = 2.5  # medians; longer outliers are only counted, so that one false alarm does not compress the axis
 
 
 class LengthBin(FrozenModel):
     """One bar of the histogram."""
 
-    kept: int = Field(description="Vehicles that the scale rests on.")
+    kept: int = Field(description="Vehicles used for the scale.")
     dropped: int = Field(description="Outliers.")
 
 
 class LengthHistogram(FrozenModel):
-    """Vehicle lengths in bins of equal width; of one size, however many vehicles there are."""
+    """Histogram of vehicle lengths with a bounded number of bins."""
 
-    start_px: float = Field(description="Where the first bin begins.")
+    start_px: float = Field(description="Start of the first bin.")
     bin_px: float = Field(description="Width of a bin.")
     bins: tuple[LengthBin, ...]
     beyond: int = Field(description="Outliers longer than the last bin.")
     density: tuple[float, ...] = Field(
         description="The kernel density of the kept lengths in vehicles per bin, at points evenly spaced over all bins "
-        "and both ends; empty where the scale is no mode of a density."
+        "and both ends; empty if the scale is not the mode of a density."
     )
-    guard_px: float = Field(description="P_thresh: below it the resolution guard holds.")
+    guard_px: float = Field(description="P_thresh: below it the resolution guard applies.")
 
 
 class DrawnLine(FrozenModel):
-    """A line that a ruler was laid along."""
+    """A line that a ruler measured."""
 
     points: tuple[tuple[float, float], ...]
     label: str
@@ -54,13 +54,13 @@ class DrawnLine(FrozenModel):
 
 
 class Drawing(FrozenModel):
-    """What is drawn over the image, in pixels of the full image.
+    """Shapes over the image, in pixels of the full image.
 
     Attributes:
-        vehicles: of each, x and y of the centre, length, width, angle in degrees, and 1 for one that was measured, 0
-            for an outlier; best first.
-        vehicles_left_out: how many more there are.
-        lines: what other rulers were laid along.
+        vehicles: for each vehicle, x and y of the centre, length, width, angle in degrees, and 1 for a measured one or
+            0 for an outlier; best first.
+        vehicles_left_out: number of vehicles beyond the limit.
+        lines: lines of other rulers.
     """
 
     vehicles: tuple[tuple[float, float, float, float, float, int], ...]
@@ -69,13 +69,13 @@ class Drawing(FrozenModel):
 
 
 class PanelData(FrozenModel):
-    """Data of one result.
+    """Page data of one result.
 
     Attributes:
-        histogram: of the lengths behind the scale; null without vehicles.
-        picture_jpeg: the image, reduced, in base64; null where the host shows no pages.
-        drawing: what belongs over it; null where the host shows no pages, or the scale was given.
-        record: the whole record, where the result has a short one and the host shows pages.
+        histogram: vehicle lengths behind the scale; null without vehicles.
+        picture_jpeg: the reduced image in base64; null if the host shows no pages.
+        drawing: shapes over the image; null if the host shows no pages, or for a given scale.
+        record: the whole record, if the result is compact and the host shows pages.
     """
 
     histogram: LengthHistogram | None = None
@@ -90,15 +90,15 @@ def panel_meta(
     drawing: Drawing | None = None,
     record: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """The ``_meta`` of a result; see ``PanelData``."""
+    """Build the ``_meta`` of a result; see ``PanelData``."""
     encoded = None if picture is None else base64.b64encode(picture).decode()
     data = PanelData(histogram=histogram, picture_jpeg=encoded, drawing=drawing, record=record)
     return {PANEL_KEY: data.model_dump(mode="json")}
 
 
 def drawing_of(analysis: ScaleAnalysis) -> Drawing:
-    """What an estimate rests on, to a tenth of a pixel."""
-    import numpy as np  # not before a call needs it, as everything that computes
+    """Collect the shapes behind an estimate, rounded to a tenth of a pixel."""
+    import numpy as np  # late, to start the server quickly
 
     boxes = analysis.detections.boxes[:_MAX_VEHICLES]
     rows = np.round(np.column_stack([boxes[:, :4], np.rad2deg(boxes[:, 4])]), 1)
@@ -120,12 +120,12 @@ def drawing_of(analysis: ScaleAnalysis) -> Drawing:
 
 
 def length_histogram(analysis: ScaleAnalysis) -> LengthHistogram | None:
-    """Bins of a round width over all lengths and the guard's, and the density whose peak is P_mode.
+    """Build the histogram of all lengths with the density whose peak is P_mode.
 
     Returns:
-        The histogram, or None where no vehicle was found.
+        The histogram, or None without vehicles.
     """
-    import numpy as np  # not before a call needs it, as everything that computes
+    import numpy as np  # late, to start the server quickly
 
     from vehanchor.scale.lengths import modal_density
 
@@ -159,6 +159,6 @@ def length_histogram(analysis: ScaleAnalysis) -> LengthHistogram | None:
 
 
 def _round_up(width: float) -> float:
-    """The next of 1, 2, 5 times a power of ten."""
+    """Round up to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(width))
     return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= width * (1 - 1e-9))

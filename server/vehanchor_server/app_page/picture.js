@@ -1,7 +1,7 @@
 // ---- The picture ----
 
 const SHARPEN_AFTER_MS = 250;
-const PART_SIDE_PX = 1568; // the longest that the server sends
+const PART_SIDE_PX = 1568; // the server's limit
 
 function pictureSection(record, result) {
   const shown = html("div", {});
@@ -13,7 +13,7 @@ function pictureSection(record, result) {
   return place;
 }
 
-// The image itself, over which the page draws; or, from servers and hosts that have no other, the drawn picture.
+// The plain image, over which the page draws; otherwise the overlay.
 function pictureOf(result) {
   const { picture_jpeg: jpeg, drawing } = result._meta?.[PANEL_KEY] ?? {};
   if (jpeg) return { url: `data:image/jpeg;base64,${jpeg}`, plain: true, drawing };
@@ -22,7 +22,7 @@ function pictureOf(result) {
 }
 
 const usable = (record) => record.status === "ok" && record.gsd_m_per_px !== null;
-const barred = (record) => usable(record) && !scaleOf(record)?.tilt;  // seen from aside one scale does not hold
+const barred = (record) => usable(record) && !scaleOf(record)?.tilt;  // a tilted view has no single scale
 
 function framed(record, result, { url, plain, drawing }) {
   const scale = scaleOf(record);
@@ -52,7 +52,7 @@ function framed(record, result, { url, plain, drawing }) {
   const legend = [
     isArea(record) ? html("span", { class: "object" }, "measured object") : undefined,
     scale?.n_vehicles ? html("span", { class: "kept" }, "measured vehicle") : undefined,
-    dropped ? html("span", { class: "dropped" }, "outlier, left out") : undefined,
+    dropped ? html("span", { class: "dropped" }, "outlier, excluded") : undefined,
     drawing?.lines.length ? html("span", { class: "ruler-line" }, "other ruler") : undefined,
     drawing?.vehicles_left_out ? html("span", {}, `${counted(drawing.vehicles_left_out, "vehicle")} not drawn`) : undefined,
   ];
@@ -83,7 +83,7 @@ function toggle(words, act) {
   return button;
 }
 
-// Closer than the picture is fine, the part that is seen is asked for by itself.
+// If the zoom exceeds the picture's resolution, request the visible part.
 function sharpener(record, image, part) {
   let timer = 0;
   return (view) => {
@@ -94,10 +94,10 @@ function sharpener(record, image, part) {
     }
     timer = setTimeout(async () => {
       const seen = Object.fromEntries(Object.entries(view.seen()).map(([side, at]) => [side, Math.round(at)]));
-      if (Math.min(seen.x_max - seen.x_min, seen.y_max - seen.y_min) < 16) return; // the least that is shown
+      if (Math.min(seen.x_max - seen.x_min, seen.y_max - seen.y_min) < 16) return; // the server's minimum
       const asked = { image: call.arguments.image, part: seen, long_side_px: PART_SIDE_PX, grid: false };
       const sent = await request("tools/call", { name: "view_image", arguments: asked }).catch(() => undefined);
-      const source = sent && !sent.isError ? pictureOf(sent) : undefined; // without one the picture stays as it is
+      const source = sent && !sent.isError ? pictureOf(sent) : undefined; // without one, keep the picture
       if (!source || !part.isConnected) return;
       const share = (value, of) => `${(100 * value) / of}%`;
       const [width, height] = [record.image_width_px, record.image_height_px];
@@ -111,7 +111,7 @@ function sharpener(record, image, part) {
   };
 }
 
-// The model did not ask for a picture, and the server could not know that this page would show one.
+// The result has no picture: offer to repeat the call with one.
 function asker(record, shown) {
   const words = html("p", { class: "legend", role: "status" }, "");
   const button = html(
@@ -121,11 +121,11 @@ function asker(record, shown) {
       on: {
         click: async () => {
           button.disabled = true;
-          words.textContent = "Measuring once more, for the picture.";
+          words.textContent = "Measuring again for the picture.";
           try {
             const result = await askAgain(record, {});
             const source = pictureOf(result);
-            if (!source) throw new Error("the server sent none");
+            if (!source) throw new Error("the server sent no picture");
             shown.replaceChildren(...framed(record, result, source));
             shown.querySelector("button").focus();
           } catch (error) {

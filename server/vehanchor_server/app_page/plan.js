@@ -1,4 +1,4 @@
-// ---- The measured object, drawn to scale ----
+// ---- Plan: the measured object to scale ----
 
 function planSection(record) {
   const box = record.bounding_box;

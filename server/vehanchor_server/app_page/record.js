@@ -1,4 +1,4 @@
-// ---- The record in words ----
+// ---- Record as a table ----
 
 function recordSection(record) {
   const scale = isArea(record) ? record.estimate : record;
@@ -10,15 +10,15 @@ function recordSection(record) {
   }
   const frame = record.frame;
   if (frame && frame.gsd_m_per_px !== null) {
-    add("In the caller's copy", `${number(frame.gsd_m_per_px)} m/px at ${frame.width_px} × ${frame.height_px} px`);
+    add("In the caller's frame", `${number(frame.gsd_m_per_px)} m/px at ${frame.width_px} × ${frame.height_px} px`);
   }
   if (scale) {
-    const told = { appearance: "by the vehicles' look", region: "the region's", given: "as given", calibration: "calibrated" }[scale.reference_source];
+    const told = { appearance: "from the vehicles' appearance", region: "of the region", given: "given", calibration: "calibrated" }[scale.reference_source];
     add("Reference length L_ref", `${number(scale.reference_length_m)} m${told ? `, ${told}` : ""}`);
     if (scale.n_vehicles) add("Aggregation", { kde: "mode of the kernel density", weighted_kde: "mode of the density, weighted by score and length" }[scale.aggregation] ?? scale.aggregation);
-    if (scale.working_scale && scale.working_scale < 1) add("Vehicles found in", `a copy reduced to ${100 * scale.working_scale} %`);
+    if (scale.working_scale && scale.working_scale < 1) add("Vehicles found at", `a resolution of ${100 * scale.working_scale} %`);
     if (scale.n_vehicles) add("Resolution guard", scale.resolution_guard ? "active: the vehicles' confidence is capped at 0.3" : "not active");
-    if (scale.georeference_gsd_m_per_px !== null) add("Scale in the file itself", `${number(scale.georeference_gsd_m_per_px)} m/px, not used`);
+    if (scale.georeference_gsd_m_per_px !== null) add("Georeference of the file", `${number(scale.georeference_gsd_m_per_px)} m/px, not used`);
     add("Detector", `${scale.model} (${scale.model_sha256.slice(0, 12)})`);
   }
   return section(

@@ -1,13 +1,13 @@
-// ---- The rulers: what each says ----
+// ---- Rulers and their scales ----
 
 const hasOtherRulers = (scale) => (scale.rulers ?? []).some(({ kind, sets_scale }) => sets_scale && kind !== "vehicles");
 
-// Vehicles alone, or with the scene-scale prior, need no list: the readings above show them.
+// Vehicles alone, or with the scene-scale prior, need no list.
 function rulersSection(scale) {
   if (!hasOtherRulers(scale)) return undefined;
   const rows = scale.rulers.map((ruler) => {
     const name = ruler.label[0].toUpperCase() + ruler.label.slice(1);
-    const lead = ruler.kind === scale.leading_ruler ? ", leads" : "";
+    const lead = ruler.kind === scale.leading_ruler ? ", leading" : "";
     const bounds = interval(ruler.gsd_ci95_low_m_per_px, ruler.gsd_ci95_high_m_per_px, "m/px");
     return html(
       "li", { class: ruler.agrees ? "agrees" : "disagrees", title: ruler.explanation ?? undefined },

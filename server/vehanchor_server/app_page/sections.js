@@ -10,7 +10,7 @@ function reading(name, value, unit, ...notes) {
 }
 
 function scaleReading(scale) {
-  if (scale.gsd_m_per_px === null) return reading("Scale", "none", "", "nothing of known size found");
+  if (scale.gsd_m_per_px === null) return reading("Scale", "none", "", "no ruler found");
   const bounds = interval(scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px, "m/px");
   return reading("Scale", number(scale.gsd_m_per_px), "m/px", bounds);
 }
@@ -20,13 +20,13 @@ function vehicleReadings(scale) {
   return [
     reading(
       "Vehicles measured", whole(scale.n_vehicles), "",
-      dropped ? `of ${whole(scale.n_detections)} found; ${counted(dropped, "outlier")}` : scale.n_detections ? "all that were found" : "none found",
+      dropped ? `of ${whole(scale.n_detections)} detected; ${counted(dropped, "outlier")}` : scale.n_detections ? "all detected vehicles" : "none detected",
     ),
     scale.mode_length_px === null
       ? undefined
       : reading(
           "Modal length P_mode", scale.mode_length_px.toFixed(1), "px",
-          `stands for ${number(scale.reference_length_m)} m`,
+          `represents ${number(scale.reference_length_m)} m`,
         ),
   ];
 }
@@ -52,22 +52,22 @@ function readings(record) {
   return html("dl", { class: "readings" }, ...tiles.map((tile) => trusted(record, tile)));
 }
 
-// A number that nobody should act on does not look like one that they may act on.
+// Display unusable numbers differently.
 function trusted(record, tile) {
   if (record.status === "ok" || record.gsd_m_per_px === null) return tile;
   tile.classList.add("untrusted");
-  tile.append(html("dd", { class: "note warn" }, "not to be used"));
+  tile.append(html("dd", { class: "note warn" }, "do not use"));
   return tile;
 }
 
 const TERMS = [ // the paper's weights, section III-D
-  ["sample", "Enough vehicles", 0.35],
-  ["concentration", "Lengths agree", 0.35],
-  ["quality", "Clear detections", 0.2],
+  ["sample", "Number of vehicles", 0.35],
+  ["concentration", "Agreement of lengths", 0.35],
+  ["quality", "Detection scores", 0.2],
   ["plausibility", "Plausible length", 0.1],
 ];
 
-// With another ruler the confidence is the chance of being right, and the terms are those of the vehicles beside it.
+// With another ruler the confidence is p_within_20; the terms are those of the vehicles.
 function confidence(scale) {
   const value = scale.confidence;
   const fused = hasOtherRulers(scale);
@@ -79,8 +79,8 @@ function confidence(scale) {
       "aria-valuenow": value.toFixed(2), "aria-valuetext": `${value.toFixed(2)}; 0.5 or more is safe to use`,
     },
     html("div", { class: "fill", width_share: value }),
-    scale.resolution_guard && !fused ? tick(0.3, "cap", "0.3", html("br"), "guard's cap") : undefined,
-    tick(0.5, "", "0.5", html("br"), "act from here"),
+    scale.resolution_guard && !fused ? tick(0.3, "cap", "0.3", html("br"), "guard") : undefined,
+    tick(0.5, "", "0.5", html("br"), "usable"),
   );
   const terms = TERMS.map(([key, words, weight]) => [
     html("dt", {}, `${words} (${100 * weight} %)`),
@@ -93,7 +93,7 @@ function confidence(scale) {
   return section(
     "Confidence", "",
     html("div", { class: "gauge" }, html("p", { class: `reading ${scale.status}` }, value.toFixed(2)), track),
-    fused ? html("p", { class: "note" }, `Chance that the scale is right within 20 %, by all rulers.${scale.n_vehicles ? " Of the vehicles alone:" : ""}`) : undefined,
+    fused ? html("p", { class: "note" }, `Chance of an error below 20 %, from all rulers.${scale.n_vehicles ? " Terms of the vehicles:" : ""}`) : undefined,
     fused && !scale.n_vehicles ? undefined : html("dl", { class: "terms" }, ...terms.flat()),
   );
 }

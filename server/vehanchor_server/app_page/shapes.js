@@ -1,4 +1,4 @@
-// ---- What lies over the image, in its pixels: for the page and for an exported picture alike ----
+// ---- Shapes over the image, in image pixels, for the page and for exported pictures ----
 
 const corners = ([x, y, length, width, degrees]) => {
   const [cos, sin] = [Math.cos((degrees * Math.PI) / 180), Math.sin((degrees * Math.PI) / 180)];
@@ -10,7 +10,7 @@ const ringsOf = (area) => area.outline.flatMap(({ exterior, holes }) => [exterio
 const at = ({ x_px: x, y_px: y }) => [x, y];
 const boxRing = ([[x1, y1], [x2, y2]]) => [[x1, y1], [x2, y1], [x2, y2], [x1, y2]];
 
-// Lines of one kind: points of each, whether its end is joined to its start, and what is written beside its middle.
+// Lines of one kind: points, whether closed, and a label at the middle.
 function shapesOf(record, drawing) {
   const vehicles = drawing?.vehicles ?? [];
   const closed = true;
@@ -23,19 +23,19 @@ function shapesOf(record, drawing) {
   if (isArea(record)) shapes.push({ kind: "object", closed, lines: ringsOf(record) });
   call.measured.forEach((each, i) => {
     const kind = each.record.status === "ok" ? "measured" : "untrusted";
-    const label = `${i + 1}: ${sizeOf(each.record)}${kind === "untrusted" ? ", in doubt" : ""}`;
+    const label = `${i + 1}: ${sizeOf(each.record)}${kind === "untrusted" ? ", doubtful" : ""}`;
     if (isArea(each.record)) shapes.push({ kind, closed, lines: ringsOf(each.record), label });
     else shapes.push({ kind, lines: [each.record.path.map(at)], label });
   });
   return shapes.filter(({ lines }) => lines.length);
 }
 
-const middle = ([[x1, y1], [x2, y2] = [x1, y1]]) => [(x1 + x2) / 2, (y1 + y2) / 2]; // a single point is its own
+const middle = ([[x1, y1], [x2, y2] = [x1, y1]]) => [(x1 + x2) / 2, (y1 + y2) / 2]; // or the point itself
 
 function paintShapes(canvas, shapes) {
   const path = ({ lines, closed }) =>
     lines.map((points) => `M${points.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`).join("L")}${closed ? "Z" : ""}`).join("");
-  const outlined = shapes.filter(({ lines }) => !lines.length || lines.some((points) => points.length > 1)); // a place has no line
+  const outlined = shapes.filter(({ lines }) => !lines.length || lines.some((points) => points.length > 1)); // a point has no outline
   const halos = outlined.map((each) => svg("path", { class: "halo", d: path(each) }));
   const lines = outlined.map((each) => svg("path", { class: each.kind, d: path(each) }));
   const labels = shapes

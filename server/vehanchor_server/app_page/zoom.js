@@ -1,8 +1,8 @@
-// ---- A picture that can be zoomed and moved; it knows which place of the image is where on the screen ----
+// ---- Picture with zoom and pan, and its mapping between screen and image ----
 
-const PIXEL_MAX_PX = 16; // of the screen, for one of the image
+const PIXEL_MAX_PX = 16; // screen pixels per image pixel
 const ZOOM_STEP = 1.5;
-const BAR_SHARE = 0.12; // of the width, at least
+const BAR_SHARE = 0.12; // minimum share of the width
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
 function zoomable(width, height, sheet, placed) {
@@ -47,13 +47,13 @@ function zoomable(width, height, sheet, placed) {
     const [x, y] = onScreen(event);
     return [(x - view.left) / view.perPixel, (y - view.top) / view.perPixel];
   };
-  view.seen = () => ({ // in pixels of the image
+  view.seen = () => ({ // in image pixels
     x_min: Math.max(0, -view.left / view.perPixel), y_min: Math.max(0, -view.top / view.perPixel),
     x_max: Math.min(width, (frame.clientWidth - view.left) / view.perPixel),
     y_max: Math.min(height, (frame.clientHeight - view.top) / view.perPixel),
   });
 
-  // Unzoomed, the wheel scrolls the page that the picture is in, unless Ctrl is held.
+  // At the initial zoom, the wheel scrolls the page unless Ctrl is held.
   frame.addEventListener("wheel", (event) => {
     if (view.zoom === 1 && !event.ctrlKey && !SHARPENS) return;
     event.preventDefault();
@@ -106,7 +106,7 @@ function zoomButtons(view) {
 function scaleBar(metresPerPixel) {
   const bar = html("div", { class: "scale-bar", "aria-hidden": "true" });
   const fit = (view) => {
-    const each = metresPerPixel / view.perPixel; // metres of a pixel on the screen
+    const each = metresPerPixel / view.perPixel; // metres per screen pixel
     const metres = roundSteps(BAR_SHARE * view.frame.clientWidth * each, 1);
     bar.textContent = `${number(metres)} m`;
     bar.style.width = `${metres / each}px`;

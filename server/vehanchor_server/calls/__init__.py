@@ -1,1 +1,1 @@
-"""One call from its acceptance to its answer, whatever the tool."""
+"""Execution of a call, from its admission to its answer."""

@@ -1,4 +1,4 @@
-"""The answer to one call: a record or several, and what explains them to people."""
+"""Answer to a call: one or more records with their explanations."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
 Record = TypeVar("Record", bound=BaseModel, covariant=True)
 
 Detail: TypeAlias = Literal["short", "full"]
-"""How much of a record an answer holds: what a model needs, or all of it."""
+"""Extent of the record in an answer: compact for models, or complete."""
 
 
-class WantedPictures(NamedTuple):
-    """Which pictures a call is to make.
+class PictureRequest(NamedTuple):
+    """Pictures that a call should make.
 
     Attributes:
-        overlay: the one that explains the result; the caller asked for it.
-        page: the image for the host's page.
+        overlay: whether the caller requested the overlay.
+        page: whether the host's page needs the image.
     """
 
     overlay: bool
@@ -35,14 +35,14 @@ class WantedPictures(NamedTuple):
 
 @dataclass(frozen=True)
 class Answer(Generic[Record]):
-    """Records and what explains them.
+    """Records with pictures and page data.
 
     Attributes:
-        records: the results, one for each thing that was asked about.
-        overlay: the picture as JPEG, if it was asked for.
-        histogram: of the lengths behind the scale; None without vehicles, or for a scale that the caller gave.
+        records: the results, one per line or target.
+        overlay: the overlay as JPEG, if requested.
+        histogram: vehicle lengths behind the scale; None without vehicles or for a given scale.
         page_picture: the image as JPEG, if the host shows a page.
-        drawing: what the page draws over it.
+        drawing: shapes that the page draws over the image.
     """
 
     records: tuple[Record, ...]
@@ -53,16 +53,16 @@ class Answer(Generic[Record]):
 
     @property
     def record(self) -> Record:
-        """The first of them."""
+        """The first record."""
         return self.records[0]
 
     def to_result(self, sentence: str, *, detail: Detail = "full", paged: bool = False) -> CallToolResult:
-        """The record for programs, the sentence for models, the picture for those who asked, the panel for people.
+        """Convert to a tool result: text for models, structured content for programs, pictures and page data.
 
         Args:
             sentence: the records in words.
-            detail: how much of the records.
-            paged: whether the host shows a page, which then gets the whole record.
+            detail: extent of the records.
+            paged: whether the host shows a page, which needs the whole record.
         """
         short = None if detail == "full" else short_answer(self.records)
         content: list[Any] = [TextContent(type="text", text=sentence)]

@@ -1,9 +1,9 @@
-"""One call of a tool that looks at an image: a place, the image, the work in a thread or process, its progress."""
+"""Run a call about an image: admission, fetching, work in a thread or process, progress."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import anyio.from_thread
 
@@ -14,56 +14,55 @@ from vehanchor_server.errors import CallError
 if TYPE_CHECKING:
     from mcp.server.mcpserver import Context
 
+    from vehanchor_server.calls.answer import Answer
     from vehanchor_server.calls.capacity import Stop
+    from vehanchor_server.calls.task import Record, Work
     from vehanchor_server.images.argument import AnyImage
     from vehanchor_server.services import Services
-
-Result = TypeVar("Result")
 
 
 async def run_call(
     services: Services,
     ctx: Context[Any, Any],
     image: AnyImage,
-    work: Callable[..., Result],
+    work: Work[Record],
+    question: Any,
     more: Sequence[AnyImage] = (),
-) -> Result:
-    """Run the work of a call, if there is a place for it.
+) -> Answer[Record]:
+    """Run the work of a call within the server's capacity.
 
     Args:
-        services: of the server.
-        ctx: of the call.
-        image: the caller's argument.
-        work: done in a worker process, or in a thread where the server has none; a function of a module, or a
-            ``functools.partial`` of one, of services, job and opened image. The library's errors that it raises are
-            passed on to the caller.
-        more: other images; where there are any, the work gets them and their bytes as a fourth argument, and opens
-            them itself.
+        services: the server's parts.
+        ctx: the call's context.
+        image: the caller's image argument.
+        work: work for a worker process, or for a thread if the server has no workers. Library errors reach the caller.
+        question: the caller's other arguments.
+        more: other images; if any, the work gets them with their bytes as a fifth argument and opens them itself.
 
     Raises:
-        CallError: the call was refused, failed for a reason that its caller can act on, or took too long.
+        CallError: the call was refused, failed with a remedy for the caller, or took too long.
     """
 
-    async def call(stop: Stop) -> Result:
+    async def call(stop: Stop) -> Answer[Record]:
         await ctx.report_progress(0, PERCENT_DONE, "reading the image")
         fetched = await services.sources.fetched(image)
         others = await services.sources.fetched_together(more, len(fetched or b""))
-        task = Task(work, image, fetched, others)
+        task = Task(work, question, image, fetched, others)
 
         def report(percent: float, message: str) -> None:
             anyio.from_thread.run(ctx.report_progress, percent, PERCENT_DONE, message)
 
-        def in_thread() -> Result:
+        def in_thread() -> Answer[Record]:
             with Stages() as stages:
                 if services.workers is not None:
                     return services.workers.run(task, stop, report, stages.enter)
                 try:
                     return perform(services, task, Job(stop, report, stages.enter))
-                except MemoryError as error:  # of whatever the library does beside decoding and models
+                except MemoryError as error:  # outside decoding and models
                     raise CallError(
                         "out_of_memory",
-                        "this server has too little memory left just now. Try again when less is running, or send a "
-                        "smaller image.",
+                        "this server has too little free memory at the moment. Try again later, or send a smaller "
+                        "image.",
                     ) from error
 
         result = await services.capacity.in_thread(stop, in_thread)

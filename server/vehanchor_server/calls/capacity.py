@@ -1,7 +1,7 @@
-"""Places for calls: how much runs at once, for how long, and how it is stopped.
+"""Capacity: limits on concurrent calls and their duration, and stopping of calls.
 
-A call has a place from the moment it is accepted until its worker thread has ended, so that what a cancelled call still
-computes counts as well. There is no queue: over capacity a call is refused at once, and its caller knows.
+A call occupies a slot from its admission until its thread ends, so that the remaining work of a cancelled call
+counts. There is no queue: beyond the capacity, calls are refused at once.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ T = TypeVar("T")
 
 
 class CallStoppedError(Exception):
-    """Raised in the worker thread of a call that nobody waits for any more."""
+    """Raised in the thread of a call that was stopped."""
 
 
 class Stop:
-    """The request that a call end early; set from the event loop, looked at by the worker thread."""
+    """Request to end a call early, set by the event loop and checked by the call's thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -34,11 +34,11 @@ class Stop:
 
     @property
     def requested(self) -> bool:
-        """Whether the call was asked to end."""
+        """Whether a stop was requested."""
         return self._requested
 
     def request(self) -> None:
-        """Ask the call to end."""
+        """Request the stop."""
         with self._lock:
             self._requested = True
             actions, self._actions = self._actions, []
@@ -46,16 +46,16 @@ class Stop:
             action()
 
     def check(self) -> None:
-        """End here if that was asked for.
+        """Raise if a stop was requested.
 
         Raises:
-            CallStoppedError: it was.
+            CallStoppedError: a stop was requested.
         """
         if self._requested:
             raise CallStoppedError
 
     def on_request(self, action: Callable[[], None]) -> None:
-        """Do this as soon as the call is asked to end; at once if it already was."""
+        """Run an action when a stop is requested; at once if it already was."""
         with self._lock:
             if not self._requested:
                 self._actions.append(action)
@@ -65,17 +65,17 @@ class Stop:
 
 @dataclass(frozen=True)
 class _Outcome(Generic[T]):
-    """The end of a worker thread's work; carried as a value, so that no exception meets a cancellation on the way."""
+    """Result of a thread's work, as a value, so that its exception does not collide with a cancellation."""
 
     value: T | None = None
     error: Exception | None = None
 
 
 class Capacity:
-    """Admits calls, runs their work in threads, and stops it.
+    """Admission of calls, their threads and their deadline.
 
     Args:
-        max_concurrency: calls at once.
+        max_concurrency: maximum number of concurrent calls.
         deadline_s: seconds after which a call ends.
     """
 
@@ -88,14 +88,14 @@ class Capacity:
 
     @property
     def running(self) -> int:
-        """Calls that have a place now."""
+        """Number of running calls."""
         return len(self._stops)
 
     async def run(self, call: Callable[[Stop], Awaitable[T]]) -> T:
-        """Run a call, if there is a place for it.
+        """Run a call within the capacity.
 
         Args:
-            call: gets the ``Stop`` to pass on to ``in_thread``.
+            call: receives the ``Stop`` for ``in_thread``.
 
         Raises:
             CallError: ``busy``, ``deadline_exceeded`` or ``server_stopping``.
@@ -104,7 +104,7 @@ class Capacity:
             raise CallError("server_stopping", "the server is shutting down. Try again in a while.")
         if self.running >= self.max_concurrency:
             raise CallError(
-                "busy", f"all {self.max_concurrency} places of this server are taken. Try again in a few seconds."
+                "busy", f"all {self.max_concurrency} slots of this server are taken. Try again in a few seconds."
             )
         stop = Stop()
         self._stops.add(stop)
@@ -119,12 +119,12 @@ class Capacity:
         )
 
     async def in_thread(self, stop: Stop, work: Callable[[], T]) -> T:
-        """Run blocking work in a thread; a cancellation requests the stop at once and waits until the thread has ended.
+        """Run blocking work in a thread; a cancellation requests the stop and waits for the thread.
 
         Raises:
             CallError: ``server_stopping``, if the work was stopped by ``close``.
         """
-        if self._limiter is None:  # belongs to the event loop, which is not there yet when this object is made
+        if self._limiter is None:  # needs the event loop, which does not exist in __init__
             self._limiter = anyio.CapacityLimiter(self.max_concurrency)
 
         ended = threading.Event()
@@ -142,14 +142,14 @@ class Capacity:
             outcome = await anyio.to_thread.run_sync(guarded, limiter=self._limiter)
             group.cancel_scope.cancel()
         await anyio.lowlevel.checkpoint_if_cancelled()
-        if outcome.error is not None and stop.requested:  # CallStoppedError, or whatever a terminated model raises
+        if outcome.error is not None and stop.requested:  # CallStoppedError, or the error of a terminated model
             raise CallError("server_stopping", "the server is shutting down. Try again in a while.")
         if outcome.error is not None:
             raise outcome.error
         return outcome.value  # type: ignore[return-value] # there is one where there is no error
 
     def close(self) -> None:
-        """Accept no more calls, and stop those that run."""
+        """Refuse new calls and stop the running ones."""
         self._closed = True
         for stop in list(self._stops):
             stop.request()

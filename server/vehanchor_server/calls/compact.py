@@ -1,4 +1,4 @@
-"""Answers as a model needs them: the fields that decide, in three digits; a record's other fields are for programs."""
+"""Compact answers for models: the deciding fields, with three digits."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
 
     from pydantic import BaseModel
 
-GIVE_BACK = "For more in this image give back scale "
-"""What comes before a scale in words."""
+REUSE_SCALE = "To measure more in this image, pass scale "
+"""Text before a scale in words."""
 
 _DIGITS = 3
-_SCALE_DIGITS = 5  # of a scale that is given back: what is multiplied by it again must not lose any of the three
+_SCALE_DIGITS = 5  # of a reused scale, so that products keep three digits
 
 ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
     GsdEstimate: (
@@ -61,17 +61,17 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
         "scale_source",
     ),
 }
-"""The fields of each record that a short answer has, where they are not null."""
+"""The fields of each record in a short answer, unless null."""
 
-_SAID_WHEN_NULL = ("gsd_m_per_px", "area_m2", "distance_m")  # "there is none" is an answer
-_KNOWN_TO_THE_CALLER = ("width_px", "height_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")  # of a frame
+_KEPT_WHEN_NULL = ("gsd_m_per_px", "area_m2", "distance_m")  # null means "no scale"
+_OMITTED_IN_FRAME = ("width_px", "height_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")
 
 
 def short_answer(records: Sequence[BaseModel]) -> dict[str, Any]:
-    """One record, or several below ``measurements``, with the scale that they share, to be given back.
+    """Return one record, or several below ``measurements``, with their common scale for reuse.
 
     Args:
-        records: of one image.
+        records: records of one image.
     """
     parts = [_short(record) for record in records]
     scale = _known_scale(records[0])
@@ -80,16 +80,16 @@ def short_answer(records: Sequence[BaseModel]) -> dict[str, Any]:
 
 
 def scale_in_words(records: Sequence[BaseModel], short: Mapping[str, Any]) -> str:
-    """The scale to give back, for models whose hosts show them words alone; empty for none, or none to use.
+    """Return the scale as text, for hosts that show models only text; empty without a usable scale.
 
     Args:
-        records: of one image.
-        short: what ``short_answer`` made of them.
+        records: records of one image.
+        short: their ``short_answer``.
     """
     estimate = _estimate(records[0])
     if "scale" not in short or estimate is None or estimate.status != "ok":
         return ""
-    return GIVE_BACK + json.dumps(short["scale"], separators=(",", ":"))
+    return REUSE_SCALE + json.dumps(short["scale"], separators=(",", ":"))
 
 
 def _short(record: BaseModel) -> dict[str, Any]:
@@ -100,19 +100,19 @@ def _short(record: BaseModel) -> dict[str, Any]:
     for name in ANSWERED[type(record)]:
         value = values[name]
         if isinstance(value, dict) and name == "frame":
-            value = {key: each for key, each in value.items() if key not in _KNOWN_TO_THE_CALLER}
-        if value is not None or name in _SAID_WHEN_NULL:
+            value = {key: each for key, each in value.items() if key not in _OMITTED_IN_FRAME}
+        if value is not None or name in _KEPT_WHEN_NULL:
             short[name] = _rounded(name, value)
     reason = getattr(getattr(record, "estimate", None), "reason", None)
     if reason is not None:
         short["reason"] = reason
     if (short.get("frame") or {}).get("bounding_box"):
-        short.pop("bounding_box", None)  # in the caller's own pixels once is enough
+        short.pop("bounding_box", None)  # the frame already has it in the caller's pixels
     return short
 
 
 def _estimate(record: BaseModel) -> GsdEstimate | None:
-    """The estimate of the scale, where one was made for the record."""
+    """Return the estimate behind a record, if any."""
     return record if isinstance(record, GsdEstimate) else getattr(record, "estimate", None)
 
 
@@ -129,7 +129,7 @@ def _rounded(name: str, value: Any, digits: int = _DIGITS) -> Any:
     if not isinstance(value, float):
         return value
     if name in ("confidence", "p_within_20", "mask_score"):
-        return math.floor(value * 10**digits) / 10**digits  # never up, over a limit
+        return math.floor(value * 10**digits) / 10**digits  # round down, never above a limit
     if name.endswith("_px") and not name.endswith("_per_px"):
         return round(value, 1)
     return float(f"{value:.{digits}g}")

@@ -1,4 +1,4 @@
-"""One call's work in its thread: it ends when asked to, tells how far it is, and marks its stages for OpenTelemetry."""
+"""Job: the stops, progress and OpenTelemetry stages of a call's work."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 from opentelemetry import trace
 
+from vehanchor.models.runtime import Cancellation, Runtime
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
-
-    import onnxruntime
 
     from vehanchor_server.calls.capacity import Stop
 
@@ -20,7 +20,7 @@ _tracer = trace.get_tracer("vehanchor_server")
 
 
 class Stages:
-    """The stages of a call as spans; a context manager that ends the last one."""
+    """Stages of a call as spans: a context manager that ends the last one."""
 
     def __init__(self) -> None:
         self._span: trace.Span | None = None
@@ -36,7 +36,7 @@ class Stages:
         self._end()
 
     def enter(self, stage: str) -> None:
-        """Begin a stage, and end the one before."""
+        """Begin a stage and end the previous one."""
         self._end()
         self._span = _tracer.start_span(f"vehanchor.{stage}")
 
@@ -47,12 +47,12 @@ class Stages:
 
 
 class Job:
-    """One call's work as it reports on itself.
+    """Control of a call's work.
 
     Args:
-        stop: asks the work to end.
-        report: gets percent and words.
-        entered: gets the name of each stage as it begins.
+        stop: request to end the work.
+        report: receives percentages and messages.
+        entered: receives the name of each stage when it begins.
     """
 
     def __init__(self, stop: Stop, report: Callable[[float, str], None], entered: Callable[[str], None]) -> None:
@@ -62,38 +62,36 @@ class Job:
         self._reported = -1
 
     @cached_property
-    def run_options(self) -> onnxruntime.RunOptions:
-        """For every run of a model: a stop request ends the run within a layer."""
-        from vehanchor.models.session import stoppable  # ONNX Runtime is slow to load: not before a call needs it
-
-        options = stoppable()
-        self.stop.on_request(lambda: setattr(options, "terminate", True))
-        return options
+    def runtime(self) -> Runtime:
+        """Runtime for models: it reports tiles, and a stop request ends a run within a layer."""
+        cancellation = Cancellation()
+        self.stop.on_request(cancellation.cancel)
+        return Runtime(progress=self.searched, cancellation=cancellation)
 
     def enter(self, stage: str) -> None:
-        """Begin a stage (``decode``, ``segment``, ``detect``, ``scale``, ...), and end the one before.
+        """Begin a stage (``decode``, ``segment``, ``detect``, ``scale``, ...) and end the previous one.
 
         Raises:
-            CallStoppedError: the call was asked to end.
+            CallStoppedError: a stop was requested.
         """
         self.stop.check()
         self._entered(stage)
 
     def segmenting(self) -> None:
-        """Begin the search for the object's mask; its report takes the place of the first one of ``searched``.
+        """Begin the segmentation; its report replaces the first one of ``searched``.
 
         Raises:
-            CallStoppedError: the call was asked to end.
+            CallStoppedError: a stop was requested.
         """
         self.enter("segment")
         self._reported = 0
-        self._report(PERCENT_READ, "looking for the object")
+        self._report(PERCENT_READ, "segmenting the object")
 
     def searched(self, done: int, total: int) -> None:
-        """Report tiles as progress: at the start, the middle and the end, whatever their number.
+        """Report searched tiles at the start, in the middle and at the end.
 
         Raises:
-            CallStoppedError: the call was asked to end.
+            CallStoppedError: a stop was requested.
         """
         self.stop.check()
         if done == 0:

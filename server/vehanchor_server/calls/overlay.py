@@ -1,4 +1,4 @@
-"""The overlay as a picture small enough for every host, and the image itself for the page, which draws over it."""
+"""Encode the overlay and the page's image as JPEGs that are small enough for all hosts."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster, Window
-    from vehanchor_server.calls.answer import WantedPictures
+    from vehanchor_server.calls.answer import PictureRequest
     from vehanchor_server.calls.capacity import Stop
     from vehanchor_server.calls.job import Job
 
 MAX_PICTURE_BYTES = 400_000  # hosts cap a result at about 0.75 MB: this and the page's picture, and base64 adds a third
-MAX_PAGE_BYTES = 120_000  # on every result of a host that shows pages, whether anyone looks or not
-MAX_SIDE_PX = 1568  # what vision models see at most; more would only cost
+MAX_PAGE_BYTES = 120_000  # part of every result of a host with pages
+MAX_SIDE_PX = 1568  # the largest size that vision models see
 _QUALITIES = (85, 70, 55, 40)
 
 
 class Pictures(NamedTuple):
-    """Pictures of one image as JPEG; None where they were not wanted.
+    """JPEGs of one image; None if not requested.
 
     Attributes:
-        overlay: of at most ``MAX_PICTURE_BYTES``.
-        page: of at most ``MAX_PAGE_BYTES``, with nothing drawn.
+        overlay: at most ``MAX_PICTURE_BYTES``.
+        page: the plain image, at most ``MAX_PAGE_BYTES``.
     """
 
     overlay: bytes | None = None
@@ -38,15 +38,15 @@ class Pictures(NamedTuple):
 
 
 def draw_pictures(
-    raster: Raster, job: Job, wanted: WantedPictures, draw: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
+    raster: Raster, job: Job, wanted: PictureRequest, draw: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 ) -> Pictures:
-    """Make the pictures of a result from one reading of the image.
+    """Make the requested pictures from one reading of the image.
 
     Args:
         raster: the image.
-        job: is told of this stage, and ends the reading of a large image early.
-        wanted: which.
-        draw: makes the overlay, ``[h', w', 3]`` RGB, of the image or a reduced copy, ``[h, w, 3]``.
+        job: receives the stage and can stop the reading.
+        wanted: the requested pictures.
+        draw: draws the overlay, ``[h', w', 3]`` RGB, on the image or a reduced copy, ``[h, w, 3]``.
     """
     if not any(wanted):
         return Pictures()
@@ -57,12 +57,12 @@ def draw_pictures(
 
 
 def stoppable(raster: Raster, stop: Stop) -> Raster:
-    """The same image, whose reading ends when the call is stopped."""
+    """Wrap an image so that a stop request ends its reading."""
     return cast("Raster", _StoppableRaster(raster, stop))
 
 
 def small_jpeg(picture: NDArray[np.uint8], max_bytes: int = MAX_PICTURE_BYTES) -> bytes:
-    """A picture, ``[h, w, 3]`` RGB, as JPEG of at most so many bytes and ``MAX_SIDE_PX`` a side."""
+    """Encode a picture, ``[h, w, 3]`` RGB, as JPEG within the limits of bytes and ``MAX_SIDE_PX``."""
     while True:
         picture = _within(picture, MAX_SIDE_PX)
         for quality in _QUALITIES:
@@ -82,7 +82,7 @@ def _within(picture: NDArray[np.uint8], side_px: int) -> NDArray[np.uint8]:
 
 
 class _StoppableRaster:
-    """A raster whose reading ends when the call is stopped."""
+    """A raster whose reading a stop request ends."""
 
     def __init__(self, raster: Raster, stop: Stop) -> None:
         self._raster = raster

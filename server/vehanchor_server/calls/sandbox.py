@@ -1,20 +1,17 @@
-"""Confinement of a worker by the system: which files it may read, and what it may ask of the kernel.
+"""PathAccess of a worker: the files that it can read and the system calls that it can make.
 
-What takes over a decoder has the worker's process, and with it whatever its user may do. On Linux the process gives
-most of that up before it loads a model or sees an image, and cannot take it back: Landlock leaves it files to read
-and none to write, and a filter of system calls (seccomp) refuses sockets, other programs, new processes, other
-processes' memory and signals, files' owners and modes, and rarely used doors into the kernel. What is refused fails
-with an error, as it would for lack of rights, so that a library that only tries goes on.
+A compromised decoder has all rights of the worker process. On Linux the process therefore drops most rights before it
+loads a model or sees an image, and cannot regain them. It drops all capabilities. Landlock limits it to reading certain
+files. Seccomp limits it to the system calls of decoders and networks (``system_calls``). A refused call fails with an
+error, like a missing permission, so that a library that merely probes continues.
 
-The calls are made by ``ctypes``. Of the libraries for Landlock, ``landlock`` and ``py-landlock`` are alphas,
-``landlockpy`` is a beta of a few weeks; ``pyseccomp`` needs the system's libseccomp, which slim images lack and which
-is under the LGPL. Three system calls, and a filter of two instructions a rule, need none of them.
+``ctypes`` makes the calls. The libraries ``landlock`` and ``py-landlock`` are alphas, ``landlockpy`` is a beta;
+``pyseccomp`` needs the system's libseccomp, which slim images lack and which is under the LGPL.
 """
 
 from __future__ import annotations
 
 import ctypes
-import errno
 import os
 import platform
 import struct
@@ -23,10 +20,12 @@ import sysconfig
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import vehanchor
 import vehanchor_server
+from vehanchor_server.calls.system_calls import checked, filter_system_calls, last_error
+from vehanchor_server.calls.worker_environment import absolute_folders
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -34,12 +33,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Confinement:
-    """How a process is confined.
+    """Confinement of a process.
 
     Attributes:
-        landlock: version of Landlock that keeps it from files; 0 where the system offers none.
-        seccomp: whether its system calls are filtered.
-        lacks: why something is missing, in words; empty where nothing is.
+        landlock: version of Landlock; 0 without Landlock.
+        seccomp: whether system calls are filtered.
+        lacks: reason for missing confinement; empty if complete.
     """
 
     landlock: int = 0
@@ -48,49 +47,62 @@ class Confinement:
 
 
 def confine(readable: Iterable[Path]) -> Confinement:
-    """Give up, in this process and for good, what decoding an image and running a model do not need.
+    """Drop, permanently, all rights of this process that decoding and models do not need.
 
-    Called while the process has one thread: Landlock binds the calling thread and those that it starts.
+    Call it while the process has one thread: Landlock applies to the calling thread and those that it starts.
 
     Args:
-        readable: files and folders that may be read beside those of the system, of Python and of what it imports.
+        readable: files and folders to allow besides those of the system, Python and its packages.
     """
     if sys.platform != "linux":
         return Confinement(lacks=f"{sys.platform} has neither Landlock nor seccomp")
     libc = ctypes.CDLL(None, use_errno=True)
+    _drop_capabilities(libc)
     if libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0):
-        return Confinement(lacks=f"no_new_privs: {_last_error()}")
+        return Confinement(lacks=f"no_new_privs: {last_error()}")
     landlock, seccomp, lacks = 0, False, []
     try:
         landlock = _restrict_files(libc, [*_needed_files(), *readable])
     except OSError as error:
-        lacks.append(f"Landlock: {error.strerror}")
+        lacks.append(f"Landlock: {error.strerror}, so that a worker can read the files of its user")
     try:
-        _filter_calls(libc)
+        filter_system_calls(libc)
         seccomp = True
     except OSError as error:
-        lacks.append(f"seccomp: {error.strerror}")
+        lacks.append(f"seccomp: {error.strerror}, so that a worker can open sockets and start programs")
+    if lacks:
+        lacks.append(f"kernel {platform.release()}")
     return Confinement(landlock, seccomp, "; ".join(lacks))
 
 
-_PR_SET_NO_NEW_PRIVS = 38
+def _drop_capabilities(libc: ctypes.CDLL) -> None:
+    """Drop all capabilities; without any, do nothing."""
+    for capability in range(_MOST_CAPABILITIES):
+        libc.prctl(_PR_CAPBSET_DROP, capability, 0, 0, 0)
+    header, none = struct.pack("=Ii", _CAPABILITIES_VERSION, 0), bytes(24)
+    libc.capset(header, none)
+
+
+_PR_SET_NO_NEW_PRIVS, _PR_CAPBSET_DROP = 38, 24
+_MOST_CAPABILITIES, _CAPABILITIES_VERSION = 64, 0x20080522  # linux/capability.h, version 3
 _SYSTEM_FILES = (
     *("/usr", "/lib", "/lib64", "/nix/store", "/gnu/store", "/etc/ld.so.cache", "/etc/localtime"),
-    *("/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/sys/vm"),
+    *("/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/sys/vm"),
+    *(f"/proc/self/{name}" for name in ("cgroup", "fd", "maps", "mountinfo", "stat", "statm", "status")),
     *("/sys/devices/system", "/sys/fs/cgroup", "/dev/null", "/dev/zero", "/dev/random", "/dev/urandom"),
 )
-"""Shared libraries, and where C libraries look for the number of processors, memory and random numbers."""
+"""Shared libraries, and the files that C libraries read for processors, memory and random numbers."""
 
 
 def _needed_files() -> Iterator[Path]:
-    """Files of the system, of Python and of packages: modules are imported and libraries loaded when first needed."""
+    """List files of the system, Python and packages, because modules and libraries load on first use."""
     yield from map(Path, _SYSTEM_FILES)
-    yield from map(Path, os.environ.get("LD_LIBRARY_PATH", "").split(":"))
+    yield from map(Path, absolute_folders(os.environ.get("LD_LIBRARY_PATH", "")))
     yield from map(Path, {sys.prefix, sys.base_prefix, sys.exec_prefix, *sysconfig.get_paths().values()})
     yield from (Path(folder) for package in (vehanchor, vehanchor_server) for folder in package.__path__)
     working, home = Path.cwd(), Path.home()
     for entry in map(Path, filter(None, sys.path)):
-        if not (working.is_relative_to(entry) or home.is_relative_to(entry)):  # Python may have put them there itself
+        if not (working.is_relative_to(entry) or home.is_relative_to(entry)):  # Python may have added them itself
             yield entry
 
 
@@ -98,18 +110,18 @@ def _needed_files() -> Iterator[Path]:
 _CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
 _VERSION_FLAG, _PATH_BENEATH = 1, 1
 _READ_FILE, _READ_DIR, _WRITE_FILE = 1 << 2, 1 << 3, 1 << 1
-_FILE_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}  # from which version on there are so many
-_BIND_AND_CONNECT = 0b11  # of TCP, from version 4 on
-_SCOPES = 0b11  # abstract sockets and signals stay within, from version 6 on
+_FILE_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}  # number of rights since a version
+_BIND_AND_CONNECT = 0b11  # TCP, since version 4
+_SCOPES = 0b11  # abstract sockets and signals, since version 6
 
 
 def _restrict_files(libc: ctypes.CDLL, readable: Sequence[Path]) -> int:
-    """Leave this thread, and those that it starts, these files to read and none to write; the version of Landlock.
+    """Limit this thread, and those that it starts, to reading these files; return Landlock's version.
 
     Raises:
-        OSError: the system has no Landlock, or it is switched off or forbidden.
+        OSError: Landlock is missing, disabled or forbidden.
     """
-    version = _checked(libc.syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), _VERSION_FLAG))
+    version = checked(libc.syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), _VERSION_FLAG))
     n_rights = max(n for since, n in _FILE_RIGHTS.items() if since <= version)
     handled = [(1 << n_rights) - 1]
     if version >= 4:
@@ -117,151 +129,24 @@ def _restrict_files(libc: ctypes.CDLL, readable: Sequence[Path]) -> int:
     if version >= 6:
         handled.append(_SCOPES)
     attributes = struct.pack(f"={len(handled)}Q", *handled)
-    ruleset = _checked(libc.syscall(_CREATE_RULESET, attributes, ctypes.c_size_t(len(attributes)), 0))
+    ruleset = checked(libc.syscall(_CREATE_RULESET, attributes, ctypes.c_size_t(len(attributes)), 0))
     try:
         for path in readable:
             _allow(libc, ruleset, path)
-        _checked(libc.syscall(_RESTRICT_SELF, ruleset, 0))
+        checked(libc.syscall(_RESTRICT_SELF, ruleset, 0))
     finally:
         os.close(ruleset)
     return version
 
 
 def _allow(libc: ctypes.CDLL, ruleset: int, path: Path) -> None:
-    """Allow a file, or what is below a folder, to be read; nothing where there is none, and never everything."""
+    """Allow reading a file or a folder; ignore missing paths and the file system's root."""
     if path.resolve() == Path(path.anchor):
         return
     with suppress(OSError):
         descriptor = os.open(path, os.O_PATH | os.O_CLOEXEC)
         rights = _READ_FILE | (_READ_DIR if path.is_dir() else 0) | (_WRITE_FILE if path == Path(os.devnull) else 0)
         rule = struct.pack("=Qi", rights, descriptor)
-        _checked(libc.syscall(_ADD_RULE, ruleset, _PATH_BENEATH, rule, 0))
-        if path != Path("/proc/self"):  # the system forgets an entry of /proc that nobody holds, and the rule with it
+        checked(libc.syscall(_ADD_RULE, ruleset, _PATH_BENEATH, rule, 0))
+        if not path.is_relative_to("/proc/self"):  # without a descriptor the kernel drops the entry
             os.close(descriptor)
-
-
-# seccomp: linux/seccomp.h, linux/filter.h, asm/unistd.h.
-_SET_MODE_FILTER, _TO_ALL_THREADS = 1, 1
-_ALLOW, _KILL_PROCESS, _REFUSE = 0x7FFF0000, 0x80000000, 0x00050000  # and the error's number
-_LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
-_NUMBER_AT, _MACHINE_AT, _ARGUMENT_AT = 0, 4, 16  # in struct seccomp_data; of the first argument the lower half
-_OTHER_NUMBERS = 0x40000000  # of x32, a second set on x86_64
-_CLONE_THREAD = 0x10000
-
-
-class _Machine(NamedTuple):
-    """Numbers of system calls on a kind of processor.
-
-    Attributes:
-        name: as the audit interface has it.
-        seccomp: of the call itself.
-        refused: of those that work on images does not need.
-        clone: starts threads, and processes.
-        clone3: does so by a structure, which no filter can look into; the C library falls back to the other.
-        to_itself: allowed with this process as the first argument.
-        to_none: allowed with 0 there, which means this process.
-    """
-
-    name: int
-    seccomp: int
-    refused: tuple[int, ...]
-    clone: int
-    clone3: int
-    to_itself: tuple[int, ...]
-    to_none: tuple[int, ...]
-
-
-_NEW_CALLS = (  # numbered alike everywhere
-    *(424, 434, 438, 440),  # pidfd_send_signal pidfd_open pidfd_getfd process_madvise
-    *(425, 426, 427),  # io_uring_setup io_uring_enter io_uring_register
-    *(428, 429, 430, 431, 432, 433, 442),  # open_tree move_mount fsopen fsconfig fsmount fspick mount_setattr
-    *(452, 463, 466),  # fchmodat2 setxattrat removexattrat
-)
-_MACHINES = {
-    "x86_64": _Machine(
-        name=0xC000003E,
-        seccomp=317,
-        refused=(
-            *_NEW_CALLS,
-            *(41, 42, 43, 49, 50, 53, 288),  # socket connect accept bind listen socketpair accept4
-            *(57, 58, 59, 322),  # fork vfork execve execveat
-            *(101, 310, 311, 312),  # ptrace process_vm_readv process_vm_writev kcmp
-            *(200, 129, 297),  # tkill rt_sigqueueinfo rt_tgsigqueueinfo
-            *(321, 298, 323, 248, 249, 250),  # bpf perf_event_open userfaultfd add_key request_key keyctl
-            *(165, 166, 155, 161, 272, 308, 304),  # mount umount2 pivot_root chroot unshare setns open_by_handle_at
-            *(246, 320, 175, 313, 176),  # kexec_load kexec_file_load init_module finit_module delete_module
-            *(90, 91, 268, 92, 93, 94, 260),  # chmod fchmod fchmodat chown fchown lchown fchownat
-            *(188, 189, 190, 197, 198, 199),  # setxattr lsetxattr fsetxattr removexattr lremovexattr fremovexattr
-            *(132, 235, 261, 280),  # utime utimes futimesat utimensat
-        ),
-        clone=56,
-        clone3=435,
-        to_itself=(62, 234),  # kill tgkill
-        to_none=(302,),  # prlimit64
-    ),
-    "aarch64": _Machine(
-        name=0xC00000B7,
-        seccomp=277,
-        refused=(
-            *_NEW_CALLS,
-            *(198, 203, 202, 200, 201, 199, 242),  # socket connect accept bind listen socketpair accept4
-            *(221, 281),  # execve execveat
-            *(117, 270, 271, 272),  # ptrace process_vm_readv process_vm_writev kcmp
-            *(130, 138, 240),  # tkill rt_sigqueueinfo rt_tgsigqueueinfo
-            *(280, 241, 282, 217, 218, 219),  # bpf perf_event_open userfaultfd add_key request_key keyctl
-            *(40, 39, 41, 51, 97, 268, 265),  # mount umount2 pivot_root chroot unshare setns open_by_handle_at
-            *(104, 294, 105, 273, 106),  # kexec_load kexec_file_load init_module finit_module delete_module
-            *(52, 53, 54, 55),  # fchmod fchmodat fchownat fchown
-            *(5, 6, 7, 14, 15, 16, 88),  # setxattr l f, removexattr l f, utimensat
-        ),
-        clone=220,
-        clone3=435,
-        to_itself=(129, 131),  # kill tgkill
-        to_none=(261,),  # prlimit64
-    ),
-}
-
-
-def _filter_calls(libc: ctypes.CDLL) -> None:
-    """Refuse system calls from now on, in all threads.
-
-    Raises:
-        OSError: the system has no seccomp, forbids it, or is of a kind whose numbers are not known here.
-    """
-    machine = _MACHINES.get(platform.machine())
-    if machine is None or sys.maxsize < 1 << 32:
-        raise OSError(errno.ENOSYS, f"its calls are not known here for {platform.machine()}")
-    instructions = _instructions(machine, os.getpid())
-    code = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *each) for each in instructions))
-    program = struct.pack("@HP", len(instructions), ctypes.addressof(code))
-    _checked(libc.syscall(machine.seccomp, _SET_MODE_FILTER, _TO_ALL_THREADS, program))
-
-
-def _instructions(machine: _Machine, pid: int) -> list[tuple[int, int, int, int]]:
-    """The filter: code, how many instructions are passed over if so and if not, and a number."""
-    forbidden, unknown = (_RETURN, 0, 0, _REFUSE | errno.EPERM), (_RETURN, 0, 0, _REFUSE | errno.ENOSYS)
-    allowed, load_number = (_RETURN, 0, 0, _ALLOW), (_LOAD, 0, 0, _NUMBER_AT)
-    load_argument = (_LOAD, 0, 0, _ARGUMENT_AT)
-    program = [(_LOAD, 0, 0, _MACHINE_AT), (_EQUAL, 1, 0, machine.name), (_RETURN, 0, 0, _KILL_PROCESS), load_number]
-    program += [(_AT_LEAST, 0, 1, _OTHER_NUMBERS), forbidden, (_EQUAL, 0, 1, machine.clone3), unknown]
-    program += [(_EQUAL, 0, 4, machine.clone), load_argument, (_ANY_BIT, 0, 1, _CLONE_THREAD), allowed, forbidden]
-    for number, only in [*((each, pid) for each in machine.to_itself), *((each, 0) for each in machine.to_none)]:
-        program += [(_EQUAL, 0, 4, number), load_argument, (_EQUAL, 0, 1, only), allowed, forbidden]
-    for number in machine.refused:
-        program += [(_EQUAL, 0, 1, number), forbidden]
-    return [*program, allowed]
-
-
-def _checked(result: int) -> int:
-    """What a system call gave.
-
-    Raises:
-        OSError: it failed.
-    """
-    if result < 0:
-        raise OSError(ctypes.get_errno(), _last_error())
-    return result
-
-
-def _last_error() -> str:
-    return os.strerror(ctypes.get_errno())

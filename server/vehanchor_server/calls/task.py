@@ -1,9 +1,13 @@
-"""One call's work, and doing it: in this process and thread, or sent to another."""
+"""Work of a call: its function, the types of its messages to a worker, and its execution in this process."""
 
 from __future__ import annotations
 
+import pkgutil
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+
+from pydantic import BaseModel, TypeAdapter
 
 from vehanchor_server.images.source import library_errors
 
@@ -11,20 +15,21 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from vehanchor_server.calls.answer import Answer
     from vehanchor_server.calls.job import Job
     from vehanchor_server.images.argument import AnyImage
     from vehanchor_server.images.source import ImageSources
     from vehanchor_server.models import Models
 
-Result = TypeVar("Result")
+Record = TypeVar("Record", bound=BaseModel)
 
 
 class Parts(Protocol):
-    """The parts of a server that work needs: its ``Services``, which hold the workers as well."""
+    """The parts of ``Services`` that a task needs."""
 
     @property
     def sources(self) -> ImageSources:
-        """Where images come from."""
+        """Image sources."""
 
     @property
     def models(self) -> Models:
@@ -32,32 +37,85 @@ class Parts(Protocol):
 
     @property
     def readable(self) -> tuple[Path, ...] | None:
-        """Files and folders that work reads; None leaves it all that the server's user may read."""
+        """Files and folders that workers may read; None for no confinement."""
+
+
+class Work(Generic[Record]):
+    """A kind of work on an image; the decorator ``work`` creates one from a function.
+
+    Args:
+        function: function of services, job, opened image and question; other images are a fifth argument.
+        question: type of the question, a dataclass or pydantic model.
+        record: type of the records in the answer.
+
+    Attributes:
+        function: the function.
+        name: module and name by which a worker finds this object.
+    """
+
+    def __init__(self, function: Callable[..., Answer[Record]], question: Any, record: type[Record]) -> None:
+        self.function = function
+        self.name = f"{function.__module__}:{function.__name__}"
+        self._question: Any = question
+        self._records: Any = tuple[record, ...]  # type: ignore[valid-type]
+
+    @cached_property
+    def question(self) -> TypeAdapter[Any]:
+        """Type adapter of the question."""
+        return TypeAdapter(self._question)
+
+    @cached_property
+    def records(self) -> TypeAdapter[tuple[Record, ...]]:
+        """Type adapter of the answer's records."""
+        return TypeAdapter(self._records)
+
+
+def work(question: Any, record: type[Record]) -> Callable[[Callable[..., Answer[Record]]], Work[Record]]:
+    """Decorate a module-level function as work for workers.
+
+    Args:
+        question: type of the question.
+        record: type of the records in the answer.
+    """
+    return lambda function: Work(function, question, record)
+
+
+def named_work(name: str) -> Work[Any]:
+    """Find work by its name, in a worker.
+
+    Raises:
+        TypeError: the name belongs to another object.
+    """
+    found = pkgutil.resolve_name(name)
+    if not isinstance(found, Work):
+        raise TypeError(f"{name} is a {type(found).__name__}, not a kind of work")
+    return found
 
 
 @dataclass(frozen=True)
-class Task(Generic[Result]):
-    """One call's work, as it is sent to a worker.
+class Task(Generic[Record]):
+    """Work of a call, as sent to a worker.
 
     Attributes:
-        work: does it with the ``Services`` of the process that it runs in; a function of a module, or a
-            ``functools.partial`` of one.
-        image: the caller's argument.
-        fetched: its bytes, if it is a URL.
-        more: other images and their bytes, which the work opens itself, one at a time.
+        work: the kind of work.
+        question: the caller's other arguments.
+        image: the caller's image argument.
+        fetched: bytes of a fetched image.
+        more: other images with their bytes, which the work opens one at a time.
     """
 
-    work: Callable[..., Result]
+    work: Work[Record]
+    question: Any
     image: AnyImage
     fetched: bytes | None
     more: tuple[tuple[AnyImage, bytes | None], ...] = ()
 
 
-def perform(services: Parts, task: Task[Result], job: Job) -> Result:
-    """Open the image and do the work, in this process and thread.
+def perform(services: Parts, task: Task[Record], job: Job) -> Answer[Record]:
+    """Open the image and do the work in this thread.
 
     Raises:
-        CallError: the work failed for a reason that its caller can act on.
+        CallError: the work failed with a remedy for the caller.
     """
     with services.sources.open(task.image, task.fetched) as source, library_errors(source):
-        return task.work(services, job, source, *((task.more,) if task.more else ()))
+        return task.work.function(services, job, source, task.question, *((task.more,) if task.more else ()))

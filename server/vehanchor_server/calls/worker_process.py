@@ -1,4 +1,4 @@
-"""The process of a worker: what it does from its start to its end, and what it may take of the machine."""
+"""Main function and resource limits of a worker process."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ import ctypes
 import logging
 import multiprocessing
 import os
+import select
 import signal
+import sys
 import threading
 import traceback
 from dataclasses import dataclass
@@ -16,6 +18,18 @@ from typing import TYPE_CHECKING, Any
 
 from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.messages import (
+    Broken,
+    Entered,
+    Exhausted,
+    Failed,
+    Loaded,
+    Progressed,
+    Refused,
+    receive_task,
+    send,
+    send_answer,
+)
 from vehanchor_server.calls.sandbox import Confinement, confine
 from vehanchor_server.calls.task import perform
 from vehanchor_server.errors import CallError
@@ -24,89 +38,138 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from multiprocessing.connection import Connection
 
+    from vehanchor_server.calls.messages import WorkerMessage
     from vehanchor_server.calls.task import Parts, Task
 
-_IDLE_S = 0.5  # then memory is given back; after each call the next one would wait for its pages
+_IDLE_S = 0.5  # idle time before freed memory is returned, so that consecutive calls reuse it
 _OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")  # OpenCV's, C++'s, ONNX's
+_MAX_WORDS = 8000
 _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class WorkerLimits:
-    """What one worker may use.
+    """Resource limits of one worker.
 
     Attributes:
-        memory_bytes: of data, beside what it has with its models loaded.
-        cpu_s: processor time of a call.
+        memory_bytes: data in addition to the loaded models.
+        cpu_s: processor time per call.
     """
 
     memory_bytes: int
     cpu_s: float
 
 
-def serve_tasks(connection: Connection, make_services: Callable[[], Parts], limits: WorkerLimits) -> None:
-    """Confine this process, load the models and do tasks until the server is gone; the main function of a worker."""
+def serve_tasks(
+    connection: Connection, log: Connection, make_services: Callable[[], Parts], limits: WorkerLimits
+) -> None:
+    """Confine this process, load the models and run tasks until the server ends: the main function of a worker.
+
+    Args:
+        connection: connection to the server, for messages.
+        log: pipe for log lines, which the server labels and limits.
+        make_services: creates the worker's parts.
+        limits: resource limits of the worker.
+    """
     from vehanchor_server.request_log import configure_logging
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # from the keyboard it comes to all, and the server ends its workers
-    os.dup2(2, 1)  # stdout belongs to the server's protocol
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the server ends its workers
+    _keep_streams(connection, log)
     configure_logging()
     try:
         services = make_services()
         confinement = _confined(services.readable)
-        threading.Thread(target=_end_with_server, name="vehanchor-server", daemon=True).start()
+        threading.Thread(target=_end_with_server, args=(connection,), name="vehanchor-server", daemon=True).start()
         services.models.load_all()
     except Exception:
-        connection.send(("broken", traceback.format_exc()))
+        send(connection, Broken(traceback=_traceback()))
         return
     _limit_memory(limits.memory_bytes)
-    connection.send(("loaded", services.models.failure, confinement))
+    send(
+        connection,
+        Loaded(
+            failure=services.models.failure,
+            landlock=confinement.landlock,
+            seccomp=confinement.seccomp,
+            lacks=confinement.lacks,
+        ),
+    )
     with contextlib.suppress(EOFError):
         while True:
             if not connection.poll(_IDLE_S):
                 _give_back_memory()
-            task = connection.recv()
+            task = receive_task(connection)
             _limit_cpu(limits.cpu_s)
-            connection.send(_outcome(services, task, connection))
+            failure = _outcome(services, task, connection)
+            if failure is not None:
+                send(connection, failure)
             del task
+
+
+def _keep_streams(connection: Connection, log: Connection) -> None:
+    """Keep the server's connection and the log; close all other inherited descriptors.
+
+    Standard input can be the server's protocol or the operator's terminal, and standard error can be the terminal. One
+    descriptor of ``multiprocessing`` leads to the process that removes shared memory.
+    """
+    for stream in (1, 2):
+        os.dup2(log.fileno(), stream)
+    log.close()
+    if sys.platform != "linux":  # elsewhere ``multiprocessing`` watches the server by its own descriptor
+        return
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    kept = connection.fileno()
+    os.closerange(3, kept)
+    os.closerange(kept + 1, os.sysconf("SC_OPEN_MAX"))
 
 
 def _confined(readable: tuple[Path, ...] | None) -> Confinement:
     return Confinement(lacks="the operator's settings") if readable is None else confine(readable)
 
 
-def _outcome(services: Parts, task: Task[Any], connection: Connection) -> tuple[Any, ...]:
+def _outcome(services: Parts, task: Task[Any], connection: Connection) -> WorkerMessage | None:
+    """Run a task and send its answer; otherwise return the message for the failure."""
+
     def enter(stage: str) -> None:
-        connection.send(("enter", stage))
+        send(connection, Entered(stage=stage))
 
     def report(percent: float, message: str) -> None:
-        connection.send(("report", percent, message))
+        send(connection, Progressed(percent=percent, message=message))
 
     try:
-        return "value", perform(services, task, Job(Stop(), report, enter))
+        send_answer(connection, perform(services, task, Job(Stop(), report, enter)))
+        return None
     except Exception as error:
         if isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):
             _logger.warning("a worker ran out of memory", exc_info=True)
-            return "exhausted", CallError(
-                "worker_killed", "the work on the image took more memory than this server allows. Send a smaller image."
-            )
+            return Exhausted()
         if isinstance(error, CallError):
-            return "refused", error
-        return "failed", traceback.format_exc()
+            return Refused(code=error.code, message=error.explanation[:_MAX_WORDS])
+        return Failed(traceback=_traceback())
 
 
-def _end_with_server() -> None:
-    """End this process when the server's does, also in the middle of a call."""
-    server = multiprocessing.parent_process()
-    assert server is not None
-    server.join()
+def _traceback() -> str:
+    return traceback.format_exc()[-_MAX_WORDS:]
+
+
+def _end_with_server(connection: Connection) -> None:
+    """End this process when the server ends, even during a call."""
+    if sys.platform == "linux":
+        hangup = select.poll()
+        hangup.register(connection.fileno(), select.POLLRDHUP)
+        hangup.poll()
+    else:
+        server = multiprocessing.parent_process()
+        assert server is not None
+        server.join()
     os._exit(1)
 
 
 def _limit_memory(n_bytes: int) -> None:
-    """Limit the data that this process may still take; only on Linux, as no other system counts all of it.
+    """Limit the data that this process can add; only on Linux, as other systems do not count all data.
 
-    Relative to what it has: threads of models reserve 8 MiB each, so a machine with many cores begins with more.
+    The limit is relative to the current data, because threads reserve 8 MiB each and their number varies.
     """
     with contextlib.suppress(ImportError, OSError, ValueError):
         import resource
@@ -116,13 +179,13 @@ def _limit_memory(n_bytes: int) -> None:
 
 
 def _give_back_memory() -> None:
-    """Give freed memory back to the system, where the C library keeps it and can be told (glibc)."""
+    """Return freed memory to the system (glibc only)."""
     with contextlib.suppress(OSError, TypeError, AttributeError):  # TypeError: Windows has no CDLL of itself
         ctypes.CDLL(None).malloc_trim(0)
 
 
 def _limit_cpu(seconds: float) -> None:
-    """Limit the processor time that this process may still take; the system kills it when it is used up."""
+    """Limit the further processor time of this process; the system kills it at the limit."""
     with contextlib.suppress(ImportError, OSError, ValueError):
         import resource
 

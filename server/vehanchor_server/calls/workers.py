@@ -1,12 +1,13 @@
-"""Processes in which images are decoded and models run, so that whatever an image does can be ended.
+"""Worker processes for decoding and models, which the server can kill.
 
-Each has its models loaded and waits for a call; a thread of the server sends it one and passes on what it reports. At
-the deadline, and when nobody waits any more, it is killed, and the next one is started at once. Its memory and
-processor time are limited by the system besides, and so is what it may read, write and ask for (``confinement``). One
-is started with the server, another whenever more calls than ever before run at once; after a call each gives the memory
-back that it no longer needs. The processes and their pipes are those of the standard library's ``multiprocessing``.
-No pool was found that fits: ``anyio.to_process`` kills, but has no way for progress and swallows what a worker logs;
-``concurrent.futures`` and ``loky`` break the whole pool with one killed worker; ``pebble`` is under the LGPL.
+Each worker loads its models and waits for a call. A thread of the server sends it the call and forwards its progress.
+At the deadline, or if the call is cancelled, the server kills the worker and starts the next one. The system limits
+the worker's memory, processor time, files and system calls (``sandbox``). The server starts one worker at first, and
+another when concurrency reaches a new maximum. An idle worker returns freed memory.
+
+The processes and pipes are those of ``multiprocessing``. No existing pool fits: ``anyio.to_process`` kills, but
+reports no progress and loses log lines; in ``concurrent.futures`` and ``loky`` one killed worker breaks the whole
+pool; ``pebble`` is under the LGPL.
 """
 
 from __future__ import annotations
@@ -19,10 +20,24 @@ import shutil
 import sys
 import tempfile
 import threading
-from pickle import UnpicklingError
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
-from vehanchor_server.calls.reading import receive
+from vehanchor_server.calls.messages import (
+    Answered,
+    Broken,
+    Entered,
+    Exhausted,
+    Failed,
+    Loaded,
+    MessageError,
+    Progressed,
+    Refused,
+    read_answer,
+    receive,
+    send_task,
+)
+from vehanchor_server.calls.worker_environment import minimal_environment
+from vehanchor_server.calls.worker_log import forward_log
 from vehanchor_server.calls.worker_process import serve_tasks
 from vehanchor_server.errors import CallError
 from vehanchor_server.models import SLOW_IMPORTS
@@ -33,30 +48,28 @@ if TYPE_CHECKING:
     from multiprocessing.context import ForkServerContext, SpawnContext
     from multiprocessing.process import BaseProcess
 
+    from vehanchor_server.calls.answer import Answer
     from vehanchor_server.calls.capacity import Stop
-    from vehanchor_server.calls.sandbox import Confinement
-    from vehanchor_server.calls.task import Parts, Task
+    from vehanchor_server.calls.task import Parts, Record, Task
     from vehanchor_server.calls.worker_process import WorkerLimits
-
-Result = TypeVar("Result")
 
 _MIB = 1 << 20
 _ENDS_WITHIN_S = 5.0  # a killed process, unless the system is stuck
-_LOOKS_S = 0.05  # how often a thread that waits for a worker to be ready looks whether it still shall
+_POLL_S = 0.05  # interval at which a waiting thread checks for a stop request
 _logger = logging.getLogger(__name__)
 
 
 class WorkerFailedError(Exception):
-    """A bug in a worker; its message is the traceback there."""
+    """A bug in a worker; the message is its traceback."""
 
 
 class WorkerPool:
-    """The workers of a server, at most one for each call that may run at once.
+    """Workers of a server, at most one per concurrent call.
 
     Args:
-        make_services: makes a worker's parts; a function of a module, or a ``functools.partial`` of one.
-        n_workers: how many at most.
-        limits: what each may use.
+        make_services: creates a worker's parts: a module-level function or a ``functools.partial`` of one.
+        n_workers: maximum number of workers.
+        limits: resource limits of each worker.
 
     Attributes:
         closed: whether all workers were ended.
@@ -69,36 +82,36 @@ class WorkerPool:
         self._lock = threading.Lock()
         self._idle = list(self._workers)
         self.closed = False
-        self._said: set[str] = set()
-        self._saying = threading.Lock()  # not the other: who chooses a worker holds that, and may be told of its start
+        self._logged: set[str] = set()
+        self._log_lock = threading.Lock()  # separate: the holder of _lock may log
 
     @property
     def ready(self) -> bool:
         """Whether a call can start at once."""
         for worker in self._workers:
-            worker.look()
+            worker.poll_loaded()
         return any(worker.loaded and worker.failure is None for worker in self._workers)
 
     @property
     def failure(self) -> str | None:
-        """The code of the error that loading the models ended with, None without one."""
+        """Error code of a failed load of the models, or None."""
         return next((worker.failure for worker in self._workers if worker.failure), None)
 
     @property
     def processes(self) -> list[int]:
-        """The processes' numbers."""
+        """Process ids of the workers."""
         return [worker.process.pid for worker in self._workers if worker.process and worker.process.pid]
 
-    def say_once(self, level: int, text: str) -> None:
-        """Log what every worker meets alike."""
-        with self._saying:
-            if text in self._said:
+    def log_once(self, level: int, text: str) -> None:
+        """Log a message that all workers share once."""
+        with self._log_lock:
+            if text in self._logged:
                 return
-            self._said.add(text)
+            self._logged.add(text)
         _logger.log(level, text)
 
     def start(self, delay_s: float = 0.0) -> None:
-        """Start the first, in the background, after a while."""
+        """Start the first worker in the background after a delay."""
 
         def start_first() -> None:
             if not self.closed:
@@ -110,26 +123,26 @@ class WorkerPool:
 
     def run(
         self,
-        task: Task[Result],
+        task: Task[Record],
         stop: Stop,
         report: Callable[[float, str], None],
         enter: Callable[[str], None],
-    ) -> Result:
-        """Have a task done by a worker; blocks, and is called in a thread.
+    ) -> Answer[Record]:
+        """Run a task in a worker; blocks, so call it in a thread.
 
         Args:
             task: the task.
-            stop: kills the worker when it is requested.
-            report: gets the progress.
-            enter: gets the stages.
+            stop: kills the worker on request.
+            report: receives progress.
+            enter: receives stages.
 
         Raises:
-            CallError: ``worker_killed``, ``worker_unavailable``, or why the work failed.
-            CallStoppedError: the stop was requested.
-            WorkerFailedError: a bug.
+            CallError: ``worker_killed``, ``worker_unavailable``, or the failure of the work.
+            CallStoppedError: a stop was requested.
+            WorkerFailedError: a bug in the worker.
         """
         with self._lock:
-            worker = max(self._idle, key=_Worker.warmth)  # there is one: as many calls as workers are admitted
+            worker = max(self._idle, key=_Worker.readiness)  # never empty: admitted calls do not exceed workers
             self._idle.remove(worker)
         try:
             return worker.run(task, stop, report, enter)
@@ -145,16 +158,16 @@ class WorkerPool:
         for worker in self._workers:
             worker.kill()
 
-    def leave_nothing(self) -> None:
-        """Remove the workers' socket, for a process that ends without its exit handlers; no worker starts after it."""
+    def remove_socket(self) -> None:
+        """Close the pool and remove the workers' socket, for a process that ends without exit handlers."""
         self.close()
         if self.processes:
-            with contextlib.suppress(OSError):  # on a read-only file system there is none
+            with contextlib.suppress(OSError):  # a read-only file system has none
                 shutil.rmtree(multiprocessing.util.get_temp_dir(), ignore_errors=True)
 
 
 class _Worker:
-    """One process, and the next after it."""
+    """One worker: a process and its successors."""
 
     def __init__(self, pool: WorkerPool) -> None:
         self._pool = pool
@@ -165,7 +178,7 @@ class _Worker:
         self.failure: str | None = None
 
     def start(self) -> None:
-        """Start a process, if none runs, or one whose models failed, and which cannot see what has come since."""
+        """Start a process if none runs, or if the models of the running one failed to load."""
         with self._lock:
             if self.process is not None and self.process.is_alive():
                 if not self.failure:
@@ -174,20 +187,25 @@ class _Worker:
             self._reap()
             context = _start_context()
             ours, theirs = context.Pipe()
+            log, written = context.Pipe(duplex=False)
             process = context.Process(
                 target=serve_tasks,
-                args=(theirs, self._pool._make_services, self._pool._limits),
+                args=(theirs, written, self._pool._make_services, self._pool._limits),
                 name="vehanchor-worker",
             )
             process.daemon = True
             try:
-                process.start()
-            except (OSError, EOFError) as error:  # no memory, no process left, or the one that it comes from is gone
+                with minimal_environment():
+                    process.start()
+            except (OSError, EOFError) as error:  # no memory, no free process, or a missing fork server
                 ours.close()
+                log.close()
                 self._fail(f"no process can be started: {error!r}")
                 return
             finally:
                 theirs.close()
+                written.close()
+            forward_log(log, process.pid or 0)
             self.process, self._connection = process, ours
 
     def kill(self) -> None:
@@ -197,20 +215,20 @@ class _Worker:
             process.kill()
 
     def renew(self) -> None:
-        """Start the next process after one that ended; one that never loaded is not started again before a call."""
+        """Replace an ended process; one that never loaded is replaced by the next call."""
         if self.process is not None and not self.process.is_alive() and self.loaded:
             self.start()
 
-    def warmth(self) -> int:
-        """How soon it can work: 2 at once, 1 when its models are loaded, 0 when it was started before that."""
+    def readiness(self) -> int:
+        """Return 2 for loaded models, 1 for a running process, 0 for none."""
         process = self.process
         if process is None or not process.is_alive():
             return 0
-        self.look()
+        self.poll_loaded()
         return 2 if self.loaded else 1
 
-    def look(self) -> None:
-        """See whether the models are loaded by now; never blocks."""
+    def poll_loaded(self) -> None:
+        """Check, without blocking, whether the models are loaded."""
         if not self.loaded and self._lock.acquire(blocking=False):
             try:
                 with contextlib.suppress(EOFError):
@@ -222,81 +240,81 @@ class _Worker:
         """Wait until the models are loaded.
 
         Raises:
-            CallStoppedError: the stop was requested; the process goes on loading.
+            CallStoppedError: a stop was requested; loading continues.
             EOFError: the process ended.
         """
         while not self.loaded:
             stop.check()
             with self._lock:
-                self._receive_loaded(_LOOKS_S)
+                self._receive_loaded(_POLL_S)
 
     def _receive_loaded(self, wait_s: float) -> None:
         if self.loaded:
             return
         try:
-            if self._connection is None:  # it was not started, or could not be
+            if self._connection is None:  # not started
                 if self.failure:
                     raise EOFError
                 return
             if self._connection.poll(wait_s):
-                kind, *values = receive(self._connection)
-                if kind == "broken":
-                    self._fail(values[0])
+                message, _ = receive(self._connection)
+                if not isinstance(message, Loaded):
+                    self._fail(message.traceback if isinstance(message, Broken) else f"it sent {message.kind}")
                     raise EOFError
-                self.failure, confinement = values
+                self.failure = message.failure
                 self.loaded = True
-                self._pool.say_once(*_told(confinement))
-        except (EOFError, OSError, UnpicklingError):
+                self._pool.log_once(*_confinement_message(message))
+        except (EOFError, OSError, MessageError):
             self._fail("")
             raise EOFError from None
 
     def _fail(self, reason: str) -> None:
-        """Remember that the process never got as far as to work, and log why."""
+        """Record and log that the process failed before its first task."""
         if self.failure is None:
             self.failure = "worker_unavailable"
             if not reason and self.process is not None:
                 self.process.join(_ENDS_WITHIN_S)
-                reason = f"it ended with exit code {self.process.exitcode} before it could work"
-            self._pool.say_once(logging.ERROR, f"a worker cannot start: {reason}")
+                reason = f"it ended with exit code {self.process.exitcode} during startup"
+            self._pool.log_once(logging.ERROR, f"a worker cannot start: {reason}")
 
     def run(
         self,
-        task: Task[Result],
+        task: Task[Record],
         stop: Stop,
         report: Callable[[float, str], None],
         enter: Callable[[str], None],
-    ) -> Result:
-        """Have a task done.
+    ) -> Answer[Record]:
+        """Run a task.
 
         Raises:
             CallError: the process ended, or the work failed.
-            CallStoppedError: the stop was requested.
-            WorkerFailedError: a bug.
+            CallStoppedError: a stop was requested.
+            WorkerFailedError: a bug in the worker.
         """
         self._start_and_wait(stop)
         assert self.process is not None
         assert self._connection is not None
-        with _KilledOnRequest(self.process, stop) as turn:
+        with _KillOnStop(self.process, stop) as turn:
             stop.check()
             try:
-                self._connection.send(task)
-                result: Result = self._listen(self._connection, turn, report, enter)
-            except UnpicklingError as error:
-                _logger.error("a worker sent what none sends: %s", error)
+                send_task(self._connection, task)
+                result = self._listen(self._connection, task, turn, report, enter)
+            except MessageError as error:
+                _logger.error("a worker sent an invalid message: %s", error)
                 self.process.kill()
                 raise self._ended() from error
-            except (EOFError, OSError) as error:  # the pipe broke: the process ended
+            except (EOFError, OSError) as error:  # a broken pipe: the process ended
                 self.process.join(_ENDS_WITHIN_S)
                 stop.check()
                 raise self._ended() from error
         return result
 
     def _start_and_wait(self, stop: Stop) -> None:
-        """Have a process that works; one that is killed from outside before it does is started once more.
+        """Start the process and wait for its models; retry once if it is killed from outside.
 
         Raises:
-            CallError: there is none.
-            CallStoppedError: the stop was requested.
+            CallError: the process does not start.
+            CallStoppedError: a stop was requested.
         """
         for last in (False, True):
             stop.check()
@@ -310,8 +328,8 @@ class _Worker:
                     break
         raise CallError(
             "worker_unavailable",
-            "this server's process for work on images does not start; the image is not to blame. Try again in a while; "
-            "if that does not help, its operator must look at the server's log.",
+            "this server's worker process does not start; the image is not the cause. Try again in a while; if that "
+            "does not help, its operator must check the server's log.",
         )
 
     def _ended(self) -> CallError:
@@ -320,31 +338,44 @@ class _Worker:
             _logger.warning("a worker ended during a call: exit code %s", self.process.exitcode)
         return CallError(
             "worker_killed",
-            "the process that worked on the image ended: it took too much memory or time, or crashed. Try again, "
-            "or send another image.",
+            "the worker process ended: it used too much memory or time, or crashed. Try again, or send another image.",
         )
 
     def _listen(
         self,
         connection: Connection,
-        turn: _KilledOnRequest,
+        task: Task[Record],
+        turn: _KillOnStop,
         report: Callable[[float, str], None],
         enter: Callable[[str], None],
-    ) -> Any:
+    ) -> Answer[Record]:
         while True:
-            kind, *values = receive(connection)
-            if kind == "report":
-                report(*values)
-            elif kind == "enter":
-                enter(*values)
-            else:
-                turn.over = kind != "exhausted"
-                if kind == "value":
-                    return values[0]
-                raise values[0] if kind in ("refused", "exhausted") else WorkerFailedError(values[0])
+            message, parts = receive(connection)
+            match message:
+                case Progressed():
+                    report(message.percent, message.message)
+                case Entered():
+                    enter(message.stage)
+                case Answered():
+                    answer = read_answer(message, parts, task)
+                    turn.over = True
+                    return answer
+                case Refused():
+                    turn.over = True
+                    raise CallError(message.code, message.message)
+                case Failed():
+                    turn.over = True
+                    raise WorkerFailedError(message.traceback)
+                case Exhausted():
+                    raise CallError(
+                        "worker_killed",
+                        "the image needs more memory than this server allows. Send a smaller image.",
+                    )
+                case _:
+                    raise MessageError(f"{message.kind} during a call")
 
     def _reap(self) -> None:
-        """Forget the process that ended."""
+        """Release an ended process."""
         if self.process is not None:
             self.process.join()
             self.process.close()
@@ -354,20 +385,20 @@ class _Worker:
         self.loaded = False
 
 
-def _told(confinement: Confinement) -> tuple[int, str]:
-    """How workers are confined, for the log."""
-    held = [f"Landlock {confinement.landlock}"] * bool(confinement.landlock) + ["seccomp"] * confinement.seccomp
-    told = f"workers are confined by {' and '.join(held)}" if held else "workers are not confined"
-    return (logging.WARNING, f"{told} ({confinement.lacks})") if confinement.lacks else (logging.INFO, told)
+def _confinement_message(loaded: Loaded) -> tuple[int, str]:
+    """Describe the confinement of workers for the log."""
+    held = [f"Landlock {loaded.landlock}"] * bool(loaded.landlock) + ["seccomp"] * loaded.seccomp
+    text = f"workers are confined by {' and '.join(held)}" if held else "workers are not confined"
+    return (logging.WARNING, f"{text} ({loaded.lacks})") if loaded.lacks else (logging.INFO, text)
 
 
 def _start_context() -> ForkServerContext | SpawnContext:
-    """How processes start: on Linux from one that has imported everything, so that a killed one is soon replaced.
+    """Return the start method: on Linux a fork server with all modules imported, for fast replacement.
 
-    That one opens no model, as sessions have threads, which a fork would lose; and it needs a place for its socket.
+    The fork server opens no models, because a fork loses their threads. It needs a directory for its socket.
     """
     if sys.platform == "linux":
-        with contextlib.suppress(OSError):  # a read-only file system: each process imports for itself
+        with contextlib.suppress(OSError):  # a read-only file system: spawn instead
             tempfile.gettempdir()
             context = multiprocessing.get_context("forkserver")
             context.set_forkserver_preload([serve_tasks.__module__, "vehanchor_server.services", *SLOW_IMPORTS])
@@ -375,13 +406,13 @@ def _start_context() -> ForkServerContext | SpawnContext:
     return multiprocessing.get_context("spawn")
 
 
-class _KilledOnRequest:
-    """One call's turn with a process: a context manager in which a stop request kills it, and after which none does.
+class _KillOnStop:
+    """Context manager of one call in a process: a stop request kills the process, but not after the call.
 
-    A turn that ends before its call is over leaves a process that nobody knows the state of: it is killed, too.
+    If the block ends before the process has answered, the state of the process is unknown; it is killed too.
 
     Attributes:
-        over: whether the process has answered, and waits for the next call.
+        over: whether the process has answered and waits for the next call.
     """
 
     def __init__(self, process: BaseProcess, stop: Stop) -> None:
@@ -392,7 +423,7 @@ class _KilledOnRequest:
         self.over = False
         stop.on_request(self._kill)
 
-    def __enter__(self) -> _KilledOnRequest:
+    def __enter__(self) -> _KillOnStop:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,1 +1,1 @@
-"""How a picture reaches the server: argument, sandboxed path, fetched URL."""
+"""Image sources: argument, path access, fetching."""

@@ -1,4 +1,4 @@
-"""How a caller names an image: one object whose ``kind`` says where the image is."""
+"""The image argument of every tool: an object whose ``kind`` names the source."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ class PathImage(FrozenModel):
 
 
 class Base64Image(FrozenModel):
-    """An image sent with the call, by a program: a model cannot write long base64."""
+    """An image within the call, for programs; models cannot write long base64."""
 
     kind: Literal["base64"]
     data: str = Field(min_length=1, description="The encoded file, or a data: URI.")
 
 
 class UrlImage(FrozenModel):
-    """An image on a web server that this server's operator allows."""
+    """An image on a web server that the operator allows."""
 
     kind: Literal["url"]
     url: str = Field(min_length=1, max_length=MAX_URL_CHARS, description="https:// address.")
@@ -39,5 +39,5 @@ class UrlImage(FrozenModel):
 
 AnyImage: TypeAlias = PathImage | Base64Image | UrlImage
 
-ImageArgument = Annotated[AnyImage, Field(discriminator="kind", description="Whole, uncropped; path absolute.")]
-"""The ``image`` of every tool; ``kind`` has no default, so that the published schema requires it."""
+ImageArgument = Annotated[AnyImage, Field(discriminator="kind", description="Uncropped image; absolute path.")]
+"""The ``image`` of every tool; ``kind`` has no default, so that the schema requires it."""

@@ -1,8 +1,8 @@
-"""Fetching an image from a web server that the operator allows.
+"""Fetch images from web servers that the operator allows.
 
-What a caller's URL could be made to reach is decided here, on every hop: https only, hosts on the list only, and the
-address that the name resolves to must be public. The connection is made to the address that was checked, not to the
-name, so that a second answer of the name server changes nothing; the certificate is still verified for the name.
+These checks prevent server-side request forgery. They apply to every redirect: https only, listed hosts only, public
+addresses only. The connection goes to the checked address, not to the name, so that a second DNS answer has no effect.
+The certificate is still verified for the name.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ _NOT_PUBLIC = tuple(
     map(
         ipaddress.ip_network,
         (
-            "64:ff9b::/96",  # NAT64, an IPv4 address inside an IPv6 one: routed to wherever that one is
-            "fec0::/10",  # site-local, deprecated; as private as its successor
+            "64:ff9b::/96",  # NAT64: embeds an IPv4 address and routes to it
+            "fec0::/10",  # site-local, deprecated; private
             "3fff::/20",  # documentation, RFC 9637
-            "192.0.0.0/24",  # protocol assignments, RFC 6890: some Pythons except parts of it
+            "192.0.0.0/24",  # protocol assignments, RFC 6890; some Python versions exempt parts
             "192.88.99.0/24",  # 6to4 relays, deprecated
-            "168.63.129.16/32",  # Azure's own services, on every machine there
+            "168.63.129.16/32",  # Azure's internal services
         ),
     )
 )
@@ -42,9 +42,9 @@ _HEADERS = ((b"Accept", b"image/*, */*;q=0.5"), (b"Accept-Encoding", b"identity"
 
 
 def is_public_address(address: str) -> bool:
-    """Whether an IP address is on the public internet: not private, loopback, link-local, multicast or reserved.
+    """Return whether an IP address is public: not private, loopback, link-local, multicast or reserved.
 
-    Addresses that carry an IPv4 address within are judged by that one, or refused.
+    For an address that embeds an IPv4 address, check that address or refuse.
     """
     try:
         ip = ipaddress.ip_address(address.partition("%")[0])
@@ -61,22 +61,22 @@ def is_public_address(address: str) -> bool:
 
 
 async def resolve_host(host: str, port: int) -> list[str]:
-    """The addresses of a host, in the order in which the system would try them."""
+    """Resolve a host to its addresses, in the system's order."""
     found = await anyio.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     return [str(entry[4][0]) for entry in found]
 
 
 @dataclass(frozen=True)
 class Fetcher:
-    """Fetches images by URL.
+    """Fetcher of images by URL.
 
     Attributes:
-        hosts: allowed hosts, ``name`` (port 443) or ``name:port``; none refuses every URL.
-        max_bytes: size of an image.
-        timeout_s: time that a fetch may take, redirects included.
-        ssl_context: what certificates are verified with; None for the system's authorities.
-        resolve: host and port to addresses.
-        is_public: whether an address may be connected to.
+        hosts: allowed hosts, ``name`` (port 443) or ``name:port``; an empty tuple refuses every URL.
+        max_bytes: largest image.
+        timeout_s: time limit, with redirects.
+        ssl_context: verification of certificates; None for the system's authorities.
+        resolve: resolves host and port to addresses.
+        is_public: returns whether connections to an address are allowed.
     """
 
     hosts: tuple[str, ...]
@@ -87,7 +87,7 @@ class Fetcher:
     is_public: Callable[[str], bool] = is_public_address
 
     async def fetch(self, url: str) -> bytes:
-        """The bytes at a URL.
+        """Fetch the bytes at a URL.
 
         Raises:
             CallError: ``source_disabled``, ``url_not_allowed``, ``fetch_failed``, or the library's ``image_too_large``.
@@ -109,24 +109,24 @@ class Fetcher:
         raise CallError("fetch_failed", f"the image did not arrive within {self.timeout_s:g} s. Try again, or send it.")
 
     def _checked(self, url: str) -> SplitResult:
-        """The URL's parts, if its form and its host are allowed."""
+        """Return the URL's parts if its form and host are allowed."""
         try:
             parts = urlsplit(url)
             host, port = (parts.hostname or "").lower(), parts.port or _HTTPS_PORT
         except ValueError:
-            raise CallError("url_not_allowed", "the URL cannot be read. Give https://host/path.") from None
+            raise CallError("url_not_allowed", "the URL is malformed. Give https://host/path.") from None
         if parts.scheme != "https" or parts.username is not None or parts.password is not None:
-            raise CallError("url_not_allowed", "only https:// URLs without a user name are fetched. Give such a URL.")
+            raise CallError("url_not_allowed", "only https:// URLs without a user name are allowed. Give such a URL.")
         if not (url.isascii() and url.isprintable()) or " " in url:
-            raise CallError("url_not_allowed", "the URL contains characters that must be percent-encoded. Encode them.")
+            raise CallError("url_not_allowed", "the URL contains characters that need percent-encoding. Encode them.")
         if f"{host}:{port}" not in self.hosts and not (port == _HTTPS_PORT and host in self.hosts):
             raise CallError(
-                "url_not_allowed", f"host {shortened(host)!r} is not allowed. Allowed here: {', '.join(self.hosts)}."
+                "url_not_allowed", f"host {shortened(host)!r} is not allowed. Allowed: {', '.join(self.hosts)}."
             )
         return parts
 
     async def _request(self, pool: httpcore.AsyncConnectionPool, parts: SplitResult) -> bytes | str:
-        """The body, or where a redirect leads."""
+        """Return the body, or the target of a redirect."""
         url = parts._replace(fragment="").geturl()
         try:
             async with pool.stream("GET", url, headers=_HEADERS) as response:
@@ -137,7 +137,9 @@ class Fetcher:
                     raise CallError("fetch_failed", f"the host answered {response.status}. Check the URL.")
                 return await self._body(response)
         except (httpcore.NetworkError, httpcore.ProtocolError, httpcore.TimeoutException, OSError) as error:
-            raise CallError("fetch_failed", f"{type(error).__name__} at the host. Check the URL, or retry.") from error
+            raise CallError(
+                "fetch_failed", f"{type(error).__name__} at the host. Check the URL, or try again."
+            ) from error
 
     async def _body(self, response: httpcore.Response) -> bytes:
         declared = next((value for name, value in response.headers if name.lower() == b"content-length"), b"0")
@@ -153,19 +155,19 @@ class Fetcher:
 
 
 def _redirected(url: str, location: str) -> str:
-    """Where a redirect leads.
+    """Return the target of a redirect.
 
     Raises:
-        CallError: it leads nowhere that can be read.
+        CallError: the target is malformed.
     """
     try:
         return urljoin(url, location)
     except ValueError:
-        raise CallError("fetch_failed", "the host's redirect cannot be read. Give the image's final address.") from None
+        raise CallError("fetch_failed", "the host's redirect is malformed. Give the image's final address.") from None
 
 
 class _PinnedBackend(httpcore.AnyIOBackend):
-    """Connects to the checked address of a host."""
+    """Network backend that connects to the checked address of a host."""
 
     def __init__(self, fetcher: Fetcher) -> None:
         self._fetcher = fetcher
@@ -180,10 +182,10 @@ class _PinnedBackend(httpcore.AnyIOBackend):
     ) -> httpcore.AsyncNetworkStream:
         try:
             addresses = await self._fetcher.resolve(host, port)
-        except UnicodeError:  # a label that is empty, too long, or no name at all
+        except UnicodeError:  # an invalid host name
             addresses = []
         if not addresses or not all(map(self._fetcher.is_public, addresses)):
-            # One private address among public ones is refused as well: no host that serves images has such a mixture.
+            # Refuse a mixture of public and private addresses; no image host has one.
             raise CallError(
                 "url_not_allowed", f"host {shortened(host)!r} does not resolve to public addresses. Use another URL."
             )

@@ -1,14 +1,13 @@
-"""Reading files below the allowed roots, and nothing else.
+"""Path access: open files below the allowed roots, and no others.
 
-A path is compared with the roots as it is written: what is not below one is refused without a look at the file system,
-so that the refusal tells nothing. From the root's descriptor downwards every part is then opened by itself, never
-following a symbolic link. A link is read instead, and the walk goes on by what it says: below the directory that it
-lies in, or from a root that it names; one that leads above its root, even to come back, ends the walk unread. The
-descriptor that is handed on is the one that was checked, so there is no moment at which the two can differ.
+The text of a path is compared with the roots. A path outside the roots is refused without access to the file system,
+so the refusal reveals nothing. Below a root, each component is opened from its parent's descriptor without following
+symbolic links. A link is read, and the walk continues at its target: below the link's directory, or from a root that
+the target names. A target above the root ends the walk, even if it returns. The library gets the checked descriptor,
+so the file cannot change between check and use.
 
-The library gets the open file by the name of its descriptor (``/proc/self/fd/N`` on Linux), which stands for this very
-file whatever happens to its path, and which large TIFFs can be read from by windows. Elsewhere it gets the file object,
-which is read into memory whole.
+On Linux the library gets the name of the descriptor (``/proc/self/fd/N``). The name refers to the same file whatever
+happens to its path, and supports windowed reading of large TIFFs. Elsewhere it gets the file object and reads it whole.
 """
 
 from __future__ import annotations
@@ -32,21 +31,21 @@ if TYPE_CHECKING:
 
 _NOFOLLOW = getattr(os, "O_NOFOLLOW", 0)
 _CLOEXEC = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
-# O_NONBLOCK: a FIFO put in place of the file must not make the opening wait for a writer.
+# O_NONBLOCK: opening a FIFO in place of the file must not wait for a writer.
 _FILE_FLAGS = os.O_RDONLY | _NOFOLLOW | _CLOEXEC | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 _DIRECTORY_FLAGS = os.O_RDONLY | _NOFOLLOW | _CLOEXEC | getattr(os, "O_DIRECTORY", 0)
 
 
-_MAX_LINKS = 40  # as Linux itself
-_MAX_LISTED = 100_000  # names that are looked at for a list of images
+_MAX_LINKS = 40  # the limit of Linux
+_MAX_LISTED = 100_000  # visited names per list of images
 
 
-class Sandbox:
-    """The files that callers may name by path.
+class PathAccess:
+    """Access to files by path.
 
     Args:
-        roots: resolved directories; none refuses every path.
-        spellings: how the operator wrote them, in the same order, where that differs; callers may write them so, too.
+        roots: resolved directories; an empty sequence refuses every path.
+        spellings: the roots as given by the operator, in the same order; callers may use both forms.
     """
 
     def __init__(self, roots: Sequence[Path], spellings: Sequence[Path] = ()) -> None:
@@ -55,17 +54,17 @@ class Sandbox:
 
     @contextmanager
     def open(self, named: str) -> Iterator[str | BinaryIO]:
-        """Open the file that a caller named, for as long as the context lasts.
+        """Open a file for the duration of the context.
 
         Args:
             named: an absolute path or a ``file://`` URL.
 
         Yields:
-            The file for the library: the name of the descriptor, or a file object where the system has no such name.
+            The name of the descriptor, or a file object on systems without such names.
 
         Raises:
-            CallError: ``source_disabled``, ``path_not_allowed``, or ``image_not_found`` for a name below a root that is
-                no regular file. Outside the roots, what exists and what does not are refused alike.
+            CallError: ``source_disabled``; ``path_not_allowed``, the same for existing and missing files outside the
+                roots; ``image_not_found`` for a path below a root that is no regular file.
         """
         if not self.roots:
             raise CallError(
@@ -77,17 +76,17 @@ class Sandbox:
             descriptor = self._opened(root, below)
         except (FileNotFoundError, NotADirectoryError):
             raise _no_image(str(path)) from None
-        except (OSError, ValueError):  # a link that was put there just now, a name too long, a directory without access
+        except (OSError, ValueError):  # a new link, a long name, or a directory without access
             raise _refused() from None
         with os.fdopen(descriptor, "rb") as file:
             yield f"/proc/self/fd/{descriptor}" if sys.platform == "linux" else file
 
     def listed(self, first: int, count: int) -> tuple[list[str], bool]:
-        """Name images below the roots by their suffixes; links are not followed, hidden files and folders left out.
+        """List images below the roots by their suffixes, without links and hidden files or folders.
 
         Args:
-            first: how many are passed over.
-            count: how many are named at most.
+            first: number of images to skip.
+            count: maximum number of images.
 
         Returns:
             Absolute paths in order, and whether there are more.
@@ -105,7 +104,7 @@ class Sandbox:
         return found[:count], len(found) > count
 
     def _below(self, path: Path) -> tuple[Path, tuple[str, ...]]:
-        """The root that a path lies below as it is written, and the parts below it; the file system is not asked.
+        """Return the root of a path and the components below it, by its text alone.
 
         Raises:
             CallError: ``path_not_allowed``.
@@ -116,21 +115,21 @@ class Sandbox:
         raise _refused()
 
     def _opened(self, root: Path, below: tuple[str, ...]) -> int:
-        """The descriptor of the regular file that the parts below a root lead to.
+        """Open the regular file at the components below a root; return its descriptor.
 
         Raises:
-            CallError: a link leads out of the roots, or the parts to something else than a regular file.
-            OSError: a part is missing, may not be read, or changed while it was opened.
+            CallError: a link leaves the roots, or the target is not a regular file.
+            OSError: a component is missing, unreadable, or changed during the walk.
         """
         if os.open not in os.supports_dir_fd:
             return _open_and_compare(self.roots, root.joinpath(*below))
         n_links = 0
         pending = deque(below)
-        walked = [os.open(root, _DIRECTORY_FLAGS)]  # descriptors from the root down to where the walk is
+        walked = [os.open(root, _DIRECTORY_FLAGS)]  # descriptors from the root to the current directory
         try:
             while pending:
                 part = pending.popleft()
-                if part == "..":  # in a link only
+                if part == "..":  # only in a link
                     if len(walked) == 1:
                         raise _refused()
                     os.close(walked.pop())
@@ -150,7 +149,7 @@ class Sandbox:
                     pending.extendleft(reversed(parts))
                 elif stat.S_ISDIR(mode):
                     walked.append(_open_part(part, _DIRECTORY_FLAGS, walked[-1]))
-                elif stat.S_ISREG(mode) and not pending:  # asked before opening: opening a device can act on it
+                elif stat.S_ISREG(mode) and not pending:  # checked first: opening a device can have effects
                     return _regular(_open_part(part, _FILE_FLAGS, walked[-1]), part)
                 else:
                     break
@@ -161,7 +160,7 @@ class Sandbox:
 
 
 def _images_below(root: Path) -> Iterator[Path]:
-    """Images below a directory, by folder and name; the walk goes by descriptors, so that no link is followed."""
+    """List images below a directory, by folder and name; walk by descriptors, so that no link is followed."""
     from vehanchor.batch.files import SUFFIXES
 
     walk: Iterator[tuple[Any, ...]] = os.fwalk(root) if hasattr(os, "fwalk") else os.walk(root)
@@ -178,7 +177,7 @@ def _images_below(root: Path) -> Iterator[Path]:
 
 
 def _refused() -> CallError:
-    return CallError("path_not_allowed", "the path is not below a directory that this server allows. Use one that is.")
+    return CallError("path_not_allowed", "the path is not below an allowed directory of this server. Use one that is.")
 
 
 def _no_image(named: str) -> CallError:
@@ -186,7 +185,7 @@ def _no_image(named: str) -> CallError:
 
 
 def _local_path(named: str) -> Path:
-    """A path or file:// URL as an absolute path; the file system is not asked yet."""
+    """Convert a path or file:// URL to an absolute path without access to the file system."""
     if named[:5].lower() == "file:":
         try:
             parts = urlsplit(named)
@@ -194,7 +193,8 @@ def _local_path(named: str) -> Path:
             raise _refused() from None
         if parts.netloc not in ("", "localhost") or parts.query or parts.fragment or not named[5:7] == "//":
             raise CallError(
-                "path_not_allowed", "a file:// URL must name this machine: file:///absolute/path, nothing after it."
+                "path_not_allowed",
+                "a file:// URL must name this machine: file:///absolute/path, without query or fragment.",
             )
         try:
             named = url2pathname(parts.path)
@@ -204,19 +204,19 @@ def _local_path(named: str) -> Path:
         raise _refused()
     path = Path(named)
     if not path.is_absolute():
-        raise CallError("path_not_allowed", f"{shortened(named)!r} is not an absolute path. Give the whole path.")
+        raise CallError("path_not_allowed", f"{shortened(named)!r} is not an absolute path. Give the absolute path.")
     if ".." in path.parts:
         raise CallError("path_not_allowed", "the path contains '..'. Give the path without it.")
     return path
 
 
 def _open_part(part: str, flags: int, directory: int) -> int:
-    """Open one part of a path in an open directory; a link is an error."""
+    """Open a component of a path in an open directory; fail on a link."""
     return os.open(part, flags, dir_fd=directory)
 
 
 def _regular(descriptor: int, named: str) -> int:
-    """The descriptor, if a regular file is open there; else it is closed.
+    """Return the descriptor of a regular file; close any other.
 
     Raises:
         CallError: ``image_not_found``.
@@ -228,11 +228,11 @@ def _regular(descriptor: int, named: str) -> int:
 
 
 def _open_and_compare(roots: Sequence[Path], path: Path) -> int:
-    """Open a path where directories have no descriptors (Windows), and ask whether it still leads to the same file.
+    """Open a path on systems without directory descriptors (Windows), and check that it still names the same file.
 
     Raises:
-        CallError: it leads out of the roots, or is no regular file.
-        OSError: it is missing, or changed while it was opened.
+        CallError: the path leaves the roots, or is not a regular file.
+        OSError: the file is missing, or changed during opening.
     """
     resolved = path.resolve(strict=False)
     if not any(resolved.is_relative_to(root) for root in roots):

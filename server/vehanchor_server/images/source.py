@@ -1,4 +1,4 @@
-"""From the image argument to what the library opens: a descriptor's name, a file object, or bytes."""
+"""Convert the image argument to an input of the library: a descriptor's name, a file object, or bytes."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from vehanchor_server.images.fetch import Fetcher
-    from vehanchor_server.images.path_access import Sandbox
+    from vehanchor_server.images.path_access import PathAccess
 
 OpenedImage: TypeAlias = str | bytes | BinaryIO
-"""A descriptor's name, bytes, or a file object: what ``vehanchor.imagery.sources.opening.open_raster`` takes."""
+"""An input of ``vehanchor.imagery.sources.opening.open_raster``: a descriptor's name, bytes, or a file object."""
 
 _DATA_URI = re.compile(r"data:[\w.+/-]*(;[\w=.+-]+)*,", re.ASCII | re.IGNORECASE)
 _MAX_URI_HEAD = 256
@@ -28,33 +28,33 @@ _MAX_URI_HEAD = 256
 
 @dataclass(frozen=True)
 class ImageSources:
-    """Where images may come from.
+    """Image sources of a server.
 
     Attributes:
-        sandbox: files by path.
-        fetcher: web servers.
-        max_bytes: size of an image that is sent with the call.
+        paths: access to files by path.
+        fetcher: access to web servers.
+        max_bytes: largest image within a call.
     """
 
-    sandbox: Sandbox
+    paths: PathAccess
     fetcher: Fetcher
     max_bytes: int
 
     async def fetched(self, image: AnyImage) -> bytes | None:
-        """The bytes of an image that must be fetched first; None for the other kinds."""
+        """Fetch the bytes of a URL; None for other kinds."""
         return await self.fetcher.fetch(image.url) if isinstance(image, UrlImage) else None
 
     async def fetched_together(
         self, images: Sequence[AnyImage], n_bytes: int = 0
     ) -> tuple[tuple[AnyImage, bytes | None], ...]:
-        """Several images with their bytes where those must be fetched first; together no more than one may have.
+        """Fetch the bytes of several images; together they share the size limit of one image.
 
         Args:
             images: the caller's arguments.
-            n_bytes: that were fetched before.
+            n_bytes: bytes fetched before.
 
         Raises:
-            CallError: one cannot be fetched, or they have too many bytes together.
+            CallError: an image cannot be fetched, or the total is too large.
         """
         found: list[tuple[AnyImage, bytes | None]] = []
         for image in images:
@@ -63,28 +63,28 @@ class ImageSources:
             if n_bytes > self.max_bytes:
                 raise CallError(
                     "image_too_large",
-                    f"the images have more than {self.max_bytes} bytes together. Name fewer, or smaller copies.",
+                    f"the images have more than {self.max_bytes} bytes together. Send fewer images, or smaller copies.",
                 )
             found.append((image, fetched))
         return tuple(found)
 
     def listed(self, first: int, count: int) -> tuple[list[str], bool]:
-        """Images that callers may name by path, in order, and whether there are more; see ``Sandbox.listed``."""
-        return self.sandbox.listed(first, count)
+        """List images by path; see ``PathAccess.listed``."""
+        return self.paths.listed(first, count)
 
     @contextmanager
     def open(self, image: AnyImage, fetched: bytes | None = None) -> Iterator[OpenedImage]:
-        """Open the image for the library, for as long as the context lasts; called in a worker thread.
+        """Open the image for the duration of the context.
 
         Args:
             image: the caller's argument.
-            fetched: what ``fetched`` gave for it.
+            fetched: result of ``fetched`` for it.
 
         Raises:
-            CallError: the image is not allowed, not there, or not what its kind says.
+            CallError: the image is not allowed, missing, or malformed.
         """
         if isinstance(image, PathImage):
-            with self.sandbox.open(image.path) as file:
+            with self.paths.open(image.path) as file:
                 yield file
         elif isinstance(image, Base64Image):
             yield self._decoded(image.data)
@@ -108,10 +108,10 @@ class ImageSources:
 
 @contextmanager
 def library_errors(source: OpenedImage) -> Iterator[None]:
-    """Pass the library's errors on to the caller, without the name under which the server opened the file.
+    """Convert library errors to call errors, without the server's name of the open file.
 
     Raises:
-        CallError: instead of a ``VehAnchorError``, with its code.
+        CallError: for a ``VehAnchorError``, with its code.
     """
     try:
         yield

@@ -1,14 +1,14 @@
-"""A question back to the person at the client, where a scale is not to be used and a word of theirs would help.
+"""Elicitation: ask the user for data that would make a scale usable.
 
-Protocol 2026-07-28 has it as a result that asks for input: the client asks its person, and sends the same call again
-with the answer. Nothing is kept between the two: the second call does its own search, with the answer among its
-arguments. Clients of older revisions, and those that cannot ask, get the low answer at once.
+Protocol revision 2026-07-28 has a result that requests input. The client asks its user and repeats the call with the
+answer. The server keeps nothing between the two calls; the second call repeats the search with the answer among its
+arguments. Clients of older revisions, and those without forms, get the low-confidence result at once.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from mcp.server.elicitation import render_elicitation_schema
 from mcp.types import ElicitRequest, ElicitRequestFormParams, ElicitResult, InputRequiredResult
@@ -19,6 +19,7 @@ from vehanchor.errors import KnownLengthError
 from vehanchor.options import KnownLength
 from vehanchor.scale.defaults import REGIONS
 from vehanchor_server.errors import CallError
+from vehanchor_server.tools.option_field import limits_field
 from vehanchor_server.tools.scale_question import KnownLine
 
 if TYPE_CHECKING:
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
     from vehanchor.records import GsdEstimate
     from vehanchor_server.tools.scale_question import ScaleQuestion
 
-_KEY = "scale"  # of the one question
-_SINCE = "2026-07-28"
+_KEY = "scale"  # of the only input request
+_FIRST_REVISION = "2026-07-28"
 _PLACES = {
     "pixels": "pixels of the image of {} x {} px",
     "fraction": "fractions 0 to 1 of its width and height",
@@ -36,75 +37,80 @@ _PLACES = {
 }
 
 
-class _Help(BaseModel):
-    """All that can be answered; what the caller has said already is not asked."""
+class _ScaleInput(BaseModel):
+    """Fields of the form; the form omits what the caller has given."""
 
     model_config = ConfigDict(extra="forbid", str_strip_whitespace=True)
 
-    region: Literal[REGIONS] | None = Field(None, title="Region", description="Where it was taken.")  # type: ignore[valid-type]
-    height_m: float | None = Field(
-        None, gt=0, le=20_000, title="Height, m", description="Of the camera above the ground, if it looked down."
-    )
-    focal_35mm: float | None = Field(
+    region: Literal[REGIONS] | None = Field(None, title="Region", description="Where the image was taken.")  # type: ignore[valid-type]
+    height_m: Annotated[float | None, limits_field("height_m")] = Field(
         None,
-        gt=0,
-        le=10_000,
+        title="Height, m",
+        description="Camera height above ground, for a nadir view.",
+    )
+    focal_35mm: Annotated[float | None, limits_field("focal_35mm")] = Field(
+        None,
         title="Focal length, mm",
-        description="With the height: as on 35 mm film, if the file does not tell it.",
+        description="With the height: 35 mm equivalent, if missing in the file.",
     )
     known_length: str | None = Field(
         None, max_length=200, title="Known length", description="A straight line on the ground: X1 Y1 X2 Y2 METRES"
     )
 
 
-def ask_for_help(
+def request_scale_input(
     ctx: Context[Any, Any], question: ScaleQuestion, estimate: GsdEstimate, answer: str
 ) -> InputRequiredResult | None:
-    """Ask for what would make a scale one to be used; None where it is one, or where nobody can be asked (again).
+    """Ask for data that would make the scale usable.
 
     Args:
-        ctx: of the call.
-        question: the caller's, without what has been answered.
-        estimate: its answer.
-        answer: that in words.
+        ctx: the call's context.
+        question: the caller's arguments, without the user's answers.
+        estimate: the result.
+        answer: the result in words.
+
+    Returns:
+        None if the scale is usable, if the user was asked before, or if the client has no forms.
     """
     form = _form(question, estimate)
-    if estimate.status == "ok" or not form["properties"] or ctx.input_responses is not None or not _can_ask(ctx):
+    if estimate.status == "ok" or not form["properties"] or ctx.input_responses is not None or not _supports_forms(ctx):
         return None
-    message = f"{answer} Do you know any of this? Leave empty what you do not know; without an answer, that one stands."
+    message = (
+        f"{answer} Do you know any of these values? Leave unknown fields empty. Without an answer, this result stands."
+    )
     request = ElicitRequest(params=ElicitRequestFormParams(message=message, requested_schema=form))
     return InputRequiredResult(input_requests={_KEY: request})
 
 
-def with_the_persons_answer(ctx: Context[Any, Any], question: ScaleQuestion) -> ScaleQuestion:
-    """The caller's question with what a person answered to ``ask_for_help``; unchanged without an answer.
+def with_user_input(ctx: Context[Any, Any], question: ScaleQuestion) -> ScaleQuestion:
+    """Merge the user's answer to ``request_scale_input`` into the question; without an answer, return it unchanged.
 
     Raises:
-        CallError: ``invalid_answer``, an answer has no meaning.
+        CallError: ``invalid_answer``, an answer is invalid.
     """
     answered = (ctx.input_responses or {}).get(_KEY)
     if not isinstance(answered, ElicitResult) or answered.action != "accept":
         return question
     given = {name: value for name, value in (answered.content or {}).items() if value not in (None, "")}
     try:
-        told = _Help.model_validate(given)
-        lines = (_line(told.known_length),) if told.known_length else question.known_lengths
+        answers = _ScaleInput.model_validate(given)
+        lines = (_line(answers.known_length),) if answers.known_length else question.known_lengths
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-        raise _without_meaning(f"{first['loc'][0]}: {first['msg']}") from error
+        raise _invalid_answer(f"{first['loc'][0]}: {first['msg']}") from error
     except KnownLengthError as error:
-        raise _without_meaning(f"known_length: {error}") from error
-    known = told.model_dump(exclude={"known_length"}, exclude_none=True)
+        raise _invalid_answer(f"known_length: {error}") from error
+    known = answers.model_dump(exclude={"known_length"}, exclude_none=True)
     return replace(question, **known, known_lengths=lines)
 
 
-def _without_meaning(complaint: str) -> CallError:
-    return CallError("invalid_answer", f"{complaint}. Call again, and give it as an argument, or answer anew.")
+def _invalid_answer(complaint: str) -> CallError:
+    return CallError("invalid_answer", f"{complaint}. Repeat the call with it as an argument, or correct the answer.")
 
 
 def _form(question: ScaleQuestion, estimate: GsdEstimate) -> dict[str, Any]:
-    """The JSON Schema of what the caller has not said, and what would help this image."""
-    form = render_elicitation_schema(_Help)
+    """Return the JSON Schema of the missing values that would help for this image."""
+    form = render_elicitation_schema(_ScaleInput)
     fields: dict[str, Any] = form["properties"]
     if question.region is not None or question.reference_length_m is not None or estimate.n_vehicles == 0:
         del fields["region"]
@@ -129,10 +135,10 @@ def _line(text: str) -> KnownLine:
     return KnownLine(x1=line.x1, y1=line.y1, x2=line.x2, y2=line.y2, metres=line.metres)
 
 
-def _can_ask(ctx: Context[Any, Any]) -> bool:
-    """Whether the client speaks a protocol in which it can be asked, and has said that it can show a form."""
+def _supports_forms(ctx: Context[Any, Any]) -> bool:
+    """Return whether the client's protocol revision and capabilities allow a form."""
     version, capabilities = ctx.protocol_version, ctx.client_capabilities
     asks = capabilities.elicitation if capabilities is not None else None
-    if version is None or asks is None or not is_version_at_least(version, _SINCE):
+    if version is None or asks is None or not is_version_at_least(version, _FIRST_REVISION):
         return False
-    return asks.form is not None or asks.url is None  # a bare capability means forms, as before there were others
+    return asks.form is not None or asks.url is None  # empty means forms, the first mode

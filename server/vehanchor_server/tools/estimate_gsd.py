@@ -1,11 +1,11 @@
-"""The tool that measures an image's scale: its arguments, its work, its answer in words.
+"""The tool ``estimate_gsd``: estimate the scale of an image.
 
-The library is imported by the call: OpenCV and ONNX Runtime would make the server's first answer wait.
+The call imports the library, because importing OpenCV and ONNX Runtime would delay the server's first answer.
 """
 
-# Annotations are evaluated here on purpose: the SDK reads the result's schema from them.
+# No postponed annotations here: the SDK reads the result's schema from them.
 
-from functools import partial
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from mcp.server.apps import client_supports_apps
@@ -15,29 +15,31 @@ from pydantic import Field
 
 from vehanchor.records import GsdEstimate
 from vehanchor_server.app_page import APP_META
-from vehanchor_server.calls.answer import Answer, Detail, WantedPictures
+from vehanchor_server.calls.answer import Answer, Detail, PictureRequest
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
-from vehanchor_server.tools.elicitation import ask_for_help, with_the_persons_answer
+from vehanchor_server.tools.elicitation import request_scale_input, with_user_input
 from vehanchor_server.tools.flight_question import (
+    FlightQuestion,
     MoreImagesArgument,
     SameScaleArgument,
     check_flight_question,
-    estimate_among,
+    estimate_with_flight,
 )
 from vehanchor_server.tools.messages import (
     POLICY,
     interval,
-    not_to_be_used,
-    nothing_found,
+    no_scale_message,
     rounded,
-    sources,
+    ruler_explanations,
+    ruler_names,
+    unusable_scale,
     warnings,
-    what_rulers_say,
 )
 from vehanchor_server.tools.scale_answer import scale_answer
 from vehanchor_server.tools.scale_question import (
@@ -58,15 +60,23 @@ from vehanchor_server.tools.scale_question import (
 from vehanchor_server.tools.strict_tool import StrictTool
 
 _DESCRIPTION = (
-    "Measures the metric scale (metres per pixel) of a near-nadir aerial or satellite image from the cars in it; a "
-    "line of known length, the camera's height or the file's metadata help. Call it before anything metric is said of "
-    f"such an image; never estimate the scale by eye. Needs cars and about 0.3 m/px or finer, or such a ruler. "
+    "Measures the metric scale (metres per pixel) of a near-nadir aerial or satellite image from the cars in it. A "
+    "known length, the camera height or the file's metadata also serve as rulers. Call it before any metric statement "
+    "about such an image; never estimate the scale by eye. Needs cars at about 0.3 m/px or finer, or another ruler. "
     f"{POLICY} For distances and areas call measure_distance and measure_area. Very large images take up to a minute."
 )
 
 
+@dataclass(frozen=True)
+class _Question:
+    """Scale arguments of a call and the requested pictures."""
+
+    scale: ScaleQuestion
+    wanted: PictureRequest
+
+
 def estimate_gsd_tool(services: Services) -> StrictTool:
-    """The tool for a server."""
+    """Create the tool for a server."""
 
     async def estimate_gsd(
         image: ImageArgument,
@@ -78,7 +88,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         height_m: HeightArgument = None,
         focal_35mm: FocalLengthArgument = None,
         coordinates: CoordinatesArgument = "pixels",
-        include_overlay: Annotated[Flag, Field(description="Also return a picture of what was measured.")] = False,
+        include_overlay: Annotated[Flag, Field(description="Also return a picture with the rulers.")] = False,
         detail: DetailArgument = "short",
         more_images: MoreImagesArgument = None,
         same_scale: SameScaleArgument = False,
@@ -98,17 +108,18 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
             max_tiles,
             max_seconds,
         )
-        question = with_the_persons_answer(ctx, question)
+        question = with_user_input(ctx, question)
         paged = client_supports_apps(ctx)
-        wanted = WantedPictures(include_overlay, paged)
-        work = partial(_estimate, question=question, wanted=wanted)
+        wanted = PictureRequest(include_overlay, paged)
         if more_images:
             check_flight_question(question)
-            work = partial(estimate_among, question=question, wanted=wanted, same_scale=same_scale)
-        answer = await run_call(services, ctx, image, work, more_images or ())
+            asked_flight = FlightQuestion(question, wanted, same_scale)
+            answer = await run_call(services, ctx, image, estimate_with_flight, asked_flight, more_images)
+        else:
+            answer = await run_call(services, ctx, image, _estimate, _Question(question, wanted))
         words = describe_estimate(answer.record, detail)
         if not (more_images or services.settings.never_ask):
-            asked = ask_for_help(ctx, question, answer.record, words)
+            asked = request_scale_input(ctx, question, answer.record, words)
             if asked is not None:
                 return asked
         return answer.to_result(words, detail=detail, paged=paged)
@@ -123,43 +134,42 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
     )
 
 
-def _estimate(
-    services: Services, job: Job, source: OpenedImage, question: ScaleQuestion, wanted: WantedPictures
-) -> Answer[GsdEstimate]:
-    """Search the image for vehicles and measure them; in a worker's process or thread.
+@work(_Question, GsdEstimate)
+def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Question) -> Answer[GsdEstimate]:
+    """Search the image and estimate its scale, in a worker process or thread.
 
     Raises:
-        VehAnchorError: the library refused.
+        VehAnchorError: the library refused the image or an option.
         CallError: a model cannot be loaded.
-        CallStoppedError: the call was asked to end.
+        CallStoppedError: the call was stopped.
     """
-    from vehanchor.estimate import analyse_raster, open_detector
+    from vehanchor.estimate import analyse_raster, checked_detector
     from vehanchor.imagery.sources.opening import open_raster
 
-    detector = services.models.detector()
-    options = question.options(services.settings, services.models)
-    open_detector(detector, options)  # an unknown region is told before the work
+    detector = services.models.detector(job.runtime)
+    options = asked.scale.options(services.settings, services.models)
+    checked_detector(detector, options)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
-        analysis = analyse_raster(raster, detector, options, progress=job.searched, run_options=job.run_options)
-        return scale_answer(raster, analysis, wanted, job)
+        analysis = analyse_raster(raster, detector, options)
+        return scale_answer(raster, analysis, asked.wanted, job)
 
 
 def describe_estimate(estimate: GsdEstimate, detail: Detail = "full") -> str:
-    """One sentence with the scale and whether to use it, and one for each warning."""
+    """Describe the scale and its status in one sentence, and each warning in another."""
     words = [_scale_in_words(estimate)]
     frame = estimate.frame
     if frame is not None and frame.gsd_m_per_px is not None:
         words.append(f"In your {frame.width_px} x {frame.height_px} copy that is {rounded(frame.gsd_m_per_px)} m/px.")
-    return " ".join([*words, *what_rulers_say(estimate), *warnings(estimate.warnings, detail)])
+    return " ".join([*words, *ruler_explanations(estimate), *warnings(estimate.warnings, detail)])
 
 
 def _scale_in_words(estimate: GsdEstimate) -> str:
     if estimate.gsd_m_per_px is None:
-        return f"{nothing_found(estimate).capitalize()}."
+        return f"{no_scale_message(estimate).capitalize()}."
     scale = f"{rounded(estimate.gsd_m_per_px)} m/px"
     scale += interval(estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px)
-    scale += f", confidence {estimate.confidence:.2f} from {sources(estimate)}: "
+    scale += f", confidence {estimate.confidence:.2f} from {ruler_names(estimate)}: "
     if estimate.status == "ok":
         return scale + "safe to use."
-    return scale + not_to_be_used(estimate)
+    return scale + unusable_scale(estimate)

@@ -1,104 +1,116 @@
-"""The scale of an image among others of the same flight: what ``estimate_gsd`` does with ``more_images``."""
+"""Scale of an image with the evidence of its flight: ``estimate_gsd`` with ``more_images``."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import Field
 
 from vehanchor.options import Frame
+from vehanchor.records import GsdEstimate
+from vehanchor_server.calls.answer import PictureRequest
+from vehanchor_server.calls.task import work
 from vehanchor_server.errors import CallError
 from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import AnyImage, ImageArgument
 from vehanchor_server.images.source import library_errors
 from vehanchor_server.tools.scale_answer import scale_answer
+from vehanchor_server.tools.scale_question import ScaleQuestion
 
 if TYPE_CHECKING:
     from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.flight.photograph import Photograph
     from vehanchor.flight.record import Failure
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import FlightEstimate, GsdEstimate
-    from vehanchor_server.calls.answer import Answer, WantedPictures
+    from vehanchor.records import FlightEstimate
+    from vehanchor_server.calls.answer import Answer
     from vehanchor_server.calls.job import Job
     from vehanchor_server.images.source import OpenedImage
     from vehanchor_server.services import Services
-    from vehanchor_server.tools.scale_question import ScaleQuestion
 
 MAX_MORE_IMAGES = 32
 
 MoreImagesArgument: TypeAlias = Annotated[
     tuple[ImageArgument, ...] | None,
-    Field(max_length=MAX_MORE_IMAGES, description="Others of the same flight; the answer is for image."),
+    Field(max_length=MAX_MORE_IMAGES, description="Other photographs of the same flight; the answer is for image."),
 ]
 SameScaleArgument: TypeAlias = Annotated[
-    Flag, Field(description="With more_images: all are of one scale; else they are tied by what they overlap.")
+    Flag, Field(description="With more_images: all have one scale; otherwise their overlaps link them.")
 ]
 
 
 def check_flight_question(question: ScaleQuestion) -> None:
-    """Refuse what belongs to one image.
+    """Refuse arguments that belong to a single image.
 
     Raises:
         CallError: ``invalid_arguments``.
     """
     if question.known_lengths:
         raise CallError(
-            "invalid_arguments", "known_lengths belong to one image. Leave more_images out, or known_lengths."
+            "invalid_arguments", "known_lengths belong to a single image. Omit more_images or known_lengths."
         )
 
 
-def estimate_among(
+@dataclass(frozen=True)
+class FlightQuestion:
+    """Scale arguments of a call with more images."""
+
+    scale: ScaleQuestion
+    wanted: PictureRequest
+    same_scale: bool
+
+
+@work(FlightQuestion, GsdEstimate)
+def estimate_with_flight(
     services: Services,
     job: Job,
     source: OpenedImage,
+    question: FlightQuestion,
     more: Sequence[tuple[AnyImage, bytes | None]],
-    question: ScaleQuestion,
-    wanted: WantedPictures,
-    same_scale: bool,
 ) -> Answer[GsdEstimate]:
-    """Measure an image with the evidence of others; in a worker's process or thread.
+    """Estimate the scale of an image with the evidence of others, in a worker process or thread.
 
     Raises:
         VehAnchorError: the library refused the image.
-        CallError: it refused another one, or a model cannot be loaded.
-        CallStoppedError: the call was asked to end.
+        CallError: the library refused another image, or a model cannot be loaded.
+        CallStoppedError: the call was stopped.
     """
-    from vehanchor.estimate import open_detector
+    from vehanchor.estimate import checked_detector
     from vehanchor.flight.estimate import conclude, search_flight
     from vehanchor.imagery.sources.opening import open_raster
 
-    detector = services.models.detector()
-    asked = question.options(services.settings, services.models)
+    progress = partial(_report_photograph, job, 1 + len(more))
+    detector = services.models.detector(replace(job.runtime, progress=progress))
+    asked = question.scale.options(services.settings, services.models)
     options = replace(asked, frame=Frame())
-    open_detector(detector, options)  # an unknown region is told before the work
+    checked_detector(detector, options)
     job.enter("decode")
-    for _ in _taken(services, source, more, []):  # a path that is refused is told before the work
+    for _ in _open_each(services, source, more, []):  # refuse a path before the search
         job.stop.check()
     opened: list[OpenedImage] = []
-    looks = search_flight(
-        _taken(services, source, more, opened),
-        detector,
-        options,
-        featured=not same_scale,
-        progress=lambda done, _: job.searched(done, 1 + len(more)),
-        run_options=job.run_options,
-    )
-    members = [_readable(look, each) for look, each in zip(looks, opened, strict=True)]
-    _refuse_twice(members)
-    flight = conclude(looks, detector.card, same_scale=same_scale)
-    analysis = replace(members[0].analysis, estimate=_answered(flight, asked))
-    with open_raster(source, limits=asked.reading.limits) if any(wanted) else nullcontext() as raster:
-        return scale_answer(raster, analysis, wanted, job)
+    images = _open_each(services, source, more, opened)
+    photographs = search_flight(images, detector, options, featured=not question.same_scale)
+    members = [_require_readable(found, each) for found, each in zip(photographs, opened, strict=True)]
+    _refuse_duplicates(members)
+    flight = conclude(photographs, detector.card, same_scale=question.same_scale)
+    analysis = replace(members[0].analysis, estimate=_estimate_of_image(flight, asked))
+    with open_raster(source, limits=asked.reading.limits) if any(question.wanted) else nullcontext() as raster:
+        return scale_answer(raster, analysis, question.wanted, job)
 
 
-def _taken(
+def _report_photograph(job: Job, total: int, done: int, _: int) -> None:
+    """Report a finished photograph with the total, which the search does not know."""
+    job.searched(done, total)
+
+
+def _open_each(
     services: Services, source: OpenedImage, more: Sequence[tuple[AnyImage, bytes | None]], opened: list[OpenedImage]
 ) -> Iterator[InputPhotograph]:
-    """The image and the others, each open for as long as it is looked at."""
+    """Open the image and the others, one after the other."""
     from vehanchor.flight.inputs import InputPhotograph
 
     opened.append(source)
@@ -109,39 +121,39 @@ def _taken(
                 opened.append(other)
                 yield InputPhotograph(f"more_images.{number}", other)
         except CallError as error:
-            raise CallError(error.code, f"more_images.{number}: {error.told}") from error
+            raise CallError(error.code, f"more_images.{number}: {error.explanation}") from error
 
 
-def _readable(look: Photograph | Failure, source: OpenedImage) -> Photograph:
-    """The photograph.
+def _require_readable(photograph: Photograph | Failure, source: OpenedImage) -> Photograph:
+    """Return the photograph.
 
     Raises:
-        CallError: it is none of an image that the caller has named among the others; which one is said.
-        VehAnchorError: it is none of the image itself.
+        CallError: another image is unreadable; the message names it.
+        VehAnchorError: the image itself is unreadable.
     """
     from vehanchor.flight.record import Failure
 
-    if not isinstance(look, Failure):
-        return look
-    if look.name == "image":
-        raise look.error
+    if not isinstance(photograph, Failure):
+        return photograph
+    if photograph.name == "image":
+        raise photograph.error
     try:
         with library_errors(source):
-            raise look.error
+            raise photograph.error
     except CallError as error:
-        raise CallError(error.code, f"{look.name}: {error.told}") from look.error
+        raise CallError(error.code, f"{photograph.name}: {error.explanation}") from photograph.error
 
 
-def _refuse_twice(members: Sequence[Photograph]) -> None:
+def _refuse_duplicates(members: Sequence[Photograph]) -> None:
     seen: dict[str, str] = {}
     for member in members:
         first = seen.setdefault(member.view.image.image_id, member.name)
         if first != member.name:
-            raise CallError("invalid_arguments", f"{member.name} is the same picture as {first}. Name each once.")
+            raise CallError("invalid_arguments", f"{member.name} is the same image as {first}. Give each image once.")
 
 
-def _answered(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstimate:
-    """The record of the image, with what it says in the caller's copy, and a warning where nothing ties it."""
+def _estimate_of_image(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstimate:
+    """Return the image's record with its scale in the caller's frame; warn if no other image is linked to it."""
     from vehanchor.estimate import frame_scale
     from vehanchor.flight.project import estimate_in_flight
     from vehanchor.records import Notice
@@ -156,9 +168,9 @@ def _answered(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstimate:
     warnings = record.warnings
     if first.component is not None and flight.components[first.component].n_photographs == 1:
         message = (
-            "None of the other images overlaps this one enough to be tied to it: the scale is its own, or that of "
+            "None of the other images overlaps this one enough for a link: the scale rests on this image alone, or on "
+            "its height above sea level."
         )
-        message += "its height above the sea."
         warnings = (*warnings, Notice(code=NoticeCode.NOT_LINKED, message=message))
     frame = frame_scale(asked.frame, record.image_width_px, record.gsd_m_per_px, interval)
     return record.model_copy(update={"frame": frame, "warnings": warnings})

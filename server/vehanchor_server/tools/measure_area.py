@@ -1,10 +1,9 @@
-"""The tool that measures an object's area: its arguments, its work, its answer in words; as in ``estimate_gsd``."""
+"""The tool ``measure_area``: measure the areas of objects. Structured as ``estimate_gsd``."""
 
-# Annotations are evaluated here on purpose: the SDK reads the result's schema from them.
+# No postponed annotations here: the SDK reads the result's schema from them.
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 from mcp.server.apps import client_supports_apps
@@ -15,23 +14,24 @@ from pydantic import Field
 from vehanchor.records import AreaMeasurement, Notice
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor_server.app_page import APP_META
-from vehanchor_server.calls.answer import Answer, Detail, WantedPictures
+from vehanchor_server.calls.answer import Answer, Detail, PictureRequest
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.task import work
 from vehanchor_server.errors import CallError
 from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
-from vehanchor_server.tools.measuring import MeasuredBy, copy_hint
+from vehanchor_server.tools.measuring import ScaleArguments, copy_hint
 from vehanchor_server.tools.messages import (
-    OBEY,
+    STATUS_RULES,
     interval,
-    not_to_be_used,
-    nothing_found,
+    no_scale_message,
     numbered,
     rounded,
     scale_origin,
+    unusable_scale,
     warnings,
 )
 from vehanchor_server.tools.scale_question import (
@@ -57,23 +57,24 @@ if TYPE_CHECKING:
 
 _DESCRIPTION = (
     "Measures the real area (square metres) and size of objects in a near-nadir aerial or satellite image: roof, pool, "
-    "field, clearing, car park, landing site. Each is segmented from a box or points that you give; prefer a box, "
-    "drawn tightly around the whole object. Call it instead of judging an area by eye or multiplying a box's sides. "
-    "Also gives length, width, and inscribed_diameter_m, the largest circle that fits inside: what a landing needs. "
-    f"{OBEY}"
+    "field, clearing, car park, landing site. A segmenter outlines each object from your box or points; prefer a tight "
+    "box around the whole object. Call it instead of estimating an area by eye or multiplying a box's sides. "
+    "Also returns length, width, and inscribed_diameter_m, the largest circle inside, for landings. "
+    f"{STATUS_RULES}"
 )
 
 
 @dataclass(frozen=True)
 class _Question:
-    """A caller's words about the areas it asks for."""
+    """Targets and scale arguments of a call."""
 
     targets: tuple[Target, ...]
-    by: MeasuredBy
+    scale: ScaleArguments
+    wanted: PictureRequest
 
 
 def measure_area_tool(services: Services) -> StrictTool:
-    """The tool for a server."""
+    """Create the tool for a server."""
 
     async def measure_area(
         image: ImageArgument,
@@ -99,14 +100,15 @@ def measure_area_tool(services: Services) -> StrictTool:
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, AreaMeasurement]:
         question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
-        asked = _Question(_named(target, targets), MeasuredBy(gsd_m_per_px, scale, question, object_height_m))
         paged = client_supports_apps(ctx)
-        wanted = WantedPictures(include_overlay, paged)
-        answer = await run_call(services, ctx, image, partial(_measure, question=asked, wanted=wanted))
+        wanted = PictureRequest(include_overlay, paged)
+        by = ScaleArguments(gsd_m_per_px, scale, question, object_height_m)
+        asked = _Question(_merge_targets(target, targets), by, wanted)
+        answer = await run_call(services, ctx, image, _measure, asked)
         first = answer.record
         words = [
             numbered([_area_of_object(record) for record in answer.records]),
-            *warnings(_once(answer.records), detail),
+            *warnings(_distinct_warnings(answer.records), detail),
             *copy_hint(_places(asked.targets), question, first.image_width_px, first.image_height_px),
         ]
         return answer.to_result(" ".join(words), detail=detail, paged=paged)
@@ -122,9 +124,9 @@ def measure_area_tool(services: Services) -> StrictTool:
     )
 
 
-def _named(target: Target | None, targets: tuple[Target, ...] | None) -> tuple[Target, ...]:
+def _merge_targets(target: Target | None, targets: tuple[Target, ...] | None) -> tuple[Target, ...]:
     if (target is None) == (targets is None):
-        problem = "target and targets are both given: give one of the two" if target else "targets: it is required"
+        problem = "target and targets are both given: give only one" if target else "targets: it is required"
         raise CallError("invalid_arguments", f"{problem}.")
     return (target,) if target is not None else targets or ()
 
@@ -137,20 +139,19 @@ def _places(targets: Iterable[Target]) -> Iterator[tuple[float, float]]:
             yield point.x, point.y
 
 
-def _once(records: Sequence[AreaMeasurement]) -> list[Notice]:
-    """The warnings of all, those of the scale once."""
+def _distinct_warnings(records: Sequence[AreaMeasurement]) -> list[Notice]:
+    """Collect the warnings of all records without duplicates."""
     return list(dict.fromkeys(notice for record in records for notice in record.warnings))
 
 
-def _measure(
-    services: Services, job: Job, source: OpenedImage, question: _Question, wanted: WantedPictures
-) -> Answer[AreaMeasurement]:
-    """Segment the object and measure it; in a worker's process or thread.
+@work(_Question, AreaMeasurement)
+def _measure(services: Services, job: Job, source: OpenedImage, question: _Question) -> Answer[AreaMeasurement]:
+    """Segment the objects and measure them, in a worker process or thread.
 
     Raises:
-        VehAnchorError: the library refused.
+        VehAnchorError: the library refused the image or an option.
         CallError: a model cannot be loaded.
-        CallStoppedError: the call was asked to end.
+        CallStoppedError: the call was stopped.
     """
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.measure.area import analyse_objects
@@ -158,9 +159,9 @@ def _measure(
     from vehanchor_server.app_page.panel import drawing_of, length_histogram
     from vehanchor_server.calls.overlay import draw_pictures
 
-    prompts = [_prompt(target) for target in question.targets]  # what has no meaning is told before the work
-    segmenter = services.models.segmenter()
-    options, scale = question.by.resolve(services)
+    prompts = [_prompt(target) for target in question.targets]  # refuse invalid prompts before the work
+    segmenter = services.models.segmenter(job.runtime)
+    options, scale = question.scale.resolve(services, job)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         job.segmenting()
@@ -170,14 +171,12 @@ def _measure(
             segmenter,
             scale,
             options,
-            object_height_m=question.by.object_height_m,
-            progress=job.searched,
-            run_options=job.run_options,
+            object_height_m=question.scale.object_height_m,
         )
         first = found[0]
-        pictures = draw_pictures(raster, job, wanted, lambda seen: draw_area(seen, first))
+        pictures = draw_pictures(raster, job, question.wanted, lambda seen: draw_area(seen, first))
     histogram = None if first.scale is None else length_histogram(first.scale)
-    drawing = drawing_of(first.scale) if wanted.page and first.scale is not None else None
+    drawing = drawing_of(first.scale) if question.wanted.page and first.scale is not None else None
     measured = tuple(each.measurement for each in found)
     return Answer(measured, pictures.overlay, histogram, pictures.page, drawing)
 
@@ -192,7 +191,7 @@ def _prompt(target: Target) -> "Prompt":
 
 
 def describe_area(area: AreaMeasurement, detail: Detail = "full") -> str:
-    """One sentence with the area and whether to use it, one where the object lies, and one for each warning."""
+    """Describe the area and its status, the position of the mask, and each warning, in one sentence each."""
     return " ".join([_area_of_object(area), *warnings(area.warnings, detail)])
 
 
@@ -209,10 +208,10 @@ def _area_of_object(area: AreaMeasurement) -> str:
 
 def _area_in_words(area: AreaMeasurement) -> str:
     if not area.mask_area_px:
-        return "No object found there: no area. Draw a box tightly around one that can be seen."
+        return "No object found: no area. Draw a tight box around a visible object."
     if area.area_m2 is None:
         return (
-            f"No area: the object covers {area.mask_area_px} px, but {nothing_found(area.estimate)}, and give its "
+            f"No area: the object covers {area.mask_area_px} px, but {no_scale_message(area.estimate)}, and give its "
             "scale as gsd_m_per_px."
         )
     size = f"{rounded(area.area_m2)} m2{interval(area.area_ci95_low_m2, area.area_ci95_high_m2)}"
@@ -221,7 +220,7 @@ def _area_in_words(area: AreaMeasurement) -> str:
         size += f", largest circle inside {rounded(area.inscribed_diameter_m)} m across"
     size += f"; {scale_origin(area)}: "
     if area.status == "ok":
-        return size + ("as good as the given scale." if area.scale_source == "given" else "safe to use.")
+        return size + ("as accurate as the given scale." if area.scale_source == "given" else "safe to use.")
     if area.confidence is not None and area.confidence < FALLBACK_CONFIDENCE:
-        return size + not_to_be_used(area.estimate)
-    return size + "do not rely on it (the segmenter doubts its mask); look at the overlay, or draw another box."
+        return size + unusable_scale(area.estimate)
+    return size + "do not rely on it (low mask score); check the overlay, or draw another box."

@@ -1,9 +1,8 @@
-"""The tool that measures distances: its arguments, its work, its answer in words; as in ``estimate_gsd``."""
+"""The tool ``measure_distance``: measure distances. Structured as ``estimate_gsd``."""
 
-# Annotations are evaluated here on purpose: the SDK reads the result's schema from them.
+# No postponed annotations here: the SDK reads the result's schema from them.
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Annotated, Any
 
 from mcp.server.mcpserver import Context
@@ -14,19 +13,20 @@ from vehanchor.records import DistanceMeasurement
 from vehanchor_server.calls.answer import Answer, Detail
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import FrozenModel, Number
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
-from vehanchor_server.tools.measuring import MeasuredBy, copy_hint
+from vehanchor_server.tools.measuring import ScaleArguments, copy_hint
 from vehanchor_server.tools.messages import (
-    OBEY,
+    STATUS_RULES,
     interval,
-    not_to_be_used,
-    nothing_found,
+    no_scale_message,
     numbered,
     rounded,
     scale_origin,
+    unusable_scale,
     warnings,
 )
 from vehanchor_server.tools.scale_question import (
@@ -49,40 +49,40 @@ from vehanchor_server.tools.target import MAX_POINTS, MAX_TARGETS
 
 _DESCRIPTION = (
     "Measures distances on the ground (metres) in a near-nadir aerial or satellite image: how wide, how long, how far. "
-    "Give two points, or the corners of a line in order; up to 16 lines a call. Call it instead of multiplying pixels "
-    f"yourself. {OBEY}"
+    "Give two points, or the vertices of a path in order; up to 16 lines per call. Call it instead of multiplying "
+    f"pixels yourself. {STATUS_RULES}"
 )
 
 
 class Place(FrozenModel):
-    """A point of the line."""
+    """A vertex of the line."""
 
     x: Number
     y: Number
 
 
 class Line(FrozenModel):
-    """Points in order; straight between them."""
+    """A path of straight segments."""
 
     points: tuple[Place, ...] = Field(min_length=2, max_length=MAX_POINTS)
 
 
 @dataclass(frozen=True)
 class _Question:
-    """A caller's words about the distances it asks for."""
+    """Lines and scale arguments of a call."""
 
     lines: tuple[Line, ...]
-    by: MeasuredBy
+    scale: ScaleArguments
 
 
 def measure_distance_tool(services: Services) -> StrictTool:
-    """The tool for a server."""
+    """Create the tool for a server."""
 
     async def measure_distance(
         image: ImageArgument,
         lines: Annotated[
             tuple[Line, ...],
-            Field(min_length=1, max_length=MAX_TARGETS, description="Each is measured by itself."),
+            Field(min_length=1, max_length=MAX_TARGETS, description="Each is measured separately."),
         ],
         ctx: Context[Any, Any],
         coordinates: CoordinatesArgument = "pixels",
@@ -98,8 +98,8 @@ def measure_distance_tool(services: Services) -> StrictTool:
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, DistanceMeasurement]:
         question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
-        asked = _Question(lines, MeasuredBy(gsd_m_per_px, scale, question, object_height_m))
-        answer = await run_call(services, ctx, image, partial(_measure, question=asked))
+        asked = _Question(lines, ScaleArguments(gsd_m_per_px, scale, question, object_height_m))
+        answer = await run_call(services, ctx, image, _measure, asked)
         first = answer.record
         places = ((point.x, point.y) for line in lines for point in line.points)
         words = [
@@ -118,20 +118,21 @@ def measure_distance_tool(services: Services) -> StrictTool:
     )
 
 
+@work(_Question, DistanceMeasurement)
 def _measure(services: Services, job: Job, source: OpenedImage, question: _Question) -> Answer[DistanceMeasurement]:
-    """Measure the lines; in a worker's process or thread.
+    """Measure the lines, in a worker process or thread.
 
     Raises:
-        VehAnchorError: the library refused.
+        VehAnchorError: the library refused the image or an option.
         CallError: a model cannot be loaded.
-        CallStoppedError: the call was asked to end.
+        CallStoppedError: the call was stopped.
     """
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.measure.distance import analyse_paths, read_path
     from vehanchor_server.app_page.panel import length_histogram
 
     paths = [read_path([(point.x, point.y) for point in line.points]) for line in question.lines]
-    options, scale = question.by.resolve(services)
+    options, scale = question.scale.resolve(services, job)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         found = analyse_paths(
@@ -139,27 +140,25 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
             paths,
             scale,
             options,
-            object_height_m=question.by.object_height_m,
-            progress=job.searched,
-            run_options=job.run_options,
+            object_height_m=question.scale.object_height_m,
         )
     histogram = None if found[0].scale is None else length_histogram(found[0].scale)
     return Answer(tuple(each.measurement for each in found), None, histogram)
 
 
 def describe_distance(record: DistanceMeasurement, detail: Detail = "full") -> str:
-    """One sentence with the distance and whether to use it, and one for each warning."""
+    """Describe the distance and its status in one sentence, and each warning in another."""
     return " ".join([_distance_in_words(record), *warnings(record.warnings, detail)])
 
 
 def _distance_in_words(record: DistanceMeasurement) -> str:
     if record.distance_m is None:
         return (
-            f"No distance: the line is {record.length_px:.0f} px long, but {nothing_found(record.estimate)}, and "
+            f"No distance: the line is {record.length_px:.0f} px long, but {no_scale_message(record.estimate)}, and "
             "give its scale as gsd_m_per_px."
         )
     said = f"{rounded(record.distance_m)} m{interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
     said += f"; {scale_origin(record)}: "
     if record.status == "ok":
-        return said + ("as good as the given scale." if record.scale_source == "given" else "safe to use.")
-    return said + not_to_be_used(record.estimate)
+        return said + ("as accurate as the given scale." if record.scale_source == "given" else "safe to use.")
+    return said + unusable_scale(record.estimate)

@@ -1,7 +1,7 @@
-"""JSON Schemas in the subset that every host reads.
+"""JSON Schemas in the subset that all hosts support.
 
-pydantic writes references, ``oneOf`` with ``discriminator``, and titles that repeat the names. Some hosts and
-validators refuse the first two, and all pay for the third in the model's context.
+pydantic writes references, ``oneOf`` with ``discriminator``, and titles that repeat names. Some hosts and
+validators reject the first two; the titles waste the model's context.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ _REFERENCE = "#/$defs/"
 
 
 def portable_schema(schema: dict[str, Any], *, dialect: bool = False) -> dict[str, Any]:
-    """The same schema without references, ``oneOf``, ``discriminator`` and generated titles.
+    """Replace references and ``oneOf``, and drop ``discriminator`` and generated titles.
 
     Args:
-        schema: as pydantic writes it; not recursive.
-        dialect: name the dialect, for a schema that stands in a file of its own.
+        schema: pydantic's schema; not recursive.
+        dialect: whether to name the dialect, for a schema in its own file.
     """
     plain = _plain(schema, schema.get("$defs", {}))
     assert isinstance(plain, dict)
@@ -52,14 +52,14 @@ def _plain(node: Any, definitions: dict[str, Any]) -> Any:
 
 
 def listed_schema(schema: dict[str, Any], unlisted: Collection[str] = ()) -> dict[str, Any]:
-    """A portable schema as short as a model needs it: names, types and words.
+    """Reduce a portable schema to what a model needs: names, types and descriptions.
 
-    What may be left out need not be nullable, too; of the forms of a union that ``kind`` tells apart one object has all
-    fields. The server holds callers to the limits that are left out here, and tells them.
+    Optional arguments lose their null type. A union discriminated by ``kind`` becomes one object with all fields. The
+    server still checks the limits that are dropped here.
 
     Args:
-        schema: what ``portable_schema`` gave.
-        unlisted: arguments that are taken, but that a model need not know of.
+        schema: result of ``portable_schema``.
+        unlisted: arguments to hide from models.
     """
     listed = _listed(schema)
     assert isinstance(listed, dict)
@@ -69,7 +69,7 @@ def listed_schema(schema: dict[str, Any], unlisted: Collection[str] = ()) -> dic
 
 _NOT_LISTED = {"additionalProperties", "default", "exclusiveMinimum", "minimum", "maximum"}
 _NOT_LISTED |= {"minItems", "maxItems", "minLength", "maxLength", "minProperties", "maxProperties"}
-_MANY = 3  # an object of more fields is explained as a whole
+_MANY = 3  # an object with more fields keeps only its own description
 
 
 def _listed(node: dict[str, Any], *, said: bool = True) -> dict[str, Any]:
@@ -86,9 +86,8 @@ def _listed(node: dict[str, Any], *, said: bool = True) -> dict[str, Any]:
             continue
         if key == "properties":
             said_each = "required" not in node or len(value) <= _MANY or "description" not in node
-            needed = [
-                name for name in value if said_each or name in node["required"]
-            ]  # the rest is given back as it came
+            # Callers pass the other fields unchanged.
+            needed = [name for name in value if said_each or name in node["required"]]
             result[key] = {name: _listed(value[name], said=said_each) for name in needed}
         elif key == "anyOf":
             result[key] = [_listed(option, said=False) for option in value]
@@ -100,7 +99,7 @@ def _listed(node: dict[str, Any], *, said: bool = True) -> dict[str, Any]:
 
 
 def _of_all_kinds(options: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """One object with the fields of all."""
+    """Merge the variants of a union into one object."""
     fields = {name: each for option in options for name, each in option["properties"].items() if name != "kind"}
     kinds = [option["properties"]["kind"]["const"] for option in options]
     return {"type": "object", "properties": {"kind": {"type": "string", "enum": kinds}, **fields}, "required": ["kind"]}

@@ -1,7 +1,7 @@
-"""The tools of a server, in the order in which they are listed.
+"""The tools of a server, in the order of the listing.
 
-A new tool is a module beside this one with a function like ``estimate_gsd_tool``, and its line in ``TOOLS``. The
-server's instructions, the published schemas and the definitions for agents' APIs follow from that.
+To add a tool, write a module beside this one with a function like ``estimate_gsd_tool``, and add a line to ``TOOLS``.
+The server's instructions, the published schemas and the definitions for agents' APIs follow.
 """
 
 from __future__ import annotations
@@ -28,5 +28,5 @@ TOOLS: tuple[Callable[[Services], StrictTool], ...] = (
 
 
 def create_tools(services: Services) -> list[StrictTool]:
-    """All tools for a server."""
+    """Create all tools for a server."""
     return [create(services) for create in TOOLS]

@@ -1,4 +1,4 @@
-"""The answer that an analysis of the scale gives: its record, and the pictures that explain it."""
+"""Build the answer of a scale analysis: its record and its pictures."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ if TYPE_CHECKING:
     from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.imagery.raster import Raster
     from vehanchor.records import GsdEstimate
-    from vehanchor_server.calls.answer import WantedPictures
+    from vehanchor_server.calls.answer import PictureRequest
     from vehanchor_server.calls.job import Job
 
 
 def scale_answer(
-    raster: Raster | None, analysis: ScaleAnalysis, wanted: WantedPictures, job: Job
+    raster: Raster | None, analysis: ScaleAnalysis, wanted: PictureRequest, job: Job
 ) -> Answer[GsdEstimate]:
-    """Draw what was wanted, and put it beside the record.
+    """Combine the record with the requested pictures.
 
     Args:
-        raster: the open image; None where no picture is wanted.
-        analysis: of it.
-        wanted: which pictures.
-        job: is told of the drawing.
+        raster: the open image; None if no picture is requested.
+        analysis: its scale analysis.
+        wanted: the requested pictures.
+        job: receives progress.
 
     Raises:
-        CallStoppedError: the call was asked to end.
+        CallStoppedError: the call was stopped.
     """
     from vehanchor.pictures.scale import draw_overlay
     from vehanchor_server.app_page.panel import drawing_of, length_histogram

@@ -1,4 +1,4 @@
-"""Arguments about an image's scale, which several tools take, and the library's options that follow from them."""
+"""Tool arguments that determine the scale, and their conversion to the library's options."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeVar, cast
 from pydantic import Field
 
 from vehanchor.options import Coordinates, Effort, Frame, KnownLength, Reading, Reference, Rulers, ScaleOptions, Search
+from vehanchor.options.frame import FRAME, FRAME_SIDE
+from vehanchor.options.given_scale import GSD, OBJECT_HEIGHT
+from vehanchor.options.rulers import LINE_LENGTH_M
 from vehanchor.records import KnownScale
-from vehanchor.scale.defaults import REGIONS
 from vehanchor_server.calls.answer import Detail
 from vehanchor_server.frozen import FrozenModel, Number, WholeNumber
+from vehanchor_server.tools.option_field import limits_field, option_field
 
 if TYPE_CHECKING:
     from vehanchor_server.models import Models
@@ -19,97 +22,44 @@ if TYPE_CHECKING:
 
 
 class FrameSize(FrozenModel):
-    """Size of the resized copy of the image that the caller sees and works in."""
+    """Size of the resized copy in which the caller works."""
 
-    width_px: WholeNumber = Field(gt=0, le=1_000_000)
-    height_px: WholeNumber = Field(gt=0, le=1_000_000)
+    width_px: Annotated[WholeNumber, limits_field(FRAME_SIDE)]
+    height_px: Annotated[WholeNumber, limits_field(FRAME_SIDE)]
 
 
 class KnownLine(FrozenModel):
-    """A straight line on the ground and its length."""
+    """A straight line of known length on the ground."""
 
     x1: Number
     y1: Number
     x2: Number
     y2: Number
-    metres: Number = Field(gt=0, le=100_000)
+    metres: Annotated[Number, limits_field(LINE_LENGTH_M)]
 
 
-RegionArgument: TypeAlias = Annotated[
-    str | None,
-    Field(
-        max_length=64,
-        description=f"Where it was taken, if known: {', '.join(REGIONS)}.",
-    ),
-]
-ReferenceLengthArgument: TypeAlias = Annotated[
-    Number | None,
-    Field(
-        gt=0,
-        le=100,
-        allow_inf_nan=False,
-        description="Car length there, if better known; not with region.",
-    ),
-]
-FrameArgument: TypeAlias = Annotated[FrameSize | None, Field(description="Size of the copy that you see.")]
-CoordinatesArgument: TypeAlias = Annotated[
-    Coordinates,
-    Field(description="Of places: pixels (of image or frame), fraction (0 to 1), per_mille (0 to 1000)."),
-]
+RegionArgument: TypeAlias = Annotated[str | None, option_field("region")]
+ReferenceLengthArgument: TypeAlias = Annotated[Number | None, option_field("reference_length_m")]
+FrameArgument: TypeAlias = Annotated[FrameSize | None, option_field(FRAME)]
+CoordinatesArgument: TypeAlias = Annotated[Coordinates, option_field("coordinates")]
 KnownScaleArgument: TypeAlias = Annotated[
     KnownScale | None,
-    Field(description="Of an earlier answer about this image."),
+    Field(description="From an earlier answer about this image."),
 ]
-GsdArgument: TypeAlias = Annotated[
-    Number | None,
-    Field(ge=0.0001, le=1000, allow_inf_nan=False, description="Metres per pixel of the full image, if known."),
-]
+GsdArgument: TypeAlias = Annotated[Number | None, option_field(GSD)]
 DetailArgument: TypeAlias = Annotated[Detail, Field(description="full: every field, for programs.")]
 KnownLengthsArgument: TypeAlias = Annotated[
-    tuple[KnownLine, ...] | None,
-    Field(
-        max_length=16,
-        description="Lines of known length: rulers beside the cars, or without any.",
-    ),
+    tuple[KnownLine, ...] | None, Field(max_length=16), option_field("known_lengths")
 ]
-HeightArgument: TypeAlias = Annotated[
-    Number | None,
-    Field(
-        gt=0, le=20_000, allow_inf_nan=False, description="Camera's height above the ground, metres, if it looked down."
-    ),
-]
-FocalLengthArgument: TypeAlias = Annotated[
-    Number | None,
-    Field(
-        gt=0,
-        le=10_000,
-        allow_inf_nan=False,
-        description="With height_m: focal length as on 35 mm film; else the file's.",
-    ),
-]
-
-ObjectHeightArgument: TypeAlias = Annotated[
-    Number | None,
-    Field(
-        ge=0,
-        le=1000,
-        allow_inf_nan=False,
-        description="Height of what is measured above the ground, as of a roof; needs the camera's height or lens.",
-    ),
-]
-EffortArgument: TypeAlias = Annotated[
-    Effort | None,
-    Field(description="How much is searched: full (every tile), auto (ends when more would not help) or fast."),
-]
-MaxTilesArgument: TypeAlias = Annotated[
-    WholeNumber | None, Field(ge=1, le=1_000_000_000, description="Tiles to search at most.")
-]
-MaxSecondsArgument: TypeAlias = Annotated[
-    Number | None, Field(gt=0, le=86_400, allow_inf_nan=False, description="Seconds to search at most.")
-]
+HeightArgument: TypeAlias = Annotated[Number | None, option_field("height_m")]
+FocalLengthArgument: TypeAlias = Annotated[Number | None, option_field("focal_35mm")]
+ObjectHeightArgument: TypeAlias = Annotated[Number | None, option_field(OBJECT_HEIGHT)]
+EffortArgument: TypeAlias = Annotated[Effort | None, option_field("effort")]
+MaxTilesArgument: TypeAlias = Annotated[WholeNumber | None, option_field("max_tiles")]
+MaxSecondsArgument: TypeAlias = Annotated[Number | None, option_field("max_seconds")]
 
 EFFORT_ARGUMENTS = ("effort", "max_tiles", "max_seconds")
-"""Arguments of a search that estimate_gsd takes, but does not list: a program gives them, or the operator."""
+"""Arguments that ``estimate_gsd`` hides from models; programs or the operator set them."""
 
 UNLISTED_ARGUMENTS = (
     "region",
@@ -119,32 +69,32 @@ UNLISTED_ARGUMENTS = (
     "focal_35mm",
     "object_height_m",
 )
-"""Arguments that tools that measure take, but do not list: those of a search a model gives to estimate_gsd."""
+"""Arguments that the measuring tools hide from models; models pass them to ``estimate_gsd``."""
 
 
 _Number = TypeVar("_Number", int, float)
 
 
 def _least(*limits: _Number | None) -> _Number | None:
-    """The tightest of limits that are set; None for none."""
+    """Return the smallest limit that is set, or None."""
     return min((limit for limit in limits if limit is not None), default=None)
 
 
 @dataclass(frozen=True)
 class ScaleQuestion:
-    """A caller's words about the scale it asks for.
+    """Arguments of a call that determine an estimate.
 
     Attributes:
         region: where the image was taken.
-        reference_length_m: the length of cars there.
-        frame: the copy that the caller sees.
+        reference_length_m: length of local cars.
+        frame: size of the caller's resized copy.
         known_lengths: lines that the caller has measured.
-        height_m: of the camera above the ground.
-        focal_35mm: its focal length.
-        coordinates: how places are written.
-        effort: how much of a large image is searched; None leaves it to the operator.
-        max_tiles: to search at most; the operator's limit holds, too.
-        max_seconds: to search at most; the operator's limit holds, too.
+        height_m: camera height above ground.
+        focal_35mm: 35 mm equivalent focal length.
+        coordinates: coordinate system.
+        effort: extent of the search in large images; None for the operator's setting.
+        max_tiles: maximum number of tiles; the operator's limit also applies.
+        max_seconds: maximum search time; the operator's limit also applies.
     """
 
     region: str | None = None
@@ -159,13 +109,13 @@ class ScaleQuestion:
     max_seconds: float | None = None
 
     def options(self, settings: Settings, models: Models | None) -> ScaleOptions:
-        """The method's options: thresholds, limits and calibration by the operator, the rest by the caller.
+        """Return the options: thresholds, limits and calibration of the operator, all others of the caller.
 
-        A caller who knows where the image was taken knows more than the operator's calibration, which is then left out.
+        If the caller gives a region or a reference length, the operator's calibration is not used.
 
         Args:
-            settings: the operator's.
-            models: have the calibration; None where the scale is known and no vehicle is searched.
+            settings: the operator's settings.
+            models: source of the calibration; None if the scale is known.
 
         Raises:
             CallError: the calibration cannot be loaded.

@@ -1,4 +1,4 @@
-"""A tool that takes no unknown argument, says what was wrong in one line with a code, and logs every call."""
+"""A tool that refuses unknown arguments, reports errors as one line with a code, and logs every call."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from vehanchor_server.errors import CallError, shortened
 from vehanchor_server.request_log import log_call
 from vehanchor_server.tools.portable_schema import listed_schema, portable_schema
 
-_IN_WORDS = {  # pydantic's own words for these help a programmer, not a model
+_MESSAGES = {  # pydantic's own messages for these are written for programmers
     "extra_forbidden": "there is no such argument",
     "missing": "it is required",
     "model_attributes_type": 'give an object, such as {"kind": "path", "path": "/data/photo.jpg"} for an image',
     "model_type": "give an object",
     "union_tag_invalid": "kind is none of 'path', 'base64', 'url'",
-    "union_tag_not_found": "kind is missing: it says where the image is, path, base64 or url",
+    "union_tag_not_found": "kind is missing: give path, base64 or url",
 }
-MAX_VALUES = 1000  # in a call's arguments; the largest that means anything, 32 points, has some 120
-_SHOWN_CHARS = 200  # of a complaint
-_MAX_COMPLAINTS = 3  # one wrong argument often breaks several rules; a model needs the first
+MAX_VALUES = 1000  # per call; the largest valid call, with 32 points, has about 120
+_SHOWN_CHARS = 200  # per complaint
+_MAX_COMPLAINTS = 3  # one wrong argument often violates several rules; the first suffices
 
 
 class StrictTool(Tool):
-    """The SDK's tool, made strict.
+    """The SDK's tool with strict arguments.
 
     Attributes:
-        full_parameters: the arguments' whole schema; ``parameters`` is what a model needs of it.
-        record_schema: of the whole record; ``output_schema`` is what every answer has of it.
+        full_parameters: complete schema of the arguments; ``parameters`` is the reduced one for models.
+        record_schema: schema of the complete record; ``output_schema`` has the fields of every answer.
     """
 
     full_parameters: dict[str, Any] = Field(default_factory=dict, exclude=True)
@@ -53,18 +53,17 @@ class StrictTool(Tool):
         required: Sequence[str] = (),
         unlisted: Collection[str] = (),
     ) -> StrictTool:
-        """A tool that only looks: it changes nothing, and the same call gives the same answer.
+        """Create a read-only, idempotent tool.
 
         Args:
-            function: named as the tool; its parameters and result are the contract, as for ``Tool.from_function``, and
-                become schemas that every host can read.
-            title: for people.
-            description: for planners; clients keep 2 KB of it.
-            meta: its ``_meta``.
-            answered: fields of the record that the listed schema names; the others are there with full detail only.
-                Without any, it is the record's own.
-            required: arguments without which the listed schema alone knows no sense in a call.
-            unlisted: arguments that are taken, but that the listed schema does not name.
+            function: the implementation; its name, parameters and result define the tool, as for
+                ``Tool.from_function``.
+            title: title for people.
+            description: description for planners; clients keep 2 KB of it.
+            meta: the tool's ``_meta``.
+            answered: fields of the record in the listed schema; other fields need full detail. Default: all fields.
+            required: arguments that only the listed schema requires.
+            unlisted: accepted arguments that the listed schema omits.
         """
         annotations = ToolAnnotations(
             title=title, read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False
@@ -72,7 +71,7 @@ class StrictTool(Tool):
         tool = cls.from_function(function, title=title, description=description, annotations=annotations, meta=meta)
         assert isinstance(tool, StrictTool)
         arguments = tool.fn_metadata.arg_model
-        arguments.model_config["extra"] = "forbid"  # the SDK would drop unknown arguments without a word
+        arguments.model_config["extra"] = "forbid"  # the SDK would drop unknown arguments silently
         arguments.model_rebuild(force=True)
         tool.full_parameters = portable_schema(arguments.model_json_schema(by_alias=True))
         tool.parameters = listed_schema(tool.full_parameters, unlisted)
@@ -81,14 +80,14 @@ class StrictTool(Tool):
         if tool.fn_metadata.output_schema is not None:
             tool.record_schema = portable_schema(tool.fn_metadata.output_schema)
             tool.fn_metadata.output_schema = _answered(tool.record_schema, answered)
-            tool.fn_metadata.output_model = None  # short and full answers are made of records, which check themselves
+            tool.fn_metadata.output_model = None  # records validate short and full answers
         return tool
 
     async def run(self, arguments: dict[str, Any], context: Context[Any, Any], convert_result: bool = False) -> Any:
         """Run the tool.
 
         Raises:
-            CallError: the call failed; ``internal_error`` is one that the SDK logs with its traceback.
+            CallError: the call failed; the SDK logs the traceback of ``internal_error``.
         """
         started = time.perf_counter()
         status, result = "cancelled", None
@@ -108,7 +107,7 @@ class StrictTool(Tool):
                 raise CallError(status, _complaints(cause)) from cause
             status = "internal_error"
             raise UnexpectedToolError(
-                "internal_error: the server failed on this call; its log says why. Report it to the server's operator."
+                "internal_error: the server failed on this call; its log has the cause. Report it to the operator."
             ) from cause
         finally:
             record = result.structured_content if isinstance(result, CallToolResult) else None
@@ -116,7 +115,7 @@ class StrictTool(Tool):
 
 
 def _answered(record: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """The schema of every answer, short or full: some fields of a record by their types alone."""
+    """Return the schema of every answer, short or full: selected fields of the record with their types."""
     if not names:
         return record
     types: dict[str, Any] = {}
@@ -128,13 +127,11 @@ def _answered(record: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
 
 
 def _too_many() -> CallError:
-    return CallError(
-        "invalid_arguments", f"more than {MAX_VALUES} values. Correct the arguments by the tool's input schema."
-    )
+    return CallError("invalid_arguments", f"more than {MAX_VALUES} values. See the tool's input schema.")
 
 
 def _more_values_than(arguments: Any, limit: int) -> bool:
-    """Whether a JSON value holds more values than a limit, counted no further: each fault costs pydantic a record."""
+    """Return whether a JSON value has more values than the limit; count no further, as pydantic records each fault."""
     pending, n = [arguments], 0
     while pending:
         value = pending.pop()
@@ -147,12 +144,12 @@ def _more_values_than(arguments: Any, limit: int) -> bool:
 
 
 def _complaints(error: ValidationError) -> str:
-    """The arguments' faults, without the values: an image in base64 is no help to anyone."""
+    """Describe the faults of the arguments, without their values, which may be base64 images."""
     found = error.errors(include_url=False, include_context=False, include_input=False)
     lines = []
     for complaint in found[:_MAX_COMPLAINTS]:
         # pydantic names the chosen form of a union after the argument: image.path.path, target.box.box.x_min
         place = ".".join(shortened(str(part)) for part, _ in groupby(complaint["loc"])) or "arguments"
-        lines.append(f"{place}: {_IN_WORDS.get(complaint['type'], complaint['msg'])[:_SHOWN_CHARS]}")
+        lines.append(f"{place}: {_MESSAGES.get(complaint['type'], complaint['msg'])[:_SHOWN_CHARS]}")
     more = f" (and {len(found) - _MAX_COMPLAINTS} more)" if len(found) > _MAX_COMPLAINTS else ""
-    return "; ".join(lines) + more + ". Correct the arguments by the tool's input schema."
+    return "; ".join(lines) + more + ". See the tool's input schema."

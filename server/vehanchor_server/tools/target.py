@@ -1,4 +1,4 @@
-"""How a caller points at one object: a box around it, or points on it and beside it."""
+"""Target of a measurement: a box around an object, or points on it and beside it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pydantic_core import PydanticCustomError
 from vehanchor_server.frozen import FrozenModel, Number
 
 MAX_POINTS = 32  # more than anyone clicks
-MAX_TARGETS = 16  # of one call
+MAX_TARGETS = 16  # per call
 
 _FORMS = (
-    'give box or points, one of the two: {"box": {"x_min": 10, "y_min": 20, "x_max": 90, "y_max": 80}} or '
+    'give either box or points: {"box": {"x_min": 10, "y_min": 20, "x_max": 90, "y_max": 80}} or '
     '{"points": [{"x": 50, "y": 40}]}'
 )
 
@@ -28,7 +28,7 @@ class Box(FrozenModel):
 
 
 class Point(FrozenModel):
-    """A place on the object, or one beside it that must stay out."""
+    """A point on the object, or beside it to exclude its surroundings."""
 
     x: Number
     y: Number
@@ -36,7 +36,7 @@ class Point(FrozenModel):
 
 
 class Target(FrozenModel):
-    """One object: a box, the surest way, or points, for one that a box does not tell from its neighbours."""
+    """One object: a box, preferably, or points if a box is ambiguous."""
 
     model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
 

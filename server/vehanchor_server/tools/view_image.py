@@ -1,9 +1,11 @@
-"""The tool that shows an image, or names those that there are, so that a model that knows a path can look and point."""
+"""The tool ``view_image``: show an image with a coordinate grid, or list the images.
 
-# Annotations are evaluated here on purpose: the SDK reads the result's schema from them.
+Models need it to give coordinates in an image that they know by path only.
+"""
+
+# No postponed annotations here: the SDK reads the result's schema from them.
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Annotated, Any
 
 import anyio.to_thread
@@ -13,8 +15,10 @@ from pydantic import Field
 
 from vehanchor.errors import PromptError
 from vehanchor.options import Coordinates, Frame, Reading
+from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import Flag, FrozenModel, WholeNumber
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
@@ -24,9 +28,9 @@ from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import Box
 
 _DESCRIPTION = (
-    "Shows an image, or a part of it, under a light grid numbered in the image's pixels: look before you point, and "
-    "again at a part where you must be exact. Without image it lists those that can be named by path. It measures "
-    "nothing: confidence in a metre comes from the other tools only."
+    "Shows an image, or a part of it, with a grid of image pixel coordinates. View the image before you give "
+    "coordinates, and a part of it for precise ones. Without image, lists the images available by path. Measures "
+    "nothing: only the other tools give metres and confidence."
 )
 _LEAST_SIDE_PX, _USUAL_SIDE_PX, _LONGEST_SIDE_PX = 256, 1024, 1568
 _LEAST_PART_PX = 16
@@ -35,21 +39,21 @@ _LAST_PAGE = 2000
 
 
 class ViewedImage(FrozenModel):
-    """What is shown, or which images there are."""
+    """The displayed part of an image, or a list of images."""
 
     image_width_px: int | None = Field(default=None, description="Width of the full image, pixels.")
     image_height_px: int | None = Field(default=None, description="Height of the full image, pixels.")
-    part: Box | None = Field(default=None, description="What the picture shows, pixels of the full image.")
+    part: Box | None = Field(default=None, description="The displayed part, pixels of the full image.")
     picture_width_px: int | None = Field(default=None, description="Width of the picture, pixels.")
     picture_height_px: int | None = Field(default=None, description="Height of the picture, pixels.")
-    grid_px: int | None = Field(default=None, description="Between two lines of the grid, pixels of the full image.")
-    images: tuple[str, ...] | None = Field(default=None, description="Paths, where no image was named.")
-    next_page: int | None = Field(default=None, description="The next page of them; null on the last.")
+    grid_px: int | None = Field(default=None, description="Spacing of the grid lines, pixels of the full image.")
+    images: tuple[str, ...] | None = Field(default=None, description="Paths, if no image was given.")
+    next_page: int | None = Field(default=None, description="Number of the next page; null on the last.")
 
 
 @dataclass(frozen=True)
-class _Look:
-    """What a caller wants to see."""
+class _ViewRequest:
+    """Arguments of a call."""
 
     part: Box | None
     coordinates: Coordinates
@@ -58,26 +62,26 @@ class _Look:
 
 
 def view_image_tool(services: Services) -> StrictTool:
-    """The tool for a server."""
+    """Create the tool for a server."""
 
     async def view_image(
         ctx: Context[Any, Any],
         image: ImageArgument | None = None,
-        part: Annotated[Box | None, Field(description="What to show; the whole by default.")] = None,
+        part: Annotated[Box | None, Field(description="Part to show; default all.")] = None,
         coordinates: CoordinatesArgument = "pixels",
         long_side_px: Annotated[WholeNumber, Field(ge=_LEAST_SIDE_PX, le=_LONGEST_SIDE_PX)] = _USUAL_SIDE_PX,
-        page: Annotated[WholeNumber, Field(ge=1, le=_LAST_PAGE, description="Of the list of images.")] = 1,
-        grid: Annotated[Flag, Field(description="Draw the grid; for people, who click, none is needed.")] = True,
+        page: Annotated[WholeNumber, Field(ge=1, le=_LAST_PAGE, description="Page of the image list.")] = 1,
+        grid: Annotated[Flag, Field(description="Draw the grid; people who click need none.")] = True,
     ) -> Annotated[CallToolResult, ViewedImage]:
         if image is None:
             return await _list_images(services, page)
-        look = _Look(part, coordinates, long_side_px, grid)
-        seen, jpeg = await run_call(services, ctx, image, partial(_view, look=look))
-        return _result(_words(seen), seen, jpeg)
+        request = _ViewRequest(part, coordinates, long_side_px, grid)
+        answer = await run_call(services, ctx, image, _view, request)
+        return _result(_words(answer.record), answer.record, answer.overlay)
 
     return StrictTool.read_only(
         view_image,
-        title="Look at an aerial image",
+        title="View an aerial image",
         description=_DESCRIPTION,
         answered=("image_width_px", "grid_px", "images"),
         unlisted=("grid",),
@@ -99,12 +103,13 @@ def _result(words: str, seen: ViewedImage, jpeg: bytes | None) -> CallToolResult
     return CallToolResult(content=content, structured_content=seen.model_dump(mode="json", exclude_none=True))
 
 
-def _view(services: Services, job: Job, source: OpenedImage, look: _Look) -> tuple[ViewedImage, bytes]:
-    """Draw the picture; in a worker's process or thread.
+@work(_ViewRequest, ViewedImage)
+def _view(services: Services, job: Job, source: OpenedImage, request: _ViewRequest) -> Answer[ViewedImage]:
+    """Draw the picture, in a worker process or thread.
 
     Raises:
-        VehAnchorError: the library refused.
-        CallStoppedError: the call was asked to end.
+        VehAnchorError: the library refused the image or an option.
+        CallStoppedError: the call was stopped.
     """
     import cv2
 
@@ -118,15 +123,15 @@ def _view(services: Services, job: Job, source: OpenedImage, look: _Look) -> tup
     reading = Reading(limits=services.settings.image_limits)
     with open_raster(source, limits=reading.limits) as raster:
         window = Window(0, 0, raster.width_px, raster.height_px)
-        if look.part is not None:
-            coordinates = CoordinateFrame(Frame(coordinates=look.coordinates), raster.width_px, raster.height_px)
-            window = Window(*_inside(look.part, coordinates))
+        if request.part is not None:
+            coordinates = CoordinateFrame(Frame(coordinates=request.coordinates), raster.width_px, raster.height_px)
+            window = Window(*_inside(request.part, coordinates))
         job.enter("overlay")
-        picture = draw_grid(stoppable(raster, job.stop), window, look.long_side_px, lines=look.grid)
+        picture = draw_grid(stoppable(raster, job.stop), window, request.long_side_px, lines=request.grid)
         jpeg = small_jpeg(picture.rgb)
         shown = cv2.imdecode(_bytes(jpeg), cv2.IMREAD_COLOR)
         assert shown is not None
-        height, width = shown.shape[:2]  # noisy pictures are reduced until they are small enough
+        height, width = shown.shape[:2]  # small_jpeg may have reduced the picture
         seen = ViewedImage(
             image_width_px=raster.width_px,
             image_height_px=raster.height_px,
@@ -140,7 +145,7 @@ def _view(services: Services, job: Job, source: OpenedImage, look: _Look) -> tup
             picture_height_px=height,
             grid_px=picture.step_px,
         )
-    return seen, jpeg
+    return Answer((seen,), jpeg)
 
 
 def _bytes(jpeg: bytes) -> Any:
@@ -150,10 +155,10 @@ def _bytes(jpeg: bytes) -> Any:
 
 
 def _inside(part: Box, coordinates: Any) -> tuple[int, int, int, int]:
-    """The part's first column and row, width and height, in whole pixels.
+    """Return the part's first column and row, width and height, in whole pixels.
 
     Raises:
-        PromptError: it is outside, or too small to be seen.
+        PromptError: the part is outside the image, or too small.
     """
     ends = ((part.x_min, part.y_min), (part.x_max, part.y_max))
     if not coordinates.inside(ends):
@@ -164,7 +169,7 @@ def _inside(part: Box, coordinates: Any) -> tuple[int, int, int, int]:
     width, height = round(right) - x, round(bottom) - y
     if min(width, height) < _LEAST_PART_PX:
         raise PromptError(
-            f"the part is {width} x {height} px of the full image: at least {_LEAST_PART_PX} px a side are needed"
+            f"the part is {width} x {height} px of the full image: give at least {_LEAST_PART_PX} px per side"
             f"{coordinates.other_reading(ends)}"
         )
     return x, y, width, height
@@ -178,11 +183,11 @@ def _words(seen: ViewedImage) -> str:
     words = f"Image of {seen.image_width_px} x {seen.image_height_px} px. "
     whole = (part.x_max - part.x_min, part.y_max - part.y_min) == (seen.image_width_px, seen.image_height_px)
     if whole:
-        words += f"All of it in a picture of {size} px: give that as frame if you point in the picture's pixels"
+        words += f"The picture of {size} px shows all of it: give that size as frame if you use the picture's pixels"
     else:
         words += (
             f"The picture of {size} px shows x {part.x_min:.0f} to {part.x_max:.0f}, y {part.y_min:.0f} to "
-            f"{part.y_max:.0f}: a place in it is x = {part.x_min:.0f} + {factor:.4g} * column, "
-            f"y = {part.y_min:.0f} + {factor:.4g} * row of the image"
+            f"{part.y_max:.0f}: in the image, x = {part.x_min:.0f} + {factor:.4g} * column, "
+            f"y = {part.y_min:.0f} + {factor:.4g} * row"
         )
-    return f"{words}. The grid's lines are {seen.grid_px} px of the image apart, numbered in its pixels."
+    return f"{words}. Grid lines are {seen.grid_px} image pixels apart and numbered in image pixels."

@@ -1,1 +1,1 @@
-"""stdio and HTTP."""
+"""Transports: stdio, HTTP and the local viewer."""

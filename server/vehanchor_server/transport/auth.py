@@ -1,4 +1,4 @@
-"""Authentication over HTTP, by a token from the operator's file, or by a JWT from the operator's issuer."""
+"""Authentication over HTTP: tokens from the operator's file, or JWTs from the operator's issuer."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from vehanchor_server.settings import Settings, SettingsError
 if TYPE_CHECKING:
     from pathlib import Path
 
-MIN_TOKEN_CHARS = 16  # shorter ones can be guessed
-KEYS_AGE_S = 3600.0  # keys are fetched anew after this long
-KEYS_RETRY_S = 30.0  # and at most this often, whatever key a token asks for
+MIN_TOKEN_CHARS = 16  # shorter tokens can be guessed
+KEYS_AGE_S = 3600.0  # maximum age of fetched keys
+KEYS_RETRY_S = 30.0  # minimum interval between fetches, also for unknown keys
 _ALGORITHMS = ("RS256", "RS384", "RS512", "PS256", "PS384", "PS512", "ES256", "ES384", "ES512", "EdDSA")
 _LEEWAY_S = 30
 _FETCH_TIMEOUT_S = 10.0
@@ -30,10 +30,10 @@ _logger = logging.getLogger(__name__)
 
 
 def token_verifier(settings: Settings) -> TokenVerifier | None:
-    """The verifier that the settings ask for; None where callers need no token.
+    """Create the verifier of the settings; None if callers need no token.
 
     Raises:
-        SettingsError: the token file cannot be used.
+        SettingsError: the token file is invalid.
     """
     if settings.token_file is not None:
         return StaticTokenVerifier(read_tokens(settings.token_file))
@@ -43,10 +43,10 @@ def token_verifier(settings: Settings) -> TokenVerifier | None:
 
 
 def read_tokens(path: Path) -> list[str]:
-    """The tokens of a file, one a line; blank lines and those that begin with ``#`` are left out.
+    """Read the tokens of a file, one per line; ignore blank lines and lines that begin with ``#``.
 
     Raises:
-        SettingsError: the file cannot be read, holds no token, or one that is too short.
+        SettingsError: the file is unreadable, has no token, or has a short token.
     """
     try:
         lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
@@ -54,24 +54,24 @@ def read_tokens(path: Path) -> list[str]:
         raise SettingsError(f"token file {path} cannot be read: {error}") from None
     tokens = [line for line in lines if line and not line.startswith("#")]
     if not tokens:
-        raise SettingsError(f"token file {path} holds no token; write one with: openssl rand -hex 32 > {path}")
+        raise SettingsError(f"token file {path} has no token; write one with: openssl rand -hex 32 > {path}")
     if any(len(token) < MIN_TOKEN_CHARS for token in tokens):
         raise SettingsError(f"token file {path}: a token is shorter than {MIN_TOKEN_CHARS} characters; use longer ones")
     return tokens
 
 
 class StaticTokenVerifier(TokenVerifier):
-    """Compares with known tokens, in a time that does not depend on which one or on how much of it agrees.
+    """Verifier of known tokens with constant-time comparison.
 
     Args:
-        tokens: the tokens.
+        tokens: the accepted tokens.
     """
 
     def __init__(self, tokens: Sequence[str]) -> None:
         self._digests = [_digest(token) for token in tokens]
 
     async def verify_token(self, token: str) -> AccessToken | None:
-        """The access that a token gives, None without."""
+        """Return the access of a token, or None."""
         shown = _digest(token)
         matches = [hmac.compare_digest(shown, known) for known in self._digests]
         if not any(matches):
@@ -94,11 +94,11 @@ async def _get_json(url: str) -> dict[str, Any]:
 
 
 class OidcVerifier(TokenVerifier):
-    """Accepts JWTs that an OpenID Connect issuer signed for this server.
+    """Verifier of JWTs that an OpenID Connect issuer signed for this server.
 
     Args:
-        issuer: the issuer's URL; its keys are found by ``/.well-known/openid-configuration``.
-        audience: what ``aud`` must contain.
+        issuer: the issuer's URL; ``/.well-known/openid-configuration`` below it has the address of the keys.
+        audience: required member of ``aud``.
         get_json: fetches a JSON document.
     """
 
@@ -113,7 +113,7 @@ class OidcVerifier(TokenVerifier):
         self._lock: anyio.Lock | None = None
 
     async def verify_token(self, token: str) -> AccessToken | None:
-        """The access that a token gives, None without; why not is in the log."""
+        """Return the access of a token, or None; the log has the cause."""
         try:
             header = jwt.get_unverified_header(token)
             if header.get("alg") not in _ALGORITHMS:
@@ -144,7 +144,7 @@ class OidcVerifier(TokenVerifier):
         )
 
     async def _key(self, kid: str | None) -> jwt.PyJWK:
-        """The issuer's key of that name; fetched anew when it is unknown, but not again and again."""
+        """Return the issuer's key; fetch the keys again for an unknown one, at a limited rate."""
         if self._lock is None:
             self._lock = anyio.Lock()
         async with self._lock:
@@ -160,7 +160,7 @@ class OidcVerifier(TokenVerifier):
         try:
             configuration = await self._get_json(self._issuer.rstrip("/") + "/.well-known/openid-configuration")
             if configuration.get("issuer") != self._issuer:
-                raise ValueError(f"the document is {configuration.get('issuer')!r}'s")
+                raise ValueError(f"the document belongs to {configuration.get('issuer')!r}")
             address = str(configuration["jwks_uri"])
             if not address.startswith("https://"):
                 raise ValueError("jwks_uri is not https")
@@ -171,10 +171,10 @@ class OidcVerifier(TokenVerifier):
 
 
 def _scopes(claim: object) -> list[str]:
-    """The scopes of a claim, which issuers write as one string or as a list of them.
+    """Return the scopes of a claim, which is a string or a list of strings.
 
     Raises:
-        ValueError: it is neither.
+        ValueError: the claim is neither.
     """
     if isinstance(claim, str):
         return claim.split()

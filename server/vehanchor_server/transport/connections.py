@@ -1,7 +1,7 @@
-"""Connections that cost something and say nothing: how many there may be, and how long a request may take to arrive.
+"""Limits on idle connections: their number, and the time for a request to arrive.
 
-uvicorn counts requests, not connections, and gives a first request all the time in the world. With more sockets than
-the process may open, asyncio then fails to accept, and says so two thousand times a second.
+uvicorn limits requests, not connections, and has no timeout for the first request. When the process has no free file
+descriptors, asyncio fails to accept and logs the failure two thousand times per second.
 """
 
 from __future__ import annotations
@@ -13,11 +13,10 @@ from typing import Any
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-BACKLOG = (
-    128  # accepted at a stroke, before any can be refused: the process must be able to open as many beside its limit
-)
+# Accepted at once, before the limit applies; the process needs as many descriptors beyond its limit.
+BACKLOG = 128
 MAX_HEAD_BYTES = 32 << 10
-_CHANCE_S = 0.2
+_GRACE_S = 0.2
 _TOO_SLOW = b"HTTP/1.1 408 Request Timeout\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
 
@@ -26,9 +25,9 @@ class ConnectionLimits:
     """Limits on the connections of one process.
 
     Attributes:
-        total: open at once.
-        per_address: open at once from one address.
-        head_s: seconds from the opening, or from the first byte of a later request, to the end of the request's head.
+        total: concurrent connections.
+        per_address: concurrent connections from one address.
+        head_s: seconds from the opening, or from the first byte of a later request, to the end of the request head.
         body_s: seconds from the end of the head to the end of the body.
     """
 
@@ -39,11 +38,11 @@ class ConnectionLimits:
 
 
 class LimitedProtocol(H11Protocol):
-    """uvicorn's HTTP/1.1, which closes at once what is one too many, and what does not arrive in time.
+    """uvicorn's HTTP/1.1 protocol with limits on connections and times.
 
     Args:
-        limits: on connections and times.
-        given: what uvicorn gives.
+        limits: the limits.
+        given: uvicorn's arguments.
     """
 
     def __init__(self, *, limits: ConnectionLimits | None = None, **given: Any) -> None:
@@ -53,7 +52,7 @@ class LimitedProtocol(H11Protocol):
         self._timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take a connection, if it is not one too many."""
+        """Accept a connection within the limits."""
         super().connection_made(transport)
         address = self.client[0] if self.client else None
         addresses = [getattr(other, "client", None) for other in self.connections]
@@ -65,7 +64,7 @@ class LimitedProtocol(H11Protocol):
         self._await("head", self._limits.head_s)
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes, and watch how long what they begin takes to end."""
+        """Receive bytes and time the current part of the request."""
         if self.transport.is_closing():
             return
         super().data_received(data)
@@ -78,7 +77,7 @@ class LimitedProtocol(H11Protocol):
             self._arrived()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget a connection."""
+        """Release a connection."""
         self._arrived()
         super().connection_lost(exc)
 
@@ -94,8 +93,8 @@ class LimitedProtocol(H11Protocol):
         self._awaited = self._timer = None
 
     def _nearly_too_slow(self) -> None:
-        """Give bytes a chance that arrived while this process was held up itself."""
-        self._timer = self.loop.call_later(_CHANCE_S, self._too_slow)
+        """Allow for bytes that arrived while this process was busy."""
+        self._timer = self.loop.call_later(_GRACE_S, self._too_slow)
 
     def _too_slow(self) -> None:
         if self.transport.is_closing():

@@ -1,7 +1,7 @@
-"""The server over Streamable HTTP: stateless in both protocol eras, so that any worker answers any request.
+"""The server over Streamable HTTP: stateless in both protocol eras, so that any process answers any request.
 
-``uvicorn --factory vehanchor_server.transport.http:create_app --workers N`` runs it, too, with the operator's options
-in ``VEHANCHOR_*`` variables.
+``uvicorn --factory vehanchor_server.transport.http:create_app --workers N`` also runs it, with settings from
+``VEHANCHOR_*`` variables.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from vehanchor_server.transport.request_guard import RequestGuard
 from vehanchor_server.transport.supervisor import end_with_supervisor
 
 MCP_PATH = "/mcp"
-_SETTINGS_OF_WORKERS = "VEHANCHOR_SETTINGS_OF_WORKERS"  # one variable: a list in several would need separators
+_SETTINGS_OF_WORKERS = "VEHANCHOR_SETTINGS_OF_WORKERS"  # JSON in one variable, because lists need no separators there
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
-_SHUTDOWN_S = 5  # what a call may still take when the server is told to stop
+_SHUTDOWN_S = 5  # time for running calls after a stop
 _KEEP_ALIVE_S = 30
-_SPARE_BODIES = 2  # beside one a call: a call's place is free a little before its body is
+_SPARE_BODIES = 2  # besides one per call: a call's slot is free shortly before its body
 
 
 def create_app(settings: Settings | None = None) -> Starlette:
-    """The ASGI application.
+    """Create the ASGI application.
 
     Args:
-        settings: the operator's options; None takes those of ``serve_http``, in a process that it started, or else
-            reads them from the environment, and sets up the logs.
+        settings: the operator's settings. None reads those of ``serve_http`` in its child processes, otherwise the
+            environment, and configures the logs.
 
     Raises:
-        SettingsError: an option has no meaning, or the server would be open to everyone.
+        SettingsError: a setting is invalid, or a public server has no authentication.
     """
     if settings is None:
         configure_logging()
@@ -81,9 +81,9 @@ def create_app(settings: Settings | None = None) -> Starlette:
         origins=security.allowed_origins,
         max_large_bodies=services.capacity.max_concurrency + _SPARE_BODIES,
     )
-    app.add_middleware(LingeringClose, max_bytes=2 * settings.max_body_bytes)  # outermost: whoever answers early
+    app.add_middleware(LingeringClose, max_bytes=2 * settings.max_body_bytes)  # outermost: any layer can answer early
     app.router.lifespan_context = partial(_closing, services, app.router.lifespan_context)
-    app.router.routes += [Route("/healthz", healthz), Route("/readyz", readyz)]  # open to probes, which have no token
+    app.router.routes += [Route("/healthz", healthz), Route("/readyz", readyz)]  # probes have no token
     return app
 
 
@@ -91,7 +91,7 @@ def create_app(settings: Settings | None = None) -> Starlette:
 async def _closing(
     services: Services, lifespan: Callable[[Starlette], AbstractAsyncContextManager[Any]], app: Starlette
 ) -> AsyncIterator[Any]:
-    """The application's life, after which no call runs and no worker process is left."""
+    """Run the application's lifespan, then stop all calls and workers."""
     try:
         async with lifespan(app) as state:
             yield state
@@ -100,16 +100,16 @@ async def _closing(
 
 
 def serve_http(settings: Settings) -> None:
-    """Listen until told to stop.
+    """Listen until a stop signal.
 
     Args:
-        settings: the operator's options.
+        settings: the operator's settings.
 
     Raises:
-        SettingsError: an option has no meaning, or the server would be open to everyone.
+        SettingsError: a setting is invalid, or a public server has no authentication.
     """
     settings.check_exposure()
-    token_verifier(settings)  # a bad token file is told before anything listens
+    token_verifier(settings)  # report an invalid token file before listening
     configure_logging()
     os.environ[_SETTINGS_OF_WORKERS] = settings.to_json()
     try:
@@ -143,9 +143,9 @@ def _connection_limits(settings: Settings) -> ConnectionLimits:
 def _auth(settings: Settings) -> AuthSettings:
     host = f"[{settings.host}]" if ":" in settings.host else settings.host
     address = settings.public_url or f"http://{host}:{settings.port}{MCP_PATH}"
-    if settings.oidc_issuer is None:  # tokens of the operator's own: there is no authorization server to name
+    if settings.oidc_issuer is None:  # the operator's own tokens have no authorization server
         return AuthSettings.model_validate({"issuer_url": address, "resource_server_url": None})
-    return AuthSettings.model_validate(  # from strings: an issuer without a path must not gain a slash
+    return AuthSettings.model_validate(  # from strings, so that an issuer without a path gains no slash
         {
             "issuer_url": settings.oidc_issuer,
             "resource_server_url": address,
@@ -155,7 +155,7 @@ def _auth(settings: Settings) -> AuthSettings:
 
 
 def _transport_security(settings: Settings) -> TransportSecuritySettings:
-    """Which Host and Origin headers are believed: no web page may use the server through a visitor."""
+    """Return the accepted Host and Origin headers, so that no web page uses the server through its visitors."""
     hosts = [*_LOOPBACK_NAMES, *(f"{name}:*" for name in _LOOPBACK_NAMES)]
     for host in settings.allowed_hosts:
         hosts += [host] if ":" in host.rpartition("]")[2] else [host, f"{host}:*"]

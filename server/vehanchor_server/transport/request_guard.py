@@ -1,8 +1,8 @@
-"""Questions to a request before the SDK sees it: its Host and Origin, a place for its body, how much there is to parse.
+"""Middleware: Host, Origin and body limits.
 
-The SDK reads a body whole and parses it on the event loop; pydantic then builds a record for each fault. Both cost what
-the caller chooses, so the choice is bounded here: by bytes that are in flight, and by the marks that make JSON nested
-or long, counted as they arrive. A picture in base64 has none of them, whatever its size.
+The SDK reads the whole body and parses it on the event loop; pydantic then records each fault. The caller determines
+both costs. This middleware limits them by the number of large bodies in memory, and by the number of JSON separators
+and brackets, which it counts as they arrive. A base64 image has none of these, whatever its size.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-MAX_SEPARATORS = 10_000  # commas and colons; a path may have 4,096, a call with 32 points some 250
-MAX_NESTED = 150  # opening braces and brackets; a call with 32 points has some 40, pydantic's parser ends at 200
-_SMALL_BYTES = 64 << 10  # a body that needs no place: uvicorn has read as much before it asks
+MAX_SEPARATORS = 10_000  # commas and colons; a path has up to 4,096, a call with 32 points about 250
+MAX_NESTED = 150  # opening braces and brackets; a call with 32 points has about 40, pydantic's limit is 200
+_SMALL_BYTES = 64 << 10  # a body that needs no slot; uvicorn buffers as much in any case
 _INVALID_REQUEST, _BUSY = -32600, -32000  # of JSON-RPC
 _AUTHORITY = re.compile(r"(?P<name>\[[0-9a-f:.]+\]|[a-z0-9_.-]+)(:(?P<port>[0-9]{1,5}))?", re.ASCII)
 
 
 class _RefusedError(Exception):
-    """A body that is not read on."""
+    """A body that was refused."""
 
     def __init__(self, status: int, code: int, message: str) -> None:
         super().__init__(message)
@@ -37,12 +37,12 @@ class _RefusedError(Exception):
 
 
 class _HungUpError(Exception):
-    """The client left in the middle of its body."""
+    """The client disconnected during its body."""
 
 
 @dataclass
 class _Body:
-    """Counts of one body so far."""
+    """Running counts of a body."""
 
     n_bytes: int = 0
     n_separators: int = 0
@@ -51,10 +51,10 @@ class _Body:
     complete: bool = False
 
     def add(self, chunk: bytes) -> None:
-        """Count a part that arrived.
+        """Count a chunk.
 
         Raises:
-            _RefusedError: there is too much to parse.
+            _RefusedError: the body is too complex.
         """
         self.n_bytes += len(chunk)
         self.n_separators += chunk.count(b",") + chunk.count(b":")
@@ -64,19 +64,19 @@ class _Body:
                 400,
                 _INVALID_REQUEST,
                 f"invalid_arguments: the request has more than {MAX_SEPARATORS} commas and colons, or more than "
-                f"{MAX_NESTED} braces and brackets. Send one call, with the arguments of the tool's input schema.",
+                f"{MAX_NESTED} braces and brackets. Send one call with arguments of the tool's input schema.",
             )
 
 
 class RequestGuard:
-    """ASGI middleware in front of the MCP endpoint; probes and metadata pass.
+    """ASGI middleware of the MCP endpoint; other paths pass.
 
     Args:
         app: the application.
-        path: of the endpoint.
-        hosts: accepted in Host: ``name`` or ``name:port``, or ``name:*`` for any port.
-        origins: accepted in Origin, ``scheme://name``, likewise.
-        max_large_bodies: how many bodies above 64 KiB may be in memory at once.
+        path: path of the endpoint.
+        hosts: accepted Host values: ``name``, ``name:port``, or ``name:*`` for any port.
+        origins: accepted Origin values: the same after ``scheme://``.
+        max_large_bodies: maximum number of bodies above 64 KiB in memory.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class RequestGuard:
         self._n_large_bodies = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let a request in, or answer it here."""
+        """Pass a request on, or refuse it."""
         if scope["type"] != "http" or scope["path"].rstrip("/") != self._path:
             await self._app(scope, receive, send)
             return
@@ -105,7 +105,7 @@ class RequestGuard:
         await self._let_in(int(declared) if declared.isdigit() else 0, scope, receive, send)
 
     async def _let_in(self, declared: int, scope: Scope, receive: Receive, send: Send) -> None:
-        """Run the application, which asks for the body once the caller's token is checked."""
+        """Run the application, which reads the body after it has checked the token."""
         body, answered = _Body(), False
 
         async def counted() -> Message:
@@ -130,30 +130,30 @@ class RequestGuard:
         try:
             await self._app(scope, counted, sent)
         except _HungUpError:
-            pass  # who hung up in the middle of a body needs no answer, and the log no traceback
+            pass  # no answer for a disconnected client, and no traceback in the log
         except _RefusedError as refused:
             refusal = _refusal(refused)
         finally:
             self._n_large_bodies -= body.has_place
-        if refusal is not None and not answered:  # its place is free again: what is left of the body is not kept
+        if refusal is not None and not answered:  # the slot is free; the rest of the body is discarded
             await refusal(scope, receive, send)
 
     def _ask_for_place(self, body: _Body, n_bytes: int) -> None:
-        """Take a place for a large body.
+        """Reserve a slot for a large body.
 
         Raises:
-            _RefusedError: there is none.
+            _RefusedError: no slot is free.
         """
         if body.has_place or n_bytes <= _SMALL_BYTES:
             return
         if self._n_large_bodies >= self._max_large_bodies:
-            raise _RefusedError(503, _BUSY, "busy: too many images are being sent. Try again in a few seconds.")
+            raise _RefusedError(503, _BUSY, "busy: too many large requests. Try again in a few seconds.")
         self._n_large_bodies += 1
         body.has_place = True
 
 
 def _refusal(refused: _RefusedError) -> Response:
-    """The answer to a request whose id was not read."""
+    """Build the answer to a refused request, whose id is unknown."""
     error = {"jsonrpc": "2.0", "id": None, "error": {"code": refused.code, "message": str(refused)}}
     headers = {"Connection": "close"}
     if refused.status == 503:
@@ -162,7 +162,7 @@ def _refusal(refused: _RefusedError) -> Response:
 
 
 def _all_accepted(values: Sequence[str], accepted: frozenset[str], separator: str) -> bool:
-    """Whether every value of a header is on a list: by the whole name, and a port only of digits."""
+    """Return whether every value of a header is accepted: full names, and ports of digits only."""
     return all(_accepted(value.lower(), accepted, separator) for value in values)
 
 

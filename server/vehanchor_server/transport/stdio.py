@@ -1,4 +1,4 @@
-"""The server over stdin and stdout, for a host that starts it as its child."""
+"""The server over stdio, as a child process of its host."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from vehanchor_server.services import Services
     from vehanchor_server.settings import Settings
 
-PRELOAD_DELAY_S = 1.0  # the first question comes at once, and loading the models would make its answer wait
-_GRACE_S = 1.0  # what stopped calls may take to end
+PRELOAD_DELAY_S = 1.0  # so that loading does not delay the first answers
+_GRACE_S = 1.0  # time for stopped calls to end
 
 
 def serve_stdio(settings: Settings) -> None:
-    """Serve until stdin ends or SIGTERM or SIGINT comes; nothing but the protocol is written to stdout.
+    """Serve until stdin ends, or until SIGTERM or SIGINT; write only the protocol to stdout.
 
     Args:
-        settings: the operator's options.
+        settings: the operator's settings.
     """
     configure_logging()
     services = create_services(settings)
@@ -54,8 +54,8 @@ async def _leave_on_signal(services: Services) -> None:
 
 
 def _leave(services: Services) -> None:
-    """End the process now: a thread that waits for stdin cannot be woken, and the interpreter would wait for it."""
+    """End the process at once, because the interpreter would wait for the thread that reads stdin."""
     if services.workers is not None:
-        services.workers.leave_nothing()
+        services.workers.remove_socket()
     sys.stderr.flush()
     os._exit(0)

@@ -1,4 +1,4 @@
-"""A worker process's eye on the process that started it: without it, nobody would stop the worker any more."""
+"""Exit when the parent exits."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _GRACE_S = 5.0
 
 
 def end_with_supervisor() -> None:
-    """End this process when the one that started it ends, however that happened; nothing where there is none."""
+    """End this process when its parent process ends; do nothing without a parent."""
     supervisor = multiprocessing.parent_process()
     if supervisor is None:
         return

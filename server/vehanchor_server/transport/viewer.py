@@ -1,7 +1,7 @@
-"""The page for people on loopback: ``vehanchor view`` serves it to one browser, with the tools behind it.
+"""Local viewer: ``vehanchor view`` serves the page and the tools to one browser, without an agent.
 
-No agent is needed, and nobody else gets in: the address holds a random token, the Host must be this address, and a
-request that a page of another origin makes, whose Origin or Sec-Fetch-Site says so, is refused.
+Access is limited to that browser: the address has a random token, Host must be this address, and requests with the
+Origin or Sec-Fetch-Site of another page are refused.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ if TYPE_CHECKING:
 
 _LOOPBACK = "127.0.0.1"
 _TOKEN_BYTES = 24
-_MAX_CALL_BYTES = 64 << 10  # the largest that means anything, a box for each of 16 objects, is far below
-_MAX_DROPPED = 500  # photographs of one session, kept in a folder of its own until it ends
+_MAX_CALL_BYTES = 64 << 10  # far above the largest valid call, with 16 boxes
+_MAX_DROPPED = 500  # photographs per session, in a temporary folder
 _SHUTDOWN_S = 2
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -58,40 +58,40 @@ _HEADERS = {
     "X-Frame-Options": "DENY",
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
-    "Content-Security-Policy": "frame-ancestors 'none'",  # the page itself says the rest
+    "Content-Security-Policy": "frame-ancestors 'none'",  # the page has the other rules
 }
 
 
 @dataclass(frozen=True)
 class Address:
-    """Where the page is.
+    """Address of the page.
 
     Attributes:
-        port: on 127.0.0.1.
-        token: its first folder, random.
+        port: port on 127.0.0.1.
+        token: random first path component.
     """
 
     port: int
     token: str = field(default_factory=lambda: secrets.token_urlsafe(_TOKEN_BYTES))
 
     def url(self, photograph: Path | None = None) -> str:
-        """The page's address, with a photograph to begin with."""
+        """Return the page's URL, with an initial photograph."""
         chosen = "" if photograph is None else f"#{quote(str(photograph))}"
         return f"http://{_LOOPBACK}:{self.port}/{self.token}/{chosen}"
 
     @property
     def origin(self) -> str:
-        """Where its own requests come from."""
+        """Origin of the page's own requests."""
         return f"http://{_LOOPBACK}:{self.port}"
 
 
 def create_viewer(settings: Settings, address: Address, dropped: Path) -> ASGIApp:
-    """The ASGI application.
+    """Create the ASGI application.
 
     Args:
-        settings: the roots below which photographs are listed; ``dropped`` must be one of them.
-        address: where it will be reached.
-        dropped: a folder of this session for photographs that are dropped.
+        settings: settings whose roots have the photographs; ``dropped`` must be one of the roots.
+        address: address of the page.
+        dropped: folder for dropped photographs.
     """
     services = create_services(settings)
     shows_pages = [advertise(EXTENSION_ID, {"mimeTypes": [APP_MIME_TYPE]})]
@@ -112,7 +112,7 @@ def create_viewer(settings: Settings, address: Address, dropped: Path) -> ASGIAp
     async def call(request: Request) -> Response:
         question = await _question(request)
         if question is None:
-            return PlainTextResponse("send JSON with name and arguments of a tool", 400)
+            return PlainTextResponse("send JSON with the name and arguments of a tool", 400)
         lines = _lines(request.app.state.client, *question)
         return StreamingResponse(lines, media_type="application/x-ndjson", headers=_HEADERS)
 
@@ -129,18 +129,18 @@ def create_viewer(settings: Settings, address: Address, dropped: Path) -> ASGIAp
 
 
 def serve_viewer(settings: Settings, photograph: Path | None, port: int, opened: Callable[[str], object]) -> None:
-    """Serve the page until told to stop.
+    """Serve the page until a stop signal.
 
     Args:
-        settings: as for ``create_viewer``; a folder for dropped photographs is added to its roots.
-        photograph: below a root, to begin with.
-        port: of 127.0.0.1; 0 for any that is free.
-        opened: is told the address once the port is ours.
+        settings: as for ``create_viewer``; a folder for dropped photographs is added to the roots.
+        photograph: initial photograph below a root.
+        port: port on 127.0.0.1; 0 for a free one.
+        opened: receives the address once the server listens.
 
     Raises:
         OSError: the port is taken.
     """
-    signal.signal(signal.SIGTERM, _end)  # uvicorn hands the signal on: the folder must go first
+    signal.signal(signal.SIGTERM, _end)  # uvicorn raises the signal again; remove the folder first
     with tempfile.TemporaryDirectory(prefix="vehanchor-view-") as folder, socket.socket() as listening:
         listening.bind((_LOOPBACK, port))
         listening.listen()
@@ -165,7 +165,7 @@ def _end(*_: object) -> None:
 
 
 class _OwnPageOnly:
-    """ASGI middleware that answers the page itself and nobody else."""
+    """ASGI middleware that answers only requests of the page."""
 
     def __init__(self, app: ASGIApp, address: Address) -> None:
         self._app = app
@@ -173,26 +173,26 @@ class _OwnPageOnly:
         self._host = f"{_LOOPBACK}:{address.port}".encode()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let a request in, or refuse it."""
+        """Pass a request on, or refuse it."""
         if scope["type"] == "http" and not self._is_own(scope):
-            await PlainTextResponse("not found", 404)(scope, receive, send)  # no word about what there is
+            await PlainTextResponse("not found", 404)(scope, receive, send)  # reveal nothing
         elif scope["type"] in ("http", "lifespan"):
             await self._app(scope, receive, send)
 
     def _is_own(self, scope: Scope) -> bool:
         headers: list[tuple[bytes, bytes]] = scope["headers"]
-        said = {name: [value for each, value in headers if each == name] for name, _ in headers}
+        values = {name: [value for each, value in headers if each == name] for name, _ in headers}
         token = scope["path"].lstrip("/").partition("/")[0].encode()
         return (
-            said.get(b"host") == [self._host]  # another name for this address is a rebound one
-            and said.get(b"origin", [self._address.origin.encode()]) == [self._address.origin.encode()]
-            and said.get(b"sec-fetch-site", [b"none"]) in ([b"none"], [b"same-origin"])
+            values.get(b"host") == [self._host]  # another name suggests DNS rebinding
+            and values.get(b"origin", [self._address.origin.encode()]) == [self._address.origin.encode()]
+            and values.get(b"sec-fetch-site", [b"none"]) in ([b"none"], [b"same-origin"])
             and secrets.compare_digest(token, self._address.token.encode())
         )
 
 
 async def _question(request: Request) -> tuple[str, dict[str, Any]] | None:
-    """A tool's name and arguments; None where the body is something else."""
+    """Read a tool's name and arguments; None for any other body."""
     if request.headers.get("content-type") != "application/json":
         return None
     body = b""
@@ -209,7 +209,7 @@ async def _question(request: Request) -> tuple[str, dict[str, Any]] | None:
 
 
 async def _lines(client: Client, name: str, arguments: dict[str, Any]) -> AsyncIterator[str]:
-    """How far a call is, and its result last; each a line of JSON. The call ends when nobody listens any more."""
+    """Yield the progress and then the result of a call, as JSON lines; the call ends when the client disconnects."""
     sending, receiving = anyio.create_memory_object_stream[dict[str, Any]](100)
 
     async def report(progress: float, total: float | None, message: str | None) -> None:
@@ -235,7 +235,7 @@ def _on_the_wire(result: CallToolResult) -> dict[str, Any]:
 
 
 async def _keep(request: Request, folder: Path, max_bytes: int) -> Response:
-    """Keep a photograph that was dropped, below its content's name, so that the same one is kept once."""
+    """Store a dropped photograph below the hash of its content, so that duplicates are stored once."""
     if request.headers.get("content-type") != "application/octet-stream":
         return PlainTextResponse("send the photograph's bytes", 400)
     named = Path(request.query_params.get("name", "")).name

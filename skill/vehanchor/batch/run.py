@@ -19,10 +19,11 @@ from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, Task
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, OutputError
-from vehanchor.estimate import networks_sha256, open_detector
-from vehanchor.models.session import DEFAULT_PROVIDERS
+from vehanchor.estimate import checked_detector, networks_sha256
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import bundled_models, resolve_model
 from vehanchor.options import ScaleOptions
+from vehanchor.records import SCHEMA_VERSION
 from vehanchor.storage.journal import Journal
 
 if TYPE_CHECKING:
@@ -60,9 +61,8 @@ def run_batch(
     classes: Sequence[str | int] | None = None,
     options: ScaleOptions | None = None,
     known_lengths: str | os.PathLike[str] | None = None,
-    providers: Sequence[str] = DEFAULT_PROVIDERS,
     overwrite: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    runtime: Runtime | None = None,
 ) -> BatchSummary:
     """Estimate the scale of many images: a table with a row for each.
 
@@ -80,9 +80,9 @@ def run_batch(
         classes: of the model, by name or index, that count as vehicles; default the model's own.
         options: every choice of the method, without a frame.
         known_lengths: a CSV of lines of known length in single images; see ``read_known_lengths``.
-        providers: execution providers of ONNX Runtime, in order of preference.
         overwrite: start anew; a complete table stays until the new one is complete.
-        progress: called with (images done, images in all).
+        runtime: providers and precision of the models, each on one thread; its progress gets (images done, images in
+            all).
 
     Raises:
         ImageNotFoundError: a directory that does not exist, a directory or pattern without images.
@@ -93,17 +93,17 @@ def run_batch(
         MissingExtraError: Ray or pyarrow is not installed.
         WorkerDiedError: a worker was killed.
     """
-    table, chosen = check_table_path(Path(output)), options or ScaleOptions()
+    table, chosen, told = check_table_path(Path(output)), options or ScaleOptions(), runtime or Runtime()
     _check(engine, address, workers, chosen)
     _check_unfinished(table, overwrite)
     tasks = list(map(Task.of, find_images(inputs, leave_out=(table, journal_path(table)))))
     lines = lines_in(known_lengths, [task.path for task in tasks])
-    job = replace(_job(detector, classes, chosen, tuple(providers)), known_lengths=lines)
+    job = replace(_job(detector, classes, chosen, replace(told.idle, threads=1)), known_lengths=lines)
     journal = open_journal(table, job, anew=overwrite)  # the table itself stays until the new one is whole
     keys = {task.file: task.key() for task in tasks}  # of the images as they are now
     missing = [task for task in tasks if keys[task.file] not in journal]
     with closing(_rows(engine, job, missing, workers, address)) as rows:
-        for row in _counting(rows, len(tasks) - len(missing), len(tasks), progress):
+        for row in _counting(rows, len(tasks) - len(missing), len(tasks), told.tell):
             journal.add(keys[row.file], row)
     statuses = _write(table, journal.values(keys[task.file] for task in tasks))
     journal.remove()
@@ -142,6 +142,7 @@ def _settings(job: BatchJob) -> dict[str, Any]:
         options["lines_of"] = job.known_lengths
     return {
         "vehanchor": version("vehanchor"),
+        "schema_version": SCHEMA_VERSION,
         "networks_sha256": job.networks_sha256,
         "classes": job.classes,
         **options,
@@ -152,15 +153,15 @@ def _job(
     detector: str | os.PathLike[str] | None,
     classes: Sequence[str | int] | None,
     options: ScaleOptions,
-    providers: tuple[str, ...],
+    runtime: Runtime,
 ) -> BatchJob:
     """Load the model once, so that what is wrong with it is told before the work."""
     named = tuple(classes) if classes else None
-    path = resolve_model(None if detector is None else str(detector))
-    model = open_detector(Detector(path, classes=named, providers=providers), options)
+    path = resolve_model(None if detector is None else str(detector), runtime.precision)
+    model = checked_detector(Detector(path, classes=named, runtime=runtime), options)
     bundled = model.path in bundled_models().values()  # elsewhere in the cluster it may lie elsewhere
     name = model.path.stem if bundled else str(model.path.resolve())
-    return BatchJob(name, networks_sha256(model.card), named, options, providers)
+    return BatchJob(name, networks_sha256(model.card), named, options, runtime)
 
 
 def _check(engine: str, address: str | None, workers: int | None, options: ScaleOptions) -> None:
@@ -193,10 +194,9 @@ def _rows(
 
 
 def _counting(
-    rows: Iterator[BatchRow], n_done: int, n_tasks: int, progress: Callable[[int, int], None] | None
+    rows: Iterator[BatchRow], n_done: int, n_tasks: int, tell: Callable[[int, int], None]
 ) -> Iterator[BatchRow]:
     """The same rows, the progress told when each has been dealt with."""
-    tell = progress or (lambda _done, _total: None)
     tell(n_done, n_tasks)
     for number, row in enumerate(rows, start=n_done + 1):
         yield row

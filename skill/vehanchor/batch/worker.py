@@ -12,12 +12,13 @@ from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.batch.row import BatchRow
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
-from vehanchor.estimate import analyse_scale, networks_sha256, open_detector
+from vehanchor.estimate import analyse_image, checked_detector, networks_sha256
+from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.addresses import is_address
-from vehanchor.models.session import DEFAULT_PROVIDERS
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
-from vehanchor.storage.journal import Key, Source
+from vehanchor.storage.journal import Key
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -34,8 +35,7 @@ class BatchJob:
         networks_sha256: what that and all networks beside it must be: on another machine they could be others.
         classes: of the model, that count as vehicles; None for the model's own.
         options: every choice of the method, without a frame.
-        providers: execution providers of ONNX Runtime.
-        threads: CPU threads of each worker's model; rows are the same with any.
+        runtime: of each worker's models; rows are the same with any number of threads.
         known_lengths: lines of single images, whose pixels they are in; those of the options are in every image.
     """
 
@@ -43,8 +43,7 @@ class BatchJob:
     networks_sha256: str
     classes: tuple[str | int, ...] | None = None
     options: ScaleOptions = field(default_factory=ScaleOptions)
-    providers: tuple[str, ...] = DEFAULT_PROVIDERS
-    threads: int = 1
+    runtime: Runtime = field(default_factory=lambda: Runtime(threads=1))
     known_lengths: KnownLengthTable = field(default_factory=dict)
 
 
@@ -81,10 +80,8 @@ class Worker:
 
     def __init__(self, job: BatchJob) -> None:
         self._options, self._known_lengths = job.options, job.known_lengths
-        self._detector = open_detector(
-            Detector(resolve_model(job.detector), classes=job.classes, threads=job.threads, providers=job.providers),
-            job.options,
-        )
+        path = resolve_model(job.detector)
+        self._detector = checked_detector(Detector(path, classes=job.classes, runtime=job.runtime), job.options)
         here = networks_sha256(self._detector.card)
         if here != job.networks_sha256:
             raise ModelContractError(
@@ -95,14 +92,14 @@ class Worker:
     @classmethod
     def of_own_process(cls, job: BatchJob) -> Worker:
         """A worker to which this process belongs: OpenCV, too, is held to the job's threads."""
-        cv2.setNumThreads(job.threads)
+        cv2.setNumThreads(job.runtime.threads or -1)
         return cls(job)
 
     def row(self, task: Task) -> BatchRow:
         """The row of one image; whatever goes wrong with it is the row's error."""
         try:
             options = with_lines_of(self._options, self._known_lengths, task.path)
-            estimate = analyse_scale(task.path, options, detector=self._detector).estimate
+            estimate = analyse_image(task.path, self._detector, options).estimate
         except VehAnchorError as error:
             return BatchRow.failed(task.file, error)
         except MemoryError:

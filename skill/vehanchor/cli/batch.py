@@ -96,7 +96,6 @@ def _run(
     if same_scale:
         return _of_one_scale(inputs, output, engine, workers, chosen, progress, known_lengths, overwrite=overwrite)
     from vehanchor.batch import run_batch
-    from vehanchor.models.session import DEFAULT_PROVIDERS
 
     model = chosen.detector
     return run_batch(
@@ -105,13 +104,12 @@ def _run(
         engine=engine.value,
         address=address,
         workers=workers,
-        detector=model.path,
+        detector=model.detector,
         classes=model.names_and_indices,
         options=chosen.options(),
         known_lengths=known_lengths,
-        providers=model.providers or DEFAULT_PROVIDERS,
         overwrite=overwrite,
-        progress=progress,
+        runtime=model.runtime(progress),
     )
 
 
@@ -130,14 +128,14 @@ def _of_one_scale(
 
     if engine is not _Engine.local or workers not in (None, 1):
         raise InvalidParameterError("--same-scale works in one process here: leave out --engine and --workers")
+    opened = chosen.engine(progress=progress)
     return run_same_scale(
         inputs,
         output,
-        detector=chosen.open_detector(),
-        options=chosen.options(),
+        detector=opened.detector,
+        options=opened.options,
         known_lengths=known_lengths,
         overwrite=overwrite,
-        progress=progress,
     )
 
 

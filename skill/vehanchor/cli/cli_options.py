@@ -1,12 +1,12 @@
 """Command-line options made from the fields of the option groups, so that every command has them alike.
 
     @scale_command()
-    def estimate(images: ..., chosen: Chosen) -> None:
-        options, detector = chosen.options(), chosen.open_detector()
+    def estimate(images: ..., chosen: ParsedOptions) -> None:
+        engine = chosen.engine()
 
 ``estimate`` then has the options of ``Search``, ``Lengths``, ``Reference``, ``Frame``, ``Reading``, ``Rulers`` and
-``DetectorChoice`` beside its own. They are checked when ``options`` and ``open_detector`` are called, where the command
-can tell its user.
+``DetectorChoice`` beside its own. They are checked when ``options``, ``runtime`` or ``engine`` is called: there the
+command can report an error.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 import functools
 import inspect
 import typing
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
@@ -22,15 +22,17 @@ import typer
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.models.precision import Precision
-from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
-from vehanchor.options.fields import Choice, choice
+from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Rulers, ScaleOptions, Search, models
+from vehanchor.options.frame import FRAME
+from vehanchor.options.option import Option, metadata_of, option_of
 from vehanchor.rulers.registry import rulers_help
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
     from pathlib import Path
 
-    from vehanchor.detection.detector import Detector
+    from vehanchor.engine import Engine
+    from vehanchor.models.runtime import Progress, Runtime
 
 Photograph: TypeAlias = Annotated[
     str,
@@ -56,69 +58,26 @@ class DetectorChoice:
         providers: ONNX Runtime execution providers in order of preference; None for the CPU's.
     """
 
-    detector: str | None = field(
-        default=None,
-        metadata=choice("ONNX oriented-box model, or the name of a bundled one. Default: the bundled.", metavar="FILE"),
-    )
-    precision: Precision = field(
-        default="float32",
-        metadata=choice(
-            "Numbers that the bundled model computes with: float32; int8, quicker on processors with dot products of "
-            "bytes (VNNI, Armv8.2); auto, int8 on those. The record names the file."
-        ),
-    )
-    classes: list[str] | None = field(
-        default=None,
-        metadata=choice(
-            "Class, by name or index, that counts as a vehicle; may be repeated.", metavar="NAME", flag="class"
-        ),
-    )
-    threads: int | None = field(
-        default=None,
-        metadata=choice("CPU threads; the result is the same with any. Default: all cores.", metavar="N"),
-    )
-    providers: list[str] | None = field(
-        default=None,
-        metadata=choice(
-            "Where models run: cpu, cuda, tensorrt, coreml, openvino, directml, or another provider of ONNX Runtime by "
-            "name; may be repeated, in order of preference. Default: cpu.",
-            metavar="NAME",
-            flag="provider",
-        ),
-    )
-
-    @property
-    def path(self) -> Path:
-        """The model's file.
-
-        Raises:
-            ModelNotFoundError: there is none, or none of that precision.
-        """
-        from vehanchor.models.zoo import resolve_model
-
-        return resolve_model(self.detector, self.precision)
+    detector: str | None = field(default=None, metadata=metadata_of(models.DETECTOR))
+    precision: Precision = field(default="float32", metadata=metadata_of(models.PRECISION))
+    classes: list[str] | None = field(default=None, metadata=metadata_of(models.CLASSES))
+    threads: int | None = field(default=None, metadata=metadata_of(models.THREADS))
+    providers: list[str] | None = field(default=None, metadata=metadata_of(models.PROVIDERS))
 
     @property
     def names_and_indices(self) -> list[str | int] | None:
         """The classes as the detector takes them: a number is an index."""
         return [int(name) if name.isdecimal() else name for name in self.classes] if self.classes else None
 
-    def open(self) -> Detector:
-        """Load the detector.
+    def runtime(self, progress: Progress | None = None) -> Runtime:
+        """How the models run.
 
         Raises:
-            ModelError: it cannot be used.
-            InvalidParameterError: the threads or the classes have no meaning.
+            InvalidParameterError: the threads or the providers are invalid.
         """
-        from vehanchor.detection.detector import Detector
-        from vehanchor.models.session import DEFAULT_PROVIDERS
+        from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
 
-        return Detector(
-            self.path,
-            classes=self.names_and_indices,
-            threads=self.threads,
-            providers=self.providers or DEFAULT_PROVIDERS,
-        )
+        return Runtime(self.threads, self.providers or DEFAULT_PROVIDERS, self.precision, progress)
 
 
 _GROUPS: tuple[tuple[type[Any], str], ...] = (
@@ -140,9 +99,8 @@ _FRAME = inspect.Parameter(
         tuple[int, int] | None,
         typer.Option(
             "--frame",
-            metavar="W H",
-            help="Size, pixels, of a resized copy that you work in: its scale is given, too, and boxes and points are "
-            "read in its pixels.",
+            metavar=FRAME.metavar,
+            help=FRAME.help,
             rich_help_panel=_FIRST_PANEL,
         ),
     ],
@@ -182,9 +140,25 @@ class ParsedOptions:
         typed: dict[str, Any] = {name: self.typed.get(name) for name in DetectorChoice.__dataclass_fields__}
         return DetectorChoice(**typed)
 
-    def open_detector(self) -> Detector:
-        """Load the model; see ``DetectorChoice.open``."""
-        return self.detector.open()
+    def engine(
+        self, *, segmenter: tuple[str | Path, str | Path] | None = None, progress: Progress | None = None
+    ) -> Engine:
+        """The engine that was chosen; it loads a model when it first needs it.
+
+        Raises:
+            InvalidParameterError: a value is invalid.
+            CalibrationFileError: the calibration cannot be read.
+        """
+        from vehanchor.engine import Engine
+
+        choice = self.detector
+        return Engine(
+            choice.detector,
+            segmenter,
+            classes=choice.names_and_indices,
+            options=self.options(),
+            runtime=choice.runtime(progress),
+        )
 
 
 def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -219,7 +193,7 @@ def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., N
 
 
 def option_parameters(group: type[Any], panel: str) -> list[inspect.Parameter]:
-    """The parameters of a Typer command that stand for the fields of a group that have a ``Choice``.
+    """Make the parameters of a Typer command for the options of a group.
 
     Args:
         group: a dataclass.
@@ -229,11 +203,12 @@ def option_parameters(group: type[Any], panel: str) -> list[inspect.Parameter]:
         Keyword-only parameters named as the fields, annotated for Typer.
     """
     kinds = typing.get_type_hints(group, localns={"Calibration": str})
-    return [_parameter(each.name, kinds[each.name], each, panel) for each in fields(group) if "choice" in each.metadata]
+    declared = [(each, option_of(each)) for each in fields(group)]
+    return [_parameter(each, stated, kinds[each.name], panel) for each, stated in declared if stated and stated.cli]
 
 
-def _parameter(name: str, kind: Any, declared: Any, panel: str) -> inspect.Parameter:
-    stated: Choice = declared.metadata["choice"]
+def _parameter(declared: Field[Any], stated: Option, kind: Any, panel: str) -> inspect.Parameter:
+    name = declared.name
     bare = next((option for option in typing.get_args(kind) if option is not type(None)), kind)
     default = None if declared.default is MISSING else declared.default
     flag = stated.flag or _without_unit(name).replace("_", "-")

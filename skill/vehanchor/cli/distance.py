@@ -60,19 +60,15 @@ def _distance(
     """Measure the distance (metres) between two points, or along a line, by the scale of the cars in the image."""
     with exit_on_error():
         try:
-            path, options, known = _path(point or ()), chosen.options(), read_scale(scale, image)
+            path, engine, known = _path(point or ()), chosen.engine(), read_scale(scale, image)
             _check_outputs(image, line, overlay)
-            from vehanchor.measure.distance import analyse_distance
-
             with tile_progress(1, lines_on_terminal=as_json) as step:
-                analysis = analyse_distance(
+                analysis = engine.analyse_distance(
                     image,
                     path,
-                    options,
                     gsd_m_per_px=gsd,
                     scale=known,
                     object_height_m=object_height,
-                    detector=chosen.detector.open() if gsd is None and known is None else None,
                     progress=step(0, image),
                 )
             record = analysis.measurement

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from vehanchor.analysis.scale import ScaleAnalysis
-    from vehanchor.detection.detector import Detector
-    from vehanchor.options import ScaleOptions
+    from vehanchor.engine import Engine
     from vehanchor.records import GsdEstimate, RulerScale, TiltEstimate
 
 _STEM = "{stem}"
@@ -84,13 +83,14 @@ def estimate(
         try:
             _refuse_folders(images)
             outputs = _outputs(images, overlay, plot, boxes)
-            options, model = chosen.options(), chosen.open_detector()
+            engine = chosen.engine()
+            engine.load()
         except VehAnchorError as error:
             if as_json:  # every image gets its line
                 for source in images:
                     print_json(failure(source, error))
             raise
-        rows, n_failed = _estimate_all(images, options, model, outputs, as_json=as_json)
+        rows, n_failed = _estimate_all(images, engine, outputs, as_json=as_json)
         if rows and not as_json:
             print_table(_summary_table(rows) if len(images) > 1 else _estimate_table(*rows[0]))
             for source, record in rows:
@@ -109,7 +109,7 @@ def _refuse_folders(images: Sequence[str]) -> None:
 
 
 def _estimate_all(
-    images: Sequence[str], options: ScaleOptions, model: Detector, outputs: Sequence[_Outputs], *, as_json: bool
+    images: Sequence[str], engine: Engine, outputs: Sequence[_Outputs], *, as_json: bool
 ) -> tuple[list[tuple[str, GsdEstimate]], int]:
     """Records of the images that could be read, and how many errors were reported."""
     rows: list[tuple[str, GsdEstimate]] = []
@@ -117,7 +117,7 @@ def _estimate_all(
     with tile_progress(len(images), lines_on_terminal=as_json and sys.stdout.isatty()) as step:
         for number, source in enumerate(images):
             try:
-                analysis = _analyse(source, options, model, step(number, source))
+                analysis = engine.analyse_scale(source, progress=step(number, source))
             except VehAnchorError as error:
                 n_failed += 1
                 report(error, source if len(images) > 1 else "")
@@ -178,14 +178,6 @@ def _names(images: Sequence[str], option: str, pattern: str | None) -> list[Path
             f"{option} '{_STEM}_{option.lstrip('-')}{Path(pattern).suffix}'"
         )
     return [Path(pattern.replace(_STEM, Path(source).stem)) for source in images]
-
-
-def _analyse(
-    source: str, options: ScaleOptions, model: Detector, progress: Callable[[int, int], None] | None
-) -> ScaleAnalysis:
-    from vehanchor.estimate import analyse_scale
-
-    return analyse_scale(source, options, detector=model, progress=progress)
 
 
 def _write_outputs(analysis: ScaleAnalysis, outputs: _Outputs) -> None:

@@ -76,24 +76,16 @@ def flight(
 ) -> None:
     """Estimate the scales of the photographs of one flight by the evidence of all of them."""
     with exit_on_error():
-        from vehanchor.flight.estimate import analyse_flight
         from vehanchor.flight.io import check_record_path, write_record
         from vehanchor.flight.report import check_report_path, write_report
 
-        options = chosen.options()
+        engine = chosen.engine()
         journal = None if out is None else check_record_path(out).with_name(out.name + ".journal")
         if page is not None:
             check_report_path(page)
         images = _images(inputs, every, () if out is None else (out,))
         with image_progress() as progress, _kept(journal):
-            record = analyse_flight(
-                images,
-                options,
-                same_scale=same_scale,
-                detector=chosen.open_detector(),
-                journal=journal,
-                progress=progress,
-            )
+            record = engine.flight(images, same_scale=same_scale, journal=journal, progress=progress)
         if out is not None:
             write_record(out, record)
         if page is not None:

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 import typer
 
 from vehanchor.errors import InvalidParameterError
+from vehanchor.options.given_scale import GSD, OBJECT_HEIGHT
 
 if TYPE_CHECKING:
     from vehanchor.records import KnownScale
 
 GivenGsd: TypeAlias = Annotated[
     float | None,
-    typer.Option("--gsd", metavar="M/PX", help="The scale, metres per pixel of the full image: then no car is needed."),
+    typer.Option(f"--{GSD.flag}", metavar=GSD.metavar, help=GSD.help),
 ]
 
 KnownLengthsFile: TypeAlias = Annotated[
@@ -27,11 +28,7 @@ KnownLengthsFile: TypeAlias = Annotated[
 
 ObjectHeight: TypeAlias = Annotated[
     float | None,
-    typer.Option(
-        metavar="M",
-        help="How high above the ground lies what is measured, as a roof does: with --height, or where the file tells "
-        "the camera's height or lens.",
-    ),
+    typer.Option(f"--{OBJECT_HEIGHT.flag}", metavar=OBJECT_HEIGHT.metavar, help=OBJECT_HEIGHT.help),
 ]
 
 ScaleFile: TypeAlias = Annotated[

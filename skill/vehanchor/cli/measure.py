@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from vehanchor.cli.cli_options import DetectorChoice, ParsedOptions, Photograph, scale_command
+from vehanchor.cli.cli_options import ParsedOptions, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ObjectHeight, ScaleFile, read_scale
 from vehanchor.cli.spaced import SpacedCommand
 from vehanchor.cli.terminal import (
@@ -24,23 +24,20 @@ from vehanchor.cli.terminal import (
     tile_progress,
 )
 from vehanchor.errors import InvalidParameterError, OutputError, PromptError, VehAnchorError
+from vehanchor.options.models import SEGMENTER
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from vehanchor.analysis.measured import AreaAnalysis
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import AreaMeasurement, KnownScale
+    from vehanchor.records import AreaMeasurement
 
 _SHORT_SHA = 12
 
 SegmenterFiles: TypeAlias = Annotated[
     tuple[str, str] | None,
-    typer.Option(
-        metavar="ENCODER DECODER",
-        help="ONNX files of a promptable segmenter: SAM, MobileSAM, SAM 2, SAM 3 tracker, EfficientSAM. Default: "
-        "the bundled.",
-    ),
+    typer.Option(metavar=SEGMENTER.metavar, help=SEGMENTER.help),
 ]
 
 MaskFile: TypeAlias = Annotated[
@@ -87,19 +84,16 @@ def _measure(
     with exit_on_error():
         try:
             outputs = _outputs(image, overlay, mask, outline)
-            options, known = chosen.options(), read_scale(scale, image)
+            engine, known = chosen.engine(segmenter=segmenter), read_scale(scale, image)
             with tile_progress(1, lines_on_terminal=as_json) as step:
-                analysis = _analyse(
+                analysis = engine.analyse_area(
                     image,
-                    options,
-                    box,
-                    _points(point, negative),
-                    gsd,
-                    known,
-                    object_height,
-                    segmenter,
-                    chosen.detector,
-                    step(0, image),
+                    box=box,
+                    points=_points(point, negative),
+                    gsd_m_per_px=gsd,
+                    scale=known,
+                    object_height_m=object_height,
+                    progress=step(0, image),
                 )
         except VehAnchorError as error:
             if as_json:
@@ -110,7 +104,7 @@ def _measure(
         else:
             print_table(facts_table(image, _facts(analysis.measurement)))
             print_warnings(analysis.measurement, "")
-        _write_files(analysis, options, *outputs, outline)
+        _write_files(analysis, engine.options, *outputs, outline)
         exit_strictly(strict, [analysis.measurement.status])
 
 
@@ -154,36 +148,6 @@ def _outputs(
         if chosen[1] is not None and chosen[1].suffix.lower() != ".png":
             raise OutputError(f"cannot write a mask as {str(chosen[1])!r}: use .png, which keeps every pixel as it is")
     return chosen[0], chosen[1]
-
-
-def _analyse(
-    image: str,
-    options: ScaleOptions,
-    box: tuple[float, float, float, float] | None,
-    points: list[tuple[float, float, bool]] | None,
-    gsd: float | None,
-    known: KnownScale | None,
-    object_height: float | None,
-    segmenter: tuple[str, str] | None,
-    detector: DetectorChoice,
-    progress: Callable[[int, int], None] | None,
-) -> AreaAnalysis:
-    from vehanchor.measure.area import analyse_area
-
-    return analyse_area(
-        image,
-        options,
-        box=box,
-        points=points,
-        gsd_m_per_px=gsd,
-        scale=known,
-        object_height_m=object_height,
-        segmenter=segmenter,
-        detector=detector.open() if gsd is None and known is None else None,
-        threads=detector.threads,
-        providers=detector.providers or None,
-        progress=progress,
-    )
 
 
 def _write_files(

@@ -85,7 +85,10 @@ def show_model(
     """Show all that a detector's file says of itself; the paper's values stand in where it is silent."""
     with exit_on_error():
         try:
-            model = DetectorChoice(detector=file, classes=classes).open()
+            from vehanchor.engine import Engine
+
+            choice = DetectorChoice(detector=file, classes=classes)
+            model = Engine(choice.detector, classes=choice.names_and_indices).detector
         except VehAnchorError as error:
             if as_json:
                 print_json(failure(file, error))

@@ -45,7 +45,7 @@ def scalebar(
     with exit_on_error():
         from vehanchor.export.geotiff import check_copy_path, write_metric_copy
         from vehanchor.imagery.sources.opening import open_raster
-        from vehanchor.measure.resolved_scale import choose_scale, resolve_scale
+        from vehanchor.measure.resolved_scale import given_scale, resolve_scale
         from vehanchor.pictures.scale import (
             check_picture_path,
             draw_scale_bar,
@@ -58,19 +58,18 @@ def scalebar(
             if path is not None:
                 check_apart(path, image)
         options, known = chosen.options(), read_scale(scale, image)
-        source = choose_scale(gsd, known, chosen.detector.open() if gsd is None and known is None else None, options)
-        with (
-            open_raster(image, bands=options.reading.bands, limits=options.reading.limits) as raster,
-            tile_progress(1, lines_on_terminal=False) as step,
-        ):
-            found = resolve_scale(raster, source, options, progress=step(0, image))
-            if found.gsd_m_per_px is None or found.status != "ok" or found.plane is not None:
-                typer.echo(f"no bar: {_refusal(found)}; nothing was written", err=True)
-                raise typer.Exit(NOT_OK)
-            picture = fit_for_eyes(read_reduced(raster))
-            width_px = raster.width_px
-            if geotiff is not None:
-                write_metric_copy(geotiff, raster, found.gsd_m_per_px)
+        given = given_scale(gsd, known, options)
+        with tile_progress(1, lines_on_terminal=False) as step:
+            source = chosen.engine(progress=step(0, image)).detector if given is None else given
+            with open_raster(image, bands=options.reading.bands, limits=options.reading.limits) as raster:
+                found = resolve_scale(raster, source, options)
+                if found.gsd_m_per_px is None or found.status != "ok" or found.plane is not None:
+                    typer.echo(f"no bar: {_refusal(found)}; nothing was written", err=True)
+                    raise typer.Exit(NOT_OK)
+                picture = fit_for_eyes(read_reduced(raster))
+                width_px = raster.width_px
+                if geotiff is not None:
+                    write_metric_copy(geotiff, raster, found.gsd_m_per_px)
         drawn_gsd = found.gsd_m_per_px * width_px / picture.shape[1]
         draw_scale_bar(picture, drawn_gsd)
         write_picture(output, picture)

@@ -18,12 +18,11 @@ from vehanchor.courts.proposals import LENGTHS_M, boxes_of_courts, coarse_factor
 from vehanchor.courts.template import BASKETBALL, TENNIS
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
-from vehanchor.models.session import DEFAULT_PROVIDERS
+from vehanchor.models.runtime import Runtime
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.courts.fit import Fit
@@ -108,17 +107,16 @@ def propose_courts(
     card: DetectorCard,
     prior: SceneScalePrior | None = None,
     *,
-    providers: tuple[str, ...] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
+    runtime: Runtime | None = None,
 ) -> Proposed:
     """Propose courts from the network and from a detector with court classes; arguments as in ``find_courts``."""
     proposals = boxes_of_courts(detections, card)
     # one thread: the network is small, and must not occupy all cores of a single-threaded worker
-    network = load_court_network(threads=1, providers=providers or DEFAULT_PROVIDERS)
+    network = load_court_network(replace(runtime or Runtime(), threads=1))
     factors = [] if network is None else coarse_factors(raster, prior)
     if network is not None:
         for factor in factors:
-            proposals += network.propose(raster, factor, run_options=run_options)
+            proposals += network.propose(raster, factor)
     return Proposed(proposals, len(factors))
 
 
@@ -129,8 +127,7 @@ def find_courts(
     prior: SceneScalePrior | None = None,
     *,
     proposed: Proposed | None = None,
-    providers: tuple[str, ...] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
+    runtime: Runtime | None = None,
 ) -> tuple[Court, ...]:
     """Find and measure the courts that lie completely inside an image.
 
@@ -140,15 +137,12 @@ def find_courts(
         card: model card of the detector.
         prior: scene-scale prior; None without one.
         proposed: proposals of courts; None calls ``propose_courts``.
-        providers: where the network runs that looks for them; None for the CPU.
-        run_options: ONNX Runtime's, for a caller that may have to end a run.
+        runtime: of the network that proposes courts; None for the defaults.
 
     Returns:
         At most four courts, the highest score first. Half hidden courts and courts at the image's edge are left out.
     """
-    proposals, n_sizes = proposed or propose_courts(
-        raster, detections, card, prior, providers=providers, run_options=run_options
-    )
+    proposals, n_sizes = proposed or propose_courts(raster, detections, card, prior, runtime=runtime)
     surest = islice(_apart(proposals), _MOST_OF_ONE_SIZE if n_sizes == 1 else _MOST_LOOKED_AT)
     laid = [each for proposal in surest for each in _laid(raster, proposal)]
     found: list[Court] = []

@@ -19,15 +19,14 @@ from vehanchor.errors import ModelContractError
 from vehanchor.imagery.tiles import read_preview, read_reduced_window, tile_grid
 from vehanchor.models.cache import file_cached
 from vehanchor.models.files import read_model
-from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
+from vehanchor.models.runtime import LoadedModel, Runtime
+from vehanchor.models.session import open_session, run_session
 from vehanchor.models.zoo import bundled_courts
 from vehanchor.scale.fusion import credible_interval
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
-    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.detection.card import DetectorCard
@@ -83,37 +82,33 @@ def coarse_factors(raster: Raster, prior: SceneScalePrior | None) -> list[int]:
     return [min(factors, key=lambda factor: abs(math.log(median * factor / _SEEN_BEST_M)))] if factors else []
 
 
-class CourtNetwork:
+class CourtNetwork(LoadedModel):
     """Network that proposes courts.
 
     Args:
         path: ONNX file with an input ``tiles`` ``[n, 3, h, w]`` uint8 RGB, sides multiples of 8, and an output
             ``courts`` ``[n, 5, h / 8, w / 8]``: scores of tennis and basketball, cosine and sine of twice the angle,
             log of the length divided by 44 px.
-        threads: CPU threads; None leaves it to ONNX Runtime.
-        providers: ONNX Runtime execution providers in order of preference.
+        runtime: how to open it; None for the defaults.
 
     Raises:
         ModelNotFoundError: there is no such file.
         ModelContractError: the file is not a court network.
     """
 
-    def __init__(self, path: Path, *, threads: int | None = None, providers: Sequence[str] = DEFAULT_PROVIDERS) -> None:
-        self.path = path
-        self._session = open_session(path, content=read_model(path).content, threads=threads, providers=providers)
+    def __init__(self, path: Path, *, runtime: Runtime | None = None) -> None:
+        self.path, self.runtime = path, runtime or Runtime()
+        self._session = open_session(path, content=read_model(path).content, runtime=self.runtime)
         names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
         if names != ["tiles", "courts"]:
             raise ModelContractError(f"{path} has {', '.join(names)}: expected the input tiles and the output courts")
 
-    def propose(
-        self, raster: Raster, factor: int, *, run_options: onnxruntime.RunOptions | None = None
-    ) -> list[Proposal]:
+    def propose(self, raster: Raster, factor: int) -> list[Proposal]:
         """Propose courts in an image reduced by a factor; large images are read from the file's overviews if possible.
 
         Args:
             raster: the image.
             factor: 1 or more.
-            run_options: ONNX Runtime's, for a caller that may have to end a run.
 
         Returns:
             Proposals in no order; a court in the overlap of two tiles can occur twice.
@@ -127,22 +122,20 @@ class CourtNetwork:
             pixels = np.pad(pixels, ((0, down), (0, right), (0, 0)))
             tile = np.ascontiguousarray(pixels.transpose(2, 0, 1))[None]
             described = f"the court network {self.path} fails on {list(tile.shape)}"
-            (seen,) = run_session(self._session, None, {"tiles": tile}, run_options, described)
+            (seen,) = run_session(self._session, None, {"tiles": tile}, self.runtime, described)
             found += _peaks(seen[0], factor, window.x_px, window.y_px)
         return found
 
 
-def load_court_network(
-    *, threads: int | None = None, providers: tuple[str, ...] = DEFAULT_PROVIDERS
-) -> CourtNetwork | None:
-    """Load the bundled network, or reuse the loaded one; None if this installation has none."""
-    path = bundled_courts()
-    return None if path is None else _loaded(path, threads=threads, providers=providers)
+def load_court_network(runtime: Runtime | None = None) -> CourtNetwork | None:
+    """Load the bundled network once for each runtime; None if this installation has none."""
+    path, chosen = bundled_courts(), runtime or Runtime()
+    return None if path is None else _loaded(path, runtime=chosen.idle).under(chosen)
 
 
 @file_cached(max_models=2)
-def _loaded(path: Path, *, threads: int | None, providers: tuple[str, ...]) -> CourtNetwork:
-    return CourtNetwork(path, threads=threads, providers=providers)
+def _loaded(path: Path, *, runtime: Runtime) -> CourtNetwork:
+    return CourtNetwork(path, runtime=runtime)
 
 
 def _peaks(seen: NDArray[np.float32], factor: int, left: int, top: int) -> list[Proposal]:

@@ -14,12 +14,12 @@ from vehanchor.detection.detections import Objects
 from vehanchor.imagery.raster import Raster, StoredPixels, Window
 
 if TYPE_CHECKING:
-    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.courts.court import Court
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detections import Detections
+    from vehanchor.models.runtime import Runtime
     from vehanchor.scale.plane import GroundPlane
 
 _FARTHEST = 1.2  # from the centre, in image sizes; courts farther away are too small
@@ -78,8 +78,7 @@ def rough_courts_on(
     card: DetectorCard,
     *,
     most: int,
-    providers: tuple[str, ...] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
+    runtime: Runtime | None = None,
 ) -> list[Court]:
     """Find courts that can be recognised only in perspective; the tilt is unknown.
 
@@ -89,15 +88,14 @@ def rough_courts_on(
         detections: detections of the search.
         card: model card of the detector.
         most: number of proposals to try, the highest scores first.
-        providers: as in ``find_courts``.
-        run_options: as in ``find_courts``.
+        runtime: as in ``find_courts``.
 
     Returns:
         Courts in the image; verify each on the ground plane that its shape implies.
     """
     level = RectifiedRaster(raster, plane)
     nothing = replace(detections, others=Objects.joined())  # they refer to the unrectified image
-    proposed = propose_courts(level, nothing, card, providers=providers, run_options=run_options)
+    proposed = propose_courts(level, nothing, card, runtime=runtime)
     surest = sorted(proposed.proposals, key=lambda each: -each.share)[:most]
     rough = [court for each in surest if (court := rough_court(level, each)) is not None]
     return [replace(each, shape=None if each.shape is None else level.in_image(each.shape)) for each in rough]
@@ -109,8 +107,7 @@ def find_courts_on(
     detections: Detections,
     card: DetectorCard,
     *,
-    providers: tuple[str, ...] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
+    runtime: Runtime | None = None,
 ) -> tuple[Court, ...]:
     """Find courts as ``find_courts`` does, in an oblique image.
 
@@ -119,15 +116,14 @@ def find_courts_on(
         plane: ground plane of the image, correct to about five degrees; its scale does not matter.
         detections: detections of the search.
         card: model card of the detector.
-        providers: as in ``find_courts``.
-        run_options: ONNX Runtime's.
+        runtime: as in ``find_courts``.
 
     Returns:
         Courts with corners in the image. Their GSD holds at the image's centre if the plane is correct.
     """
     level = RectifiedRaster(raster, plane)
     nothing = replace(detections, others=Objects.joined())  # they refer to the unrectified image
-    courts = find_courts(level, nothing, card, providers=providers, run_options=run_options)
+    courts = find_courts(level, nothing, card, runtime=runtime)
     size = raster.width_px, raster.height_px
     found = [
         replace(

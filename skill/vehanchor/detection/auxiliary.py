@@ -10,25 +10,22 @@ import numpy as np
 from vehanchor.detection.card import AuxiliaryCard, read_auxiliary_card
 from vehanchor.errors import ModelContractError
 from vehanchor.models.files import models_sha256, read_model
-from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
+from vehanchor.models.runtime import LoadedModel, Runtime
+from vehanchor.models.session import open_session, run_session
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import onnxruntime
     from numpy.typing import NDArray
 
 _CardT = TypeVar("_CardT", bound=AuxiliaryCard)
 _INPUT = "chips"
 
 
-class AuxiliaryModel(Generic[_CardT]):
+class AuxiliaryModel(LoadedModel, Generic[_CardT]):
     """A network from ``chips [n, c, h, w]`` float32 to some numbers ``[n]`` for each.
 
     Args:
         path: the ONNX file.
-        threads: CPU threads; None leaves it to ONNX Runtime.
-        providers: ONNX Runtime execution providers in order of preference.
+        runtime: how to open it; None for the defaults.
 
     Attributes:
         path: the ONNX file.
@@ -48,12 +45,10 @@ class AuxiliaryModel(Generic[_CardT]):
 
     card: _CardT
 
-    def __init__(
-        self, path: str | Path, *, threads: int | None = None, providers: Sequence[str] = DEFAULT_PROVIDERS
-    ) -> None:
-        self.path = Path(path)
+    def __init__(self, path: str | Path, *, runtime: Runtime | None = None) -> None:
+        self.path, self.runtime = Path(path), runtime or Runtime()
         file = read_model(self.path)
-        self._session = open_session(self.path, content=file.content, threads=threads, providers=providers)
+        self._session = open_session(self.path, content=file.content, runtime=self.runtime)
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
         names = [each.name for each in (*inputs, *outputs)]
         if names != [_INPUT, *self.outputs] or tuple(inputs[0].shape[1:]) != self.chip_shape:
@@ -65,21 +60,18 @@ class AuxiliaryModel(Generic[_CardT]):
         metadata = self._session.get_modelmeta().custom_metadata_map
         self.card = read_auxiliary_card(self.card_type, self.path, models_sha256(file), metadata)  # type: ignore[assignment]
 
-    def answers(
-        self, chips: NDArray[np.float32], run_options: onnxruntime.RunOptions | None = None
-    ) -> NDArray[np.float64]:
+    def answers(self, chips: NDArray[np.float32]) -> NDArray[np.float64]:
         """What the network says of chips, a row ``[n]`` for each of its outputs.
 
         Args:
             chips: ``[n, c, h, w]``.
-            run_options: see ``Detector.detect_tile``.
 
         Raises:
             ModelContractError: it fails, or does not give a finite number for each chip.
             OutOfMemoryError: there is too little memory for it now.
         """
         described = f"the {self.named} {self.path} fails on {list(chips.shape)}"
-        said = run_session(self._session, list(self.outputs), {_INPUT: chips}, run_options, described)
+        said = run_session(self._session, list(self.outputs), {_INPUT: chips}, self.runtime, described)
         numbers = [np.asarray(each, np.float64) for each in said]
         if not all(each.shape == (len(chips),) and np.isfinite(each).all() for each in numbers):
             raise ModelContractError(f"the {self.named} {self.path} does not give a number for each of its chips")

@@ -22,13 +22,14 @@ from vehanchor.detection.verifier import Verifier
 from vehanchor.errors import ModelContractError
 from vehanchor.models.cache import file_cached
 from vehanchor.models.files import models_sha256, read_model
-from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
+from vehanchor.models.runtime import LoadedModel, Runtime
+from vehanchor.models.session import open_session, run_session
 from vehanchor.models.zoo import fleet_beside, verifier_beside
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import Self
 
-    import onnxruntime
     from numpy.typing import NDArray
 
 
@@ -54,7 +55,7 @@ class TileSighting(NamedTuple):
     ran_out: bool
 
 
-class Detector:
+class Detector(LoadedModel):
     """An oriented-box vehicle detector: an ONNX Runtime session and what its file says of itself.
 
     Args:
@@ -65,23 +66,21 @@ class Detector:
             (the bundled one for a bundled detector). Without any the look of vehicles is no evidence.
         verifier: file of the network that judges the candidates once more; default the one beside the detector,
             ``<stem>.verifier.onnx``. Without any the detector's scores stand.
-        threads: CPU threads of the session; None leaves it to ONNX Runtime.
-        providers: ONNX Runtime execution providers in order of preference.
+        runtime: how to open it and the networks beside it; None for the defaults.
 
     Attributes:
         path: the ONNX file.
         card: what it says of itself.
         fleet: the network that tells fleets apart; None without any.
         verifier: the network that judges candidates once more; None without any. ``search`` asks it.
-        threads: CPU threads of its session and of the networks beside it; None where ONNX Runtime chooses.
-        providers: execution providers of ONNX Runtime.
+        runtime: how it was opened, and the call that it runs for.
         fixed_size: height and width of the model's input, pixels; None where they are free.
 
     Raises:
         ModelNotFoundError: there is no such file.
         ModelContractError: the file is not an oriented-box detector of a known layout.
         ProviderUnavailableError: an execution provider is not installed.
-        InvalidParameterError: bad ``threads`` or ``classes``.
+        InvalidParameterError: bad ``classes``.
     """
 
     def __init__(
@@ -91,17 +90,15 @@ class Detector:
         classes: Sequence[str | int] | None = None,
         fleet: str | Path | None = None,
         verifier: str | Path | None = None,
-        threads: int | None = None,
-        providers: Sequence[str] = DEFAULT_PROVIDERS,
+        runtime: Runtime | None = None,
     ) -> None:
-        self.path = Path(path)
-        self.threads, self.providers = threads, tuple(providers)
+        self.path, self.runtime = Path(path), runtime or Runtime()
         file = read_model(self.path)
-        self._session = open_session(self.path, content=file.content, threads=threads, providers=providers)
+        self._session = open_session(self.path, content=file.content, runtime=self.runtime)
         beside = fleet if fleet is not None else fleet_beside(self.path)
-        self.fleet = None if beside is None else FleetNetwork(beside, threads=threads, providers=providers)
+        self.fleet = None if beside is None else FleetNetwork(beside, runtime=self.runtime)
         look = verifier if verifier is not None else verifier_beside(self.path)
-        self.verifier = None if look is None else Verifier(look, threads=threads, providers=providers)
+        self.verifier = None if look is None else Verifier(look, runtime=self.runtime)
         self.card = read_detector_card(
             self.path,
             models_sha256(file),
@@ -117,6 +114,14 @@ class Detector:
             self._vehicle_classes = vehicle_classes(self.card.class_names, self._contract.n_classes, classes)
         except ModelContractError as error:
             raise ModelContractError(f"{self.path}: {error}") from None
+
+    def under(self, call: Runtime) -> Self:
+        """The same detector for one call, with the networks beside it; see ``LoadedModel.under``."""
+        bound = super().under(call)
+        if bound is not self:
+            bound.fleet = self.fleet and self.fleet.under(call)
+            bound.verifier = self.verifier and self.verifier.under(call)
+        return bound
 
     def _refuse(self, found: str) -> ModelContractError:
         outputs = " or ".join(kind.layout for kind in CONTRACTS)
@@ -161,9 +166,9 @@ class Detector:
         except ModelContractError as error:
             raise self._refuse(str(error)) from None
 
-    def _run(self, batch: NDArray[Any], run_options: onnxruntime.RunOptions | None = None) -> list[NDArray[Any]]:
+    def _run(self, batch: NDArray[Any]) -> list[NDArray[Any]]:
         described = f"the detector {self.path} fails on {list(batch.shape)}"
-        outputs = run_session(self._session, None, {self._input.name: batch}, run_options, described)
+        outputs = run_session(self._session, None, {self._input.name: batch}, self.runtime, described)
         return [np.asarray(output) for output in outputs]
 
     def _prepared(self, tile: NDArray[np.uint8]) -> NDArray[Any]:
@@ -180,20 +185,17 @@ class Detector:
             np.multiply(channel, np.float32(1 / 255), out=plane, casting="unsafe")
         return batch
 
-    def detect_tile(
-        self, tile: NDArray[np.uint8], min_score: float, run_options: onnxruntime.RunOptions | None = None
-    ) -> TileSighting:
+    def detect_tile(self, tile: NDArray[np.uint8], min_score: float) -> TileSighting:
         """Detect objects in one tile, before non-maximum suppression.
 
         Args:
             tile: ``[h, w, 3]`` uint8 RGB, no larger than the model's input where that is fixed.
             min_score: detections below it are dropped.
-            run_options: of ONNX Runtime; setting their ``terminate`` from another thread ends a run within a layer.
 
         Returns:
             Vehicles and other objects, their boxes canonical, in tile pixels.
         """
-        outputs = self._run(self._prepared(tile), run_options)
+        outputs = self._run(self._prepared(tile))
         try:
             vehicles = self._contract.objects(outputs, min_score, self._vehicle_classes)
             others = Objects.joined()
@@ -232,29 +234,24 @@ def _within(found: Objects, width_px: int, height_px: int) -> Objects:
     return Objects(canonical_boxes(boxes[sane]), np.clip(found.scores[sane], 0.0, 1.0), found.classes[sane])
 
 
-def load_detector(
-    path: str | Path, *, threads: int | None = None, providers: tuple[str, ...] = DEFAULT_PROVIDERS
-) -> Detector:
+def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:
     """Open a detector once, until its file or that of a network beside it changes; see ``Detector``.
 
     Args:
         path: the ONNX file.
-        threads: CPU threads; None leaves it to ONNX Runtime.
-        providers: ONNX Runtime execution providers in order of preference.
+        runtime: how to open it, and the call that it runs for; None for the defaults.
 
     Returns:
         The detector, shared by all that ask for the same.
 
     Raises:
         ModelError: as ``Detector``.
-        InvalidParameterError: bad ``threads``.
     """
-    file = Path(path)
-    return _loaded(file, fleet=fleet_beside(file), verifier=verifier_beside(file), threads=threads, providers=providers)
+    file, chosen = Path(path), runtime or Runtime()
+    loaded = _loaded(file, fleet=fleet_beside(file), verifier=verifier_beside(file), runtime=chosen.idle)
+    return loaded.under(chosen)
 
 
 @file_cached(max_models=4)
-def _loaded(
-    path: Path, *, fleet: Path | None, verifier: Path | None, threads: int | None, providers: tuple[str, ...]
-) -> Detector:
-    return Detector(path, fleet=fleet, verifier=verifier, threads=threads, providers=providers)
+def _loaded(path: Path, *, fleet: Path | None, verifier: Path | None, runtime: Runtime) -> Detector:
+    return Detector(path, fleet=fleet, verifier=verifier, runtime=runtime)

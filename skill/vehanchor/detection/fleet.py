@@ -11,7 +11,6 @@ from vehanchor.detection.auxiliary import AuxiliaryModel
 from vehanchor.detection.card import FleetCard
 
 if TYPE_CHECKING:
-    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster
@@ -29,19 +28,16 @@ class FleetNetwork(AuxiliaryModel[FleetCard]):
     outputs = ("log_odds", "log_length")
     card_type = FleetCard
 
-    def look(
-        self, raster: Raster, boxes: NDArray[np.float64], run_options: onnxruntime.RunOptions | None = None
-    ) -> FleetAppearance:
+    def look(self, raster: Raster, boxes: NDArray[np.float64]) -> FleetAppearance:
         """What vehicles tell of their fleet by their look alone.
 
         Args:
             raster: the image.
             boxes: ``[n, 5]`` in image pixels, best first.
-            run_options: see ``Detector.detect_tile``.
 
         Returns:
             Of the first m = min(n, 100).
         """
         if len(boxes) == 0:
             return FleetAppearance(np.zeros(0), np.zeros(0))
-        return FleetAppearance(*self.answers(vehicle_chips(raster, boxes[:MAX_CHIPS]), run_options))
+        return FleetAppearance(*self.answers(vehicle_chips(raster, boxes[:MAX_CHIPS])))

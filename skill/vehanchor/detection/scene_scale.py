@@ -20,15 +20,16 @@ from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
 from vehanchor.models.cache import file_cached
 from vehanchor.models.files import read_model
-from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
+from vehanchor.models.runtime import LoadedModel, Runtime
+from vehanchor.models.session import open_session, run_session
 from vehanchor.models.zoo import bundled_scene_scale
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.fusion import GRID, blurred, with_outlier_floor
+from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    import onnxruntime
     from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.imagery.raster import Raster
@@ -43,6 +44,7 @@ _MOST_SIZE_ODDS = 2.0  # for or against: the ground may be wrong
 _BATCH = 8  # tiles at once: 24 would take three times the memory and no less time
 
 
+@stored("scene_level")
 class SceneLevel(NamedTuple):
     """What was seen at one resolution.
 
@@ -57,6 +59,7 @@ class SceneLevel(NamedTuple):
     log_probs: NDArray[np.float64]
 
 
+@stored("scene_calibration")
 @dataclass(frozen=True)
 class SceneCalibration:
     """From a network's answers to a density that can be believed (``research/training/scene_scale/calibrate.py``).
@@ -79,6 +82,7 @@ class SceneCalibration:
     floor: float = 0.02
 
 
+@stored("scene_scale_prior")
 @dataclass(frozen=True, eq=False)
 class SceneScalePrior:
     """What was seen of the ground at all resolutions of an image.
@@ -165,34 +169,32 @@ def scene_density(levels: Sequence[SceneLevel], calibration: SceneCalibration) -
     return with_outlier_floor(density / density.sum(), calibration.floor)
 
 
-class SceneScaleNetwork:
+class SceneScaleNetwork(LoadedModel):
     """The network of scene scale.
 
     Args:
         path: ONNX file with an input ``tiles`` ``[n, 3, 160, 160]`` uint8 RGB and an output ``log_probs``
             ``[n, bins]``, and its calibration in the metadata.
-        threads: CPU threads; None leaves it to ONNX Runtime.
-        providers: execution providers of ONNX Runtime in order of preference.
+        runtime: how to open it; None for the defaults.
 
     Raises:
         ModelNotFoundError: there is no such file.
         ModelContractError: it is another kind of file.
     """
 
-    def __init__(self, path: Path, *, threads: int | None = None, providers: Sequence[str] = DEFAULT_PROVIDERS) -> None:
-        self.path = path
-        self._session = open_session(path, content=read_model(path).content, threads=threads, providers=providers)
+    def __init__(self, path: Path, *, runtime: Runtime | None = None) -> None:
+        self.path, self.runtime = path, runtime or Runtime()
+        self._session = open_session(path, content=read_model(path).content, runtime=self.runtime)
         names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
         if names != ["tiles", "log_probs"]:
             raise ModelContractError(f"{path} has {', '.join(names)}: expected the input tiles, the output log_probs")
         self.calibration = _read_calibration(path, self._session.get_modelmeta().custom_metadata_map)
 
-    def look(self, raster: Raster, *, run_options: onnxruntime.RunOptions | None = None) -> SceneScalePrior:
+    def look(self, raster: Raster) -> SceneScalePrior:
         """Look at an image on tiles of every resolution.
 
         Args:
             raster: the image.
-            run_options: ONNX Runtime's, for a caller that may have to end a run.
 
         Returns:
             What was seen.
@@ -202,24 +204,22 @@ class SceneScaleNetwork:
             tiles = np.stack([_tile(raster, window, factor) for window in windows])
             described = f"the scene scale network {self.path} fails on {list(tiles.shape)}"
             seen = [
-                run_session(self._session, None, {"tiles": tiles[start : start + _BATCH]}, run_options, described)[0]
+                run_session(self._session, None, {"tiles": tiles[start : start + _BATCH]}, self.runtime, described)[0]
                 for start in range(0, len(tiles), _BATCH)
             ]
             levels.append(SceneLevel(factor, len(tiles), np.concatenate(seen).astype(np.float64).mean(axis=0)))
         return SceneScalePrior(tuple(levels), self.calibration)
 
 
-def load_scene_scale(
-    *, threads: int | None = None, providers: tuple[str, ...] = DEFAULT_PROVIDERS
-) -> SceneScaleNetwork | None:
-    """Load the bundled network, or the one that is loaded already; None where this installation has none."""
-    path = bundled_scene_scale()
-    return None if path is None else _loaded(path, threads=threads, providers=providers)
+def load_scene_scale(runtime: Runtime | None = None) -> SceneScaleNetwork | None:
+    """Load the bundled network once for each runtime; None if this installation has none."""
+    path, chosen = bundled_scene_scale(), runtime or Runtime()
+    return None if path is None else _loaded(path, runtime=chosen.idle).under(chosen)
 
 
 @file_cached(max_models=2)
-def _loaded(path: Path, *, threads: int | None, providers: tuple[str, ...]) -> SceneScaleNetwork:
-    return SceneScaleNetwork(path, threads=threads, providers=providers)
+def _loaded(path: Path, *, runtime: Runtime) -> SceneScaleNetwork:
+    return SceneScaleNetwork(path, runtime=runtime)
 
 
 def _tile(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:

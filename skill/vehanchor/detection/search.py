@@ -27,7 +27,6 @@ from vehanchor.options import Search
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.detection.convergence import Convergence, StopRule
@@ -50,21 +49,16 @@ def search(
     *,
     scene: SceneScalePrior | None = None,
     convergence: Callable[[Detections], Convergence] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
 ) -> Detections:
     """Search an image tile by tile, at one or more resolutions, and merge the results (paper, section III-B).
 
     Args:
         raster: the image; only two tiles of it are held at a time.
-        detector: the model.
+        detector: the model; the search reports its tiles to the progress of the detector's runtime.
         options: how to search; None for the defaults.
         scene: what the ground tells of the scale: at which resolutions to look first, and how long a car would be.
             None where nobody looked.
         convergence: says of what was found so far whether it would do; None searches on to the options' other limits.
-        progress: called with (tiles done, tiles in all), at the end with all of them; an exception it raises ends the
-            search.
-        run_options: see ``Detector.detect_tile``.
 
     Returns:
         Vehicles and other objects in image pixels, after oriented non-maximum suppression.
@@ -73,8 +67,7 @@ def search(
         InvalidParameterError: a tile larger than the model's fixed input, a stride beyond the tile.
     """
     chosen = options or Search()
-    work = _Work(raster, detector, chosen, scene, run_options)
-    tell = progress or (lambda _done, _total: None)
+    work, tell = _Work(raster, detector, chosen, scene), detector.runtime.tell
     total = len(work.visits)
     rule = stop_rule(chosen, raster.width_px * raster.height_px, total)
     because = (
@@ -127,16 +120,9 @@ def _search_in_order(
 class _Work:
     """The tiles of an image, and what those that were visited have shown."""
 
-    def __init__(
-        self,
-        raster: Raster,
-        detector: Detector,
-        options: Search,
-        scene: SceneScalePrior | None,
-        run_options: onnxruntime.RunOptions | None,
-    ) -> None:
+    def __init__(self, raster: Raster, detector: Detector, options: Search, scene: SceneScalePrior | None) -> None:
         card = detector.card
-        self._raster, self._detector, self._scene, self._run_options = raster, detector, scene, run_options
+        self._raster, self._detector, self._scene = raster, detector, scene
         self._nms_iou = options.nms_iou
         tile_px, stride_px = _tile_and_stride(detector.fixed_size, options)
         self._overlap_px = tile_px - stride_px
@@ -210,7 +196,7 @@ class _Work:
     def visit(self, k: int, pixels: NDArray[np.uint8]) -> int:
         """Look at a tile; how many vehicles it shows."""
         level, tile = self.visits[k]
-        seen = _seen(self._detector, pixels, level, self._min_score, self._scene, self._run_options)
+        seen = _seen(self._detector, pixels, level, self._min_score, self._scene)
         vehicles, others = (_in_image(found, tile, level, self._overlap_px) for found in (seen.vehicles, seen.others))
         self._found[k] = seen._replace(vehicles=vehicles, others=others)
         return len(vehicles)
@@ -229,7 +215,7 @@ class _Work:
             len(parts),
             sum(part.ran_out for part in parts),
             np.concatenate([np.zeros(0), *scales])[kept] if self._search_scales else None,
-            fleet.look(self._raster, vehicles.boxes, self._run_options) if fleet else None,
+            fleet.look(self._raster, vehicles.boxes) if fleet else None,
             vehicles.classes,
             _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
             len(self.visits),
@@ -243,16 +229,15 @@ def _seen(
     level: SearchLevel,
     min_score: float,
     scene: SceneScalePrior | None,
-    run_options: onnxruntime.RunOptions | None,
 ) -> TileSighting:
     """One tile's objects that count: vehicles of the level's lengths, after the second look where there is one."""
     look = detector.verifier
     # What the detector alone doubts may turn out to be a car.
-    seen = detector.detect_tile(pixels, min(min_score, look.card.least_score) if look else min_score, run_options)
+    seen = detector.detect_tile(pixels, min(min_score, look.card.least_score) if look else min_score)
     vehicles = seen.vehicles.take(level.counts(seen.vehicles.boxes[:, 2]))
     if look:
         size_odds = 0.0 if scene is None else scene.size_odds(vehicles.boxes[:, 2] * level.factor)
-        vehicles = look.judged(pixels, vehicles, run_options, size_odds=size_odds)
+        vehicles = look.judged(pixels, vehicles, size_odds=size_odds)
         vehicles = vehicles.take(vehicles.scores >= min_score)
     # The range of lengths is that of vehicles: it says nothing of other objects.
     return seen._replace(vehicles=vehicles, others=seen.others.take(seen.others.scores >= min_score))

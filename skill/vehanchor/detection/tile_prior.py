@@ -21,7 +21,7 @@ CELL_PX = 512
 _FACTOR = 8  # of the coarse view
 _CELL = CELL_PX // _FACTOR
 _BLOCK = 4 * _CELL  # of the coarse view, read at once: 2048 px of the image
-_ODDS_AT_ONE, _ODDS_PER_LOG = -7.2, 3.08  # of a car, over the log gradient: research/training/promise/fit.py
+_ODDS_AT_ONE, _ODDS_PER_LOG = -7.2, 3.08  # of a car, over the log gradient: research/training/tile_prior/fit.py
 FLAT = 0.5
 """Grey levels per pixel that are added to a gradient before its log is taken: what noise alone gives."""
 

@@ -17,7 +17,6 @@ from vehanchor.detection.card import VerifierCard
 from vehanchor.detection.detections import Objects
 
 if TYPE_CHECKING:
-    import onnxruntime
     from numpy.typing import ArrayLike, NDArray
 
 CHIP_PX = 48  # rows and columns
@@ -125,7 +124,6 @@ class Verifier(AuxiliaryModel[VerifierCard]):
         self,
         pixels: NDArray[np.uint8],
         found: Objects,
-        run_options: onnxruntime.RunOptions | None = None,
         *,
         size_odds: ArrayLike = 0.0,
     ) -> Objects:
@@ -134,7 +132,6 @@ class Verifier(AuxiliaryModel[VerifierCard]):
         Args:
             pixels: ``[h, w, 3]`` uint8 RGB, the tile in which they were found.
             found: candidates, in its pixels.
-            run_options: see ``Detector.detect_tile``.
             size_odds: ``[n]`` how well their sizes fit (see ``SceneScalePrior.size_odds``); 0 where nobody knows.
         """
         logits = [np.zeros(0)]
@@ -142,6 +139,6 @@ class Verifier(AuxiliaryModel[VerifierCard]):
             chips = surroundings(pixels, found.boxes[start : start + _BATCH])
             planes = np.ascontiguousarray(chips.transpose(0, 3, 1, 2))
             batch: NDArray[np.float32] = np.divide(planes, np.float32(255), dtype=np.float32)
-            logits.extend(self.answers(batch, run_options))
+            logits.extend(self.answers(batch))
         scores = Weights(*self.card.weights).score(found.scores, np.concatenate(logits), size_odds)
         return Objects(found.boxes, scores, found.classes)

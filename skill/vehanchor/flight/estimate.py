@@ -13,120 +13,60 @@ import numpy as np
 
 from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
-from vehanchor.estimate import analyse_view, networks_sha256, open_detector, search_raster
+from vehanchor.estimate import analyse_view, checked_detector, networks_sha256, search_raster
 from vehanchor.flight.components import single_component
 from vehanchor.flight.features import find_features
 from vehanchor.flight.inputs import InputPhotograph, check_many, named
 from vehanchor.flight.linking import link_photographs
 from vehanchor.flight.photograph import Look, Photograph, chief_member
 from vehanchor.flight.record import Failure, conclude_flight
+from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.measurement import with_tilt
-from vehanchor.storage.journal import Journal, Key, Source
+from vehanchor.storage.journal import Journal, Key
 from vehanchor.storage.stored import from_json, to_json
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-    from typing import Unpack
-
-    import onnxruntime
+    from collections.abc import Iterable
 
     from vehanchor.batch.known_lengths import KnownLengthTable
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
     from vehanchor.flight.features import Features
     from vehanchor.imagery.sources.opening import ImageSource
-    from vehanchor.options import OptionKeywords
     from vehanchor.records import FlightEstimate
-
-
-def estimate_flight(
-    images: Iterable[ImageSource | InputPhotograph],
-    *,
-    same_scale: bool = False,
-    detector: Detector | str | os.PathLike[str] | None = None,
-    threads: int | None = None,
-    providers: Sequence[str] | None = None,
-    journal: str | os.PathLike[str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    **options: Unpack[OptionKeywords],
-) -> FlightEstimate:
-    """Estimate the scales of many photographs of one flight by the evidence of all of them.
-
-    Only one photograph is held in memory at a time. One that cannot be read has its error in the record.
-
-    Args:
-        images: the photographs, in the order in which they were taken, each as in ``estimate_gsd``; an
-            ``InputPhotograph`` gives one a name, which else is its path or its number.
-        same_scale: they are all of one scale, as those of a survey at one height: their evidence is one.
-        detector: as in ``estimate_gsd``.
-        threads: CPU threads for the models.
-        providers: where they run, as in ``estimate_gsd``.
-        journal: file that keeps what was found in each photograph, so that the same call after an interruption goes on
-            where it stopped; removed at the end. Only photographs given as paths, and frames of ``sample_video``, are
-            kept.
-        progress: called with (photographs looked at, photographs in all).
-        **options: as in ``estimate_gsd``, without a frame and without lines of known length, which belong to one
-            photograph.
-
-    Returns:
-        The record; a photograph without evidence of its own, and that nothing ties to others, has no scale.
-
-    Raises:
-        ImageError: there is no photograph, or none that can be used.
-        ModelError: the detector cannot be used.
-        InvalidParameterError: an option has no meaning, or the journal is one of other options.
-        OutputError: the journal cannot be written.
-        CalibrationError: the calibration cannot be read, or was made for another detector.
-    """
-    return analyse_flight(
-        images,
-        ScaleOptions.of(options),
-        same_scale=same_scale,
-        detector=detector,
-        threads=threads,
-        providers=providers,
-        journal=journal,
-        progress=progress,
-    )
 
 
 def analyse_flight(
     images: Iterable[ImageSource | InputPhotograph],
-    options: ScaleOptions | None = None,
+    detector: Detector,
+    options: ScaleOptions,
     *,
     same_scale: bool = False,
-    detector: Detector | str | os.PathLike[str] | None = None,
-    threads: int | None = None,
-    providers: Sequence[str] | None = None,
     journal: str | os.PathLike[str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
     lines: KnownLengthTable | None = None,
 ) -> FlightEstimate:
-    """As ``estimate_flight``, with its options in groups; None for the defaults.
+    """Estimate the scales of many photographs of one flight; see ``Engine.flight``.
 
     Args:
-        images: as in ``estimate_flight``, as all that follow.
-        options: every choice of the method.
-        same_scale: of all.
-        detector: of vehicles.
-        threads: for the models.
-        providers: for the models.
-        journal: of what was found.
-        progress: of the photographs.
+        images: the photographs, in the order in which they were taken.
+        detector: finds the vehicles; photographs are reported to the progress of its runtime.
+        options: of the method.
+        same_scale: pool the evidence of all photographs.
+        journal: file that keeps what was found.
         lines: of known length in single photographs, which are paths or addresses; see ``read_known_lengths``.
+
+    Raises:
+        VehAnchorError: as ``Engine.flight``.
     """
-    chosen = options or ScaleOptions()
     check_many(images)
-    check_options(chosen)
-    model = open_detector(detector, chosen, threads=threads, providers=providers)
+    check_options(options)
+    checked_detector(detector, options)
     taken = list(named(images)) if isinstance(images, Sequence) else named(images)
-    kept = None if journal is None else open_journal(Path(journal), model, chosen, lines or {})
-    looks = search_flight(
-        taken, model, chosen, featured=not same_scale, journal=kept, progress=progress, lines=lines or {}
-    )
-    record = conclude(looks, model.card, same_scale=same_scale)
+    kept = None if journal is None else open_journal(Path(journal), detector, options, lines or {})
+    looks = search_flight(taken, detector, options, featured=not same_scale, journal=kept, lines=lines or {})
+    record = conclude(looks, detector.card, same_scale=same_scale)
     if kept is not None:
         kept.remove()
     return record
@@ -150,21 +90,17 @@ def search_flight(
     *,
     featured: bool = False,
     journal: Journal[Look] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
     lines: KnownLengthTable | None = None,
 ) -> list[Photograph | Failure]:
     """Look at every photograph, one after the other.
 
     Args:
         taken: the photographs, one held at a time.
-        detector: finds the vehicles.
+        detector: finds the vehicles. The progress of its runtime gets (photographs done, photographs in all); the
+            length of a video is unknown, and both numbers are the same.
         options: every choice of the method.
         featured: whether features are wanted, by which photographs find those that overlap.
         journal: what was found before; takes what is found now, at once.
-        progress: called with (photographs looked at, photographs in all); of a video nobody knows how many there are,
-            and both are the same.
-        run_options: ONNX Runtime's, for a caller that may have to end a running model.
         lines: of known length in single photographs.
 
     Returns:
@@ -173,7 +109,7 @@ def search_flight(
     Raises:
         ImageError: there is none, or none that can be used.
     """
-    tell = progress or (lambda _done, _total: None)
+    tell, silent = detector.runtime.tell, detector.under(replace(detector.runtime, progress=None))
     found: list[Photograph | Failure] = []
     total = len(taken) if isinstance(taken, Sized) else 0
     for done, each in enumerate(taken):
@@ -183,7 +119,7 @@ def search_flight(
         known = journal.get(key) if journal is not None and key is not None else None
         try:
             own = with_lines_of(options, lines, image) if lines and isinstance(image, str | os.PathLike) else options
-            look, features = _look(each, detector, own, known, run_options, featured=featured)
+            look, features = _look(each, silent, own, known, featured=featured)
         except VehAnchorError as error:
             found.append(Failure(name, error))
             continue
@@ -204,7 +140,6 @@ def _look(
     detector: Detector,
     options: ScaleOptions,
     known: Look | None,
-    run_options: onnxruntime.RunOptions | None,
     *,
     featured: bool,
 ) -> tuple[Look, Features | None]:
@@ -217,7 +152,7 @@ def _look(
         features = find_features(raster) if featured else None
         if known is not None:
             return known, features
-        view = with_tilt(search_raster(raster, detector, options, run_options=run_options))
+        view = with_tilt(search_raster(raster, detector, options))
         return Look.of(view, analyse_view(view)), features
 
 

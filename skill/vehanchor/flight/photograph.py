@@ -12,6 +12,7 @@ from vehanchor.estimate import analyse_view
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.rulers.evidence import View
 from vehanchor.rulers.measurement import with_tilt
+from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from vehanchor.tilt.camera_tilt import CameraTilt
 
 
+@stored("photograph_findings")
 @dataclass(frozen=True, eq=False)
 class Look:
     """The findings in one photograph, as a journal keeps them.

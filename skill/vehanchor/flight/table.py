@@ -18,7 +18,7 @@ from vehanchor.flight.project import estimate_in_flight
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
@@ -33,7 +33,6 @@ def run_same_scale(
     options: ScaleOptions,
     known_lengths: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
-    progress: Callable[[int, int], None] | None = None,
 ) -> BatchSummary:
     """Estimate the one scale of many images, and write a table with a row for each.
 
@@ -42,14 +41,13 @@ def run_same_scale(
     Args:
         inputs: directories, patterns and files.
         output: ``.parquet``, ``.csv`` or ``.jsonl``.
-        detector: finds the vehicles.
+        detector: finds the vehicles; images are reported to the progress of its runtime.
         options: every choice of the method, without a frame.
         known_lengths: a CSV of lines of known length in single images; see ``read_known_lengths``.
         overwrite: start anew; a complete table there is replaced once the new one is complete.
-        progress: called with (images done, images in all).
 
     Raises:
-        VehAnchorError: as ``run_batch`` and ``estimate_flight``.
+        VehAnchorError: as ``run_batch`` and ``Engine.flight``.
     """
     table = check_table_path(Path(output))
     journal = journal_path(table)
@@ -62,7 +60,7 @@ def run_same_scale(
     check_options(options)
     kept, photographs = open_journal(journal, detector, options, lines), list(named(images))
     n_resumed = sum(journal_key(each) in kept for each in photographs)
-    looks = search_flight(photographs, detector, options, journal=kept, progress=progress, lines=lines)
+    looks = search_flight(photographs, detector, options, journal=kept, lines=lines)
     record = conclude(looks, detector.card, same_scale=True)
     write_table(table, (_row(record, each) for each in record.photographs))
     kept.remove()

@@ -11,7 +11,7 @@ import numpy as np
 
 from vehanchor.errors import ImageDecodeError, ImageNotFoundError
 from vehanchor.flight.inputs import InputPhotograph
-from vehanchor.options.fields import positive
+from vehanchor.options.option import Limits
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,7 +45,7 @@ def sample_video(path: str, every_s: float) -> Iterator[InputPhotograph]:
         ImageDecodeError: it is no video that can be read.
         InvalidParameterError: the seconds are no number above zero.
     """
-    step_s = positive("every", every_s)
+    step_s = Limits(above=0).check("every", every_s)
     if not Path(path).is_file():
         raise ImageNotFoundError(f"cannot open the video {path!r}: there is no such file")
     film = cv2.VideoCapture(path)

@@ -1,11 +1,14 @@
-"""Image identity: a checksum of the pixels, equal for a path, its bytes and its array."""
+"""Image identity: the state of a file, and a checksum of the pixels, equal for a path, its bytes and its array."""
 
 from __future__ import annotations
 
 import hashlib
-from typing import TYPE_CHECKING
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.imagery.raster import Window
+from vehanchor.imagery.sources.addresses import is_address
 
 if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
@@ -13,6 +16,32 @@ if TYPE_CHECKING:
 _WINDOWS_PER_SIDE = 8
 _WINDOW_PX = 512  # 8 x 8 windows cover 4096 x 4096 px
 _DIGITS = 16
+
+
+class Source(NamedTuple):
+    """The state of a file: its key in a journal changes if the file is replaced.
+
+    Attributes:
+        path: absolute, links followed; or an address, of which nothing else is known.
+        size: bytes; -1 where there is no such file.
+        mtime_ns: time of its last change.
+    """
+
+    path: str
+    size: int
+    mtime_ns: int
+
+    @classmethod
+    def of(cls, file: str | os.PathLike[str]) -> Source:
+        """Read the state of the file of that name."""
+        if is_address(os.fspath(file)):
+            return cls(os.fspath(file), -1, 0)
+        path = Path(file).resolve()
+        try:
+            facts = path.stat()
+        except OSError:
+            return cls(str(path), -1, 0)
+        return cls(str(path), facts.st_size, facts.st_mtime_ns)
 
 
 def image_id(raster: Raster) -> str:

@@ -17,7 +17,7 @@ STRETCH_PERCENTILES = (2.0, 98.0)
 keeps the colour balance."""
 
 SAMPLE_PX = 1 << 20
-"""Most pixels in the sample for the percentiles; smaller images are used whole."""
+"""Maximum number of pixels in the sample for the percentiles; smaller images are used whole."""
 
 
 class Stretch(NamedTuple):

@@ -7,16 +7,10 @@ caller. No language model is ever asked for an area.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.analysis.measured import AreaAnalysis
-from vehanchor.errors import InvalidParameterError
-from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
-from vehanchor.measure.resolved_scale import choose_scale, interval_around, resolve_scale
-from vehanchor.models.session import named_providers
-from vehanchor.models.zoo import resolve_segmenter
+from vehanchor.measure.resolved_scale import interval_around, resolve_scale
 from vehanchor.options import ScaleOptions
 from vehanchor.records import (
     AreaMeasurement,
@@ -28,8 +22,8 @@ from vehanchor.records import (
 )
 from vehanchor.scale.lengths import Interval
 from vehanchor.segmentation.doubts import mask_notices
-from vehanchor.segmentation.prompt import prompt_in_image, read_prompt
-from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
+from vehanchor.segmentation.prompt import prompt_in_image
+from vehanchor.segmentation.segmenter import Segmenter
 from vehanchor.segmentation.shape import (
     inscribed_circle,
     mask_bounds,
@@ -39,144 +33,17 @@ from vehanchor.segmentation.shape import (
 )
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Callable, Mapping, Sequence
-    from typing import Any, TypeAlias, Unpack
+    from collections.abc import Sequence
 
     import numpy as np
-    import onnxruntime
     from numpy.typing import NDArray
 
-    from vehanchor.detection.detector import Detector
     from vehanchor.imagery.raster import Raster
-    from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.measure.resolved_scale import ResolvedScale, ScaleInput
-    from vehanchor.options import Frame, OptionKeywords
-    from vehanchor.records import GsdEstimate, KnownScale, Status
-    from vehanchor.segmentation.prompt import Box, Point, Prompt
+    from vehanchor.options import Frame
+    from vehanchor.records import Status
+    from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
-
-    SegmenterSource: TypeAlias = Segmenter | tuple[str | os.PathLike[str], str | os.PathLike[str]]
-
-
-def measure_area(
-    image: ImageSource,
-    *,
-    box: Box | None = None,
-    points: Sequence[Point] | None = None,
-    gsd_m_per_px: float | None = None,
-    scale: KnownScale | GsdEstimate | Mapping[str, Any] | None = None,
-    object_height_m: float | None = None,
-    segmenter: SegmenterSource | None = None,
-    detector: Detector | str | os.PathLike[str] | None = None,
-    threads: int | None = None,
-    providers: Sequence[str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    **options: Unpack[OptionKeywords],
-) -> AreaMeasurement:
-    """Measure the area of the object in a box or at a point, ``A = N_px * GSD^2`` (paper, section III-G).
-
-    Prompts are in pixels, the first spanning 0 to 1, of the copy that a frame names; or as ``coordinates`` says.
-
-    Args:
-        image: as in ``estimate_gsd``.
-        box: x1, y1, x2, y2, a geometry of shapely, or supervision's ``Detections`` of one object; or give points.
-        points: x, y and, optionally, whether the point is on the object (the default) or beside it.
-        gsd_m_per_px: the scale, metres per pixel of the full image, where it is known: then no detector runs.
-        scale: an earlier estimate of this image, or its ``scale``: then no detector runs, either, and its interval and
-            confidence hold.
-        object_height_m: how high it lies above the ground, as a roof does; None for on it.
-        segmenter: encoder and decoder paths, or a loaded ``Segmenter``; default the bundled one.
-        detector: as in ``estimate_gsd``.
-        threads: as in ``estimate_gsd``, for both models.
-        providers: as in ``estimate_gsd``, for both models.
-        progress: called with (tiles done, tiles in all) while vehicles are searched.
-        **options: as in ``estimate_gsd``; the frame is that of the prompt, too.
-
-    Returns:
-        The record; ``area_m2`` is None, never a guess, where there is no scale.
-
-    Raises:
-        PromptError: neither or both prompts, or one that names nothing in the image.
-        ImageError: the image cannot be used; see ``vehanchor.errors`` for its kinds.
-        ModelError: the segmenter or the detector cannot be used.
-        InvalidParameterError: an option has no meaning.
-        FrameError: the frame has another aspect ratio than the image.
-        ScaleMismatchError: the scale was estimated from another image.
-        CalibrationError: the calibration cannot be read, or was made for another detector.
-    """
-    return analyse_area(
-        image,
-        ScaleOptions.of(options),
-        box=box,
-        points=points,
-        gsd_m_per_px=gsd_m_per_px,
-        scale=scale,
-        object_height_m=object_height_m,
-        segmenter=segmenter,
-        detector=detector,
-        threads=threads,
-        providers=providers,
-        progress=progress,
-    ).measurement
-
-
-def analyse_area(
-    image: ImageSource,
-    options: ScaleOptions | None = None,
-    *,
-    box: Box | None = None,
-    points: Sequence[Point] | None = None,
-    gsd_m_per_px: float | None = None,
-    scale: KnownScale | GsdEstimate | Mapping[str, Any] | None = None,
-    object_height_m: float | None = None,
-    segmenter: SegmenterSource | None = None,
-    detector: Detector | str | os.PathLike[str] | None = None,
-    threads: int | None = None,
-    providers: Sequence[str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
-) -> AreaAnalysis:
-    """As ``measure_area``, with the mask and the vehicles behind the number.
-
-    Args:
-        image: as in ``estimate_gsd``.
-        options: every choice of the method of scale, the frame included; None for the defaults.
-        box: as in ``measure_area``, as all that follow.
-        points: either these or a box.
-        gsd_m_per_px: a known scale.
-        scale: one that was estimated before.
-        object_height_m: above the ground.
-        segmenter: encoder and decoder.
-        detector: of vehicles.
-        threads: CPU threads.
-        providers: where models run.
-        progress: of the search for vehicles.
-        run_options: ONNX Runtime's, for a caller that may have to end a running model (``terminate``).
-
-    Returns:
-        The record, the mask, the prompt and the scale's analysis.
-
-    Raises:
-        VehAnchorError: as ``measure_area``.
-    """
-    chosen = options or ScaleOptions()
-    prompt = read_prompt(box, points)
-    segmenting = _open_segmenter(segmenter, threads, providers)
-    source = choose_scale(gsd_m_per_px, scale, detector, chosen, threads=threads, providers=providers)
-    with open_raster(image, bands=chosen.reading.bands, limits=chosen.reading.limits, bgr=chosen.reading.bgr) as raster:
-        (analysis,) = analyse_objects(
-            raster,
-            [prompt],
-            segmenting,
-            source,
-            chosen,
-            object_height_m=object_height_m,
-            progress=progress,
-            run_options=run_options,
-        )
-    seen = image if can_be_read_again(image) else None
-    return replace(analysis, image=seen, reading=chosen.reading, ground=raster.ground)
 
 
 def analyse_objects(
@@ -187,35 +54,29 @@ def analyse_objects(
     options: ScaleOptions,
     *,
     object_height_m: float | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
 ) -> tuple[AreaAnalysis, ...]:
-    """As ``analyse_area``, of several objects of an image that is open already: one search serves them all.
+    """Measure several objects of an open image: one search serves them all.
 
     Args:
         raster: the image.
         prompts: what ``read_prompt`` gave, in the caller's coordinates.
         segmenter: finds the objects.
-        scale: what ``choose_scale`` gave.
+        scale: the known scale, or the detector that finds it.
         options: every choice of the method of scale.
         object_height_m: above the ground, of all of them.
-        progress: of the search for vehicles.
-        run_options: ONNX Runtime's.
 
     Returns:
         For each prompt the record, the mask, the prompt in the image's pixels and the scale's analysis.
 
     Raises:
-        VehAnchorError: as ``measure_area``.
+        VehAnchorError: as ``Engine.measure_area``.
     """
     options.frame.check(raster.width_px, raster.height_px)
     prompts = [prompt_in_image(each, options.frame, raster.width_px, raster.height_px) for each in prompts]
     # The masks first: they are the quicker of the two to find out that a prompt cannot be read.
     limits = options.reading.limits
-    masks = segmenter.segment_all(raster, prompts, limits=limits, run_options=run_options)
-    found = resolve_scale(
-        raster, scale, options, object_height_m=object_height_m, progress=progress, run_options=run_options
-    )
+    masks = segmenter.segment_all(raster, prompts, limits=limits)
+    found = resolve_scale(raster, scale, options, object_height_m=object_height_m)
     records = [
         _conclude(raster, mask, prompt, segmenter.card, options, found)
         for prompt, mask in zip(prompts, masks, strict=True)
@@ -224,19 +85,6 @@ def analyse_objects(
         AreaAnalysis(record, mask, prompt, scale=found.analysis, nadir=found.plane is None)
         for record, prompt, mask in zip(records, prompts, masks, strict=True)
     )
-
-
-def _open_segmenter(
-    segmenter: SegmenterSource | None, threads: int | None, providers: Sequence[str] | None
-) -> Segmenter:
-    if isinstance(segmenter, Segmenter):
-        return segmenter
-    files = None
-    if segmenter is not None:
-        if isinstance(segmenter, str) or len(segmenter) != 2:
-            raise InvalidParameterError(f"segmenter is {segmenter!r}: give two paths, of its encoder and its decoder")
-        files = Path(segmenter[0]), Path(segmenter[1])
-    return load_segmenter(*resolve_segmenter(files), threads=threads, providers=named_providers(providers))
 
 
 # --- The record ------------------------------------------------------------------------------------------------------

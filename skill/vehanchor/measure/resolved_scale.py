@@ -12,26 +12,23 @@ from pydantic import ValidationError
 
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
-from vehanchor.estimate import analyse_raster, georeference_notice, open_detector
+from vehanchor.estimate import analyse_raster, georeference_notice
 from vehanchor.imagery.facts import ImageFacts, image_notices
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens
-from vehanchor.options.fields import number, positive
+from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT_M
 from vehanchor.records import GsdEstimate, KnownScale
 from vehanchor.rulers.camera import height_log_sd
 from vehanchor.rulers.given_height import HEIGHT_LOG_SD
-from vehanchor.scale.defaults import LARGEST_GSD_M_PER_PX, LEAST_GSD_M_PER_PX
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor.tilt.camera_tilt import metadata_tilt, plane_of_record
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     import numpy as np
-    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.analysis.scale import ScaleAnalysis
@@ -40,7 +37,6 @@ if TYPE_CHECKING:
     from vehanchor.options import ScaleOptions
     from vehanchor.records import Notice, ScaleSource, Status
 
-_HIGHEST_OBJECT_M = 1000.0
 _WIDEST_M_PER_PX = 1e9  # of a scale that is given back: whatever an estimate gives lies below, and its square is finite
 
 ScaleInput: TypeAlias = Detector | float | KnownScale
@@ -120,28 +116,18 @@ class ResolvedScale:
         return "low_confidence" if doubtful else "ok"
 
 
-def choose_scale(
-    gsd_m_per_px: float | None,
-    scale: KnownScale | GsdEstimate | Mapping[str, Any] | None,
-    detector: Detector | str | os.PathLike[str] | None,
-    options: ScaleOptions,
-    *,
-    threads: int | None = None,
-    providers: Sequence[str] | None = None,
-) -> ScaleInput:
-    """Settle what the scale is to come from, before the work.
+def given_scale(
+    gsd_m_per_px: float | None, scale: KnownScale | GsdEstimate | Mapping[str, Any] | None, options: ScaleOptions
+) -> float | KnownScale | None:
+    """Check the scale that a caller gives, before the work; None if the image must be searched for it.
 
     Args:
         gsd_m_per_px: a number that the caller knows.
         scale: an earlier estimate of the same image, or its ``scale``.
-        detector: opened where neither is given.
-        options: every choice of the method.
-        threads: CPU threads of the detector.
-        providers: where it runs.
+        options: of the method.
 
     Raises:
         InvalidParameterError: both are given, or one beside lines of known length, or one has no meaning.
-        ModelError: the detector cannot be used.
     """
     known = [name for name, value in (("gsd_m_per_px", gsd_m_per_px), ("scale", scale)) if value is not None]
     if len(known) > 1:
@@ -154,13 +140,8 @@ def choose_scale(
     if scale is not None:
         return _as_known(scale)
     if gsd_m_per_px is None:
-        return open_detector(detector, options, threads=threads, providers=providers)
-    given = positive("gsd_m_per_px", gsd_m_per_px)
-    if not LEAST_GSD_M_PER_PX <= given <= LARGEST_GSD_M_PER_PX:
-        raise InvalidParameterError(
-            f"gsd_m_per_px is {given:g}: use {LEAST_GSD_M_PER_PX:g} to {LARGEST_GSD_M_PER_PX:g} metres per pixel"
-        )
-    return given
+        return None
+    return GSD_M_PER_PX.check("gsd_m_per_px", gsd_m_per_px)
 
 
 def _as_known(scale: KnownScale | GsdEstimate | Mapping[str, Any]) -> KnownScale:
@@ -197,8 +178,6 @@ def resolve_scale(
     options: ScaleOptions,
     *,
     object_height_m: float | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    run_options: onnxruntime.RunOptions | None = None,
 ) -> ResolvedScale:
     """Find the scale of an open image, by searching it only where nobody knows its scale.
 
@@ -207,8 +186,6 @@ def resolve_scale(
         scale: what finds the scale of the ground, or is it.
         options: every choice of the method.
         object_height_m: how high above the ground lies what is to be measured; None for on it.
-        progress: of the search.
-        run_options: ONNX Runtime's.
 
     Returns:
         The scale of the ground, or of the level that lies so high above it.
@@ -217,22 +194,16 @@ def resolve_scale(
         InvalidParameterError: the height has no meaning, or nobody knows how high the camera was.
         ScaleMismatchError: the scale was measured on another image.
         TooObliqueError: the horizon is in sight, or nearly so; the object lies above the camera.
-        VehAnchorError: as ``estimate_gsd``.
+        VehAnchorError: as ``Engine.estimate``.
     """
     camera = None if object_height_m is None else camera_above(raster, options, object_height_m)
-    found = _on_the_ground(raster, scale, options, progress, run_options)
+    found = _on_the_ground(raster, scale, options)
     return found if camera is None or object_height_m is None else raised(found, object_height_m, camera)
 
 
-def _on_the_ground(
-    raster: Raster,
-    scale: ScaleInput,
-    options: ScaleOptions,
-    progress: Callable[[int, int], None] | None,
-    run_options: onnxruntime.RunOptions | None,
-) -> ResolvedScale:
+def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> ResolvedScale:
     if isinstance(scale, Detector):
-        analysis = analyse_raster(raster, scale, options, progress=progress, run_options=run_options)
+        analysis = analyse_raster(raster, scale, options)
         found = analysis.estimate
         log_sd = _log_sd(found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px)
         plane = plane_of_record(found)
@@ -279,8 +250,7 @@ def camera_above(raster: Raster, options: ScaleOptions, object_height_m: float) 
     Raises:
         InvalidParameterError: the object's height has no meaning, or nothing tells the camera's.
     """
-    if not 0 <= number("object_height_m", object_height_m) <= _HIGHEST_OBJECT_M:
-        raise InvalidParameterError(f"object_height_m is {object_height_m:g}: use 0 to {_HIGHEST_OBJECT_M:g}")
+    OBJECT_HEIGHT_M.check("object_height_m", object_height_m)
     chosen, camera = options.rulers, raster.camera if options.rulers.metadata else None
     seen = None if camera is None else lens(ImageFacts(raster.width_px, raster.height_px), camera)
     if chosen.focal_35mm is not None:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import logging
 import math
-import numbers
 import os
 import re
+from concurrent.futures import CancelledError
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -18,22 +18,15 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 import onnxruntime
 
-from vehanchor.errors import (
-    InvalidParameterError,
-    ModelContractError,
-    OutOfMemoryError,
-    ProviderUnavailableError,
-    VehAnchorError,
-)
+from vehanchor.errors import ModelContractError, OutOfMemoryError, ProviderUnavailableError, VehAnchorError
 from vehanchor.models.files import external_locations
+from vehanchor.models.runtime import Runtime
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
-
-DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
 
 _SHORT_NAMES = {  # what people say
     "cpu": "CPUExecutionProvider",
@@ -48,37 +41,11 @@ _SMALL_BYTES = 32 << 20  # of a file: bundled ones and YOLO11n's have some 10 MB
 _AS_REQUESTED = 1  # ONNX Runtime's ``ArenaExtendStrategy``: an arena grows by what is asked for, not by powers of two
 _logger = logging.getLogger(__name__)
 
-MAX_THREADS = 256
-"""More are refused: each takes a stack, and no machine that runs these models has more cores for one of them."""
-
 _WANT_OF_MEMORY = re.compile("bad.?alloc|failed to allocate|out of memory", re.IGNORECASE)
 
 
-def named_providers(providers: Sequence[str] | None) -> tuple[str, ...]:
-    """Execution providers as a caller names them: a list, one name alone, or None for the CPU's.
-
-    Raises:
-        InvalidParameterError: it is something else.
-    """
-    if providers is None:
-        return DEFAULT_PROVIDERS
-    named = (providers,) if isinstance(providers, str) else tuple(providers)
-    if not named or not all(isinstance(name, str) for name in named):
-        raise InvalidParameterError(f"providers is {providers!r}: name them, as in ['cuda', 'cpu']")
-    return named
-
-
-def stoppable() -> onnxruntime.RunOptions:
-    """Options for runs that another thread can end: it sets their ``terminate``."""
-    return onnxruntime.RunOptions()
-
-
 def open_session(
-    path: Path,
-    *,
-    content: bytes | None = None,
-    threads: int | None = None,
-    providers: Sequence[str] = DEFAULT_PROVIDERS,
+    path: Path, *, content: bytes | None = None, runtime: Runtime | None = None
 ) -> onnxruntime.InferenceSession:
     """Open a model.
 
@@ -86,10 +53,7 @@ def open_session(
         path: of the file.
         content: the file's bytes where they are read already: then these are what is run, unless the graph keeps
             weights in files beside it, which ONNX Runtime finds by the path alone.
-        threads: CPU threads; None leaves it to ONNX Runtime.
-        providers: execution providers in order of preference, by their names or cpu, cuda, tensorrt, coreml, openvino,
-            directml, rocm. With cpu among them, those that are not installed are left out; whenever the first does
-            not run, the log says so.
+        runtime: threads and execution providers; None for the defaults.
 
     Returns:
         The session.
@@ -97,15 +61,14 @@ def open_session(
     Raises:
         ModelContractError: ONNX Runtime cannot load it.
         ProviderUnavailableError: an execution provider is not installed, and the CPU was not named beside it.
-        InvalidParameterError: bad ``threads``.
         OutOfMemoryError: there is too little memory for it now.
     """
-    _check_threads(threads)
-    wanted = _installed(providers)
+    chosen = runtime or Runtime()
+    wanted = _installed(chosen.providers)
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4  # fatal only: a broken file is reported by our own error
-    if threads is not None:
-        options.intra_op_num_threads = int(threads)
+    if chosen.threads is not None:
+        options.intra_op_num_threads = chosen.threads
         options.inter_op_num_threads = 1
     model = str(path) if content is None or external_locations(content) else content
     if isinstance(model, bytes) and len(model) <= _SMALL_BYTES:
@@ -144,15 +107,15 @@ def _installed(providers: Sequence[str]) -> list[str]:
     """Full names of those that this build of ONNX Runtime has.
 
     Raises:
-        ProviderUnavailableError: one is missing, and the CPU is not named beside it; or none is named.
+        ProviderUnavailableError: one is missing, and the CPU is not named beside it.
     """
     available = onnxruntime.get_available_providers()
     wanted = [_SHORT_NAMES.get(name.strip().lower(), name.strip()) for name in providers]
     missing = [name for name in wanted if name not in available]
-    if not wanted or (missing and "CPUExecutionProvider" not in wanted):
+    if missing and "CPUExecutionProvider" not in wanted:
         raise ProviderUnavailableError(
-            f"ONNX Runtime has no {missing[0] if missing else 'provider of no name'} here; it has "
-            f"{', '.join(available)}. Install the matching onnxruntime build, or name cpu beside it to fall back"
+            f"ONNX Runtime has no {missing[0]} here; it has {', '.join(available)}. Install the matching onnxruntime "
+            "build, or name cpu beside it to fall back"
         )
     if missing:
         _tell_once(f"ONNX Runtime has no {', '.join(missing)} here: models run without")
@@ -169,7 +132,7 @@ def run_session(
     session: onnxruntime.InferenceSession,
     outputs: Sequence[str] | None,
     feeds: Mapping[str, NDArray[Any]],
-    run_options: onnxruntime.RunOptions | None,
+    runtime: Runtime,
     described: str,
 ) -> list[Any]:
     """Run a model.
@@ -178,8 +141,8 @@ def run_session(
         session: the model.
         outputs: names of the outputs wanted; None for all.
         feeds: inputs by name.
-        run_options: whoever sets their ``terminate`` gets what ONNX Runtime then raises.
-        described: what to say of a failure: who fails on what.
+        runtime: its cancellation ends the run.
+        described: subject and verb of the error message if the run fails.
 
     Returns:
         The outputs, in their order.
@@ -187,12 +150,14 @@ def run_session(
     Raises:
         ModelContractError: the model fails.
         OutOfMemoryError: there is too little memory for it now.
+        CancelledError: the call was cancelled (``concurrent.futures``).
     """
+    cancellation = runtime.cancellation
     try:
-        results: list[Any] = session.run(outputs, feeds, run_options)
+        results: list[Any] = session.run(outputs, feeds, None if cancellation is None else cancellation.run_options)
     except Exception as error:  # ONNX Runtime's own exception types are private
-        if run_options is not None and run_options.terminate:
-            raise
+        if cancellation is not None and cancellation.requested:
+            raise CancelledError("the call was cancelled") from error
         raise _as_ours(error, described) from None
     return results
 
@@ -202,16 +167,6 @@ def _as_ours(error: Exception, described: str) -> VehAnchorError:
     if isinstance(error, MemoryError) or _WANT_OF_MEMORY.search(str(error)):
         return OutOfMemoryError(f"{described}: {error}. Try again when less is running, or with smaller tiles")
     return ModelContractError(f"{described}: {error}")
-
-
-def _check_threads(threads: Any) -> None:
-    if threads is None:
-        return
-    whole = isinstance(threads, numbers.Real) and not isinstance(threads, bool) and float(threads).is_integer()
-    if not whole or not 1 <= threads <= MAX_THREADS:
-        raise InvalidParameterError(
-            f"threads is {threads!r}: use a whole number from 1 to {MAX_THREADS}, or None for all cores"
-        )
 
 
 def metadata_number(metadata: Mapping[str, str], key: str, default: float) -> float:

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from vehanchor.options.groups import (
-    DECODED_BYTES_PER_PIXEL,
-    Coordinates,
-    Frame,
-    ImageLimits,
-    Lengths,
-    OptionKeywords,
-    Reading,
-    Reference,
-    ScaleOptions,
-)
+from vehanchor.options.frame import Coordinates, Frame
+from vehanchor.options.image_limits import DECODED_BYTES_PER_PIXEL, ImageLimits
+from vehanchor.options.keywords import OptionKeywords
+from vehanchor.options.lengths import Lengths
+from vehanchor.options.reading import Reading
+from vehanchor.options.reference import Reference
 from vehanchor.options.rulers import KnownLength, Rulers
+from vehanchor.options.scale_options import ScaleOptions, declared_option, declared_options
 from vehanchor.options.search import Effort, Search
 
 __all__ = [
@@ -30,4 +26,6 @@ __all__ = [
     "Rulers",
     "ScaleOptions",
     "Search",
+    "declared_option",
+    "declared_options",
 ]

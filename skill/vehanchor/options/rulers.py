@@ -8,12 +8,15 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from vehanchor.errors import InvalidParameterError, KnownLengthError
-from vehanchor.options.fields import choice, number, positive, set_frozen
+from vehanchor.options.option import Flag, Limits, check_fields, option, set_frozen
 
 _MIN_LINE_PX = 5.0  # a pixel off at each end of a shorter line is more than a quarter of it
-_MAX_LINE_M = 100_000.0
-_MAX_HEIGHT_M = 20_000.0  # survey aircraft fly at 10 km; whoever flies higher has no use for cars
-_MAX_FOCAL_MM = 10_000.0
+LINE_LENGTH_M = Limits(above=0, most=100_000)
+"""Metres of a line of known length."""
+
+_COORDINATE = Limits()
+_HEIGHT_M = Limits(above=0, most=20_000)  # survey aircraft fly at 10 km; from higher up no car is seen
+_FOCAL_MM = Limits(above=0, most=10_000)
 
 
 class KnownLength(NamedTuple):
@@ -70,45 +73,42 @@ class Rulers:
 
     rulers: tuple[str, ...] | None = field(
         default=None,
-        metadata=choice("Rulers to use, with commas. Default: all.", metavar="NAMES"),
+        metadata=option("Rulers to use, with commas. Default: all.", metavar="NAMES"),
     )
     metadata: bool = field(
         default=True,
-        metadata=choice("Measure by the camera's height and focal length, too, where the file has them."),
+        metadata=option("Use the camera's height and focal length if the file has them.", Flag()),
     )
     known_lengths: tuple[KnownLength, ...] = field(
         default=(),
-        metadata=choice(
-            "A line on the ground, pixels, and its metres; may be repeated.",
+        metadata=option(
+            "Lines of known length on the ground: their ends, and metres.",
             metavar="X1 Y1 X2 Y2 METRES",
             flag="known-length",
         ),
     )
     height_m: float | None = field(
         default=None,
-        metadata=choice(
-            "Height of the camera above the ground, metres; straight down unless metadata say otherwise.", metavar="M"
+        metadata=option(
+            "Camera height above ground, metres, for a nadir view or a known tilt.",
+            _HEIGHT_M,
+            metavar="M",
         ),
     )
     focal_35mm: float | None = field(
         default=None,
-        metadata=choice("With --height: 35 mm equivalent focal length, mm. Default: the file's.", metavar="MM"),
+        metadata=option(
+            "With the height: 35 mm equivalent focal length, mm. Default: the file's.", _FOCAL_MM, metavar="MM"
+        ),
     )
 
     def __post_init__(self) -> None:
         if self.rulers is not None:
             set_frozen(self, "rulers", _ruler_names(self.rulers))
-        if not isinstance(self.metadata, bool):
-            raise InvalidParameterError(f"metadata is {self.metadata!r}: use True or False")
         set_frozen(self, "known_lengths", _lines(self.known_lengths))
         if self.focal_35mm is not None and self.height_m is None:
             raise InvalidParameterError("focal_35mm needs height_m: give the height above the ground, too")
-        for name, most in (("height_m", _MAX_HEIGHT_M), ("focal_35mm", _MAX_FOCAL_MM)):
-            value = getattr(self, name)
-            if value is not None:
-                set_frozen(self, name, positive(name, value))
-                if value > most:
-                    raise InvalidParameterError(f"{name} is {value:g}: use at most {most:g}")
+        check_fields(self)
 
     def check_lengths(self) -> None:
         """Refuse lines too short to measure by.
@@ -157,11 +157,9 @@ def _lines(lines: Any) -> tuple[KnownLength, ...]:
     checked = []
     for line in lines:
         try:
-            x1, y1, x2, y2, metres = (number("known_lengths", each) for each in line)
+            x1, y1, x2, y2, metres = (_COORDINATE.check("known_lengths", each) for each in line)
+            LINE_LENGTH_M.check("the line's length in metres", metres)
         except (TypeError, ValueError) as error:
             raise KnownLengthError(f"the known length {line!r} is no x1, y1, x2, y2, metres: {error}") from None
-        known = KnownLength(x1, y1, x2, y2, metres)
-        if not 0 < metres <= _MAX_LINE_M:
-            raise KnownLengthError(f"the line's length is {metres:g} m: use metres > 0 and up to {_MAX_LINE_M:g}")
-        checked.append(known)
+        checked.append(KnownLength(x1, y1, x2, y2, metres))
     return tuple(checked)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias, get_args
 
-from vehanchor.errors import InvalidParameterError
-from vehanchor.options.fields import choice, positive, set_frozen, share, whole
+from vehanchor.options.option import Flag, Limits, Words, check_fields, option
 from vehanchor.scale.defaults import NMS_IOU
 
 Effort: TypeAlias = Literal["full", "auto", "fast"]
@@ -14,6 +13,9 @@ Effort: TypeAlias = Literal["full", "auto", "fast"]
 
 Stopped: TypeAlias = Literal["all_searched", "settled", "max_tiles", "max_seconds"]
 """Why a search ended."""
+
+_SHARE, _COUNT = Limits(0, 1), Limits(least=1, whole=True)
+_TILES = Limits(1, 1_000_000_000, whole=True)
 
 
 @dataclass(frozen=True)
@@ -38,55 +40,51 @@ class Search:
     """
 
     min_score: float | None = field(
-        default=None, metadata=choice("Lowest detection score, 0 to 1. Default: the model's.", metavar="P")
+        default=None,
+        metadata=option("Lowest accepted detection score, 0 to 1. Default: the model's.", _SHARE, metavar="P"),
     )
     nms_iou: float = field(
         default=NMS_IOU,
-        metadata=choice("Of two boxes that overlap by more (IoU) one is dropped.", metavar="P", flag="nms-iou"),
+        metadata=option(
+            "IoU, 0 to 1, above which the weaker of two boxes is dropped.", _SHARE, metavar="P", flag="nms-iou"
+        ),
     )
     search_scales: bool | None = field(
         default=None,
-        metadata=choice(
-            "Search copies at 1/2, 1/4 and 1/8, too, for vehicles longer than the model was trained on. Default: the "
+        metadata=option(
+            "Also search copies at 1/2, 1/4 and 1/8, for vehicles longer than the model was trained on. Default: the "
             "model's choice.",
+            Flag(),
         ),
     )
     tile_px: int | None = field(
-        default=None, metadata=choice("Side of a tile, pixels. Default: 1024, or the model's input.", metavar="PX")
+        default=None,
+        metadata=option("Side of a tile, pixels. Default: 1024, or the model's input.", _COUNT, metavar="PX"),
     )
     stride_px: int | None = field(
-        default=None, metadata=choice("Step between tiles, pixels. Default: 3/4 of the tile.", metavar="PX")
+        default=None,
+        metadata=option("Step between tiles, pixels. Default: 3/4 of the tile.", _COUNT, metavar="PX"),
     )
 
     effort: Effort = field(
         default="auto",
-        metadata=choice(
-            "Of an image of 16 megapixels and more: full visits every tile, auto ends when more of them cannot narrow "
-            "the interval, fast sooner. Of smaller images these leave out resolutions at which no car can be."
+        metadata=option(
+            "Search extent: full (every tile), auto (ends when more tiles would not help) or fast.",
+            Words(get_args(Effort)),
         ),
     )
     max_tiles: int | None = field(
         default=None,
-        metadata=choice("End after so many tiles, those where cars are likely first. Default: no limit.", metavar="N"),
+        metadata=option("Maximum number of tiles to search, likeliest first. Default: no limit.", _TILES, metavar="N"),
     )
     max_seconds: float | None = field(
         default=None,
-        metadata=choice(
-            "End the search after so many seconds; the result then depends on the machine. Default: no limit.",
+        metadata=option(
+            "Maximum search time in seconds; the result then depends on the machine. Default: no limit.",
+            Limits(above=0, most=86_400),
             metavar="S",
         ),
     )
 
     def __post_init__(self) -> None:
-        if self.min_score is not None:
-            set_frozen(self, "min_score", share("min_score", self.min_score))
-        set_frozen(self, "nms_iou", share("nms_iou", self.nms_iou))
-        if self.search_scales is not None and not isinstance(self.search_scales, bool):
-            raise InvalidParameterError(f"search_scales is {self.search_scales!r}: use True, False or None")
-        for name in ("tile_px", "stride_px", "max_tiles"):
-            if getattr(self, name) is not None:
-                set_frozen(self, name, whole(name, getattr(self, name)))
-        if self.max_seconds is not None:
-            set_frozen(self, "max_seconds", positive("max_seconds", self.max_seconds))
-        if self.effort not in get_args(Effort):
-            raise InvalidParameterError(f"effort is {self.effort!r}: use one of {', '.join(get_args(Effort))}")
+        check_fields(self)

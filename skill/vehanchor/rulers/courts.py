@@ -57,9 +57,7 @@ class Courts(Ruler):
             return ()
         if view.plane is not None:
             return self._found_on(view, view.raster, view.plane)
-        proposed = propose_courts(
-            view.raster, view.detections, view.card, view.prior, providers=view.providers, run_options=view.run_options
-        )
+        proposed = propose_courts(view.raster, view.detections, view.card, view.prior, runtime=view.runtime)
         found = find_courts(view.raster, view.detections, view.card, proposed=proposed)
         likely = any(each.share >= _LIKELY_COURT for each in proposed.proposals)
         if not found and likely and may_be_tilted(view.image, view.options, view.detections):
@@ -86,8 +84,7 @@ class Courts(Ruler):
                     view.detections,
                     view.card,
                     most=_MOST_TRIED,
-                    providers=view.providers,
-                    run_options=view.run_options,
+                    runtime=view.runtime,
                 )
                 posteriors = [tilt_posterior([cue], focal) for cue in court_cues(rough, *size)]
                 for posterior in (each for each in posteriors if each is not None):
@@ -102,9 +99,7 @@ class Courts(Ruler):
 
     @staticmethod
     def _found_on(view: View, raster: Raster, plane: GroundPlane) -> tuple[Court, ...]:
-        return find_courts_on(
-            raster, plane, view.detections, view.card, providers=view.providers, run_options=view.run_options
-        )
+        return find_courts_on(raster, plane, view.detections, view.card, runtime=view.runtime)
 
 
 def evidence_of(courts: Sequence[Court]) -> LognormalEvidence:

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from vehanchor.storage.stored import stored
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import onnxruntime
     from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.detection.card import DetectorCard
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.imagery.raster import Raster
+    from vehanchor.models.runtime import Runtime
     from vehanchor.options import ScaleOptions
     from vehanchor.records import Notice
     from vehanchor.scale.lengths import Interval
@@ -43,8 +45,7 @@ class View:
         resolved_share: for centres ``[n, 2]`` in pixels and the scale at which they were found, the share of the
             resolution at which there is detail (``vehanchor.imagery.detail``).
         raster: the open image, for a ruler that reads pixels; None if only the results of a search are kept.
-        providers: execution providers of a ruler's own model; None for the CPU.
-        run_options: ONNX Runtime's, for a caller that may have to end a running model.
+        runtime: how a ruler's own model runs, as the detector does.
         prior: the scene-scale prior; None without one.
         tilt: of the camera; None for an image taken at nadir, or of unknown tilt.
         found: by kind of ruler, what ``Ruler.find`` returned.
@@ -58,8 +59,7 @@ class View:
     options: ScaleOptions
     resolved_share: Callable[[NDArray[np.float64], float], float]
     raster: Raster | None = None
-    providers: tuple[str, ...] | None = None
-    run_options: onnxruntime.RunOptions | None = None
+    runtime: Runtime | None = None
     prior: SceneScalePrior | None = None
     tilt: CameraTilt | None = None
     found: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
@@ -87,6 +87,7 @@ class View:
         return replace(self, tilt=None)
 
 
+@stored("mark")
 class Mark(NamedTuple):
     """A line that a ruler measured, or the place for which it holds.
 
@@ -106,6 +107,7 @@ class Mark(NamedTuple):
         return cls(((image.width_px / 2, image.height_px / 2),), f"{height_m:.4g} m up")
 
 
+@stored("evidence")
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """Result of one ruler.

@@ -8,6 +8,7 @@ import numpy as np
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.scale.defaults import OUTLIER_ALPHA
+from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -27,6 +28,7 @@ _FLEET_LOG_SD = 0.40  # error of an estimate from one car, false alarms included
 Z95 = 1.959963984540054  # standard deviations to either end of a 95 % interval
 
 
+@stored("interval")
 class Interval(NamedTuple):
     """A 95 % interval."""
 

@@ -15,7 +15,8 @@ from vehanchor.errors import ImageTooLargeError, ModelContractError
 from vehanchor.imagery.raster import Window, outer_sides
 from vehanchor.models.cache import file_cached
 from vehanchor.models.files import models_sha256, read_model
-from vehanchor.models.session import DEFAULT_PROVIDERS, metadata_number, open_session
+from vehanchor.models.runtime import LoadedModel, Runtime
+from vehanchor.models.session import metadata_number, open_session
 from vehanchor.options import ImageLimits
 from vehanchor.segmentation.contracts import recognise_contract
 from vehanchor.segmentation.crop import crop_side, crop_window, place_mask, read_resized, shares_window
@@ -24,9 +25,9 @@ from vehanchor.segmentation.shape import touches_edge
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import Self
 
     import numpy as np
-    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster
@@ -75,20 +76,18 @@ class Segmentation:
     score: float
 
 
-class Segmenter:
+class Segmenter(LoadedModel):
     """A promptable segmenter: encoder and decoder, of any contract that ``vehanchor.segmentation.contracts`` lists.
 
     Args:
         encoder_path: the image encoder's ONNX file.
         decoder_path: the mask decoder's ONNX file.
-        threads: CPU threads of the sessions; None leaves it to ONNX Runtime.
-        providers: ONNX Runtime execution providers in order of preference.
+        runtime: how to open them; None for the defaults.
 
     Raises:
         ModelNotFoundError: there is no such file.
         ModelContractError: the files are not a promptable segmenter of a known kind; the message lists what was found.
         ProviderUnavailableError: an execution provider is not installed.
-        InvalidParameterError: bad ``threads``.
     """
 
     def __init__(
@@ -96,14 +95,12 @@ class Segmenter:
         encoder_path: str | Path,
         decoder_path: str | Path,
         *,
-        threads: int | None = None,
-        providers: Sequence[str] = DEFAULT_PROVIDERS,
+        runtime: Runtime | None = None,
     ) -> None:
+        self.runtime = runtime or Runtime()
         self.encoder_path, self.decoder_path = Path(encoder_path), Path(decoder_path)
         files = read_model(self.encoder_path), read_model(self.decoder_path)
-        encoder, decoder = (
-            open_session(file.path, content=file.content, threads=threads, providers=providers) for file in files
-        )
+        encoder, decoder = (open_session(file.path, content=file.content, runtime=self.runtime) for file in files)
         metadata = {
             **encoder.get_modelmeta().custom_metadata_map,
             **decoder.get_modelmeta().custom_metadata_map,
@@ -123,21 +120,19 @@ class Segmenter:
             licence=metadata.get("license"),
         )
 
-    def segment(
-        self,
-        raster: Raster,
-        prompt: Prompt,
-        *,
-        limits: ImageLimits | None = None,
-        run_options: onnxruntime.RunOptions | None = None,
-    ) -> Segmentation:
+    def under(self, call: Runtime) -> Self:
+        """The same segmenter for one call; see ``LoadedModel.under``."""
+        bound = super().under(call)
+        bound._contract = self._contract.under(call)
+        return bound
+
+    def segment(self, raster: Raster, prompt: Prompt, *, limits: ImageLimits | None = None) -> Segmentation:
         """Find the object that a prompt names.
 
         Args:
             raster: the image.
             prompt: a box or points inside it, in its pixels.
             limits: ``max_pixels`` bounds the crop; None for the defaults.
-            run_options: ONNX Runtime's, for a caller that may have to end a running model (``terminate``).
 
         Returns:
             The mask with the window it lies in.
@@ -147,7 +142,7 @@ class Segmenter:
             ImageTooLargeError: the crop has more pixels than the limits allow to hold.
             ModelContractError: the model does not keep its contract.
         """
-        return self.segment_all(raster, [prompt], limits=limits, run_options=run_options)[0]
+        return self.segment_all(raster, [prompt], limits=limits)[0]
 
     def segment_all(
         self,
@@ -155,7 +150,6 @@ class Segmenter:
         prompts: Sequence[Prompt],
         *,
         limits: ImageLimits | None = None,
-        run_options: onnxruntime.RunOptions | None = None,
     ) -> tuple[Segmentation, ...]:
         """Find the objects that prompts name; neighbours of about one size share an encoding.
 
@@ -163,7 +157,6 @@ class Segmenter:
             raster: the image.
             prompts: as for ``segment``.
             limits: as for ``segment``.
-            run_options: as for ``segment``.
 
         Returns:
             For each prompt what ``segment`` gives, where another prompt's crop serves it as well: in that window.
@@ -175,11 +168,11 @@ class Segmenter:
         for first, prompt in enumerate(prompts):
             if first in found:
                 continue
-            view = self._encode(raster, prompt, crop_side(prompt), limits, run_options)
-            found[first] = self._settled(raster, prompt, view, limits, run_options)
+            view = self._encode(raster, prompt, crop_side(prompt), limits)
+            found[first] = self._settled(raster, prompt, view, limits)
             for k in range(first + 1, len(prompts)):
                 if k not in found and shares_window(prompts[k], view.window, raster.width_px, raster.height_px):
-                    found[k] = self._settled(raster, prompts[k], view, limits, run_options)
+                    found[k] = self._settled(raster, prompts[k], view, limits)
         return tuple(found[k] for k in range(len(prompts)))
 
     def _settled(
@@ -188,14 +181,13 @@ class Segmenter:
         prompt: Prompt,
         view: _View,
         limits: ImageLimits | None,
-        run_options: onnxruntime.RunOptions | None,
     ) -> Segmentation:
         """The object in a view; of points alone, in larger ones while it runs into an inner side."""
-        found = self._decode(view, prompt, run_options)
+        found = self._decode(view, prompt)
         side = crop_side(prompt)
         while prompt.box is None and _runs_into_inner_side(found, raster):
             side *= 2
-            found = self._decode(self._encode(raster, prompt, side, limits, run_options), prompt, run_options)
+            found = self._decode(self._encode(raster, prompt, side, limits), prompt)
         return found
 
     def _encode(
@@ -204,17 +196,16 @@ class Segmenter:
         prompt: Prompt,
         side_px: int,
         limits: ImageLimits | None,
-        run_options: onnxruntime.RunOptions | None,
     ) -> _View:
         window = crop_window(prompt, raster.width_px, raster.height_px, side_px)
         _check_window(window, limits or ImageLimits())
         size = window.width_px, window.height_px
         image = read_resized(raster, window, self._contract.input_size(*size))
-        return _View(window, self._contract.encode(image, size, run_options))
+        return _View(window, self._contract.encode(image, size))
 
-    def _decode(self, view: _View, prompt: Prompt, run_options: onnxruntime.RunOptions | None) -> Segmentation:
+    def _decode(self, view: _View, prompt: Prompt) -> Segmentation:
         window = view.window
-        chosen = self._contract.decode(view.encoding, prompt.moved(-window.x_px, -window.y_px), run_options)
+        chosen = self._contract.decode(view.encoding, prompt.moved(-window.x_px, -window.y_px))
         return Segmentation(place_mask(chosen, window.width_px, window.height_px), window, chosen.score)
 
 
@@ -225,16 +216,15 @@ class _View(NamedTuple):
     encoding: Encoding
 
 
+def load_segmenter(encoder_path: Path, decoder_path: Path, runtime: Runtime | None = None) -> Segmenter:
+    """Open a segmenter once for each pair of files and each runtime; see ``Segmenter``."""
+    chosen = runtime or Runtime()
+    return _loaded(encoder_path, decoder_path, runtime=chosen.idle).under(chosen)
+
+
 @file_cached(max_models=2)
-def load_segmenter(
-    encoder_path: Path,
-    decoder_path: Path,
-    *,
-    threads: int | None = None,
-    providers: tuple[str, ...] = DEFAULT_PROVIDERS,
-) -> Segmenter:
-    """Open a segmenter once per pair of files, thread count and providers; see ``Segmenter``."""
-    return Segmenter(encoder_path, decoder_path, threads=threads, providers=providers)
+def _loaded(encoder_path: Path, decoder_path: Path, *, runtime: Runtime) -> Segmenter:
+    return Segmenter(encoder_path, decoder_path, runtime=runtime)
 
 
 def _check_window(window: Window, limits: ImageLimits) -> None:

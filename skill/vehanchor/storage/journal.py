@@ -3,7 +3,7 @@
 A journal is a file of JSON lines that is only ever appended to. A line of settings says once what results depend on
 besides their source (version, model, options); each result follows as ``{"settings": ..., "key": ..., "value": ...}``,
 so that several settings may share a file. A last line that was cut off by a crash is dropped. A key tells the source
-as it was when the work began (``Source``): the result of a file that has been replaced since is not found.
+as it was when the work began (``vehanchor.imagery.identity.Source``): a result of a replaced file is not found.
 """
 
 from __future__ import annotations
@@ -16,12 +16,11 @@ import os
 import threading
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 from pydantic import BaseModel
 
 from vehanchor.errors import InvalidParameterError, OutputError
-from vehanchor.imagery.sources.addresses import is_address
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -30,32 +29,8 @@ if TYPE_CHECKING:
 Key: TypeAlias = tuple[str | int, ...]
 Value = TypeVar("Value")
 _START = b'{"settings": '
-
-
-class Source(NamedTuple):
-    """A file as it is now.
-
-    Attributes:
-        path: absolute, links followed; or an address, of which nothing else is known.
-        size: bytes; -1 where there is no such file.
-        mtime_ns: time of its last change.
-    """
-
-    path: str
-    size: int
-    mtime_ns: int
-
-    @classmethod
-    def of(cls, file: str | os.PathLike[str]) -> Source:
-        """The file of that name."""
-        if is_address(os.fspath(file)):
-            return cls(os.fspath(file), -1, 0)
-        path = Path(file).resolve()
-        try:
-            facts = path.stat()
-        except OSError:
-            return cls(str(path), -1, 0)
-        return cls(str(path), facts.st_size, facts.st_mtime_ns)
+_VERSION = 2
+"""Of the lines; journals of another version are refused, or not seen, as those of other settings are."""
 
 
 class Journal(Generic[Value]):
@@ -85,7 +60,7 @@ class Journal(Generic[Value]):
         remedy: str = "move the file away",
     ) -> None:
         self.path = path
-        self._facts: dict[str, Any] = json.loads(json.dumps(settings, default=_plain))
+        self._facts: dict[str, Any] = json.loads(json.dumps({"journal_version": _VERSION, **settings}, default=_plain))
         self._settings = hashlib.sha256(json.dumps(self._facts, sort_keys=True).encode()).hexdigest()[:16]
         self._dump, self._load, self._sole, self._remedy = dump, load, sole, remedy
         self._offsets: dict[Key, int] = {}
@@ -172,6 +147,7 @@ class Journal(Generic[Value]):
 
         Raises:
             OutputError: the file can no longer be read.
+            InvalidParameterError: a result in it is none of this version.
         """
         return next(self.values([key])) if key in self._offsets else None
 
@@ -180,12 +156,18 @@ class Journal(Generic[Value]):
 
         Raises:
             OutputError: the file can no longer be read.
+            InvalidParameterError: a result in it is none of this version.
         """
         for key in keys:
             with self._lock, self._opened("rb") as file:
                 file.seek(self._offsets[key])
                 line = file.readline()
-            yield self._load(json.loads(line)["value"])
+            try:
+                yield self._load(json.loads(line)["value"])
+            except (ValueError, TypeError, KeyError) as error:
+                raise InvalidParameterError(
+                    f"{str(self.path)!r} holds a result of {key} that cannot be read ({error}): {self._remedy}"
+                ) from None
 
     def remove(self) -> None:
         """Delete the file: the run is complete."""

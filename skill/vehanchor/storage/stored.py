@@ -1,71 +1,96 @@
-"""Findings as JSON and back, exactly: for the journals of flights and evaluations.
+"""Intermediate results as JSON and back, exactly: for the journals of flights and evaluations.
 
-Frozen dataclasses, named tuples and records of this package, arrays, and what JSON has itself. A class is named by its
-module and its name; only classes of ``vehanchor`` are made again, so that a journal from elsewhere can start nothing.
+Frozen dataclasses, named tuples and records, arrays, and JSON's own values. A class is stored under the name that
+``stored`` gives it, so that a class or module may be renamed. Only classes with such a name are made again: a journal
+from elsewhere can import and start nothing.
 """
 
 from __future__ import annotations
 
 import base64
-import importlib
 from dataclasses import fields, is_dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel
 
-_KIND = "="
-_PACKAGE = "vehanchor."
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_KIND, _ARRAY = "=", "array"
+_CLASSES: dict[str, type[Any]] = {}
+_NAMES: dict[type[Any], str] = {}
+Class = TypeVar("Class", bound=type)
+
+
+def stored(name: str) -> Callable[[Class], Class]:
+    """Give a class the name under which its values are stored.
+
+    Args:
+        name: unique among stored classes; it never changes.
+
+    Returns:
+        A decorator for a frozen dataclass, a named tuple or a record.
+    """
+
+    def register(kind: Class) -> Class:
+        taken = _CLASSES.setdefault(name, kind)
+        if name == _ARRAY or (taken is not kind and taken.__qualname__ != kind.__qualname__):
+            raise ValueError(f"the stored name {name!r} is taken by {taken.__qualname__}")
+        _CLASSES[name] = kind
+        _NAMES[kind] = name
+        return kind
+
+    return register
 
 
 def to_json(value: Any) -> Any:
-    """A value as JSON can hold it.
+    """Turn a value into what JSON can hold.
 
     Raises:
-        TypeError: it holds something else than findings do.
+        TypeError: the value holds something that has no stored name.
     """
     if value is None or (isinstance(value, bool | int | float | str) and type(value).__module__ == "builtins"):
         return value
     if isinstance(value, np.ndarray):
         data = base64.b64encode(np.ascontiguousarray(value).tobytes()).decode("ascii")
-        return {_KIND: "array", "dtype": value.dtype.str, "shape": list(value.shape), "data": data}
+        return {_KIND: _ARRAY, "dtype": value.dtype.str, "shape": list(value.shape), "data": data}
     if isinstance(value, np.generic):
         return value.item()
-    kind = f"{type(value).__module__}:{type(value).__qualname__}"
-    if isinstance(value, BaseModel):
-        return {_KIND: kind, "fields": value.model_dump(mode="json")}
-    if is_dataclass(value):
-        return {_KIND: kind, "fields": {each.name: to_json(getattr(value, each.name)) for each in fields(value)}}
-    if isinstance(value, tuple) and hasattr(value, "_fields"):
-        return {_KIND: kind, "fields": {name: to_json(getattr(value, name)) for name in value._fields}}
-    if isinstance(value, tuple | list):
+    name = _NAMES.get(type(value))
+    if name is not None:
+        return {_KIND: name, "fields": _fields(value)}
+    if type(value) in (tuple, list):
         return [to_json(each) for each in value]
-    raise TypeError(f"{type(value).__name__} is no finding")
+    raise TypeError(f"{type(value).__name__} has no stored name: decorate it with vehanchor.storage.stored.stored")
 
 
-def from_json(stored: Any) -> Any:
-    """The value of what ``to_json`` gave; lists come back as tuples.
+def from_json(found: Any) -> Any:
+    """Turn the result of ``to_json`` into the value; lists come back as tuples.
 
     Raises:
-        ValueError: it names no class of this package, or is no such value.
+        ValueError: it names no stored class, or is no such value.
     """
-    if isinstance(stored, list):
-        return tuple(from_json(each) for each in stored)
-    if not isinstance(stored, dict):
-        return stored
-    kind = stored[_KIND]
-    if kind == "array":
-        dtype = np.dtype(stored["dtype"])
+    if isinstance(found, list):
+        return tuple(from_json(each) for each in found)
+    if not isinstance(found, dict):
+        return found
+    name, kind = found[_KIND], _CLASSES.get(found[_KIND])
+    if name == _ARRAY:
+        dtype = np.dtype(found["dtype"])
         if dtype.hasobject:
-            raise ValueError(f"an array of {dtype} is no finding")
-        data = np.frombuffer(base64.b64decode(stored["data"]), dtype=dtype)
-        return data.reshape(stored["shape"]).copy()
-    module, _, name = kind.partition(":")
-    made = getattr(importlib.import_module(module), name, None) if module.startswith(_PACKAGE) else None
-    if not isinstance(made, type) or not (
-        is_dataclass(made) or issubclass(made, BaseModel) or hasattr(made, "_fields")
-    ):
-        raise ValueError(f"{kind!r} is no class of findings")
-    if issubclass(made, BaseModel):
-        return made.model_validate(stored["fields"])
-    return made(**{key: from_json(each) for key, each in stored["fields"].items()})
+            raise ValueError(f"an array of {dtype} cannot be stored")
+        data = np.frombuffer(base64.b64decode(found["data"]), dtype=dtype)
+        return data.reshape(found["shape"]).copy()
+    if kind is None:
+        raise ValueError(f"{name!r} is the name of no stored class")
+    if issubclass(kind, BaseModel):
+        return kind.model_validate(found["fields"])
+    return kind(**{key: from_json(each) for key, each in found["fields"].items()})
+
+
+def _fields(value: Any) -> dict[str, Any]:
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json")
+    names = [each.name for each in fields(value)] if is_dataclass(value) else value._fields
+    return {name: to_json(getattr(value, name)) for name in names}

@@ -11,26 +11,24 @@ import typer
 from vehanchor.cli.terminal import tile_progress
 from vehanchor.errors import InvalidParameterError
 from vehanchor_evaluation.commands.request import measuring_command
-from vehanchor_evaluation.commands.sources import WorkersOption, open_shared, tell_issues
+from vehanchor_evaluation.commands.sources import WorkersOption, open_shared, print_issues
 
 if TYPE_CHECKING:
     from vehanchor.cli.cli_options import ParsedOptions
     from vehanchor_evaluation.rs_gsd import Recipe
 
-_DATA, _CHOICE, _MODELS = "Data: iSAID with DOTA, or masks, or a benchmark built before", "Choice of entries", "Models"
+_DATA, _CHOICE, _MODELS = "Data: iSAID with DOTA, or masks, or an existing benchmark", "Choice of entries", "Models"
 
 
 @dataclass(frozen=True, kw_only=True)
 class AreaRequest:
-    """The question of the command: each field is an option."""
+    """Options of the command, one per field."""
 
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Where results go; a run that was interrupted goes on there.")
-    ]
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results; an interrupted run resumes there.")]
     isaid: Annotated[
         list[Path] | None,
         typer.Option(
-            metavar="DIR", help="iSAID: its instance pictures, or COCO files; repeatable.", rich_help_panel=_DATA
+            metavar="DIR", help="iSAID: its instance images or COCO files; repeatable.", rich_help_panel=_DATA
         ),
     ] = None
     dota: Annotated[
@@ -46,21 +44,21 @@ class AreaRequest:
         typer.Option(metavar="DIR", help="A folder with index.csv and numbered 16-bit masks.", rich_help_panel=_DATA),
     ] = None
     split: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Take this split of the index only.", rich_help_panel=_DATA)
+        str | None, typer.Option(metavar="NAME", help="Use only this split of the index.", rich_help_panel=_DATA)
     ] = None
     benchmark: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="A benchmark that an earlier run has built.", rich_help_panel=_DATA),
+        typer.Option(metavar="DIR", help="A benchmark from an earlier run.", rich_help_panel=_DATA),
     ] = None
     entries: Annotated[
-        int, typer.Option(min=0, metavar="N", help="Entries; 0 takes every object.", rich_help_panel=_CHOICE)
+        int, typer.Option(min=0, metavar="N", help="Entries; 0 for every object.", rich_help_panel=_CHOICE)
     ] = 100
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Of the choice.", rich_help_panel=_CHOICE)] = 0
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the choice.", rich_help_panel=_CHOICE)] = 0
     category: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Category to choose from; repeatable. Default: the 8 of the benchmark for iSAID, else all.",
+            help="Category to choose from; repeatable. Default: the benchmark's 8 for iSAID, else all.",
             rich_help_panel=_CHOICE,
         ),
     ] = None
@@ -71,30 +69,30 @@ class AreaRequest:
         bool, typer.Option("--build-only", help="Build the benchmark and measure nothing.", rich_help_panel=_CHOICE)
     ] = False
     limit: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Measure the first entries only; categories take turns.")
+        int | None, typer.Option(min=1, metavar="N", help="Measure only the first N entries; categories alternate.")
     ] = None
     workers: WorkersOption = None
     segmenter: Annotated[
         tuple[str, str] | None,
         typer.Option(
             metavar="ENCODER DECODER",
-            help="ONNX files of a promptable segmenter. Default: the bundled.",
+            help="ONNX files of a promptable segmenter. Default: the bundled one.",
             rich_help_panel=_MODELS,
         ),
     ] = None
 
     def recipe(self) -> Recipe:
-        """The benchmark that is to be built.
+        """Create the recipe of the benchmark.
 
         Raises:
-            InvalidParameterError: the data are not named one way.
+            InvalidParameterError: there is not exactly one source of data.
         """
         from vehanchor_evaluation.rs_gsd import CATEGORIES, Recipe
 
         given = [value for value in (self.isaid, self.segments, self.benchmark) if value]
         if len(given) != 1 or len(self.isaid or ()) != len(self.dota or ()):
             raise InvalidParameterError(
-                "name the data one way: --isaid DIR with --dota DIR, or --segments DIR, or --benchmark DIR"
+                "give one source of data: --isaid DIR with --dota DIR, or --segments DIR, or --benchmark DIR"
             )
         return Recipe(
             isaid=tuple(str(path.resolve()) for path in self.isaid or ()),
@@ -110,30 +108,30 @@ class AreaRequest:
 
 @measuring_command(AreaRequest)
 def area(request: AreaRequest, chosen: ParsedOptions) -> None:
-    """Error of measured areas: the paper's Table II, its two sources told apart, on objects with true masks.
+    """Measure the error of areas on objects with true masks: the paper's Table II, split by source of error.
 
-    Writes area.csv (each entry), area.json and area.md (the table), area_left_out.csv, and the benchmark itself, which
-    'evaluate vlm' asks language models about.
+    Writes area.csv (each entry), area.json and area.md (the table), area_left_out.csv, and the benchmark, which
+    'evaluate vlm' uses for language models.
     """
     from vehanchor_evaluation.search import default_workers
 
     recipe, workers = request.recipe(), request.workers or default_workers()
-    folder = request.benchmark or _built(recipe, request.out / "benchmark", workers)
+    folder = request.benchmark or _build(recipe, request.out / "benchmark", workers)
     if request.build_only:
         _print_benchmark(folder)
     else:
         _measure(request, chosen, folder, workers)
 
 
-def _built(recipe: Recipe, folder: Path, workers: int) -> Path:
-    """The benchmark's folder; what its data lack is told, and kept beside it."""
+def _build(recipe: Recipe, folder: Path, workers: int) -> Path:
+    """Build the benchmark if necessary; report issues of its data and write them next to it."""
     from vehanchor_evaluation.report import write_issues
     from vehanchor_evaluation.rs_gsd import open_benchmark
 
     with tile_progress(1, lines_on_terminal=False) as step:
         issues = open_benchmark(recipe, folder, workers=workers, progress=step(0, "reading masks"))
     if issues:
-        tell_issues(issues)
+        print_issues(issues)
         write_issues(folder / "left_out.csv", issues)
     return folder
 
@@ -153,18 +151,13 @@ def _print_benchmark(folder: Path) -> None:
 
 def _measure(request: AreaRequest, chosen: ParsedOptions, folder: Path, workers: int) -> None:
     """Measure the benchmark, write the results and print the table."""
-    import os
-
-    from vehanchor.estimate import open_detector
-    from vehanchor.models.zoo import resolve_segmenter
-    from vehanchor.segmentation.segmenter import load_segmenter
+    from vehanchor.estimate import checked_detector
     from vehanchor_evaluation.area_report import area_markdown, write_area_report
     from vehanchor_evaluation.area_run import measure_benchmark
 
-    options = chosen.options()
-    detector = open_detector(open_shared(chosen, workers), options)
-    threads = chosen.detector.threads or max(1, (os.cpu_count() or 1) // workers)
-    segmenter = load_segmenter(*resolve_segmenter(request.segmenter), threads=threads, providers=detector.providers)
+    engine = open_shared(chosen, workers, request.segmenter)
+    options = engine.options
+    detector, segmenter = checked_detector(engine.detector, options), engine.segmenter
     with tile_progress(1, lines_on_terminal=False) as step:
         run = measure_benchmark(
             folder,
@@ -177,6 +170,6 @@ def _measure(request: AreaRequest, chosen: ParsedOptions, folder: Path, workers:
             workers=workers,
             progress=lambda what: step(0, what),
         )
-    tell_issues(run.issues)
+    print_issues(run.issues)
     write_area_report(request.out, "area", run.report, run.trials, run.issues)
     print(area_markdown(run.report), end="")

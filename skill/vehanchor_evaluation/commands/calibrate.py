@@ -1,4 +1,4 @@
-"""``vehanchor calibrate``: the reference length of a region's fleet."""
+"""Command ``vehanchor calibrate``: fleet calibration, the reference length of a region."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import typer
 from vehanchor.cli.terminal import facts_table, print_table
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor_evaluation.commands.request import measuring_command
-from vehanchor_evaluation.commands.sources import FilesCommand, KnownScaleRequest, open_shared, tell_issues
+from vehanchor_evaluation.commands.sources import FilesCommand, KnownScaleRequest, open_shared, print_issues
 
 if TYPE_CHECKING:
     from vehanchor.cli.cli_options import ParsedOptions
@@ -32,17 +32,17 @@ class _Boxes(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrateRequest(KnownScaleRequest):
-    """The question of the command: each field is an option."""
+    """Options of the command, one per field."""
 
     out: Annotated[
-        Path, typer.Option(metavar="FILE.json", help="The calibration, for --calibration.", show_default=False)
+        Path, typer.Option(metavar="FILE.json", help="Calibration to write, for --calibration.", show_default=False)
     ]
     photographs: Annotated[
         list[Path] | None,
         typer.Option(
             metavar="FILES",
-            help="Photographs, or folders of them, whose scale another ruler than vehicles tells: the height in their "
-            "metadata, courts, --known-lengths, or --height. What it may be off by counts.",
+            help="Photographs, or folders of them, with a scale from another ruler: the height in their metadata, "
+            "courts, --known-lengths, or --height. Its uncertainty is included.",
             show_default=False,
         ),
     ] = None
@@ -50,24 +50,24 @@ class CalibrateRequest(KnownScaleRequest):
         _Boxes | None,
         typer.Option(
             "--from",
-            help="Whose boxes are measured. Default: the labels' with --dota, else the detector's.",
+            help="Source of the boxes. Default: labels with --dota, else detector.",
             show_default=False,
         ),
     ] = None
     plot: Annotated[
-        str | None, typer.Option(metavar="OUT.png", help="Write the plot of lengths and mode (extra 'plots').")
+        str | None, typer.Option(metavar="OUT.png", help="Write a plot of lengths and mode (extra 'plots').")
     ] = None
 
 
 @calibrate.command("calibrate", cls=FilesCommand)
 @measuring_command(CalibrateRequest, without=("reference_length_m", "region", "calibration"))
 def calibrate_fleet(request: CalibrateRequest, chosen: ParsedOptions) -> None:
-    """Measure the reference length of a region's fleet, on images of known scale.
+    """Measure the reference length of a region's fleet on images of known scale.
 
-    From labels it is exactly the paper's: the mode of length times scale over every labelled vehicle; with --detector
-    it is for that model only. Without labels the model is run over the images, and the mode is of what it finds: for
-    it alone, its way to draw boxes included. Photographs with a height need no georeference. Fewer than 100 vehicles
-    are refused, and so is imagery too coarse.
+    With labels, this is the paper's method: the mode of length times scale over all labelled vehicles. With --detector
+    the result is for that model only. Without labels, the model detects the vehicles, and the result is for that model
+    only, because it includes the model's bias. Photographs with a height need no georeference. Fewer than 100 vehicles
+    or too coarse imagery are refused.
     """
     from vehanchor.scale.calibration import save_calibration
 
@@ -84,34 +84,34 @@ def calibrate_fleet(request: CalibrateRequest, chosen: ParsedOptions) -> None:
 
 
 def _check_outputs(out: Path, plot: str | None) -> None:
-    """Before the work: folders, suffixes, matplotlib."""
+    """Check folders, suffixes and matplotlib before the search."""
     if not out.parent.is_dir() or out.is_dir():
-        raise OutputError(f"cannot write {str(out)!r}: name a file in a folder that exists")
+        raise OutputError(f"cannot write {str(out)!r}: give a file in an existing folder")
     if plot is not None:
         from vehanchor.pictures.plot import require_plots
         from vehanchor.pictures.scale import check_picture_path
 
         require_plots()
         if check_picture_path(plot).resolve() == out.resolve():
-            raise InvalidParameterError(f"{plot!r} would be both the plot and the calibration: choose another name")
+            raise InvalidParameterError(f"{plot!r} names both the plot and the calibration: choose another name")
 
 
 def _known_scale(request: CalibrateRequest, chosen: ParsedOptions) -> KnownScaleSet:
-    """The images, by a georeference, a table, or another ruler than vehicles."""
+    """Find the images of known scale: by georeference, table, or another ruler."""
     if not request.photographs:
         if request.known_lengths is not None:
-            raise InvalidParameterError("--known-lengths tell the scale of --photographs: name those")
+            raise InvalidParameterError("--known-lengths needs --photographs")
         return request.survey()
     if request.dota or request.table or request.geotiff:
-        raise InvalidParameterError("name the images by one of --photographs, --dota, --table and --geotiff")
+        raise InvalidParameterError("give the images with one of --photographs, --dota, --table and --geotiff")
     from vehanchor_evaluation.photographs import survey_photographs
 
-    detector = open_shared(chosen, request.workers)
+    detector = open_shared(chosen, request.workers).detector
     data = survey_photographs(request.photographs, detector, chosen.options(), request.lines)
     data = data.chosen(limit=request.limit)
     if not data.images:
-        tell_issues(data.issues)
-        raise InvalidParameterError(f"no photograph in {data.source!r} has another ruler than vehicles")
+        print_issues(data.issues)
+        raise InvalidParameterError(f"no photograph in {data.source!r} has a ruler other than vehicles")
     return data
 
 
@@ -120,8 +120,8 @@ def _from_labels(request: CalibrateRequest, chosen: ParsedOptions) -> tuple[Flee
     from vehanchor_evaluation.fleet_survey import calibrate_labelled, labelled_vehicles
 
     survey = labelled_vehicles(_known_scale(request, chosen), request.label_classes or (SMALL_VEHICLE,))
-    tell_issues(survey.issues)
-    card = None if chosen.detector.detector is None else chosen.open_detector().card
+    print_issues(survey.issues)
+    card = None if chosen.detector.detector is None else chosen.engine().detector.card
     return survey, calibrate_labelled(survey, card)
 
 
@@ -129,10 +129,10 @@ def _from_detections(request: CalibrateRequest, chosen: ParsedOptions) -> tuple[
     from vehanchor_evaluation.fleet_survey import calibrate_found, found_vehicles
 
     options, data = chosen.options(), _known_scale(request, chosen)
-    detector = open_shared(chosen, request.workers)
+    detector = open_shared(chosen, request.workers).detector
     found = request.search(data, detector, options, chosen, request.cache)
     survey = found_vehicles(data, found, detector.card, options)
-    tell_issues(survey.issues)
+    print_issues(survey.issues)
     return survey, calibrate_found(survey, detector.card)
 
 
@@ -143,9 +143,9 @@ def _facts(record: Calibration) -> list[tuple[str, str]]:
         ("reference length", f"{record.reference_length_m:.4g} m   (95 %: {low:.4g} to {high:.4g})"),
         ("vehicles", f"{record.n_vehicles} {'labelled' if record.source == 'labels' else 'found'}"),
         ("images", str(record.n_images)),
-        ("modal length", f"{record.mode_length_px:.1f} px, at {record.median_gsd_m_per_px:.3g} m/px in the median"),
+        ("modal length", f"{record.mode_length_px:.1f} px, at a median of {record.median_gsd_m_per_px:.3g} m/px"),
         (
             "for detector",
-            "any that draws its boxes as these labels are" if record.detector is None else f"{record.detector} ({sha})",
+            "any whose boxes match these labels" if record.detector is None else f"{record.detector} ({sha})",
         ),
     ]

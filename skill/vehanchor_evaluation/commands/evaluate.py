@@ -1,4 +1,4 @@
-"""``vehanchor evaluate gsd | ablation | figures | area | vlm``: accuracy on data whose truth is known."""
+"""Commands ``vehanchor evaluate gsd | ablation | figures | area | vlm``: accuracy on data of known truth."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor_evaluation.commands.area import area
 from vehanchor_evaluation.commands.questions import questions
 from vehanchor_evaluation.commands.request import measuring_command
-from vehanchor_evaluation.commands.sources import FilesCommand, KnownScaleRequest, open_shared, tell_issues
+from vehanchor_evaluation.commands.sources import FilesCommand, KnownScaleRequest, open_shared, print_issues
 from vehanchor_evaluation.commands.vlm import vlm
 
 if TYPE_CHECKING:
@@ -27,29 +27,27 @@ _OUT = Path("vehanchor-evaluation")
 _CACHE_NAME = "detections.jsonl"
 
 evaluate = typer.Typer(
-    help="Accuracy on images whose truth is known: the paper's tables and figures, on data of yours.",
+    help="Accuracy on images of known truth: the paper's tables and figures on your data.",
     no_args_is_help=True,
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScaleRequest(KnownScaleRequest):
-    """The question of all commands on images of known scale: each field is an option."""
+    """Options of all commands on images of known scale, one per field."""
 
     label_reference_length: Annotated[
         float | None,
-        typer.Option(
-            metavar="M", help="The reference length for labelled vehicles, metres. Default: as the detector's."
-        ),
+        typer.Option(metavar="M", help="Reference length for labelled vehicles, metres. Default: the detector's."),
     ] = None
     set_region: Annotated[
         list[str] | None,
-        typer.Option(metavar="SET=REGION", help="The region of one set of the table; may be repeated."),
+        typer.Option(metavar="SET=REGION", help="Region of one set of the table; repeatable."),
     ] = None
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results, made where there is none.")] = _OUT
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results; created if missing.")] = _OUT
 
     def benchmark(self, chosen: ParsedOptions) -> ScaleBenchmark:
-        """Survey the data, search the images, make trials of them; what is wrong with which file goes to stderr."""
+        """Survey the data, search the images and create trials; issues go to stderr."""
         from vehanchor.batch.known_lengths import with_lines_of
         from vehanchor.options import Reference
         from vehanchor_evaluation.dota import SMALL_VEHICLE
@@ -57,7 +55,7 @@ class ScaleRequest(KnownScaleRequest):
 
         options = chosen.options()
         options_of = with_regions(options, self._regions())
-        data, detector = self.survey(), open_shared(chosen, self.workers)
+        data, detector = self.survey(), open_shared(chosen, self.workers).detector
         check_options(detector, data, options_of)
         lines = self.lines(image.path for image in data.images)
         found = self.search(data, detector, options, chosen, self.cache or self.out / _CACHE_NAME)
@@ -70,11 +68,11 @@ class ScaleRequest(KnownScaleRequest):
             label_options_of=options_of if self.label_reference_length is None else lambda _: by_labels,
             label_classes=self.label_classes or (SMALL_VEHICLE,),
         )
-        tell_issues(benchmark.issues)
+        print_issues(benchmark.issues)
         return benchmark
 
     def _regions(self) -> dict[str, str]:
-        """The regions by set."""
+        """Parse the regions by set."""
         regions = {}
         for text in self.set_region or ():
             name, equals, region = text.partition("=")
@@ -84,7 +82,7 @@ class ScaleRequest(KnownScaleRequest):
         return regions
 
 
-def _tell_written(paths: Sequence[Path]) -> None:
+def _print_written(paths: Sequence[Path]) -> None:
     for path in paths:
         print(printable(f"wrote {path}"), file=sys.stderr)
 
@@ -92,10 +90,10 @@ def _tell_written(paths: Sequence[Path]) -> None:
 @evaluate.command("gsd", cls=FilesCommand)
 @measuring_command(ScaleRequest)
 def evaluate_gsd(request: ScaleRequest, chosen: ParsedOptions) -> None:
-    """Error of the estimated scale on images of known scale: the paper's Table I.
+    """Measure the error of the scale on images of known scale: the paper's Table I.
 
-    Writes gsd.json, gsd.csv and gsd.md; images.csv, a line an image; issues.csv, what was wrong with which file. Run
-    again, the same command goes on where it was interrupted.
+    Writes gsd.json, gsd.csv, gsd.md, images.csv (a line per image) and issues.csv (problems by file). After an
+    interruption, the same command resumes.
     """
     from vehanchor_evaluation.gsd import report_scale
     from vehanchor_evaluation.report import scale_markdown, write_issues, write_results, write_trials
@@ -104,7 +102,7 @@ def evaluate_gsd(request: ScaleRequest, chosen: ParsedOptions) -> None:
     report = report_scale(benchmark)
     text = scale_markdown(report)
     print(printable(text))
-    _tell_written(
+    _print_written(
         [
             *write_results(request.out, "gsd", report, [row.model_dump() for row in report.rows], text),
             write_trials(request.out / "images.csv", benchmark),
@@ -116,7 +114,7 @@ def evaluate_gsd(request: ScaleRequest, chosen: ParsedOptions) -> None:
 @evaluate.command("ablation", cls=FilesCommand)
 @measuring_command(ScaleRequest)
 def evaluate_ablation(request: ScaleRequest, chosen: ParsedOptions) -> None:
-    """Change one choice of the method at a time: the paper's Table III, from the same search as 'evaluate gsd'.
+    """Change one option of the method at a time: the paper's Table III, from the search of 'evaluate gsd'.
 
     Writes ablation.json, ablation.csv and ablation.md.
     """
@@ -126,16 +124,16 @@ def evaluate_ablation(request: ScaleRequest, chosen: ParsedOptions) -> None:
     report = ablate(request.benchmark(chosen))
     text = ablation_markdown(report)
     print(printable(text))
-    _tell_written(write_results(request.out, "ablation", report, [row.flat() for row in report.rows], text))
+    _print_written(write_results(request.out, "ablation", report, [row.flat() for row in report.rows], text))
 
 
 @evaluate.command("figures", cls=FilesCommand)
 @measuring_command(ScaleRequest)
 def evaluate_figures(request: ScaleRequest, chosen: ParsedOptions) -> None:
-    """Draw the figures, from the same search as 'evaluate gsd'; extra 'plots'.
+    """Draw the figures from the search of 'evaluate gsd'; needs the extra 'plots'.
 
-    Writes predicted.png (true against predicted scale, the 10 % band, the guard), cumulative.png, calibration.png (of
-    interval and confidence) and sheet.png (the best, middle and worst images with their vehicles).
+    Writes predicted.png (predicted against true GSD, the 10 % band, the resolution guard), cumulative.png,
+    calibration.png (interval and confidence) and sheet.png (best, middle and worst images with their vehicles).
     """
     from vehanchor.pictures.plot import require_plots, write_plot
     from vehanchor.pictures.scale import write_picture
@@ -145,14 +143,14 @@ def evaluate_figures(request: ScaleRequest, chosen: ParsedOptions) -> None:
     benchmark = request.benchmark(chosen)
     trials = benchmark.trials
     if not any(trial.estimated for trial in trials):
-        raise InvalidParameterError("no image has an estimate: there is nothing to draw")
+        raise InvalidParameterError("no image has an estimate, so there is nothing to draw")
     curves = {"detector": trials, "labels": benchmark.baseline} if benchmark.baseline else {"detector": trials}
     rows = [[figures.sheet_cell(trial) for trial in row] for row in figures.sheet_trials(trials).values()]
     try:
         request.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(f"cannot make the folder {str(request.out)!r}: {error.strerror or error}") from error
-    _tell_written(
+        raise OutputError(f"cannot create the folder {str(request.out)!r}: {error.strerror or error}") from error
+    _print_written(
         [
             write_plot(request.out / "predicted.png", figures.plot_predicted(trials)),
             write_plot(request.out / "cumulative.png", figures.plot_cumulative_error(curves)),
@@ -162,7 +160,7 @@ def evaluate_figures(request: ScaleRequest, chosen: ParsedOptions) -> None:
     )
 
 
-# --- Commands of their own modules -----------------------------------------------------------------------------------
+# --- Commands of other modules ---------------------------------------------------------------------------------------
 evaluate.command("area")(area)
 evaluate.command("vlm")(vlm)
 evaluate.command("questions")(questions)

@@ -1,4 +1,4 @@
-"""``vehanchor evaluate questions``: how far, how large, does it fit, with the tools and without."""
+"""Command ``vehanchor evaluate questions``: how far, how large, does it fit, with and without tools."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.asked_model import ModelAnswers
     from vehanchor_evaluation.questions import Outcome, PlannerScore, Question
 
-_PHOTOGRAPHS, _MODEL = "Photographs instead of scenes", "A real model, too"
+_PHOTOGRAPHS, _MODEL = "Photographs instead of scenes", "A real model"
 
 
 @dataclass(frozen=True, kw_only=True)
 class QuestionsRequest(ServiceRequest):
-    """The options of the command."""
+    """Options of the command, one per field."""
 
     folder: Annotated[
-        Path | None, typer.Argument(metavar="FOLDER", help="Scenes with their truth, as 'vehanchor scene' writes them.")
+        Path | None, typer.Argument(metavar="FOLDER", help="Scenes with ground truth from 'vehanchor scene'.")
     ] = None
-    limit: Annotated[int, typer.Option(min=1, metavar="N", help="Questions at most.")] = 40
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object a planner and line.")] = False
+    limit: Annotated[int, typer.Option(min=1, metavar="N", help="Maximum number of questions.")] = 40
+    as_json: Annotated[bool, typer.Option("--json", help="Print a line of JSON per planner.")] = False
     table: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="CSV with the columns file,gsd_m_per_px, as of 'evaluate gsd', some of its images: no areas.",
+            help="CSV with the columns file,gsd_m_per_px, as for 'evaluate gsd'; no questions about areas.",
             rich_help_panel=_PHOTOGRAPHS,
         ),
     ] = None
@@ -48,64 +48,63 @@ class QuestionsRequest(ServiceRequest):
     ] = None
     split: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Only this split of it, as in 'val'.", rich_help_panel=_PHOTOGRAPHS),
+        typer.Option(metavar="NAME", help="Only this split of the table, e.g. val.", rich_help_panel=_PHOTOGRAPHS),
     ] = None
     provider: Annotated[
         ProviderName | None,
-        typer.Option(help="Whose API: openai-compatible is vLLM, DashScope, ...", rich_help_panel=_MODEL),
+        typer.Option(help="API of the model; openai-compatible: vLLM, DashScope, ...", rich_help_panel=_MODEL),
     ] = None
-    model: Annotated[str, typer.Option(metavar="NAME", help="Its name there.", rich_help_panel=_MODEL)] = ""
+    model: Annotated[str, typer.Option(metavar="NAME", help="Name of the model.", rich_help_panel=_MODEL)] = ""
     out: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR", help="Where its replies are kept, so that none is paid for twice.", rich_help_panel=_MODEL
+            metavar="DIR", help="Folder of stored replies, which are never requested again.", rich_help_panel=_MODEL
         ),
     ] = None
 
     def questions(self) -> list[Question]:
-        """Make the questions.
+        """Create the questions.
 
         Raises:
-            InvalidParameterError: not one source, or one without images.
+            InvalidParameterError: there is not exactly one source, or it has no images.
         """
         from vehanchor_evaluation.questions import questions_of_photographs, read_questions
         from vehanchor_evaluation.survey import survey_known_scale
 
         if (self.folder is None) == (self.table is None):
-            raise InvalidParameterError("name the images by FOLDER, of scenes, or by --table FILE")
+            raise InvalidParameterError("give the images as a FOLDER of scenes or with --table FILE")
         if self.folder is not None:
             return read_questions(self.folder, self.limit)
         data = survey_known_scale(table=self.table, set_name=self.set_name, split=self.split)
         return questions_of_photographs(data.images, self.limit)
 
     def check_model(self) -> None:
-        """Make sure, before the work, that a model is named wholly or not at all.
+        """Check, before the work, that provider and model are both given or both missing.
 
         Raises:
-            InvalidParameterError: it is named by half.
+            InvalidParameterError: one of them is missing.
         """
         if (self.provider is None) != (not self.model):
             raise InvalidParameterError("a real model needs --provider and --model, and its key in the environment")
 
     def ask_model(self, asked: Sequence[Question], tools: ToolCaller) -> dict[str, ModelAnswers]:
-        """Ask the real model, by row of the table; none where none is named."""
+        """Ask the real model, by row of the table; empty without a model."""
         from vehanchor_evaluation.asked_model import ask_model
 
         if self.provider is None:
             return {}
         api = self.open_api(self.provider, self.model, self.out)
         return {
-            f"{self.model} with the tools": ask_model(asked, api, tools),
-            f"{self.model} by its eye": ask_model(asked, api),
+            f"{self.model} with tools": ask_model(asked, api, tools),
+            f"{self.model} without tools": ask_model(asked, api),
         }
 
 
 @plain_command(QuestionsRequest)
 def questions(request: QuestionsRequest) -> None:
-    """Ask how far, how large and whether it fits: a scripted planner with the tools, and one that guesses the scale.
+    """Compare a scripted planner with tools and one that guesses the scale: how far, how large, does it fit.
 
-    With --provider and --model a real model is asked, too, with the tools and without. Its key comes from the
-    environment.
+    With --provider and --model, a real model also answers, with and without tools. Its key comes from the environment.
     """
     from vehanchor.cli.terminal import print_json, print_table
     from vehanchor_evaluation.agent_tools import open_agent_tools
@@ -116,9 +115,9 @@ def questions(request: QuestionsRequest) -> None:
     roots = sorted({question.image.resolve().parent for question in asked})
     with open_agent_tools(roots) as tools:
         outcomes = {
-            "with the tools": ask_with_tools(asked, tools),
-            "and a person's one length": ask_with_tools(asked, tools, with_person=True),
-            "a usual pixel size": ask_blindly(asked),
+            "with tools": ask_with_tools(asked, tools),
+            "with tools and a measured line": ask_with_tools(asked, tools, with_person=True),
+            "usual pixel size": ask_blindly(asked),
         }
         by_model = request.ask_model(asked, tools)
     outcomes |= {name: answers.outcomes for name, answers in by_model.items()}
@@ -128,11 +127,11 @@ def questions(request: QuestionsRequest) -> None:
             print_json(row.model_dump(mode="json"))
     else:
         print_table(_table(rows))
-        for name in ("with the tools", "and a person's one length"):
-            _tell_wrong(name, outcomes[name])
+        for name in ("with tools", "with tools and a measured line"):
+            _print_wrong(name, outcomes[name])
     stopped = next((answers.stopped for answers in by_model.values() if answers.stopped), None)
     if stopped:
-        print(f"stopped: {stopped}; with --out the same command goes on from here", file=sys.stderr)
+        print(f"stopped: {stopped}; with --out the same command resumes", file=sys.stderr)
         raise typer.Exit(STOPPED)
 
 
@@ -151,7 +150,7 @@ def _table(rows: Sequence[PlannerScore]) -> Table:
     return table
 
 
-def _tell_wrong(planner: str, outcomes: Sequence[Outcome]) -> None:
+def _print_wrong(planner: str, outcomes: Sequence[Outcome]) -> None:
     for outcome in outcomes:
         if outcome.verdict != "right":
             question = outcome.question

@@ -1,4 +1,4 @@
-"""Commands whose options are the fields of a dataclass, with or without the options of the method."""
+"""Commands whose options are the fields of a dataclass, with or without the options of the estimate."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ Request = TypeVar("Request")
 
 
 def plain_command(request: type[Request]) -> Callable[[Callable[[Request], None]], Callable[..., None]]:
-    """Give a command the fields of a dataclass as its options.
+    """Create a command with the fields of a dataclass as options.
 
     Args:
         request: the dataclass; its fields are annotated for Typer.
 
     Returns:
-        A decorator for a function of one such object; the result is for Typer, and tells errors on stderr.
+        A decorator for a function of the dataclass; the result is for Typer and prints errors to stderr.
     """
 
     def decorate(command: Callable[[Request], None]) -> Callable[..., None]:
@@ -30,7 +30,7 @@ def plain_command(request: type[Request]) -> Callable[[Callable[[Request], None]
             with exit_on_error():
                 command(request(**typed))
 
-        return _declared(run, command, _parameters(request))
+        return _with_signature(run, command, _parameters(request))
 
     return decorate
 
@@ -38,15 +38,15 @@ def plain_command(request: type[Request]) -> Callable[[Callable[[Request], None]
 def measuring_command(
     request: type[Request], *, without: Collection[str] = ()
 ) -> Callable[[Callable[[Request, ParsedOptions], None]], Callable[..., None]]:
-    """As ``plain_command``, with all options of the method, too.
+    """Create a command as ``plain_command`` does, and add the options of the estimate.
 
     Args:
         request: the dataclass.
-        without: options of the method that make no sense for this command; a frame and known lengths, which
-            belong to one image, never do.
+        without: options of the estimate that do not apply to this command; a frame and known lengths, which belong to
+            one image, never apply.
 
     Returns:
-        A decorator for a function of the request and what was chosen for the method.
+        A decorator for a function of the request and the parsed options.
     """
 
     def decorate(command: Callable[[Request, ParsedOptions], None]) -> Callable[..., None]:
@@ -55,7 +55,7 @@ def measuring_command(
                 command(request(**typed), chosen)
 
         chosen = inspect.Parameter("chosen", inspect.Parameter.KEYWORD_ONLY, annotation=ParsedOptions)
-        declared = _declared(run, command, [*_parameters(request), chosen])
+        declared = _with_signature(run, command, [*_parameters(request), chosen])
         return scale_command(
             without={"frame", "coordinates", "known_lengths", "effort", "max_tiles", "max_seconds", *without}
         )(declared)
@@ -71,10 +71,10 @@ def _parameters(request: type[Any]) -> list[inspect.Parameter]:
     ]
 
 
-def _declared(
+def _with_signature(
     run: Callable[..., None], command: Callable[..., None], parameters: list[inspect.Parameter]
 ) -> Callable[..., None]:
-    """The function to be called, looking to Typer like the command with these parameters."""
+    """Give the function the command's name and these parameters, for Typer."""
     run.__name__, run.__doc__, run.__module__ = command.__name__, command.__doc__, command.__module__
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {each.name: each.annotation for each in parameters}

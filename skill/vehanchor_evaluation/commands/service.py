@@ -1,4 +1,4 @@
-"""Options by which commands are given a language model's service: its address, its key, and how much of it to use."""
+"""Options for a language model's service: address, key, limits."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
     from vehanchor_evaluation.vlm_api import ModelApi
 
-STOPPED = 3  # exit status of a run that ended early, results so far written or printed
-_LIMITS = "Ceilings and the service"
+STOPPED = 3  # exit status of a run that ended early; its results are written or printed
+_LIMITS = "Limits and service"
 
 
 class ProviderName(StrEnum):
-    """Whose API."""
+    """API of the model."""
 
     anthropic = "anthropic"
     openai = "openai"
@@ -27,7 +27,7 @@ class ProviderName(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class ServiceRequest:
-    """Where the model is, and the ceilings of a run: each field is an option."""
+    """Options for the service and the limits of a run, one per field."""
 
     base_url: Annotated[
         str | None,
@@ -38,41 +38,45 @@ class ServiceRequest:
         typer.Option(
             "--api-key-env",
             metavar="NAME",
-            help="Environment variable with the key. Default: ANTHROPIC_API_KEY or OPENAI_API_KEY.",
+            help="Environment variable of the key. Default: ANTHROPIC_API_KEY or OPENAI_API_KEY.",
             rich_help_panel=_LIMITS,
         ),
     ] = None
     max_requests: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Requests of this run.", rich_help_panel=_LIMITS)
+        int | None,
+        typer.Option(min=1, metavar="N", help="Maximum number of requests in this run.", rich_help_panel=_LIMITS),
     ] = None
     max_tokens: Annotated[
         int | None,
-        typer.Option(min=1, metavar="N", help="Input and output tokens of this run.", rich_help_panel=_LIMITS),
+        typer.Option(
+            min=1, metavar="N", help="Maximum number of input and output tokens in this run.", rich_help_panel=_LIMITS
+        ),
     ] = None
     requests_per_minute: Annotated[
-        float | None, typer.Option(min=0.001, metavar="N", help="At most so fast.", rich_help_panel=_LIMITS)
+        float | None,
+        typer.Option(min=0.001, metavar="N", help="Maximum number of requests per minute.", rich_help_panel=_LIMITS),
     ] = None
     max_output_tokens: Annotated[
-        int, typer.Option(min=16, metavar="N", help="Of one reply.", rich_help_panel=_LIMITS)
+        int, typer.Option(min=16, metavar="N", help="Maximum number of tokens of one reply.", rich_help_panel=_LIMITS)
     ] = 4096
     timeout: Annotated[
-        float, typer.Option(min=0.1, metavar="S", help="Of one attempt, seconds.", rich_help_panel=_LIMITS)
+        float, typer.Option(min=0.1, metavar="S", help="Time limit of one attempt, seconds.", rich_help_panel=_LIMITS)
     ] = 120.0
     retries: Annotated[
         int, typer.Option(min=0, metavar="N", help="Attempts after the first.", rich_help_panel=_LIMITS)
     ] = 6
 
     def open_api(self, provider: ProviderName, model: str, out: Path | None) -> ModelApi:
-        """Connect to the model, with the ceilings that were chosen.
+        """Connect to the model with these limits.
 
         Args:
-            provider: whose API.
-            model: its name there.
-            out: folder where replies are kept; None to keep none.
+            provider: API of the model.
+            model: name of the model.
+            out: folder of stored replies; None stores none.
 
         Raises:
             MissingExtraError: the provider's client is not installed.
-            InvalidParameterError: there is no key in the environment, or no address for a compatible service.
+            InvalidParameterError: the environment has no key, or the address of a compatible service is missing.
         """
         from vehanchor_evaluation.vlm_api import Budget, open_api, reply_journal
 

@@ -1,4 +1,4 @@
-"""Options by which commands are given images of known scale: ``--dota``, ``--table``, ``--geotiff`` and their like."""
+"""Options for images of known scale: ``--dota``, ``--table``, ``--geotiff`` and related ones."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from vehanchor.batch.known_lengths import KnownLengthTable
     from vehanchor.cli.cli_options import ParsedOptions
     from vehanchor.detection.detector import Detector
+    from vehanchor.engine import Engine
     from vehanchor.options import ScaleOptions
     from vehanchor_evaluation.known_scale import FileIssue, KnownScaleSet
     from vehanchor_evaluation.search import SearchedImage
@@ -28,12 +29,12 @@ _SHOWN_ISSUES = 10
 
 WorkersOption = Annotated[
     int | None,
-    typer.Option(metavar="N", min=1, help="Images searched at the same time. Default: one per core, at most 4."),
+    typer.Option(metavar="N", min=1, help="Images searched in parallel. Default: one per core, at most 4."),
 ]
 
 
 class FilesCommand(TyperCommand):
-    """A command whose ``--geotiff`` takes files as a shell's wildcard gives them: Typer wants the name before each."""
+    """Command whose ``--geotiff`` accepts a shell wildcard; Typer needs the option's name before each file."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Put the option's name before each file that follows it."""
@@ -51,7 +52,7 @@ class FilesCommand(TyperCommand):
 
 @dataclass(frozen=True, kw_only=True)
 class KnownScaleRequest:
-    """Images of known scale, and how they are searched: each field is an option."""
+    """Options for images of known scale and their search, one per field."""
 
     dota: Annotated[
         Path | None,
@@ -63,39 +64,37 @@ class KnownScaleRequest:
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="CSV with the columns file,gsd_m_per_px, files relative to it; set and split where there are any.",
+            help="CSV with the columns file,gsd_m_per_px and optionally set and split; files relative to it.",
             show_default=False,
         ),
     ] = None
     geotiff: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILES", help="Georeferenced images, or folders of them: the file tells the scale."),
+        typer.Option(metavar="FILES", help="Georeferenced images, or folders of them."),
     ] = None
     labels: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder of DOTA's labels. Default: the latest labelTxt*/ of oriented boxes."),
+        typer.Option(metavar="DIR", help="Folder of DOTA labels. Default: the latest labelTxt*/ with oriented boxes."),
     ] = None
     label_classes: Annotated[
         list[str] | None,
-        typer.Option("--label-class", metavar="NAME", help="Labelled class that counts. Default: small-vehicle."),
+        typer.Option("--label-class", metavar="NAME", help="Label class of vehicles. Default: small-vehicle."),
     ] = None
     set_name: Annotated[str | None, typer.Option("--set", metavar="NAME", help="Only this set of the table.")] = None
-    split: Annotated[str | None, typer.Option(metavar="NAME", help="Only this split of the table, as in 'val'.")] = None
+    split: Annotated[str | None, typer.Option(metavar="NAME", help="Only this split of the table, e.g. val.")] = None
     limit: Annotated[int | None, typer.Option(metavar="N", min=1, help="Only the first N images.")] = None
     known_lengths: KnownLengthsFile = None
     workers: WorkersOption = None
     cache: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="Where detections are kept, so that a run can go on and tables can share a search."
-        ),
+        typer.Option(metavar="FILE", help="File of stored detections, to resume a run or share its search."),
     ] = None
 
     def survey(self) -> KnownScaleSet:
-        """Find the images; what is wrong with which file goes to stderr where there are none.
+        """Find the images; if there are none, print the issues to stderr.
 
         Raises:
-            InvalidParameterError: not exactly one source, or one that holds no image of known scale.
+            InvalidParameterError: there is not exactly one source, or it has no image of known scale.
         """
         from vehanchor.errors import InvalidParameterError
         from vehanchor_evaluation.survey import survey_known_scale
@@ -110,15 +109,15 @@ class KnownScaleRequest:
             limit=self.limit,
         )
         if not data.images:
-            tell_issues(data.issues)
+            print_issues(data.issues)
             raise InvalidParameterError(f"no image of known scale in {data.source!r}")
         return data
 
     def lines(self, images: Iterable[Path]) -> KnownLengthTable:
-        """The lines of known length of single images.
+        """Read the lines of known length of these images.
 
         Raises:
-            KnownLengthError: they cannot be read, or lie in none of these images.
+            KnownLengthError: the table cannot be read, or has none of these images.
         """
         from vehanchor.batch.known_lengths import lines_in
 
@@ -127,7 +126,7 @@ class KnownScaleRequest:
     def search(
         self, data: KnownScaleSet, detector: Detector, options: ScaleOptions, chosen: ParsedOptions, cache: Path | None
     ) -> dict[Path, SearchedImage | FileIssue]:
-        """Search the images under a progress bar; what the cache knows is not searched again."""
+        """Search the images that the cache lacks, with a progress bar."""
         from vehanchor_evaluation.search import search_known_scale
 
         n_done = 0
@@ -153,20 +152,23 @@ class KnownScaleRequest:
             except KeyboardInterrupt:
                 if cache is not None:
                     about = f"stopped after {n_done} of {len(data.images)} images"
-                    print(f"{about}; the same command goes on there", file=sys.stderr)
+                    print(f"{about}; the same command resumes", file=sys.stderr)
                 raise
 
 
-def open_shared(chosen: ParsedOptions, workers: int | None) -> Detector:
-    """Open the detector that the options name, for several images at once: they share the cores."""
+def open_shared(
+    chosen: ParsedOptions, workers: int | None, segmenter: tuple[str | Path, str | Path] | None = None
+) -> Engine:
+    """Open the engine of the options for parallel images, which share the cores."""
     from vehanchor_evaluation.search import default_workers
 
+    engine = chosen.engine(segmenter=segmenter)
     share = max(1, (os.cpu_count() or 1) // (workers or default_workers()))
-    return replace(chosen.detector, threads=chosen.detector.threads or share).open()
+    return engine.replace(runtime=replace(engine.runtime, threads=engine.runtime.threads or share))
 
 
-def tell_issues(issues: Iterable[FileIssue]) -> None:
-    """Print to stderr which files were wrong and how, the first few of each reason."""
+def print_issues(issues: Iterable[FileIssue]) -> None:
+    """Print the first few issues of each reason to stderr."""
     by_reason: dict[str, list[FileIssue]] = {}
     for issue in issues:
         by_reason.setdefault(issue.reason, []).append(issue)

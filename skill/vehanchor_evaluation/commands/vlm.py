@@ -1,4 +1,4 @@
-"""``vehanchor evaluate vlm``: the error of areas that a vision-language model states."""
+"""Command ``vehanchor evaluate vlm``: the error of areas that a vision-language model states."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import typer
 from vehanchor.cli.terminal import tile_progress
 from vehanchor_evaluation.commands.request import plain_command
 from vehanchor_evaluation.commands.service import STOPPED, ProviderName, ServiceRequest
-from vehanchor_evaluation.commands.sources import tell_issues
+from vehanchor_evaluation.commands.sources import print_issues
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,34 +27,34 @@ _TOOLS = "Tools of --agent"
 
 @dataclass(frozen=True, kw_only=True)
 class VlmRequest(ServiceRequest):
-    """The question of the command: each field is an option."""
+    """Options of the command, one per field."""
 
-    benchmark: Annotated[Path, typer.Option(metavar="DIR", help="A benchmark that 'evaluate area' has built.")]
-    provider: Annotated[ProviderName, typer.Option(help="Whose API: openai-compatible is vLLM, DashScope, ...")]
-    model: Annotated[str, typer.Option(metavar="NAME", help="Name of the model there.")]
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where results and replies go; a run goes on there.")]
-    hint: Annotated[bool, typer.Option("--hint", help="Tell the model how long cars are, as in the paper.")] = False
+    benchmark: Annotated[Path, typer.Option(metavar="DIR", help="A benchmark from 'evaluate area'.")]
+    provider: Annotated[ProviderName, typer.Option(help="API of the model; openai-compatible: vLLM, DashScope, ...")]
+    model: Annotated[str, typer.Option(metavar="NAME", help="Name of the model.")]
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of results and replies; a run resumes there.")]
+    hint: Annotated[bool, typer.Option("--hint", help="Give the model the length of cars, as in the paper.")] = False
     agent: Annotated[
         bool, typer.Option("--agent", help="Let the model measure with estimate_gsd and measure_area.")
     ] = False
     limit: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Ask about the first entries only; categories take turns.")
+        int | None, typer.Option(min=1, metavar="N", help="Ask only about the first N entries; categories alternate.")
     ] = None
-    workers: Annotated[int, typer.Option(min=1, metavar="N", help="Requests at once.")] = 1
-    max_side: Annotated[int, typer.Option(min=64, metavar="PX", help="Longest side of the picture that is sent.")] = (
-        1568
-    )
-    max_turns: Annotated[int, typer.Option(min=1, metavar="N", help="Replies that --agent may take an entry.")] = 8
+    workers: Annotated[int, typer.Option(min=1, metavar="N", help="Requests in parallel.")] = 1
+    max_side: Annotated[int, typer.Option(min=64, metavar="PX", help="Longest side of the image in the prompt.")] = 1568
+    max_turns: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Maximum number of replies of --agent for one entry.")
+    ] = 8
     detector: Annotated[
-        str | None, typer.Option(metavar="FILE", help="Default: the bundled.", rich_help_panel=_TOOLS)
+        str | None, typer.Option(metavar="FILE", help="Default: the bundled one.", rich_help_panel=_TOOLS)
     ] = None
     segmenter: Annotated[
         tuple[str, str] | None,
-        typer.Option(metavar="ENCODER DECODER", help="Default: the bundled.", rich_help_panel=_TOOLS),
+        typer.Option(metavar="ENCODER DECODER", help="Default: the bundled one.", rich_help_panel=_TOOLS),
     ] = None
 
     def open_tools(self, entries: Sequence[BenchmarkEntry]) -> AbstractContextManager[ToolCaller]:
-        """Open the tools of an agent, which read the images of the benchmark and nothing else."""
+        """Open the tools of an agent, which read only the images of the benchmark."""
         from vehanchor_evaluation.agent_tools import open_agent_tools
 
         files = None if self.segmenter is None else (Path(self.segmenter[0]), Path(self.segmenter[1]))
@@ -64,9 +64,9 @@ class VlmRequest(ServiceRequest):
 
 @plain_command(VlmRequest)
 def vlm(request: VlmRequest) -> None:
-    """Error of areas that a vision-language model states: the paper's baselines, or with --agent by our tools.
+    """Measure the error of areas that a vision-language model states: the paper's baselines, or --agent with tools.
 
-    Replies are kept, and never asked for twice. Ceilings end a run cleanly (exit status 3); the same command goes on.
+    Replies are stored and never requested again. Limits end a run cleanly (exit status 3); the same command resumes.
     Keys come from the environment and are never written.
     """
     from vehanchor_evaluation.area_report import area_markdown, write_area_report
@@ -82,10 +82,10 @@ def vlm(request: VlmRequest) -> None:
         step = stack.enter_context(tile_progress(1, lines_on_terminal=False))
         progress = step(0, f"{len(entries)} questions")
         run = run_vlm_trials(entries, api, query, tools=tools, workers=request.workers, progress=progress)
-    tell_issues(run.issues)
+    print_issues(run.issues)
     report = vlm_report(built, sha256, api, query, run, len(entries))
     write_area_report(request.out, report_stem(query), report, run.trials, run.issues)
     print(area_markdown(report), end="")
     if run.stopped:
-        print(f"stopped: {run.stopped}; the same command goes on from here", file=sys.stderr)
+        print(f"stopped: {run.stopped}; the same command resumes", file=sys.stderr)
         raise typer.Exit(STOPPED)

@@ -246,29 +246,29 @@ def test_the_guard_and_its_cap_are_shown(
     size = "() => parseFloat(getComputedStyle(document.querySelector('.readings > div:first-child .value')).fontSize)"
     trusted = host.in_page(size)
     host.result(calls["guarded"], results["guarded"])
-    host.says("#status", "Low confidence: fall back")
-    host.says(".readings > div:first-child .warn", "not to be used")
+    host.says("#status", "Low confidence: do not use")
+    host.says(".readings > div:first-child .warn", "do not use")
     assert host.in_page(size) < 0.7 * trusted
     assert host.page.locator(".scale-bar").count() == 0
-    host.says(".tick.cap", "0.3guard's cap")
+    host.says(".tick.cap", "0.3guard")
     meter = host.page.get_by_role("meter", name="Confidence")
     assert meter.get_attribute("aria-valuenow") == "0.30"
     assert float(host.page.locator(".mode-line").get_attribute("x1")) < float(
         host.page.locator(".guard-line").get_attribute("x1")
     )
-    assert "The guard caps the vehicles' confidence." in host.page.get_by_role("img", name="Histogram").get_attribute(
-        "aria-label"
-    )
+    assert "The resolution guard caps the vehicles' confidence." in host.page.get_by_role(
+        "img", name="Histogram"
+    ).get_attribute("aria-label")
 
 
 def test_outliers_are_shown_apart(host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]) -> None:
     host.show()
     host.result(calls["outliers"], results["outliers"])
-    host.says(".readings > div:nth-child(2)", "Vehicles measured24of 27 found; 3 outliers")
+    host.says(".readings > div:nth-child(2)", "Vehicles measured24of 27 detected; 3 outliers")
     assert host.page.locator(".bar-dropped").count() >= 1
     host.page.get_by_text("As a table").click()
     rows = [row.split("\t") for row in host.page.locator("table tr").all_inner_texts()]
-    assert rows[0] == ["length, px", "measured", "left out"]
+    assert rows[0] == ["length, px", "measured", "excluded"]
     assert [sum(int(row[i]) for row in rows[1:]) for i in (1, 2)] == [24, 3]
 
 
@@ -277,7 +277,7 @@ def test_a_median_of_few_is_called_one_and_the_callers_copy_has_its_scale(
 ) -> None:
     host.show()
     host.result(calls["few"], results["few"])
-    host.says("#status", "Low confidence: fall back")
+    host.says("#status", "Low confidence: do not use")
     host.says(".legend .mode", "P_mode, the median")
     assert host.page.locator(".curve").count() == 0
     frame = results["few"]["structuredContent"]["frame"]
@@ -288,7 +288,7 @@ def test_no_anchor_shows_no_number(host: Host, calls: dict[str, Call], results: 
     host.show()
     host.result(calls["no anchor"], results["no anchor"])
     host.says("#status", "No metric scale")
-    host.says(".readings > div:first-child", "Scalenonenothing of known size found")
+    host.says(".readings > div:first-child", "Scalenoneno ruler found")
     host.says(".gauge .reading", "0.00")
     assert host.page.get_by_role("img", name="Histogram").count() == 0
     assert "null" not in host.page.locator("main").inner_text()
@@ -435,7 +435,7 @@ def test_every_ruler_is_listed_with_what_it_says_and_who_disagrees(
         assert f"{ruler['gsd_m_per_px']:.3g} m/px" in row
         assert ("disagrees" in row) == (not ruler["agrees"])
     assert [ruler["agrees"] for ruler in rulers].count(False) == 1
-    by_all = host.page.get_by_text("Chance that the scale is right within 20 %, by all rulers. Of the vehicles alone:")
+    by_all = host.page.get_by_text("Chance of an error below 20 %, from all rulers. Terms of the vehicles:")
     assert by_all.count() == 1
     host.result(calls["good"], results["good"])
     host.says("#sentence", results["good"]["content"][0]["text"])
@@ -454,9 +454,9 @@ def test_a_known_length_is_drawn_with_two_clicks_and_measured_with(
     host.tab.evaluate("(result) => { answer = { result }; }", results["rulers"])
     host.page.get_by_role("button", name="Draw a known length").click()
     click_at(host, 100, 200)
-    host.says(".picture [role=status]", "Now the other end.")
+    host.says(".picture [role=status]", "Click the other end.")
     click_at(host, 101, 200)
-    host.says(".picture [role=status]", re.compile("too short"))
+    host.says(".picture [role=status]", re.compile("Too short"))
     click_at(host, 100, 200)
     click_at(host, 500, 400)
     host.page.get_by_role("spinbutton").fill("38.5")
@@ -513,7 +513,7 @@ def test_a_measurement_that_fails_or_is_not_to_be_used_says_so(
     host.says(".picture [role=status]", f"Not measured: {results['failed']['content'][0]['text']}")
     host.tab.evaluate("(result) => { answer = { result }; }", results["distance, few"])
     drag(host, (100, 100), (300, 300))
-    host.says("ol.measured li.untrusted .note:nth-of-type(3)", "not to be used: low confidence")
+    host.says("ol.measured li.untrusted .note:nth-of-type(3)", "do not use: low confidence")
     host.result(calls["no anchor"], results["no anchor"])
     host.says("#status", "No metric scale")
     assert host.page.get_by_role("button", name="Distance").count() == 0

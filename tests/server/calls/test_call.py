@@ -11,7 +11,7 @@ from mcp import Client
 from mcp.server import MCPServer
 
 from tests.server.conftest import N_TILES_LARGE
-from tests.server.conversation import by_path, error_of, text_of
+from tests.server.conversation import by_path, error_of, reported, text_of
 from tests.tiles import Tiles
 from vehanchor_server.app import create_server
 from vehanchor_server.services import Services, create_services
@@ -40,7 +40,7 @@ async def test_progress_is_reported_three_to_five_times_and_rises(
 
     async with Client(server, mode=era) as client:
         await client.call_tool("estimate_gsd", by_path(images / name), progress_callback=on_progress)
-        await anyio.sleep(0.05)
+        await reported(reports)
     assert len(reports) == n_reports
     assert reports == sorted(set(reports))
     assert reports[0] == 0

@@ -49,14 +49,20 @@ async def test_a_finished_call_was_not_stopped() -> None:
 
 async def test_a_place_is_taken_until_the_thread_has_ended() -> None:
     capacity = Capacity(1, 5)
-    release = threading.Event()
+    began, release = threading.Event(), threading.Event()
+
+    def work() -> None:  # does not listen to stop requests
+        began.set()
+        release.wait()
+
     async with anyio.create_task_group() as group:
 
-        async def deaf() -> None:  # work that does not listen to stop requests
-            await capacity.run(lambda stop: capacity.in_thread(stop, release.wait))
+        async def deaf() -> None:
+            await capacity.run(lambda stop: capacity.in_thread(stop, work))
 
         group.start_soon(deaf)
-        await anyio.sleep(0.05)
+        while not began.is_set():
+            await anyio.sleep(0.001)
         group.cancel_scope.cancel()
         with anyio.CancelScope(shield=True):
             await anyio.sleep(0.05)
@@ -105,7 +111,8 @@ async def test_closing_stops_what_runs_and_accepts_nothing_more() -> None:
 
     async with anyio.create_task_group() as group:
         group.start_soon(call)
-        await anyio.sleep(0.05)
+        while not capacity.running:
+            await anyio.sleep(0.001)
         capacity.close()
     await call()
     assert codes == ["server_stopping", "server_stopping"]

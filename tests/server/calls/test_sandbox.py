@@ -4,35 +4,34 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import fcntl
 import json
-import multiprocessing
 import os
-import pickle
 import signal
 import socket
 import subprocess
 import sys
+import termios
 import threading
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.server.calls.working import TESTS, done, number, ready
+from tests.server.calls.working import Value, answered, done
+from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.job import Job
-from vehanchor_server.calls.reading import receive
-from vehanchor_server.errors import CallError
-from vehanchor_server.images.path_access import Sandbox
-from vehanchor_server.services import Services, create_services
-from vehanchor_server.settings import Settings
+from vehanchor_server.calls.task import work
+from vehanchor_server.calls.worker_environment import KEPT, SEARCH_PATHS
+from vehanchor_server.services import Services
 
 CONFINE = """
 import json, platform, sys
-from vehanchor_server.calls import confinement
+from vehanchor_server.calls import sandbox as confinement
 {before}
-found = confinement.confine([])
+found = sandbox.confine([])
 print(json.dumps([found.landlock, found.seccomp, found.lacks]))
 """
 
@@ -51,18 +50,18 @@ def held() -> tuple[int, bool, str]:
     return confined()
 
 
-@pytest.fixture(scope="module")
-def running(detector_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Services]:
-    root = tmp_path_factory.mktemp("root")
-    settings = Settings(roots=(root, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
-    services = ready(create_services(settings))
-    yield services
-    services.close()
+@dataclass(frozen=True)
+class Targets:
+    """What a work tries to reach: a file outside the roots, and the server's process."""
+
+    secret: str
+    server: int
 
 
-def attempts(services: Services, job: Job, source: Any, secret: str, server: int) -> dict[str, str]:
+@work(Targets, Value)
+def attempts(services: Services, job: Job, source: Any, targets: Targets) -> Answer[Value]:
     """Everything that a worker should be kept from, and some things that it needs; in a worker."""
-    root = services.settings.roots[0]
+    root, secret, server = services.settings.roots[0], targets.secret, targets.server
     libc = ctypes.CDLL(None, use_errno=True)
 
     def checked(result: int) -> None:
@@ -104,6 +103,19 @@ def attempts(services: Services, job: Job, source: Any, secret: str, server: int
         "limit the server": lambda: checked(libc.prlimit(server, 7, None, ctypes.create_string_buffer(16))),
         "enter a namespace": lambda: checked(libc.unshare(0x10000000)),
         "ask for io_uring": lambda: checked(libc.syscall(425, 4, ctypes.create_string_buffer(120))),
+        "list its working directory": lambda: list(Path.cwd().iterdir()),
+        "read its environment": Path("/proc/self/environ").read_bytes,
+        "read the network's state": Path("/proc/self/net/tcp").read_bytes,
+        "type into a terminal": lambda: fcntl.ioctl(2, termios.TIOCSTI, b"x"),
+        "have a signal sent to the server": lambda: fcntl.fcntl(0, fcntl.F_SETOWN, server),
+        "choose the signal": lambda: fcntl.fcntl(0, 10, signal.SIGKILL),
+        "cut a file off while it is opened": lambda: os.open(root / "cars.png", os.O_RDONLY | os.O_TRUNC),
+        "set its own priority": lambda: checked(libc.setpriority(0, 0, 19)),
+        "set the server's priority": lambda: checked(libc.setpriority(0, server, 19)),
+        "bind the server to a processor": lambda: os.sched_setaffinity(server, {0}),
+        "open a queue of messages": lambda: checked(libc.msgget(0, 0o1600)),
+        "open shared memory": lambda: checked(libc.shmget(0, 4096, 0o1600)),
+        "name the host": lambda: checked(libc.sethostname(b"mine", 4)),
     }
     found = {}
     for name, attempt in tries.items():
@@ -112,7 +124,7 @@ def attempts(services: Services, job: Job, source: Any, secret: str, server: int
             found[name] = "done"
         except OSError as error:
             found[name] = errno.errorcode[error.errno or 0]
-    return found
+    return answered(found)
 
 
 def by_descriptor(path: Path) -> None:
@@ -135,9 +147,10 @@ def test_a_worker_can_do_its_work_and_nothing_else(
     secret.write_text("hunter2")
     (root / "cars.png").write_bytes(b"pixels")
     (root / "to_secret").symlink_to(secret)
-    outcomes = done(running, partial(attempts, secret=str(secret), server=os.getpid()))
+    outcomes = done(running, attempts, Targets(str(secret), os.getpid()))
     needed = ["read an image", "read it by its descriptor", "list the root", "import what was not", "start a thread"]
     assert {name for name, outcome in outcomes.items() if outcome == "done"} == {*needed, "signal itself"}
+    assert outcomes.pop("ask for io_uring") == "ENOSYS"  # as on a kernel that is older than the call
     assert set(outcomes.values()) == {"done", "EACCES", "EPERM"}
     assert outcomes["read /etc/passwd"] == outcomes["read it by a link"] == "EACCES"
     assert outcomes["open a TCP socket"] == outcomes["run a program"] == outcomes["fork"] == "EPERM"
@@ -147,8 +160,13 @@ def test_a_worker_can_do_its_work_and_nothing_else(
 @pytest.mark.parametrize(
     ("before", "words", "landlock", "seccomp"),
     [
-        ("confinement._CREATE_RULESET = 4095", "Landlock: Function not implemented", False, True),
-        ("platform.machine = lambda: 'pdp11'", "seccomp: its calls are not known here for pdp11", True, False),
+        (
+            "confinement._CREATE_RULESET = 4095",
+            "Landlock: Function not implemented, so that a worker can read",
+            False,
+            True,
+        ),
+        ("platform.machine = lambda: 'pdp11'", "seccomp: no system call numbers for pdp11", True, False),
         ("sys.platform = 'darwin'", "darwin has neither Landlock nor seccomp", False, False),
     ],
 )
@@ -161,32 +179,22 @@ def test_what_a_system_lacks_is_told_and_the_rest_is_done(
     assert found[1] == (seccomp and held[1])
 
 
-@pytest.mark.parametrize(
-    "sent", [("value", os.system), ("value", subprocess.run), ("value", Sandbox((), ())), "value", ()]
-)
-def test_a_server_takes_nothing_but_values_from_its_workers(sent: Any) -> None:
-    ours, theirs = multiprocessing.Pipe()
-    with ours, theirs:
-        theirs.send(sent)
-        with pytest.raises(pickle.UnpicklingError):
-            receive(ours)
-
-
-class _Call:
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return os.mkdir, (str(self.path),)
-
-
-def message_that_acts(services: Services, job: Job, source: Any, path: Path) -> Any:
-    return _Call(path)
+@work(None, Value)
+def inherited(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+    """The descriptors and the environment variables of a worker."""
+    folder = Path("/proc/self/fd")
+    names = {int(each.name): str(each.readlink()) for each in folder.iterdir() if each.is_symlink()}
+    return answered({"descriptors": names, "variables": dict(os.environ)})
 
 
 @pytest.mark.slow
-def test_what_a_worker_sends_cannot_act_in_the_server(running: Services, tmp_path: Path) -> None:
-    with pytest.raises(CallError, match="worker_killed"):
-        done(running, partial(message_that_acts, path=tmp_path / "made"))
-    assert not (tmp_path / "made").exists()
-    assert done(running, number) > 0
+def test_a_worker_inherits_its_socket_and_its_log_and_no_secret(running: Services) -> None:
+    found = done(running, inherited)
+    assert set(found["variables"]) - {"LINES", "COLUMNS"} <= KEPT | set(SEARCH_PATHS)  # of the C library for terminals
+    opened = {int(number): target for number, target in found["descriptors"].items()}
+    assert opened[0] == os.devnull
+    assert opened[1] == opened[2]
+    assert opened[1].startswith("pipe:")
+    assert sum(target.startswith("socket:") for target in opened.values()) == 1
+    rest = [target for number, target in opened.items() if number > 2 and not target.startswith("socket:")]
+    assert all(target.startswith(("/proc/", "anon_inode:", "pipe:")) for target in rest), rest

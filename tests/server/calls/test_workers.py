@@ -25,13 +25,14 @@ from mcp.server import MCPServer
 
 from tests.sam_models import SamFiles
 from tests.server.calls.slow_models import weighed_down
-from tests.server.calls.working import IMAGE, TESTS, done, number, ready
+from tests.server.calls.working import IMAGE, TESTS, Value, answered, done, number, ready
 from tests.server.conftest import POOL_BOX, paint_scene
 from tests.server.conversation import by_path, error_of, text_of
 from vehanchor_server.app import create_server
+from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.capacity import CallStoppedError, Stop
 from vehanchor_server.calls.job import Job
-from vehanchor_server.calls.task import Task
+from vehanchor_server.calls.task import Task, work
 from vehanchor_server.calls.worker_process import WorkerLimits
 from vehanchor_server.calls.workers import WorkerFailedError, WorkerPool
 from vehanchor_server.errors import CallError
@@ -73,25 +74,31 @@ def georeferenced(images: Path) -> Iterator[Path]:
     path.unlink()
 
 
-def a_while(services: Services, job: Job, source: Any) -> int:
+@work(None, Value)
+def a_while(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
     time.sleep(1.0)
-    return os.getpid()
+    return answered(os.getpid())
 
 
-def crash(services: Services, job: Job, source: Any) -> None:
+@work(None, Value)
+def crash(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
     os.kill(os.getpid(), signal.SIGSEGV)
+    raise AssertionError
 
 
-def fill(services: Services, job: Job, source: Any) -> float:
-    return float(np.ones(1 << 29).sum())  # 4 GiB
+@work(None, Value)
+def fill(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
+    return answered(float(np.ones(1 << 29).sum()))  # 4 GiB
 
 
-def spin(services: Services, job: Job, source: Any) -> None:
+@work(None, Value)
+def spin(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
     while True:
         pass
 
 
-def bug(services: Services, job: Job, source: Any) -> None:
+@work(None, Value)
+def bug(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
     raise KeyError("hunter2")
 
 
@@ -144,7 +151,7 @@ def test_a_stop_kills_and_says_so(isolated: Services) -> None:
     before = done(isolated, number)
     started = time.monotonic()
     with anyio.from_thread.start_blocking_portal() as portal:
-        future = portal.start_task_soon(anyio.to_thread.run_sync, partial(done, isolated, spin, stop))
+        future = portal.start_task_soon(anyio.to_thread.run_sync, partial(done, isolated, spin, None, stop))
         time.sleep(0.3)
         stop.request()
         with pytest.raises(CallStoppedError):
@@ -156,7 +163,7 @@ def test_a_stop_kills_and_says_so(isolated: Services) -> None:
 
 def test_a_stop_after_the_call_harms_no_other(isolated: Services) -> None:
     stop = Stop()
-    worker = done(isolated, number, stop)
+    worker = done(isolated, number, None, stop)
     stop.request()
     assert done(isolated, number) == worker
 
@@ -167,7 +174,8 @@ def test_memory_is_limited(isolated: Services) -> None:
     assert done(isolated, number) > 0
 
 
-def allocation_refused(services: Services, job: Job, source: Any) -> None:
+@work(None, Value)
+def allocation_refused(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
     raise CallError("image_undecodable", "the JPEG cannot be decoded: Failed to allocate 300000000 bytes.")
 
 
@@ -265,7 +273,7 @@ def test_a_worker_that_never_starts_is_not_the_images_fault_and_is_logged_once(
     workers.start()
     for _ in range(2):
         with pytest.raises(CallError, match=r"worker_unavailable: .* the image is not to blame"):
-            workers.run(Task(number, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
+            workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
     assert workers.failure == "worker_unavailable"
     assert not workers.ready
     (line,) = caplog.records
@@ -301,7 +309,7 @@ def test_a_call_to_a_worker_that_loads_for_ever_ends_at_its_deadline() -> None:
     timer.start()
     try:
         with pytest.raises(CallStoppedError):
-            workers.run(Task(number, IMAGE, None), stop, lambda *_: None, lambda *_: None)
+            workers.run(Task(number, None, IMAGE, None), stop, lambda *_: None, lambda *_: None)
         assert not workers.ready
     finally:
         timer.join()
@@ -321,7 +329,8 @@ def test_a_worker_that_is_killed_while_it_starts_is_started_again_for_the_same_c
     settings = Settings(roots=(tmp_path, TESTS), detector=str(detector_path), threads=1, max_concurrency=1)
     workers = WorkerPool(partial(lost_once, tmp_path / "mark", settings), 1, WorkerLimits(1 << 30, 10))
     try:
-        assert workers.run(Task(number, IMAGE, None), Stop(), lambda *_: None, lambda *_: None) > 0
+        answer = workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
+        assert answer.record.value > 0
     finally:
         workers.close()
 
@@ -338,10 +347,10 @@ def test_the_first_call_is_answered_where_nobody_has_looked_yet_whether_its_work
         connection = workers._workers[0]._connection
         assert connection is not None
         assert connection.poll(60)  # its models are loaded, and that is the first that the call hears of it
-        answers: list[int] = []
+        answers: list[Answer[Value]] = []
         call = threading.Thread(
             target=lambda: answers.append(
-                workers.run(Task(number, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
+                workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
             ),
             daemon=True,
         )

@@ -7,9 +7,11 @@ import time
 from pathlib import Path
 from typing import Any
 
+from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
-from vehanchor_server.calls.task import Task
+from vehanchor_server.calls.task import Task, Work, work
+from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.images.argument import Base64Image
 from vehanchor_server.services import Services
 
@@ -31,13 +33,25 @@ def ready(services: Services) -> Services:
     return services
 
 
-def done(services: Services, work: Any, stop: Stop | None = None) -> Any:
+class Value(FrozenModel):
+    """What a work answers here."""
+
+    value: Any
+
+
+def answered(value: Any) -> Answer[Value]:
+    """The answer of a work here."""
+    return Answer((Value(value=value),))
+
+
+def done(services: Services, work: Work[Value], question: Any = None, stop: Stop | None = None) -> Any:
     """The work's value, from a worker."""
     assert services.workers is not None
-    task: Task[Any] = Task(work, IMAGE, None)
-    return services.workers.run(task, stop or Stop(), lambda *_: None, lambda *_: None)
+    task = Task(work, question, IMAGE, None)
+    return services.workers.run(task, stop or Stop(), lambda *_: None, lambda *_: None).record.value
 
 
-def number(services: Services, job: Job, source: Any) -> int:
+@work(None, Value)
+def number(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
     """The process's; a work."""
-    return os.getpid()
+    return answered(os.getpid())

@@ -11,7 +11,7 @@ import pytest
 
 from vehanchor_server.errors import CallError
 from vehanchor_server.images.fetch import Fetcher
-from vehanchor_server.images.path_access import Sandbox
+from vehanchor_server.images.path_access import PathAccess
 
 UP = "../" * 12
 FORMS: tuple[Callable[[str, str], str], ...] = (
@@ -52,7 +52,7 @@ def test_no_way_out_of_a_root_is_open_and_none_tells_what_exists(tmp_path: Path,
         answers = []
         for path in (present, absent):
             named = form(str(root), path)
-            with pytest.raises(CallError) as caught, Sandbox([root]).open(named) as opened:
+            with pytest.raises(CallError) as caught, PathAccess([root]).open(named) as opened:
                 pytest.fail(f"{named!r} was opened: {opened!r}")
             told = str(caught.value).replace(repr(named)[1:-1], "NAMED").replace(named[-80:], "NAMED")
             answers.append(caught.value.code if caught.value.code == "image_not_found" else told.replace(path, "PATH"))

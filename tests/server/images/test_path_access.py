@@ -11,8 +11,8 @@ from typing import BinaryIO
 import pytest
 
 from vehanchor_server.errors import CallError
-from vehanchor_server.images import path_access as sandbox_module
-from vehanchor_server.images.path_access import Sandbox
+from vehanchor_server.images import path_access as path_access_module
+from vehanchor_server.images.path_access import PathAccess
 from vehanchor_server.settings import Settings
 
 SECRET = b"outside the root"
@@ -40,12 +40,12 @@ def content(opened: str | BinaryIO) -> bytes:
 
 
 def read(root: Path, named: str) -> bytes:
-    with Sandbox([root]).open(named) as opened:
+    with PathAccess([root]).open(named) as opened:
         return content(opened)
 
 
 def refusal(root: Path, named: str) -> CallError:
-    with pytest.raises(CallError) as caught, Sandbox([root]).open(named) as opened:
+    with pytest.raises(CallError) as caught, PathAccess([root]).open(named) as opened:
         pytest.fail(f"{named!r} was opened: {content(opened)!r}")
     return caught.value
 
@@ -67,12 +67,12 @@ def test_links_that_stay_below_the_root_are_followed(root: Path) -> None:
 
 
 def test_every_root_counts(root: Path, outside: Path) -> None:
-    with Sandbox([root, outside]).open(str(outside / "secret.png")) as opened:
+    with PathAccess([root, outside]).open(str(outside / "secret.png")) as opened:
         assert content(opened) == SECRET
 
 
 def test_without_roots_paths_are_off(root: Path) -> None:
-    with pytest.raises(CallError, match=r"source_disabled: .*--root"), Sandbox([]).open(str(root / "a.png")):
+    with pytest.raises(CallError, match=r"source_disabled: .*--root"), PathAccess([]).open(str(root / "a.png")):
         pass
 
 
@@ -106,14 +106,14 @@ def test_loops_of_links_are_refused(root: Path) -> None:
 def test_a_file_replaced_by_a_link_between_check_and_opening_is_refused(
     root: Path, outside: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original = sandbox_module._open_part
+    original = path_access_module._open_part
 
     def swapped(part: str, flags: int, directory: int) -> int:
         (root / "a.png").unlink()
         (root / "a.png").symlink_to(outside / "secret.png")
         return original(part, flags, directory)
 
-    monkeypatch.setattr(sandbox_module, "_open_part", swapped)
+    monkeypatch.setattr(path_access_module, "_open_part", swapped)
     assert refusal(root, str(root / "a.png")).code == "path_not_allowed"
 
 
@@ -121,7 +121,7 @@ def test_a_directory_replaced_by_a_link_between_check_and_opening_is_refused(
     root: Path, outside: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (root / "deep" / "secret.png").write_bytes(b"decoy")
-    original = sandbox_module._open_part
+    original = path_access_module._open_part
 
     def swapped(part: str, flags: int, directory: int) -> int:
         if part == "deep":
@@ -129,7 +129,7 @@ def test_a_directory_replaced_by_a_link_between_check_and_opening_is_refused(
             (root / "deep").symlink_to(outside, target_is_directory=True)
         return original(part, flags, directory)
 
-    monkeypatch.setattr(sandbox_module, "_open_part", swapped)
+    monkeypatch.setattr(path_access_module, "_open_part", swapped)
     refused = refusal(root, str(root / "deep" / "secret.png"))
     assert refused.code in ("path_not_allowed", "image_not_found")  # Linux calls the link no directory
 
@@ -137,20 +137,20 @@ def test_a_directory_replaced_by_a_link_between_check_and_opening_is_refused(
 def test_a_file_replaced_by_a_fifo_between_check_and_opening_neither_blocks_nor_is_read(
     root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original = sandbox_module._open_part
+    original = path_access_module._open_part
 
     def swapped(part: str, flags: int, directory: int) -> int:
         (root / "a.png").unlink()
         os.mkfifo(root / "a.png")
         return original(part, flags, directory)
 
-    monkeypatch.setattr(sandbox_module, "_open_part", swapped)
+    monkeypatch.setattr(path_access_module, "_open_part", swapped)
     assert refusal(root, str(root / "a.png")).code == "image_not_found"
 
 
 def test_an_opened_file_stays_the_one_that_was_checked(root: Path, outside: Path) -> None:
     path = root / "a.png"
-    with Sandbox([root]).open(str(path)) as opened:
+    with PathAccess([root]).open(str(path)) as opened:
         path.unlink()
         path.symlink_to(outside / "secret.png")
         assert content(opened) == b"inside"
@@ -234,7 +234,7 @@ def test_a_root_may_be_named_as_the_operator_wrote_it(root: Path, tmp_path: Path
     settings = Settings.from_json(Settings(roots=(spelled,)).to_json())
     assert settings.roots == (root,)
     for name in (spelled, root):
-        with Sandbox(settings.roots, settings.spelled_roots).open(str(name / "a.png")) as opened:
+        with PathAccess(settings.roots, settings.spelled_roots).open(str(name / "a.png")) as opened:
             assert content(opened) == b"inside"
 
 
@@ -244,7 +244,7 @@ def test_links_may_climb_inside_the_root_and_lead_to_another(root: Path, outside
     (root / "other.png").symlink_to(outside / "secret.png")
     assert read(root, str(root / "deep" / "up.png")) == b"inside"
     assert read(root, str(root / "deep" / "round.png")) == b"inside"
-    with Sandbox([root, outside]).open(str(root / "other.png")) as opened:
+    with PathAccess([root, outside]).open(str(root / "other.png")) as opened:
         assert content(opened) == SECRET
 
 
@@ -307,7 +307,7 @@ def test_no_descriptor_stays_open(root: Path, outside: Path) -> None:
     before = len(list(Path("/proc/self/fd").iterdir()))
     for name in ("a.png", "link.png", "deep", "missing.png", "deep/b c%41.png"):
         try:
-            with Sandbox([root]).open(str(root / name)):
+            with PathAccess([root]).open(str(root / name)):
                 pass
         except CallError:
             pass

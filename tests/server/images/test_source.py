@@ -12,13 +12,13 @@ from tests.server.conversation import by_path, error_of, text_of
 from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import Base64Image, UrlImage
 from vehanchor_server.images.fetch import Fetcher
-from vehanchor_server.images.path_access import Sandbox
+from vehanchor_server.images.path_access import PathAccess
 from vehanchor_server.images.source import ImageSources
 
 
 @pytest.fixture
 def sources() -> ImageSources:
-    return ImageSources(Sandbox([]), Fetcher((), 100, 1), max_bytes=100)
+    return ImageSources(PathAccess([]), Fetcher((), 100, 1), max_bytes=100)
 
 
 def decoded(sources: ImageSources, data: str) -> object:

@@ -13,6 +13,7 @@ from tests.analyses import make_analysis
 from tests.server.conversation import by_path, picture_of, text_of
 from tests.server.test_models import calibration_file
 from vehanchor.detection.detector import load_detector
+from vehanchor.models.runtime import Runtime
 from vehanchor.records import GsdEstimate, Notice
 from vehanchor.records.notices import FLEET_DOUBTS
 from vehanchor_server.app import create_server
@@ -26,7 +27,7 @@ pytestmark = pytest.mark.anyio
 async def test_a_call_gives_the_librarys_record_and_a_sentence(
     server: MCPServer[object], images: Path, detector_path: Path, era: str
 ) -> None:
-    expected = vehanchor.estimate_gsd(images / "cars.png", detector=load_detector(detector_path, threads=1))
+    expected = vehanchor.estimate_gsd(images / "cars.png", detector=load_detector(detector_path, Runtime(threads=1)))
     async with Client(server, mode=era) as client:
         result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
     assert not result.is_error
@@ -64,8 +65,8 @@ async def test_no_vehicle_is_a_result_not_an_error(server: MCPServer[object], im
     assert result.structured_content["gsd_m_per_px"] is None
     assert result.structured_content["confidence"] == 0
     assert text_of(result) == (
-        "Nothing of known size was found, confidence 0: no metric scale; take in more cars: from higher up, or over "
-        "streets and car parks, or use another anchor."
+        "No ruler was found, confidence 0: no metric scale; take in more cars: from higher up, or over "
+        "streets and car parks, or use another ruler."
     )
 
 
@@ -80,7 +81,7 @@ async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCP
 async def test_arguments_reach_the_library(server: MCPServer[object], images: Path, detector_path: Path) -> None:
     expected = vehanchor.estimate_gsd(
         images / "cars.png",
-        detector=load_detector(detector_path, threads=1),
+        detector=load_detector(detector_path, Runtime(threads=1)),
         reference_length_m=4.6,
         frame_width_px=320,
         frame_height_px=256,
@@ -165,7 +166,7 @@ def doubtful() -> GsdEstimate:
 def test_few_vehicles_are_too_little_evidence(doubtful: GsdEstimate) -> None:
     words = describe_estimate(doubtful)
     assert "from 3 vehicles: do not rely on it (too little evidence); take in more cars" in words
-    assert words.endswith("or fall back to another anchor.")
+    assert words.endswith("or fall back to another ruler.")
 
 
 def test_a_single_vehicle_is_counted_in_the_singular(doubtful: GsdEstimate) -> None:

@@ -99,7 +99,7 @@ async def test_an_image_that_nothing_ties_to_the_others_keeps_its_own_scale_and_
         among = await client.call_tool("estimate_gsd", _among(flight / "near.png", flight / "elsewhere.png"))
     assert own.structured_content is not None
     assert among.structured_content is not None
-    assert [each["code"] for each in among.structured_content["warnings"]] == ["not_tied"]
+    assert [each["code"] for each in among.structured_content["warnings"]] == ["not_linked"]
     assert {**among.structured_content, "warnings": []} == own.structured_content
 
 
@@ -142,7 +142,7 @@ async def test_what_cannot_be_used_is_named_by_its_place(server: MCPServer[objec
         (_among(here, near, flight / "broken.png"), "image_undecodable", "more_images.1"),
         (_among(here, near, Path("/etc/passwd")), "path_not_allowed", "more_images.1"),
         (_among(here, near, images / "no such.png"), "image_not_found", "more_images.1"),
-        (_among(here, near, here), "invalid_arguments", "more_images.1 is the same picture as image"),
+        (_among(here, near, here), "invalid_arguments", "more_images.1 is the same image as image"),
         (_among(flight / "broken.png", near), "image_undecodable", ""),
         (_among(here, *[near] * (MAX_MORE_IMAGES + 1)), "invalid_arguments", "more_images"),
         (

@@ -17,9 +17,10 @@ from mcp.types import CallToolResult
 import vehanchor
 from tests.sam_models import EMPTY, SamFiles, write_sam
 from tests.server.conftest import POOL, POOL_BOX
-from tests.server.conversation import ERAS, by_path, error_of, picture_of, text_of
+from tests.server.conversation import ERAS, by_path, error_of, picture_of, reported, text_of
 from tests.tiles import Tiles
 from vehanchor.detection.detector import load_detector
+from vehanchor.models.runtime import Runtime
 from vehanchor_server import models as models_module
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
@@ -52,7 +53,10 @@ async def test_a_call_gives_the_librarys_record_and_a_sentence(
     server: MCPServer[object], images: Path, detector_path: Path, segmenter_paths: SamFiles, era: str
 ) -> None:
     expected = vehanchor.measure_area(
-        images / "pool.png", box=BOX, detector=load_detector(detector_path, threads=1), segmenter=segmenter_paths
+        images / "pool.png",
+        box=BOX,
+        detector=load_detector(detector_path, Runtime(threads=1)),
+        segmenter=segmenter_paths,
     )
     result = await asked(server, pool_in(images / "pool.png"), era)
     assert record_of(result) == expected.model_dump(mode="json")
@@ -67,7 +71,10 @@ async def test_points_say_what_is_on_the_object_and_what_is_beside_it(
 ) -> None:
     points = [(324.0, 378.0, True), (200.0, 400.0, False)]
     expected = vehanchor.measure_area(
-        images / "pool.png", points=points, detector=load_detector(detector_path, threads=1), segmenter=segmenter_paths
+        images / "pool.png",
+        points=points,
+        detector=load_detector(detector_path, Runtime(threads=1)),
+        segmenter=segmenter_paths,
     )
     named: list[dict[str, Any]] = [{"x": 324, "y": 378}, {"x": 200, "y": 400, "label": "exclude"}]
     assert record_of(await asked(server, {**by_path(images / "pool.png"), "target": {"points": named}})) == (
@@ -95,7 +102,7 @@ async def test_a_given_scale_needs_neither_cars_nor_a_detector(settings: Setting
     record = record_of(result)
     assert record["area_m2"] == pytest.approx(0.15**2 * record["mask_area_px"])
     assert (record["scale_source"], record["confidence"], record["scale"]) == ("given", None, None)
-    assert "scale 0.15 m/px as given: as good as the given scale." in text_of(result)
+    assert "scale 0.15 m/px as given: as accurate as the given scale." in text_of(result)
 
 
 async def test_no_vehicle_is_a_result_without_an_area(server: MCPServer[object], images: Path) -> None:
@@ -103,7 +110,7 @@ async def test_no_vehicle_is_a_result_without_an_area(server: MCPServer[object],
     record = record_of(result)
     assert (record["status"], record["area_m2"], record["confidence"]) == ("no_scale", None, 0)
     assert text_of(result).startswith(
-        f"No area: the object covers {record['mask_area_px']} px, but nothing of known size was found, confidence 0: "
+        f"No area: the object covers {record['mask_area_px']} px, but no ruler was found, confidence 0: "
         "no metric scale; "
     )
 
@@ -120,7 +127,7 @@ async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
     server = create_server(create_services(replace(settings, segmenter=write_sam(tmp_path, scores=[0.4]))))
     result = await asked(server, pool_in(images / "pool.png"))
     assert record_of(result)["status"] == "low_confidence"
-    assert "do not rely on it (the segmenter doubts its mask)" in text_of(result)
+    assert "do not rely on it (low mask score)" in text_of(result)
     assert "Warning mask_score_low: " in text_of(result)
 
 
@@ -128,7 +135,7 @@ async def test_an_empty_mask_is_told_as_such(settings: Settings, images: Path, t
     server = create_server(create_services(replace(settings, segmenter=write_sam(tmp_path, masks=[EMPTY]))))
     result = await asked(server, pool_in(images / "pool.png"))
     assert record_of(result)["area_m2"] is None
-    assert text_of(result).startswith("No object found there: no area.")
+    assert text_of(result).startswith("No object found: no area.")
 
 
 async def test_the_overlay_is_a_small_jpeg_that_shows_the_object(server: MCPServer[object], images: Path) -> None:
@@ -144,10 +151,10 @@ async def test_the_overlay_is_a_small_jpeg_that_shows_the_object(server: MCPServ
 @pytest.mark.parametrize(
     ("target", "words"),
     [
-        ({}, "target: give box or points, one of the two: "),
-        ("the pool", "target: give box or points"),
+        ({}, "target: give either box or points: "),
+        ("the pool", "target: give either box or points"),
         (None, "targets: it is required"),
-        ({"box": POOL_BOX, "points": [{"x": 1, "y": 1}]}, "target: give box or points"),
+        ({"box": POOL_BOX, "points": [{"x": 1, "y": 1}]}, "target: give either box or points"),
         ({"box": {**POOL_BOX, "x_min": None}}, "target.box.x_min: "),
         ({"box": {"x_min": 1, "y_min": 2, "x_max": 3}}, "target.box.y_max: it is required"),
         ({"box": [1, 2, 3, 4]}, "target.box: "),
@@ -209,7 +216,7 @@ async def test_without_a_segmenter_estimate_gsd_works_and_measure_area_says_so(
         result = await client.call_tool("measure_area", pool_in(images / "pool.png"))
         estimate = await client.call_tool("estimate_gsd", by_path(images / "pool.png"))
     assert text_of(result) == (
-        "model_unavailable: this server's segmenter cannot be loaded (model_not_found). Its operator must look at "
+        "model_unavailable: this server's segmenter cannot be loaded (model_not_found). Its operator must check "
         "--segmenter."
     )
     assert ("/nowhere/secret.onnx" if files else "pass both: ") in caplog.text
@@ -230,7 +237,7 @@ async def test_progress_is_reported_three_to_five_times_and_rises(
     async with Client(server) as client:
         arguments = pool_in(images / "pool_large.png", **more)
         await client.call_tool("measure_area", arguments, progress_callback=on_progress)
-        await anyio.sleep(0.05)
+        await reported(reports)
     assert len(reports) == n_reports
     assert reports == sorted(set(reports))
     assert (reports[0], reports[-1]) == (0, 100)

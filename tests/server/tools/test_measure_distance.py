@@ -15,6 +15,7 @@ import vehanchor
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path, error_of, text_of
 from vehanchor.detection.detector import load_detector
+from vehanchor.models.runtime import Runtime
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -40,7 +41,7 @@ async def test_a_call_gives_the_librarys_record_and_a_sentence(
     server: MCPServer[object], images: Path, detector_path: Path
 ) -> None:
     expected = vehanchor.measure_distance(
-        images / "cars.png", [(20, 500), (320, 100)], detector=load_detector(detector_path, threads=1)
+        images / "cars.png", [(20, 500), (320, 100)], detector=load_detector(detector_path, Runtime(threads=1))
     )
     result = await asked(server, "measure_distance", images / "cars.png", lines=[LINE])
     assert record_of(result) == expected.model_dump(mode="json")
@@ -75,7 +76,7 @@ async def test_a_scale_that_is_given_back_needs_no_detector(settings: Settings, 
     again = await asked(blind, "measure_distance", images / "pool.png", lines=[LINE], scale=scale, detail="short")
     same = ("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "status", "confidence")
     assert [record_of(again)[name] for name in same] == [searched[name] for name in same]
-    assert "given back, confidence " in text_of(again)
+    assert "reused, confidence " in text_of(again)
     area = await asked(blind, "measure_area", images / "pool.png", targets=[{"box": POOL_BOX}] * 2, scale=scale)
     assert [each["scale_source"] for each in record_of(area)["measurements"]] == ["reused", "reused"]
     other = await asked(blind, "measure_distance", images / "cars.png", lines=[LINE], scale=scale)
@@ -100,9 +101,7 @@ async def test_places_mean_the_same_in_every_kind_of_coordinates(server: MCPServ
 async def test_no_vehicle_is_a_result_without_a_distance(server: MCPServer[object], images: Path) -> None:
     result = await asked(server, "measure_distance", images / "empty.png", lines=[LINE])
     assert (record_of(result)["status"], record_of(result)["distance_m"]) == ("no_scale", None)
-    assert text_of(result).startswith(
-        "No distance: the line is 500 px long, but nothing of known size was found, confidence 0"
-    )
+    assert text_of(result).startswith("No distance: the line is 500 px long, but no ruler was found, confidence 0")
 
 
 async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCPServer[object], images: Path) -> None:
@@ -137,7 +136,7 @@ async def test_a_place_that_may_be_one_of_a_copy_is_questioned(server: MCPServer
     settings = Settings(roots=(tmp_path.resolve(),), in_process=True)
     server = create_server(create_services(settings))
     near = await asked(server, "measure_distance", image, lines=[LINE], gsd_m_per_px=0.1)
-    assert "If you pointed in a smaller copy, give its size as frame" in text_of(near)
+    assert "If you used a smaller copy, give its size as frame" in text_of(near)
     far = {"points": [{"x": 20, "y": 500}, {"x": 3000, "y": 900}]}
     for more in ({"lines": [far]}, {"lines": [LINE], "frame": {"width_px": 3136, "height_px": 1000}}):
         told = await asked(server, "measure_distance", image, gsd_m_per_px=0.1, **more)

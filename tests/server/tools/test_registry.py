@@ -16,6 +16,7 @@ from vehanchor_server.app import create_server
 from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import FrozenModel
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
@@ -41,13 +42,14 @@ def image_size_tool(services: Services) -> StrictTool:
     async def image_size(
         image: ImageArgument, ctx: Context[Any, Any], detail: DetailArgument = "short"
     ) -> Annotated[CallToolResult, Size]:
-        answer = await run_call(services, ctx, image, _image_size)
+        answer = await run_call(services, ctx, image, _image_size, None)
         return answer.to_result(f"{answer.record.width_px} px wide.")
 
     return StrictTool.read_only(image_size, title="Tell an image's size", description="Tells the size of an image.")
 
 
-def _image_size(services: Services, job: Job, source: OpenedImage) -> Answer[Size]:
+@work(None, Size)
+def _image_size(services: Services, job: Job, source: OpenedImage, _: None) -> Answer[Size]:
     job.enter("decode")
     with open_raster(source, limits=services.settings.image_limits) as raster:
         return Answer((Size(width_px=raster.width_px, height_px=raster.height_px),))
@@ -69,7 +71,7 @@ async def test_the_contract_names_every_hint(server: MCPServer[object], era: str
         assert tool.annotations.destructive_hint is False
         assert tool.annotations.open_world_hint is False
     assert instructions is not None
-    assert "whose status is ok" in instructions
+    assert "with status ok" in instructions
     said = " ".join([instructions, *(tool.description or "" for tool in listed)])
     assert said.count("Below 0.5") == said.count("Confidence 0 means") == 1, "the rule stands once"
 

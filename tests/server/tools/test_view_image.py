@@ -71,7 +71,7 @@ async def test_a_part_is_shown_enlarged_with_the_way_back_in_words(server: MCPSe
     seen, picture = seen_in(result), picture_of(result)
     assert seen["part"] == POOL_BOX
     assert max(picture.shape) == 400
-    assert "shows x 294 to 354, y 324 to 432: a place in it is x = 294 + " in text_of(result)
+    assert "shows x 294 to 354, y 324 to 432: in the image, x = 294 + " in text_of(result)
     factor = (POOL_BOX["x_max"] - POOL_BOX["x_min"]) / seen["picture_width_px"]
     middle = picture[round((378 - 324) / factor) + 3, round((324 - 294) / factor) + 3, ::-1].astype(int)
     assert np.abs(middle - [40, 140, 210]).max() < 30
@@ -155,5 +155,5 @@ async def test_a_part_of_a_large_image_is_read_alone(tmp_path: Path) -> None:
     server = _served(tmp_path)
     whole, part = await asked(server, image), await asked(server, image, part=POOL_BOX)
     assert seen_in(whole)["picture_width_px"] == 1024
-    assert "give that as frame" in text_of(whole)
+    assert "give that size as frame" in text_of(whole)
     assert seen_in(part)["grid_px"] == 10

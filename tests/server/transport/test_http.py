@@ -102,7 +102,7 @@ async def test_tools_are_listed_and_called(base: str, images: Path, era: str) ->
 
 
 async def test_requests_need_no_session(base: str) -> None:
-    async with httpx.AsyncClient() as client:
+    async with httpx.AsyncClient(timeout=60) as client:
         answer = await client.post(f"{base}/mcp", **discover())
         assert answer.status_code == 200
         assert answer.json()["result"]["tools"][0]["name"] == "estimate_gsd"
@@ -125,13 +125,13 @@ async def test_requests_need_no_session(base: str) -> None:
 
 
 async def test_health_tells_alive_from_ready(settings: Settings) -> None:
-    with served(settings) as base, httpx.Client() as client:
+    with served(settings) as base, httpx.Client(timeout=60) as client:
         assert client.get(f"{base}/healthz").json() == {"status": "alive"}
         deadline = time.monotonic() + 30
         while client.get(f"{base}/readyz").status_code != 200 and time.monotonic() < deadline:
             time.sleep(0.05)
         assert client.get(f"{base}/readyz").json() == {"status": "ready"}
-    with served(Settings(detector="/nowhere.onnx", in_process=True)) as base, httpx.Client() as client:
+    with served(Settings(detector="/nowhere.onnx", in_process=True)) as base, httpx.Client(timeout=60) as client:
         assert client.get(f"{base}/healthz").status_code == 200
         deadline = time.monotonic() + 30
         while client.get(f"{base}/readyz").json()["error"] is None and time.monotonic() < deadline:
@@ -145,7 +145,7 @@ async def test_without_the_token_nothing_but_health_answers(
     settings: Settings, token_file: Path, images: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     protected = replace(settings, token_file=token_file)
-    with served(protected) as base, httpx.Client() as client:
+    with served(protected) as base, httpx.Client(timeout=60) as client:
         for headers in (
             {},
             {"Authorization": "Bearer wrong-token-1234567890"},
@@ -182,7 +182,7 @@ async def test_an_oidc_server_says_where_to_get_a_token(settings: Settings) -> N
         public_url="https://vehanchor.test/mcp",
         in_process=True,
     )
-    with served(protected) as base, httpx.Client() as client:
+    with served(protected) as base, httpx.Client(timeout=60) as client:
         answer = client.post(f"{base}/mcp", **discover())
         assert answer.status_code == 401
         challenge = answer.headers["www-authenticate"]
@@ -208,7 +208,7 @@ async def test_an_oidc_server_says_where_to_get_a_token(settings: Settings) -> N
     ],
 )
 def test_foreign_hosts_and_origins_are_refused(guarded: str, headers: dict[str, str], status: int) -> None:
-    with httpx.Client() as client:
+    with httpx.Client(timeout=60) as client:
         assert client.post(f"{guarded}/mcp", **discover(**headers)).status_code == status
 
 
@@ -219,7 +219,7 @@ async def test_bodies_over_the_limit_are_refused(base: str, modern: bool) -> Non
         del request["headers"]["MCP-Protocol-Version"]
     head, _, tail = json.dumps(request.pop("json")).partition('"test"')
     body = head + '"' + "x" * (33 << 20) + '"' + tail
-    with httpx.Client() as client:
+    with httpx.Client(timeout=60) as client:
         request["headers"]["Content-Type"] = "application/json"
         assert client.post(f"{base}/mcp", content=body, **request).status_code == 413
 

@@ -201,21 +201,3 @@ def test_a_killed_parent_ends_it(settings: Settings, tmp_path: Path) -> None:
     finally:
         if not gone():
             os.kill(child, signal.SIGKILL)
-
-
-def test_wrong_options_end_with_status_2_and_a_line(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", _SERVE, "--root", str(tmp_path / "missing")], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr.startswith("error[invalid_settings]: root ")
-    assert "Traceback" not in done.stderr
-
-
-def test_a_public_address_without_authentication_is_refused() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", _SERVE, "--http", "--host", "0.0.0.0"], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 2
-    assert "refusing to listen on 0.0.0.0 without authentication" in done.stderr

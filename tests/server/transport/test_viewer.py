@@ -26,6 +26,12 @@ from vehanchor_server.transport.viewer import Address
 WEB = httpx.Client(timeout=60, verify=False)  # one for all: each looks for certificates, which takes a second
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _web_is_closed() -> Iterator[None]:
+    yield
+    WEB.close()
+
+
 @pytest.fixture(scope="module")
 def address(
     _images: Path, detector_path: Path, segmenter_paths: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory

@@ -39,10 +39,12 @@ from vehanchor.errors import (
     VehAnchorError,
     WorkerDiedError,
 )
-from vehanchor.estimate import estimate_gsd, networks_sha256
+from vehanchor.estimate import networks_sha256
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Frame, Reference, ScaleOptions
 from vehanchor.records import GsdEstimate
+from vehanchor.verbs import estimate_gsd
 
 if TYPE_CHECKING:
     from typer.testing import Result
@@ -313,7 +315,11 @@ def test_an_interrupted_run_goes_on_and_ends_as_one_that_was_not(
     assert not table.exists()
     progress: list[tuple[int, int]] = []
     summary = run_batch(
-        ["."], table, detector=detector, workers=1, progress=lambda done, total: progress.append((done, total))
+        ["."],
+        table,
+        detector=detector,
+        workers=1,
+        runtime=Runtime(progress=lambda done, total: progress.append((done, total))),
     )
     assert analysed == [*FILES[:2], "interrupted", *FILES[2:]]
     assert (summary.n_rows, summary.n_resumed) == (4, 2)
@@ -386,7 +392,7 @@ def test_what_is_wrong_is_told_before_a_finished_table_is_given_up(trouble: str,
     before = table.read_bytes()
     wrong: dict[str, dict[str, Any]] = {
         "detector": {"detector": "nowhere.onnx"},
-        "provider": {"detector": detector, "providers": ("CUDAExecutionProvider",)},
+        "provider": {"detector": detector, "runtime": Runtime(providers=["cuda"])},
         "input": {"inputs": ["nowhere"], "detector": detector},
     }
     with pytest.raises(VehAnchorError):
@@ -433,7 +439,13 @@ def test_a_killed_process_ends_the_run_and_keeps_the_rows(detector: Path, table:
                     os.kill(int(child), signal.SIGKILL)
 
     with pytest.raises(WorkerDiedError, match="fewer --workers"):
-        run_batch(["."] + [f"missing {n}.png" for n in range(20)], table, detector=detector, workers=2, progress=kill)
+        run_batch(
+            ["."] + [f"missing {n}.png" for n in range(20)],
+            table,
+            detector=detector,
+            workers=2,
+            runtime=Runtime(progress=kill),
+        )
     assert run_batch(["."], table, detector=detector, workers=1).n_rows == 4
 
 
@@ -496,7 +508,7 @@ def test_ray_makes_the_same_table_and_goes_on_where_the_local_engine_stopped(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_batch(["."], table, detector=detector, workers=1, progress=interrupt)
+        run_batch(["."], table, detector=detector, workers=1, runtime=Runtime(progress=interrupt))
     assert journal_path(table).exists()
     command = [sys.executable, "-m", "vehanchor", "batch", ".", "--detector", str(detector), "--workers", "2"]
     done = subprocess.run(

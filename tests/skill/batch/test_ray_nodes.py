@@ -13,6 +13,7 @@ import pytest
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor.batch import run_batch
 from vehanchor.batch.run import journal_path
+from vehanchor.models.runtime import Runtime
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -56,7 +57,9 @@ def test_a_node_killed_in_the_middle_costs_no_row_and_doubles_none(
             cluster.remove_node(doomed, allow_graceful=False)
 
     table = tmp_path / "ray.jsonl"
-    summary = run_batch(["*.png"], table, detector=detector, engine="ray", workers=2, progress=kill_one)
+    summary = run_batch(
+        ["*.png"], table, detector=detector, engine="ray", workers=2, runtime=Runtime(progress=kill_one)
+    )
     assert summary.n_rows == N_IMAGES
     assert told == list(range(N_IMAGES + 1))  # each row came once
     assert table.read_bytes() == expected.read_bytes()

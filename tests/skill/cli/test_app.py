@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner, Result
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_other_model
-from vehanchor import estimate as perception
-from vehanchor import records
+from vehanchor import engine, records, verbs
 from vehanchor.cli import app as cli
 from vehanchor.errors import VehAnchorError
 from vehanchor.models import zoo as model_zoo
@@ -106,7 +105,7 @@ def test_json_is_the_record_and_its_source(run: Any, folder: Path) -> None:
     assert result.stderr == ""
     (line,) = _lines(result)
     assert line.pop("source") == "cars.png"
-    expected = perception.analyse_scale(folder / "cars.png", detector=folder / "detector.onnx").estimate
+    expected = verbs.analyse_scale(folder / "cars.png", detector=folder / "detector.onnx").estimate
     assert line == expected.model_dump(mode="json")  # which also holds the defaults of the options to the library's
     assert records.GsdEstimate.model_validate_json(json.dumps(line)) == expected
     assert line["gsd_m_per_px"] == pytest.approx(5.045 / LENGTH_PX, rel=0.05)
@@ -316,7 +315,7 @@ def test_ctrl_c_ends_quietly_with_status_130(run: Any, monkeypatch: pytest.Monke
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(perception, "analyse_scale", interrupted)
+    monkeypatch.setattr(engine.Engine, "analyse_scale", interrupted)
     result = _estimate(run, "cars.png", *as_json)
     assert result.exit_code == 130
     assert result.output == ""
@@ -328,7 +327,7 @@ def test_a_defect_is_told_in_one_line_unless_its_traceback_is_asked_for(
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("oh")
 
-    monkeypatch.setattr(perception, "analyse_scale", broken)
+    monkeypatch.setattr(engine.Engine, "analyse_scale", broken)
     result = _estimate(run, "cars.png")
     assert result.exit_code == 1
     assert result.stderr.startswith("error[internal_error]: ZeroDivisionError: oh.")
@@ -340,7 +339,7 @@ def test_want_of_memory_anywhere_is_told_by_its_code(run: Any, monkeypatch: pyte
     def hungry(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(perception, "analyse_scale", hungry)
+    monkeypatch.setattr(engine.Engine, "analyse_scale", hungry)
     result = _estimate(run, "cars.png")
     assert result.exit_code == 2
     assert result.stderr.startswith("error[out_of_memory]: ")

@@ -14,8 +14,8 @@ from tests.models import blank_image, paint_vehicles, write_detector, write_othe
 from tests.sam_models import write_sam
 from vehanchor import records
 from vehanchor.cli import app as cli
-from vehanchor.measure import area as measurement
 from vehanchor.models import zoo as model_zoo
+from vehanchor.verbs import measure_area
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -77,7 +77,7 @@ def test_json_is_the_record_and_its_source(run: Any, folder: Path) -> None:
     assert result.stderr == ""
     line = _line(result)
     assert line.pop("source") == "cars.png"
-    expected = measurement.measure_area(
+    expected = measure_area(
         folder / "cars.png",
         box=(410.7, 273.9, 477.3, 382.1),
         detector=folder / "detector.onnx",

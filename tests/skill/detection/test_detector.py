@@ -18,6 +18,7 @@ from vehanchor.errors import (
     ProviderUnavailableError,
 )
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.runtime import Runtime
 from vehanchor.options import Search
 
 if TYPE_CHECKING:
@@ -184,19 +185,19 @@ def test_files_that_are_no_such_model_say_what_was_found(tmp_path: Path) -> None
 def test_a_missing_execution_provider_is_named(tmp_path: Path) -> None:
     path = write_detector(tmp_path / "m.onnx")
     with pytest.raises(ProviderUnavailableError, match=r"TensorrtExecutionProvider.*CPUExecutionProvider"):
-        Detector(path, providers=["TensorrtExecutionProvider"])
+        Detector(path, runtime=Runtime(providers=["TensorrtExecutionProvider"]))
 
 
 @pytest.mark.parametrize("threads", [0, -2, 1.5])
 def test_thread_counts_without_meaning_are_refused(tmp_path: Path, threads: Any) -> None:
     with pytest.raises(InvalidParameterError, match="threads"):
-        Detector(write_detector(tmp_path / "m.onnx"), threads=threads)
+        Detector(write_detector(tmp_path / "m.onnx"), runtime=Runtime(threads=threads))
 
 
 def test_a_model_is_opened_once(tmp_path: Path) -> None:
     path = write_detector(tmp_path / "m.onnx")
-    assert load_detector(path, threads=1) is load_detector(path, threads=1)
-    assert load_detector(path, threads=1) is not load_detector(path, threads=2)
+    assert load_detector(path, Runtime(threads=1)) is load_detector(path, Runtime(threads=1))
+    assert load_detector(path, Runtime(threads=1)) is not load_detector(path, Runtime(threads=2))
 
 
 def test_a_model_that_was_replaced_is_opened_anew(tmp_path: Path) -> None:

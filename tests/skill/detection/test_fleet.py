@@ -13,10 +13,11 @@ from vehanchor.detection.detector import Detector
 from vehanchor.detection.fleet import FleetNetwork
 from vehanchor.detection.search import search
 from vehanchor.errors import ModelContractError, ModelNotFoundError
-from vehanchor.estimate import analyse_scale
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
+from vehanchor.verbs import analyse_scale
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -112,7 +113,7 @@ def test_a_network_may_lie_elsewhere_when_it_is_named(tmp_path: Path) -> None:
 
 
 def test_the_bundled_detector_comes_with_its_network() -> None:
-    detector = Detector(resolve_model(), threads=1)
+    detector = Detector(resolve_model(), runtime=Runtime(threads=1))
     assert detector.fleet is not None
     assert detector.fleet.card.detector == detector.card.name
     assert detector.card.fleet_lengths == detector.fleet.card.lengths

@@ -9,6 +9,7 @@ from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.detection.search import search
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
 from vehanchor.scale.defaults import CAR_LENGTH_M
@@ -37,7 +38,7 @@ def test_ground_that_is_lost_prefers_no_size() -> None:
 @pytest.mark.parametrize(("said", "more"), [(0.12, True), (0.5, False)])
 def test_the_grounds_word_moves_the_scores_of_the_bundled_detector(said: float, more: bool) -> None:
     scene = render_scene(0.12, width_px=500, height_px=400, seed=3, layout="parking")
-    detector = Detector(resolve_model(), threads=1)
+    detector = Detector(resolve_model(), runtime=Runtime(threads=1))
     with open_raster(scene.image) as raster:
         alone, told = (
             search(raster, detector, Search(min_score=0.3, search_scales=False), scene=ground)

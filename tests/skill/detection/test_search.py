@@ -18,9 +18,10 @@ from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, search_levels
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.detection.search import search
 from vehanchor.errors import InvalidParameterError
-from vehanchor.estimate import analyse_scale, estimate_gsd
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.runtime import Runtime
 from vehanchor.options import Search
+from vehanchor.verbs import analyse_scale, estimate_gsd
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -143,7 +144,7 @@ def test_progress_counts_the_tiles_of_all_levels_and_may_stop_in_any(searching: 
     image = blank_image(1100, 900)
     seen: list[tuple[int, int]] = []
     with open_raster(image) as raster:
-        found = search(raster, searching, progress=lambda done, total: seen.append((done, total)))
+        found = search(raster, searching.under(Runtime(progress=lambda done, total: seen.append((done, total)))))
     assert found.n_tiles == 2 + 1 + 1 + 1
     assert seen == [(k, 5) for k in range(6)]
 
@@ -152,7 +153,7 @@ def test_progress_counts_the_tiles_of_all_levels_and_may_stop_in_any(searching: 
             raise TimeoutError
 
     with open_raster(image) as raster, pytest.raises(TimeoutError):
-        search(raster, searching, progress=stop)
+        search(raster, searching.under(Runtime(progress=stop)))
 
 
 def _ground(gsd: float) -> SceneScalePrior:
@@ -181,8 +182,8 @@ def test_resolutions_at_which_no_car_can_be_are_left_out_once_there_are_cars_els
     seen: list[tuple[int, int]] = []
     with open_raster(image) as raster:
         ground = None if gsd is None else _ground(gsd)
-        options = Search(effort=effort)
-        found = search(raster, searching, options, scene=ground, progress=lambda *each: seen.append(each))
+        told = searching.under(Runtime(progress=lambda *each: seen.append(each)))
+        found = search(raster, told, Search(effort=effort), scene=ground)
     assert found.n_tiles == len(tiles)
     assert found.n_tiles_total == 4
     assert found.stopped_because == ("all_searched" if len(tiles) == 4 else "settled")
@@ -314,14 +315,15 @@ def test_progress_counts_tiles_and_may_stop_the_search(tmp_path: Path) -> None:
     detector = Detector(write_detector(tmp_path / "m.onnx"))
     seen: list[tuple[int, int]] = []
     with open_raster(image) as raster:
-        search(raster, detector, Search(tile_px=256), progress=lambda done, total: seen.append((done, total)))
+        told = detector.under(Runtime(progress=lambda done, total: seen.append((done, total))))
+        search(raster, told, Search(tile_px=256))
     assert seen == [(k, len(seen) - 1) for k in range(len(seen))]
 
     def stop(done: int, total: int) -> None:
         raise TimeoutError
 
     with open_raster(image) as raster, pytest.raises(TimeoutError):
-        search(raster, detector, progress=stop)
+        search(raster, detector.under(Runtime(progress=stop)))
 
 
 @pytest.mark.parametrize("options", [{"tile_px": 16}, {"tile_px": 256, "stride_px": 257}])

@@ -11,10 +11,11 @@ import pytest
 
 from tests.conftest import ROOT
 from vehanchor.detection.detector import Detector, load_detector
-from vehanchor.estimate import estimate_gsd
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, fleet_beside, resolve_model, verifier_beside
 from vehanchor.records import GsdEstimate
 from vehanchor.scale.defaults import REGIONS
+from vehanchor.verbs import estimate_gsd
 from vehanchor_evaluation.gsd import run_trials, summarise
 from vehanchor_evaluation.table import read_table
 from vehanchor_scenes import Scene, render_scene
@@ -25,7 +26,7 @@ _GSD = 0.12
 
 @pytest.fixture(scope="module")
 def detector() -> Detector:
-    return Detector(resolve_model(), threads=2)
+    return Detector(resolve_model(), runtime=Runtime(threads=2))
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from concurrent.futures import CancelledError
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,8 @@ from vehanchor.detection.card import read_detector_card
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.nms import oriented_nms
 from vehanchor.errors import InvalidParameterError, ModelContractError, OutOfMemoryError
-from vehanchor.models import session
-from vehanchor.models.session import MAX_THREADS, run_session
+from vehanchor.models.runtime import MAX_THREADS, Cancellation, Runtime
+from vehanchor.models.session import run_session
 
 _IMAGE = np.zeros((128, 128, 3), np.uint8)
 
@@ -100,7 +101,7 @@ def test_a_fixed_input_of_absurd_size_is_refused_before_it_is_filled(tmp_path: P
 def test_a_number_of_threads_without_meaning_is_a_wrong_parameter(tmp_path: Path, threads: Any) -> None:
     path = _always(tmp_path / "m.onnx", [[64, 64, 20, 10, 0.9, 0, 0]])
     with pytest.raises(InvalidParameterError, match="whole number from 1 to 256"):
-        Detector(path, threads=threads)
+        Detector(path, runtime=Runtime(threads=threads))
 
 
 class _Session:
@@ -117,17 +118,18 @@ class _Session:
 )
 def test_want_of_memory_is_not_the_models_fault(error: Exception) -> None:
     with pytest.raises(OutOfMemoryError) as caught:
-        run_session(_Session(error), None, {}, None, "the model fails")
+        run_session(_Session(error), None, {}, Runtime(), "the model fails")
     assert caught.value.code == "out_of_memory"
     with pytest.raises(ModelContractError):
-        run_session(_Session(RuntimeError("Fail")), None, {}, None, "the model fails")
+        run_session(_Session(RuntimeError("Fail")), None, {}, Runtime(), "the model fails")
 
 
-def test_a_stopped_run_keeps_its_own_error() -> None:
-    options = session.stoppable()
-    options.terminate = True
-    with pytest.raises(RuntimeError, match="Exiting"):
-        run_session(_Session(RuntimeError("Exiting")), None, {}, options, "the model fails")
+def test_a_cancelled_run_is_no_failure_of_the_model() -> None:
+    cancellation = Cancellation()
+    cancellation.cancel()
+    assert cancellation.run_options.terminate
+    with pytest.raises(CancelledError, match="the call was cancelled"):
+        run_session(_Session(RuntimeError("Exiting")), None, {}, Runtime(cancellation=cancellation), "the model fails")
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 import vehanchor
 from vehanchor.errors import InvalidParameterError, ProviderUnavailableError
 from vehanchor.models import session
-from vehanchor.models.session import DEFAULT_PROVIDERS, named_providers
+from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
 from vehanchor_scenes import render_scene
 
 
@@ -61,9 +61,9 @@ def test_a_provider_that_is_missing_is_named_by_every_verb(tmp_path: Path) -> No
 
 
 def test_providers_are_a_list_a_name_or_nothing() -> None:
-    assert named_providers(None) == DEFAULT_PROVIDERS
-    assert named_providers("cuda") == ("cuda",)
-    assert named_providers(["cuda", "cpu"]) == ("cuda", "cpu")
+    assert Runtime().providers == Runtime().with_keywords({"providers": None}).providers == DEFAULT_PROVIDERS
+    assert Runtime(providers="cuda").providers == ("cuda",)
+    assert Runtime(providers=["cuda", "cpu"]).providers == ("cuda", "cpu")
     for wrong in ([], [1], [None]):
         with pytest.raises(InvalidParameterError, match=r"name them, as in \['cuda', 'cpu'\]"):
-            named_providers(wrong)  # type: ignore[arg-type]
+            Runtime(providers=wrong)  # type: ignore[arg-type]

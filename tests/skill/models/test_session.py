@@ -9,11 +9,12 @@ import pytest
 from tests.models import write_detector, write_other_model
 from tests.sam_models import keep_weights_beside, write_sam2
 from vehanchor.errors import InvalidParameterError, ModelContractError, ProviderUnavailableError
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.session import _share_arena, metadata_number, open_session
 
 
 def outputs(path: Path, content: bytes | None) -> list[np.ndarray]:
-    session = open_session(path, content=content, threads=1)
+    session = open_session(path, content=content, runtime=Runtime(threads=1))
     feeds = {"pixel_values": np.ones((1, 3, 128, 128), np.float32), "image": np.ones((1, 3, 128, 128), np.float32)}
     asked = {item.name: feeds[item.name] for item in session.get_inputs()}
     return [np.asarray(value) for value in session.run(None, asked)]
@@ -71,23 +72,23 @@ def test_what_cannot_be_loaded_is_our_error_that_names_the_file(tmp_path: Path) 
         with pytest.raises(ModelContractError, match=r"text\.onnx is not an ONNX model"):
             open_session(path, content=content)
     with pytest.raises(ProviderUnavailableError, match="AbacusExecutionProvider"):
-        open_session(path, providers=["AbacusExecutionProvider"])
+        open_session(path, runtime=Runtime(providers=["AbacusExecutionProvider"]))
     for threads in (0, -1, 1.5):
         with pytest.raises(InvalidParameterError, match="threads"):
-            open_session(path, threads=threads)  # type: ignore[arg-type]
+            open_session(path, runtime=Runtime(threads=threads))  # type: ignore[arg-type]
 
 
 def test_providers_have_short_names_and_one_that_is_missing_gives_way_to_a_cpu_named_beside_it(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = write_detector(tmp_path / "m.onnx")
-    assert open_session(path, providers=["cpu"]).get_providers() == ["CPUExecutionProvider"]
+    assert open_session(path, runtime=Runtime(providers=["cpu"])).get_providers() == ["CPUExecutionProvider"]
     with pytest.raises(ProviderUnavailableError, match=r"no DmlExecutionProvider.*name cpu beside it"):
-        open_session(path, providers=["DirectML"])
-    with pytest.raises(ProviderUnavailableError, match="no name"):
-        open_session(path, providers=[])
+        open_session(path, runtime=Runtime(providers=["DirectML"]))
     for _ in range(2):
-        assert open_session(path, providers=["coreml", "cpu"]).get_providers() == ["CPUExecutionProvider"]
+        assert open_session(path, runtime=Runtime(providers=["coreml", "cpu"])).get_providers() == [
+            "CPUExecutionProvider"
+        ]
     said = [record.getMessage() for record in caplog.records]
     assert said == ["ONNX Runtime has no CoreMLExecutionProvider here: models run without"]
 
@@ -100,7 +101,7 @@ def test_a_provider_that_is_installed_and_does_not_start_is_told(
     opened = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
     monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: available)
     monkeypatch.setattr(onnxruntime, "InferenceSession", lambda *_, **__: opened)  # as where there is no driver
-    assert open_session(path, providers=["cuda"]) is opened
+    assert open_session(path, runtime=Runtime(providers=["cuda"])) is opened
     assert "CUDAExecutionProvider cannot start here: models run on CPUExecutionProvider" in caplog.text
 
 

@@ -23,6 +23,7 @@ from vehanchor.errors import (
     PromptError,
 )
 from vehanchor.imagery.raster import Window
+from vehanchor.models.runtime import Runtime
 from vehanchor.segmentation.contracts import CONTRACTS, SamContract
 from vehanchor.segmentation.prompt import Prompt
 from vehanchor.segmentation.segmenter import Segmenter
@@ -140,7 +141,7 @@ def test_the_same_prompt_gives_the_same_mask_again_and_with_any_number_of_thread
     image = picture(600, 400, (133, 171, 181, 267))
     prompt = Prompt(box=(120.0, 160.0, 190.0, 280.0))
     first = segmented(segmenter, image, prompt)
-    one = Segmenter(segmenter.encoder_path, segmenter.decoder_path, threads=1)
+    one = Segmenter(segmenter.encoder_path, segmenter.decoder_path, runtime=Runtime(threads=1))
     for other in (segmented(segmenter, image, prompt), segmented(one, image, prompt)):
         assert (other.mask == first.mask).all()
         assert other.score == first.score
@@ -150,9 +151,9 @@ def test_the_encoder_sees_colours_as_its_contract_says(segmenter: Segmenter, mon
     fed: list[NDArray[np.float32]] = []
     original = SamContract._run
 
-    def spy(self: SamContract, session: Any, feeds: Any, run_options: Any) -> Any:
+    def spy(self: SamContract, session: Any, feeds: Any) -> Any:
         fed.extend(feeds.values())
-        return original(self, session, feeds, run_options)
+        return original(self, session, feeds)
 
     monkeypatch.setattr(SamContract, "_run", spy)
     segmented(segmenter, np.full((300, 300, 3), OBJECT_RGB, np.uint8), Prompt(box=(100.0, 100.0, 150.0, 150.0)))

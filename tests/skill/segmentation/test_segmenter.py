@@ -20,6 +20,7 @@ from vehanchor.errors import (
     ProviderUnavailableError,
 )
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.runtime import Runtime
 from vehanchor.segmentation.contracts import SamContract
 from vehanchor.segmentation.prompt import Prompt
 from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
@@ -60,9 +61,9 @@ def test_what_is_no_segmenter_is_refused_with_what_was_found(tmp_path: Path) -> 
     with pytest.raises(ModelNotFoundError, match="missing"):
         Segmenter(encoder, tmp_path / "missing.onnx")
     with pytest.raises(ProviderUnavailableError):
-        Segmenter(encoder, decoder, providers=["AbacusExecutionProvider"])
+        Segmenter(encoder, decoder, runtime=Runtime(providers=["AbacusExecutionProvider"]))
     with pytest.raises(InvalidParameterError, match="threads"):
-        Segmenter(encoder, decoder, threads=0)
+        Segmenter(encoder, decoder, runtime=Runtime(threads=0))
 
 
 def test_the_files_say_how_much_to_trust_them(tmp_path: Path) -> None:
@@ -91,7 +92,7 @@ def test_weights_kept_beside_the_file_are_used_and_hashed(tmp_path: Path, suffix
 def test_a_pair_of_files_is_loaded_once(tmp_path: Path) -> None:
     files = write_sam(tmp_path)
     assert load_segmenter(*files) is load_segmenter(*files)
-    assert load_segmenter(*files, threads=1) is not load_segmenter(*files)
+    assert load_segmenter(*files, Runtime(threads=1)) is not load_segmenter(*files)
 
 
 def test_replaced_files_are_loaded_anew(tmp_path: Path) -> None:

@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 
 from vehanchor.errors import InvalidParameterError, OutputError
+from vehanchor.imagery.identity import Source
 from vehanchor.storage.atomic import whole_file
-from vehanchor.storage.journal import Journal, Source
+from vehanchor.storage.journal import Journal
 
 
 def _journal(path: Path | None, settings: dict[str, Any] | None = None, **choices: Any) -> Journal[Any]:
@@ -159,3 +160,21 @@ def test_a_file_is_replaced_only_once_the_new_one_is_whole(tmp_path: Path) -> No
     assert [file.name for file in tmp_path.iterdir()] == ["t.csv"]
     with pytest.raises(OutputError, match="cannot write"), whole_file(tmp_path / "no" / "t.csv") as partial:
         partial.write_text("nowhere")
+
+
+def test_a_journal_of_another_version_is_refused_with_a_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "j.jsonl"
+    path.write_text(json.dumps({"settings": "0123", "facts": {"journal_version": 1, "model": "m"}}) + "\n")
+    with pytest.raises(InvalidParameterError, match=r"journal_version 1 \(now 2\).*move the file away"):
+        _journal(path, sole=True)
+
+
+def test_a_result_that_cannot_be_read_any_more_is_told_with_the_remedy(tmp_path: Path) -> None:
+    def load(value: Any) -> Any:
+        raise KeyError(value)
+
+    path = tmp_path / "j.jsonl"
+    _journal(path).add(("a",), 1)
+    journal: Journal[Any] = Journal(path, {"model": "m"}, dump=int, load=load, remedy="start anew")
+    with pytest.raises(InvalidParameterError, match=r"cannot be read.*start anew"):
+        journal.get(("a",))

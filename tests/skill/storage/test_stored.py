@@ -1,17 +1,31 @@
 from __future__ import annotations
 
 import json
+import sys
+from collections.abc import Iterator
+from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from vehanchor.detection.detections import Detections
+from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.flight.photograph import Look
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.options import ScaleOptions
 from vehanchor.records import Notice
-from vehanchor.storage.stored import from_json, to_json
+from vehanchor.rulers import registry
+from vehanchor.rulers.evidence import Evidence
+from vehanchor.rulers.vehicles import VehicleEvidence
+from vehanchor.scale.lengths import Interval
+from vehanchor.storage.stored import from_json, stored, to_json
+
+for _kind in registry.ruler_kinds():
+    registry.ruler_class(_kind)
+_RULERS = {each.__name__ for each in vars(sys.modules["vehanchor.rulers"]).values() if isinstance(each, ModuleType)}
+assert registry.__name__ in _RULERS
 
 
 def _look() -> Look:
@@ -21,7 +35,7 @@ def _look() -> Look:
     return Look(facts, found, 0.7, prior=scene)
 
 
-def test_findings_come_back_exactly() -> None:
+def test_intermediate_results_come_back_exactly() -> None:
     before = _look()
     after = from_json(json.loads(json.dumps(to_json(before))))
     assert isinstance(after, Look)
@@ -36,19 +50,48 @@ def test_findings_come_back_exactly() -> None:
 
 
 @pytest.mark.parametrize(
-    "stored",
+    "found",
     [
         {"=": "subprocess:Popen", "fields": {"args": "true"}},
-        {"=": "vehanchor.storage.atomic:whole_file", "fields": {}},
-        {"=": "vehanchor.errors:VehAnchorError", "fields": {}},
+        {"=": "vehanchor.flight.photograph:Look", "fields": {}},
         {"=": "array", "dtype": "O", "shape": [1], "data": ""},
     ],
 )
-def test_a_journal_can_start_nothing(stored: object) -> None:
-    with pytest.raises(ValueError, match="finding"):
-        from_json(stored)
+def test_a_journal_can_start_nothing(found: object) -> None:
+    with pytest.raises(ValueError, match="stored"):
+        from_json(found)
 
 
-def test_what_is_no_finding_is_not_kept() -> None:
-    with pytest.raises(TypeError, match="no finding"):
-        to_json(object())
+def test_a_class_without_a_stored_name_is_refused() -> None:
+    with pytest.raises(TypeError, match="ScaleOptions has no stored name"):
+        to_json(ScaleOptions())
+
+
+def test_a_stored_name_belongs_to_one_class() -> None:
+    with pytest.raises(ValueError, match="'mark' is taken by Mark"):
+        stored("mark")(Objects)
+
+
+def test_a_class_may_be_renamed_and_its_journals_are_read() -> None:
+    @stored("tests.line")
+    class OldName(NamedTuple):
+        length: float
+
+    kept = json.dumps(to_json(OldName(2.5)))
+    assert "OldName" not in kept
+    OldName.__qualname__ = "NewName"
+    assert from_json(json.loads(kept)) == OldName(2.5)
+
+
+def test_all_evidence_of_the_rulers_can_be_stored() -> None:
+    def below(kind: type[Evidence]) -> Iterator[type[Evidence]]:
+        yield kind
+        for each in kind.__subclasses__():
+            yield from below(each)
+
+    made_by_rulers = [kind for kind in below(Evidence) if kind is not VehicleEvidence and kind.__module__ in _RULERS]
+    assert len(made_by_rulers) >= 3
+    for kind in made_by_rulers:
+        found = from_json(to_json(kind("height", 0.1, Interval(0.09, 0.11), 1, 0.9, ())))
+        assert type(found) is kind
+        assert found.interval == Interval(0.09, 0.11)

@@ -79,7 +79,7 @@ def ray_rows(job: BatchJob, tasks: Sequence[Task], workers: int | None, address:
             batch_size=None,  # a block at a time
             batch_format="numpy",
             compute=ray.data.ActorPoolStrategy(size=n_workers),
-            num_cpus=job.threads,
+            num_cpus=job.runtime.threads,
             fn_kwargs={"job": job},
         )
         try:

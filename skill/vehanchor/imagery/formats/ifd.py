@@ -22,7 +22,7 @@ _INTEGER_TYPES = {1: "B", 3: "H", 4: "I", 16: "Q"}
 _MAX_DIRECTORIES = 1000
 _MAX_ENTRIES = 4096  # a real directory has some dozens
 MAX_VALUES = 64
-"""Most values read from a tag, one per band. If the first 64 are equal, all count as equal."""
+"""Maximum number of values read from a tag, one per band. If the first 64 are equal, all count as equal."""
 
 
 class _Form(NamedTuple):

@@ -13,10 +13,10 @@ from vehanchor.errors import ImageDecodeError, ImageTooLargeError
 from vehanchor.imagery.formats.ifd import ReadAt, exif_orientation
 
 MAX_SCANS = 100
-"""Most scans; each is decoded over the whole image. libjpeg writes 10 in a progressive JPEG, mozjpeg up to 25."""
+"""Maximum number of scans, each decoded over the whole image; progressive JPEGs of mozjpeg have up to 25."""
 
 MAX_SEGMENTS = 10_000
-"""Most segments; 512 MiB of metadata in segments of 64 KiB, the largest possible, are 8,192."""
+"""Maximum number of segments; 512 MiB of metadata in segments of 64 KiB, the largest possible, are 8,192."""
 
 EXIF_PREFIX = b"Exif\0\0"
 _CHUNK_BYTES = 1 << 16

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES, find_metadata
 from vehanchor.imagery.metadata.exif import read_exif
 from vehanchor.imagery.metadata.xmp import read_xmp
+from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -104,9 +105,10 @@ MAKERS: tuple[Maker, ...] = (
 """In order of precedence: the first maker with a value is used."""
 
 
+@stored("camera_metadata")
 @dataclass(frozen=True)
 class CameraMetadata:
-    """A camera and its position; None for what the file does not state.
+    """Camera and its position; None for values that the file lacks.
 
     Attributes:
         make: of the camera, from EXIF; empty if unknown.

@@ -46,7 +46,7 @@ class ArrayRaster(Raster):
         orientation: int = 1,
         georeference_gsd_m_per_px: float | None = None,
     ) -> None:
-        pixels = _checked(pixels)
+        pixels = _check_array(pixels)
         height, width, n_bands = pixels.shape
         channels, notes = choose_bands(n_bands, bands)
         super().__init__(
@@ -78,7 +78,7 @@ class ArrayRaster(Raster):
         return StoredPixels(merge_bands([part[:, :, channel] for channel in self._channels]), None)
 
 
-def _checked(pixels: NDArray[Any]) -> NDArray[Any]:
+def _check_array(pixels: NDArray[Any]) -> NDArray[Any]:
     """Check an array and give it as ``[h, w, bands]`` in one of ``bands.DTYPES``, without a copy if possible."""
     pixels = np.asarray(pixels)
     if pixels.ndim == 2:

@@ -18,7 +18,7 @@ _ROWS, _COLUMNS = ("y", "lat", "latitude", "northing"), ("x", "lon", "longitude"
 
 
 class DataArray(Protocol):
-    """The part of ``xarray.DataArray`` that this module uses."""
+    """Part of ``xarray.DataArray`` that this module uses."""
 
     @property
     def dims(self) -> Any:

@@ -23,7 +23,7 @@ _TAG_ORIENTATION = 274
 
 
 class PillowImage(Protocol):
-    """The part of ``PIL.Image.Image`` that this module uses."""
+    """Part of ``PIL.Image.Image`` that this module uses."""
 
     @property
     def mode(self) -> str:
@@ -34,10 +34,10 @@ class PillowImage(Protocol):
         """Width and height, pixels."""
 
     def getexif(self) -> Any:
-        """The EXIF data."""
+        """Read the EXIF data."""
 
     def convert(self, mode: str) -> Any:
-        """The image in another mode."""
+        """Convert to another mode."""
 
 
 def is_pillow(image: Any) -> TypeGuard[PillowImage]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from vehanchor.errors import ModelContractError
+from vehanchor.models.runtime import LoadedModel
 from vehanchor.models.session import run_session
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ class Encoding:
     crop_size: tuple[int, int]
 
 
-class SamContract(ABC):
+class SamContract(LoadedModel, ABC):
     """One kind of encoder and decoder; the subclasses know what it is fed and what comes back.
 
     A pair of files keeps a contract where the encoder has its one input and no other, and both have at least the other
@@ -147,16 +148,14 @@ class SamContract(ABC):
         self,
         image: NDArray[np.uint8],
         crop_size: tuple[int, int],
-        run_options: onnxruntime.RunOptions | None = None,
     ) -> Encoding:
         """Run the encoder.
 
         Args:
             image: ``[h, w, 3]`` uint8 RGB, the crop resized to ``input_size``.
             crop_size: width and height of the crop, pixels.
-            run_options: ONNX Runtime's.
         """
-        outputs = self._run(self._encoder, {self._image.name: self._prepared(image)}, run_options)
+        outputs = self._run(self._encoder, {self._image.name: self._prepared(image)})
         return Encoding(outputs, (image.shape[1], image.shape[0]), crop_size)
 
     @abstractmethod
@@ -164,15 +163,12 @@ class SamContract(ABC):
         """What the encoder is fed."""
 
     @abstractmethod
-    def decode(
-        self, encoding: Encoding, prompt: Prompt, run_options: onnxruntime.RunOptions | None = None
-    ) -> MaskLogits:
+    def decode(self, encoding: Encoding, prompt: Prompt) -> MaskLogits:
         """Read one prompt.
 
         Args:
             encoding: of the crop.
             prompt: in pixels of the crop.
-            run_options: ONNX Runtime's.
 
         Returns:
             The mask.
@@ -186,13 +182,12 @@ class SamContract(ABC):
         self,
         session: onnxruntime.InferenceSession,
         feeds: Mapping[str, NDArray[Any]],
-        run_options: onnxruntime.RunOptions | None,
     ) -> dict[str, NDArray[Any]]:
         """Run with what the graph asks for, in its types; outputs by name."""
         asked = {item.name: feeds[item.name].astype(DTYPES[item.type]) for item in session.get_inputs()}
         names = [output.name for output in session.get_outputs()]
         shapes = ", ".join(f"{name} {list(value.shape)}" for name, value in asked.items())
-        results = run_session(session, names, asked, run_options, f"the {self.name} segmenter fails on {shapes}")
+        results = run_session(session, names, asked, self.runtime, f"the {self.name} segmenter fails on {shapes}")
         return dict(zip(names, (np.asarray(result) for result in results), strict=True))
 
     def _no_mask_prompt(self) -> dict[str, NDArray[Any]]:

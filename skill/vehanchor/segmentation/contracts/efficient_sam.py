@@ -23,7 +23,6 @@ from vehanchor.segmentation.contracts.base import (
 )
 
 if TYPE_CHECKING:
-    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.segmentation.prompt import Prompt
@@ -60,9 +59,7 @@ class EfficientSam(SamContract):
         scale = min(1.0, self.input_px / max(width_px, height_px))  # enlarging is left to its graph
         return resized_side(width_px, scale), resized_side(height_px, scale)
 
-    def decode(
-        self, encoding: Encoding, prompt: Prompt, run_options: onnxruntime.RunOptions | None = None
-    ) -> MaskLogits:
+    def decode(self, encoding: Encoding, prompt: Prompt) -> MaskLogits:
         """Decode; see ``SamContract.decode``. Points outside the object are refused, and more than six."""
         if not all(include for _, _, include in prompt.points):
             raise PromptError("EfficientSAM knows no points outside the object: leave them out, or use another model")
@@ -81,7 +78,6 @@ class EfficientSam(SamContract):
                 "batched_point_labels": np.array(labels, np.float32).reshape(1, 1, -1),
                 "orig_im_size": np.array([height, width], np.int64),
             },
-            run_options,
         )
         grid, score = self._chosen(outputs["output_masks"], outputs["iou_predictions"], prompt)
         return MaskLogits(grid, score, cells_per_px(grid, (width, height), scale))

@@ -24,7 +24,6 @@ from vehanchor.segmentation.contracts.base import (
 )
 
 if TYPE_CHECKING:
-    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.segmentation.prompt import Prompt
@@ -53,9 +52,7 @@ class Sam(SamContract):
         scale = self.input_px / max(width_px, height_px)
         return resized_side(width_px, scale), resized_side(height_px, scale)
 
-    def decode(
-        self, encoding: Encoding, prompt: Prompt, run_options: onnxruntime.RunOptions | None = None
-    ) -> MaskLogits:
+    def decode(self, encoding: Encoding, prompt: Prompt) -> MaskLogits:
         """Decode with SAM's padding point; see ``SamContract.decode``."""
         width, height = encoding.size
         scale = width / encoding.crop_size[0], height / encoding.crop_size[1]
@@ -70,7 +67,6 @@ class Sam(SamContract):
                 "orig_im_size": np.array([height, width], np.float32),
                 **self._no_mask_prompt(),
             },
-            run_options,
         )
         masks, covered = outputs["masks"], (width, height)
         coarse = outputs.get("low_res_masks")

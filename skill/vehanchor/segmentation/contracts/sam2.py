@@ -21,7 +21,6 @@ from vehanchor.segmentation.contracts.base import (
 )
 
 if TYPE_CHECKING:
-    import onnxruntime
     from numpy.typing import NDArray
 
     from vehanchor.segmentation.prompt import Prompt
@@ -41,9 +40,7 @@ class Sam2(StretchedContract):
         name = "image_embed"
         return fixed_side(self._encoder.get_outputs(), name) or fixed_side(self._decoder.get_inputs(), name)
 
-    def decode(
-        self, encoding: Encoding, prompt: Prompt, run_options: onnxruntime.RunOptions | None = None
-    ) -> MaskLogits:
+    def decode(self, encoding: Encoding, prompt: Prompt) -> MaskLogits:
         """Decode; see ``SamContract.decode``."""
         crop_size = encoding.crop_size
         coords, labels = corner_prompt(prompt, self._scale(crop_size), shift=0.5)  # this graph pads by itself
@@ -56,7 +53,6 @@ class Sam2(StretchedContract):
                 "orig_im_size": np.array([self.input_px, self.input_px], np.float32),
                 **self._no_mask_prompt(),
             },
-            run_options,
         )
         return self._covering(*self._chosen(outputs["masks"], outputs["iou_predictions"], prompt), crop_size)
 

@@ -23,7 +23,6 @@ from vehanchor.segmentation.contracts.base import (
 from vehanchor.segmentation.prompt import Prompt
 
 if TYPE_CHECKING:
-    import onnxruntime
     from numpy.typing import NDArray
 
 
@@ -55,9 +54,7 @@ class Transformers(StretchedContract):
         side = self._embedding_side()
         return self.input_px == (_SAM3_INPUT_PX if side is None else side * _SAM3_STRIDE_PX)
 
-    def decode(
-        self, encoding: Encoding, prompt: Prompt, run_options: onnxruntime.RunOptions | None = None
-    ) -> MaskLogits:
+    def decode(self, encoding: Encoding, prompt: Prompt) -> MaskLogits:
         """Decode, boxes apart from points; see ``SamContract.decode``."""
         crop_size = encoding.crop_size
         scale = self._scale(crop_size)
@@ -71,7 +68,6 @@ class Transformers(StretchedContract):
                 "input_labels": np.array(labels, np.int64).reshape(1, 1, -1),
                 "input_boxes": np.array(corners, np.float32).reshape(1, -1, 4),
             },
-            run_options,
         )
         return self._covering(*self._chosen(outputs["pred_masks"], outputs["iou_scores"], prompt), crop_size)
 

@@ -1,11 +1,11 @@
-"""The scale that the ground alone tells where no network of ours has learned.
+"""Measure the scene-scale prior alone where no network has learned.
 
-``python -m research.benchmarks.unseen_ground``.
+``python -m research.benchmarks.scene_scale``.
 
-Photographs of the sets that are kept for evaluation. Nobody knows their scale but their cars: it is a car's usual
-length in that country over the median length of the cars that people drew, right within a tenth or so, while what is
-asked is whether the ground is right within a factor of 1.5. ``--network FILE`` takes another network than the bundled
-one. Prints Markdown, kept in RESULTS.md.
+The photographs are of the sets kept for evaluation. Their scale is a car's usual length in that country over the median
+length of the cars that people drew, right within a tenth or so; the question is whether the prior is right within a
+factor of 1.5. ``--network FILE`` takes another network than the bundled
+one. Prints Markdown; ``--record`` keeps it.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from research.results.record import add_record_option, recording
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.scene_scale import SceneScaleNetwork, load_scene_scale
 from vehanchor.imagery.sources.opening import open_raster
@@ -100,7 +101,7 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--network", type=Path)
-    options = parser.parse_args()
+    options = add_record_option(parser).parse_args()
     ground = SceneScaleNetwork(options.network) if options.network else load_scene_scale()
     assert ground is not None
     by_set: dict[str, list[Told]] = {}
@@ -115,9 +116,10 @@ def main() -> None:
     every = [each for told in by_set.values() for each in told]
     by_set["all"] = every
     by_set[f"all finer than {_FINE_M_PER_PX} m/px"] = [each for each in every if each.gsd_m_per_px < _FINE_M_PER_PX]
-    print("| set | images | m/px by cars | median log error | within 1.5 | 95 % interval holds | its high to low |")
-    print("|---|---|---|---|---|---|---|")
-    print("\n".join(row(name, told) for name, told in by_set.items()))
+    with recording("scale", ["unseen_ground"], options.record):
+        print("| set | images | m/px by cars | median log error | within 1.5 | 95 % interval holds | its high to low |")
+        print("|---|---|---|---|---|---|---|")
+        print("\n".join(row(name, told) for name, told in by_set.items()))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""How likely an image holds a car by its edges alone: ``python -m research.training.promise.fit ../shared/data``.
+"""Fit the chance that an image holds a car, by its edges alone.
+
+``python -m research.training.tile_prior.fit ../shared/data``.
 
 A logistic regression of "somebody labelled a car here" on the log of the mean gradient at 1/8 of the resolution, on the
 train split of the sets of known scale; prints the two numbers of ``vehanchor.detection.tile_prior``, and the area under

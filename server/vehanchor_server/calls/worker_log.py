@@ -1,0 +1,45 @@
+"""Forward a worker's log lines to the server's log, labelled, limited and without control characters."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
+_MAX_LINE_BYTES = 2000
+_MAX_LINES = 2000
+_READ_BYTES = 1 << 16
+_logger = logging.getLogger(__name__)
+
+
+def forward_log(log: Connection, pid: int) -> threading.Thread:
+    """Forward a worker's lines in a separate thread until the worker ends.
+
+    Args:
+        log: reading end of the pipe; the thread closes it.
+        pid: process id of the worker, for the label.
+    """
+    thread = threading.Thread(target=_forward, args=(log, pid), name=f"vehanchor-log-{pid}", daemon=True)
+    thread.start()
+    return thread
+
+
+def printable(line: bytes) -> str:
+    """Convert a worker's line to text without control characters, cut at 2,000 bytes."""
+    text = line[:_MAX_LINE_BYTES].decode("utf-8", "replace").rstrip("\r\n")
+    shown = "".join(char if char.isprintable() else f"\\x{ord(char):02x}" for char in text)
+    return f"{shown} [cut]" if len(line) > _MAX_LINE_BYTES else shown
+
+
+def _forward(log: Connection, pid: int) -> None:
+    n_lines = 0
+    with log, open(log.fileno(), "rb", buffering=_READ_BYTES, closefd=False) as stream:
+        while line := stream.readline(_READ_BYTES):
+            n_lines += 1
+            if n_lines <= _MAX_LINES:
+                _logger.warning("worker %d: %s", pid, printable(line))
+            elif n_lines == _MAX_LINES + 1:
+                _logger.warning("worker %d: more than %d lines; the rest is omitted", pid, _MAX_LINES)

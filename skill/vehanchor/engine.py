@@ -1,0 +1,414 @@
+"""The engine: holds the models, the default options and the runtime, and measures images with them.
+
+    >>> import vehanchor
+    >>> engine = vehanchor.Engine(runtime=vehanchor.Runtime(threads=2))
+    >>> engine.estimate("photo.jpg").gsd_m_per_px  # doctest: +SKIP
+    0.152
+
+``vehanchor.verbs`` has the same methods as functions.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, overload
+
+from vehanchor.courts.proposals import load_court_network
+from vehanchor.detection.detector import Detector, load_detector
+from vehanchor.detection.scene_scale import load_scene_scale
+from vehanchor.errors import InvalidParameterError
+from vehanchor.estimate import analyse_image, checked_detector
+from vehanchor.flight.estimate import analyse_flight
+from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
+from vehanchor.measure.area import analyse_objects
+from vehanchor.measure.distance import analyse_paths, read_path
+from vehanchor.measure.resolved_scale import given_scale
+from vehanchor.models.runtime import Runtime, RuntimeKeywords
+from vehanchor.models.zoo import resolve_model, resolve_segmenter
+from vehanchor.options import OptionKeywords, ScaleOptions
+from vehanchor.segmentation.prompt import read_prompt
+from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from typing import Unpack
+
+    from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
+    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.flight.inputs import InputPhotograph
+    from vehanchor.imagery.raster import Raster
+    from vehanchor.imagery.sources.opening import ImageSource
+    from vehanchor.measure.coordinates import Place
+    from vehanchor.measure.resolved_scale import ScaleInput
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, KnownScale
+    from vehanchor.segmentation.prompt import Box, Point
+
+T = TypeVar("T")
+DetectorSource: TypeAlias = Detector | str | os.PathLike[str]
+SegmenterSource: TypeAlias = Segmenter | tuple[str | os.PathLike[str], str | os.PathLike[str]]
+
+
+class EstimateKeywords(OptionKeywords, RuntimeKeywords, total=False):
+    """Keywords of every verb: options of the method, fields of the runtime, and the detector for this call.
+
+    Attributes:
+        detector: a bundled model's name, the path of an ONNX oriented-box model, or a loaded ``Detector``. A loaded
+            one keeps the threads, providers and precision that it was opened with.
+    """
+
+    detector: DetectorSource | None
+
+
+class MeasureKeywords(EstimateKeywords, total=False):
+    """Keywords of measurements.
+
+    Attributes:
+        gsd_m_per_px: known scale, metres per pixel of the full image; the detector does not run.
+        scale: an earlier estimate of this image, or its ``scale``; the detector does not run, and the estimate's
+            interval and confidence hold.
+        object_height_m: height of the measured object above the ground, as of a roof; None for 0.
+    """
+
+    gsd_m_per_px: float | None
+    scale: KnownScale | GsdEstimate | Mapping[str, Any] | None
+    object_height_m: float | None
+
+
+class AreaKeywords(MeasureKeywords, total=False):
+    """Keywords of an area: exactly one of ``box`` and ``points``.
+
+    Attributes:
+        box: x1, y1, x2, y2, a geometry of shapely, or supervision's ``Detections`` of one object.
+        points: x, y and, optionally, whether the point lies on the object (the default) or beside it.
+        segmenter: paths of encoder and decoder, or a loaded ``Segmenter``.
+    """
+
+    box: Box | None
+    points: Sequence[Point] | None
+    segmenter: SegmenterSource | None
+
+
+class FlightKeywords(EstimateKeywords, total=False):
+    """Keywords of a flight.
+
+    Attributes:
+        same_scale: pool the evidence of all photographs: all have one scale, as those of a survey at one height.
+        journal: file that keeps the findings of each photograph, so that the same call resumes after an interruption;
+            removed at the end. It keeps photographs given as paths, and frames of ``sample_video``.
+    """
+
+    same_scale: bool
+    journal: str | os.PathLike[str] | None
+
+
+_OWN_KEYWORDS = frozenset({"detector", "segmenter", *RuntimeKeywords.__annotations__})
+
+
+class Engine:
+    """Loaded models with default options and a runtime; safe for several threads.
+
+    Each model is loaded when it is first needed, and kept. All methods take the same keywords: they override the
+    engine's own choices for one call. Records are the same whatever the runtime.
+
+    Args:
+        detector: as in ``EstimateKeywords``; None for the bundled one.
+        segmenter: as in ``AreaKeywords``; None for the bundled one.
+        classes: the detector's classes, by name or index, that count as vehicles; None for the model's own.
+        options: defaults of the method; keywords of a call change single fields.
+        runtime: how models run; None for the CPU and all cores.
+
+    Attributes:
+        options: defaults of the method.
+        runtime: how models run.
+    """
+
+    def __init__(
+        self,
+        detector: DetectorSource | None = None,
+        segmenter: SegmenterSource | None = None,
+        *,
+        classes: Sequence[str | int] | None = None,
+        options: ScaleOptions | None = None,
+        runtime: Runtime | None = None,
+    ) -> None:
+        self.options, self.runtime = options or ScaleOptions(), runtime or Runtime()
+        self._sources = detector, segmenter, classes
+        self._detector = _OnDemand(partial(_open_detector, detector, classes, self.runtime.idle))
+        self._segmenter = _OnDemand(partial(_open_segmenter, segmenter, self.runtime.idle))
+
+    @property
+    def detector(self) -> Detector:
+        """The detector, bound to this engine's runtime; blocks while it is loaded.
+
+        Raises:
+            ModelError: it cannot be used.
+        """
+        return self._detector.get().under(self.runtime)
+
+    @property
+    def segmenter(self) -> Segmenter:
+        """The segmenter, bound to this engine's runtime; blocks while it is loaded.
+
+        Raises:
+            ModelError: it cannot be used.
+            InvalidParameterError: it is neither a ``Segmenter`` nor two paths.
+        """
+        return self._segmenter.get().under(self.runtime)
+
+    def load(self) -> None:
+        """Load the detector and the auxiliary models now instead of at their first use.
+
+        Raises:
+            ModelError: one cannot be used.
+        """
+        runtime = self.detector.runtime.idle
+        load_scene_scale(runtime)
+        load_court_network(runtime)
+
+    def replace(
+        self,
+        *,
+        detector: DetectorSource | None = None,
+        segmenter: SegmenterSource | None = None,
+        options: ScaleOptions | None = None,
+        runtime: Runtime | None = None,
+    ) -> Engine:
+        """An engine with other choices; None keeps this one's, and models that stay the same are shared.
+
+        Args:
+            detector: another detector.
+            segmenter: another segmenter.
+            options: other defaults.
+            runtime: another runtime. One that differs in progress and cancellation alone shares the models.
+        """
+        other = copy.copy(self)
+        other.options, other.runtime = options or self.options, runtime or self.runtime
+        old_detector, old_segmenter, classes = self._sources
+        other._sources = detector or old_detector, segmenter or old_segmenter, classes
+        idle, reopened = other.runtime.idle, other.runtime != self.runtime
+        if reopened or detector is not None:
+            other._detector = _OnDemand(partial(_open_detector, other._sources[0], classes, idle))
+        if reopened or segmenter is not None:
+            other._segmenter = _OnDemand(partial(_open_segmenter, other._sources[1], idle))
+        return other
+
+    @overload
+    def estimate(
+        self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[EstimateKeywords]
+    ) -> GsdEstimate: ...
+
+    @overload
+    def estimate(
+        self,
+        image: list[Any] | tuple[Any, ...],
+        options: ScaleOptions | None = None,
+        **keywords: Unpack[EstimateKeywords],
+    ) -> list[GsdEstimate]: ...
+
+    def estimate(
+        self, image: Any, options: ScaleOptions | None = None, **keywords: Unpack[EstimateKeywords]
+    ) -> GsdEstimate | list[GsdEstimate]:
+        """Estimate the ground sampling distance of an aerial image from the cars and the other rulers in it.
+
+        Args:
+            image: path, encoded bytes, binary file object, Pillow image, rasterio dataset, or array (H x W x 3 RGB or
+                H x W; uint8, uint16 or float). A list of them gives a list; ``vehanchor.find_images`` makes one of
+                folders and patterns.
+            options: options of the method in groups; None for the engine's.
+            **keywords: single options, fields of the runtime, another detector; see ``EstimateKeywords``.
+
+        Returns:
+            The record, or a list of records; ``gsd_m_per_px`` is None if no ruler finds anything.
+
+        Raises:
+            ImageError: the image cannot be used; see ``vehanchor.errors`` for its kinds.
+            ModelError: a model cannot be used.
+            InvalidParameterError: an option is invalid.
+            FrameError: the frame has another aspect ratio than the image.
+            CalibrationError: the calibration cannot be read, or belongs to another detector.
+            CancelledError: the call was cancelled (``concurrent.futures``).
+        """
+        engine, chosen = self._call(options, keywords)
+        detector = checked_detector(engine.detector, chosen)
+        if isinstance(image, list | tuple):
+            return [analyse_image(each, detector, chosen).estimate for each in image]
+        return analyse_image(image, detector, chosen).estimate
+
+    def analyse_scale(
+        self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[EstimateKeywords]
+    ) -> ScaleAnalysis:
+        """As ``estimate`` of one image; returns the detections and the evidence behind the record, too."""
+        engine, chosen = self._call(options, keywords)
+        return analyse_image(image, checked_detector(engine.detector, chosen), chosen)
+
+    def measure_area(
+        self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[AreaKeywords]
+    ) -> AreaMeasurement:
+        """Measure the area of the object in a box or at a point, ``A = N_px * GSD^2`` (paper, section III-G).
+
+        Boxes and points are in pixels of the image, or of the copy that a frame names; the first pixel spans 0 to 1.
+        The option ``coordinates`` chooses other units.
+
+        Args:
+            image: as in ``estimate``.
+            options: as in ``estimate``.
+            **keywords: box or points, scale, segmenter; see ``AreaKeywords``.
+
+        Returns:
+            The record; ``area_m2`` is None if there is no scale.
+
+        Raises:
+            PromptError: neither or both prompts, or one that names nothing in the image.
+            ScaleMismatchError: the scale was estimated from another image.
+            VehAnchorError: as ``estimate``.
+        """
+        return self.analyse_area(image, options, **keywords).measurement
+
+    def analyse_area(
+        self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[AreaKeywords]
+    ) -> AreaAnalysis:
+        """As ``measure_area``; returns the mask, the prompt and the analysis of the scale, too."""
+        box, points = keywords.pop("box", None), keywords.pop("points", None)
+        height = keywords.pop("object_height_m", None)
+        known = keywords.pop("gsd_m_per_px", None), keywords.pop("scale", None)
+        engine, chosen = self._call(options, keywords)
+        prompt, segmenter = read_prompt(box, points), engine.segmenter
+        scale = engine._scale_input(known, chosen)
+        with _opened(image, chosen) as raster:
+            (found,) = analyse_objects(raster, [prompt], segmenter, scale, chosen, object_height_m=height)
+        return replace(found, image=_kept(image), reading=chosen.reading, ground=raster.ground)
+
+    def measure_distance(
+        self,
+        image: ImageSource,
+        path: Sequence[Place],
+        options: ScaleOptions | None = None,
+        **keywords: Unpack[MeasureKeywords],
+    ) -> DistanceMeasurement:
+        """Measure the length of a line on the ground, ``D = P * GSD``.
+
+        Args:
+            image: as in ``estimate``.
+            path: x, y of two or more points in order, joined by straight lines; or a line of shapely. Coordinates as
+                in ``measure_area``.
+            options: as in ``estimate``.
+            **keywords: the scale, if it is known; see ``MeasureKeywords``.
+
+        Returns:
+            The record; ``distance_m`` is None if there is no scale.
+
+        Raises:
+            PromptError: fewer than two points, one outside the image, or all in one place.
+            ScaleMismatchError: the scale was estimated from another image.
+            VehAnchorError: as ``estimate``.
+        """
+        return self.analyse_distance(image, path, options, **keywords).measurement
+
+    def analyse_distance(
+        self,
+        image: ImageSource,
+        path: Sequence[Place],
+        options: ScaleOptions | None = None,
+        **keywords: Unpack[MeasureKeywords],
+    ) -> DistanceAnalysis:
+        """As ``measure_distance``; returns the analysis of the scale, too."""
+        height = keywords.pop("object_height_m", None)
+        known = keywords.pop("gsd_m_per_px", None), keywords.pop("scale", None)
+        engine, chosen = self._call(options, keywords)
+        places, scale = read_path(path), engine._scale_input(known, chosen)
+        with _opened(image, chosen) as raster:
+            (found,) = analyse_paths(raster, [places], scale, chosen, object_height_m=height)
+        return replace(found, image=_kept(image), reading=chosen.reading, ground=raster.ground)
+
+    def flight(
+        self,
+        images: Iterable[ImageSource | InputPhotograph],
+        options: ScaleOptions | None = None,
+        **keywords: Unpack[FlightKeywords],
+    ) -> FlightEstimate:
+        """Estimate the scales of many photographs of one flight by the evidence of all of them.
+
+        One photograph is held in memory at a time. The record holds the error of a photograph that cannot be read.
+
+        Args:
+            images: the photographs, in the order in which they were taken, each as in ``estimate``. An
+                ``InputPhotograph`` names one; the default name is its path or its number.
+            options: as in ``estimate``, without a frame and without lines of known length, which belong to one
+                photograph.
+            **keywords: see ``FlightKeywords``.
+
+        Returns:
+            The record; a photograph without evidence and without links to others has no scale.
+
+        Raises:
+            OutputError: the journal cannot be written.
+            VehAnchorError: as ``estimate``.
+        """
+        same_scale, journal = keywords.pop("same_scale", False), keywords.pop("journal", None)
+        engine, chosen = self._call(options, keywords)
+        return analyse_flight(images, engine.detector, chosen, same_scale=same_scale, journal=journal)
+
+    def _call(self, options: ScaleOptions | None, keywords: Mapping[str, object]) -> tuple[Engine, ScaleOptions]:
+        """This engine and its options, with what the keywords of a call change."""
+        own: dict[str, Any] = {name: keywords[name] for name in keywords if name in _OWN_KEYWORDS}
+        models: dict[str, Any] = {name: own.pop(name) for name in ("detector", "segmenter") if name in own}
+        engine = self.replace(**models, runtime=self.runtime.with_keywords(own)) if own or models else self
+        rest = {name: value for name, value in keywords.items() if name not in _OWN_KEYWORDS}
+        return engine, (options or self.options).with_keywords(rest)
+
+    def _scale_input(self, known: tuple[Any, Any], options: ScaleOptions) -> ScaleInput:
+        """The scale that the caller gives, else the detector that finds it."""
+        given = given_scale(*known, options)
+        return checked_detector(self.detector, options) if given is None else given
+
+
+class _OnDemand(Generic[T]):
+    """A model that is loaded when it is first needed, by one thread."""
+
+    def __init__(self, load: Callable[[], T]) -> None:
+        self._load, self._lock, self._model = load, threading.Lock(), None
+
+    _model: T | None
+
+    def get(self) -> T:
+        with self._lock:
+            if self._model is None:
+                self._model = self._load()
+            return self._model
+
+
+def _open_detector(source: DetectorSource | None, classes: Sequence[str | int] | None, runtime: Runtime) -> Detector:
+    if isinstance(source, Detector):
+        return source
+    path = resolve_model(None if source is None else str(source), runtime.precision)
+    return Detector(path, classes=classes, runtime=runtime) if classes else load_detector(path, runtime)
+
+
+def _open_segmenter(source: SegmenterSource | None, runtime: Runtime) -> Segmenter:
+    if isinstance(source, Segmenter):
+        return source
+    files = None
+    if source is not None:
+        if isinstance(source, str) or len(source) != 2:
+            raise InvalidParameterError(f"segmenter is {source!r}: give two paths, of its encoder and its decoder")
+        files = Path(source[0]), Path(source[1])
+    return load_segmenter(*resolve_segmenter(files), runtime)
+
+
+@contextmanager
+def _opened(image: ImageSource, options: ScaleOptions) -> Iterator[Raster]:
+    reading = options.reading
+    with open_raster(image, bands=reading.bands, limits=reading.limits, bgr=reading.bgr) as raster:
+        yield raster
+
+
+def _kept(image: ImageSource) -> ImageSource | None:
+    """The image for later pictures of it; None for a source that can be read only once."""
+    return image if can_be_read_again(image) else None

@@ -1,0 +1,161 @@
+"""How models run: on which processors, with how many threads, and how a caller follows and ends a run.
+
+This module does not import ONNX Runtime: ``import vehanchor`` stays fast.
+"""
+
+from __future__ import annotations
+
+import copy
+import numbers
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypedDict
+
+from vehanchor.errors import InvalidParameterError
+from vehanchor.options.option import set_frozen
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import onnxruntime
+
+    from vehanchor.models.precision import Precision
+
+DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
+
+MAX_THREADS = 256
+"""Largest accepted number of threads: each takes a stack, and no machine has more cores for one of these models."""
+
+Progress: TypeAlias = Callable[[int, int], None]
+"""Called with (done, total)."""
+
+
+class Cancellation:
+    """Ends the running models of a call from another thread; one object serves one call."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._requested = False
+        self._options: onnxruntime.RunOptions | None = None
+
+    @property
+    def requested(self) -> bool:
+        """Whether ``cancel`` was called."""
+        return self._requested
+
+    def cancel(self) -> None:
+        """End the model that runs now within a layer, and refuse to run another."""
+        with self._lock:
+            self._requested = True
+            if self._options is not None:
+                self._options.terminate = True
+
+    @property
+    def run_options(self) -> onnxruntime.RunOptions:
+        """The options that ONNX Runtime checks between layers."""
+        from onnxruntime import RunOptions
+
+        with self._lock:
+            if self._options is None:
+                self._options = RunOptions()
+                self._options.terminate = self._requested
+            return self._options
+
+
+class RuntimeKeywords(TypedDict, total=False):
+    """The fields of ``Runtime`` under the names that the verbs take as keywords."""
+
+    threads: int | None
+    providers: Sequence[str] | None
+    precision: Precision
+    progress: Progress | None
+    cancellation: Cancellation | None
+
+
+@dataclass(frozen=True)
+class Runtime:
+    """How models are opened (the first three fields) and how one call runs (the last two).
+
+    Two runtimes are equal if they open models alike.
+
+    Attributes:
+        threads: CPU threads of each model; None leaves the number to ONNX Runtime.
+        providers: execution providers in order of preference, by full name or as ``"cuda"``, ``"cpu"``. If ``cpu`` is
+            among them, a missing provider is skipped and the log says so. One name alone is accepted, too.
+        precision: number format of a bundled detector: ``float32``, ``int8``, or ``auto``, which is int8 where the
+            processor is fast with it.
+        progress: called with (done, total): tiles of an image, photographs of a flight. An exception that it raises
+            ends the call.
+        cancellation: ends the call from another thread.
+
+    Raises:
+        InvalidParameterError: ``threads`` or ``providers`` is invalid.
+    """
+
+    threads: int | None = None
+    providers: Sequence[str] = DEFAULT_PROVIDERS
+    precision: Precision = "float32"
+    progress: Progress | None = field(default=None, compare=False)
+    cancellation: Cancellation | None = field(default=None, compare=False)
+
+    def __post_init__(self) -> None:
+        set_frozen(self, "threads", _checked_threads(self.threads))
+        set_frozen(self, "providers", _checked_providers(self.providers))
+
+    @property
+    def idle(self) -> Runtime:
+        """The same runtime outside a call: models are opened and kept with it."""
+        return self if self.progress is None and self.cancellation is None else self.during(Runtime())
+
+    def during(self, call: Runtime) -> Runtime:
+        """The same runtime with the progress and the cancellation of a call."""
+        return replace(self, progress=call.progress, cancellation=call.cancellation)
+
+    def with_keywords(self, keywords: Mapping[str, Any]) -> Runtime:
+        """The same runtime with other fields (``RuntimeKeywords``); None leaves a field as it is."""
+        changes = {name: value for name, value in keywords.items() if value is not None}
+        return replace(self, **changes) if changes else self
+
+    def tell(self, done: int, total: int) -> None:
+        """Report progress, if anybody follows it."""
+        if self.progress is not None:
+            self.progress(done, total)
+
+
+def _checked_threads(threads: Any) -> int | None:
+    if threads is None:
+        return None
+    whole = isinstance(threads, numbers.Real) and not isinstance(threads, bool) and float(threads).is_integer()
+    if not whole or not 1 <= threads <= MAX_THREADS:
+        raise InvalidParameterError(
+            f"threads is {threads!r}: use a whole number from 1 to {MAX_THREADS}, or None for all cores"
+        )
+    return int(threads)
+
+
+def _checked_providers(providers: Any) -> tuple[str, ...]:
+    if providers is None:
+        return DEFAULT_PROVIDERS
+    named = (providers,) if isinstance(providers, str) else tuple(providers)
+    if not named or not all(isinstance(name, str) for name in named):
+        raise InvalidParameterError(f"providers is {providers!r}: name them, as in ['cuda', 'cpu']")
+    return named
+
+
+class LoadedModel:
+    """Base of models that are opened once and run by many calls.
+
+    Attributes:
+        runtime: how the model was opened, and the call that it runs for.
+    """
+
+    runtime: Runtime = Runtime()
+
+    def under(self, call: Runtime) -> Self:
+        """The same model for one call: its runs report to the call's progress and obey its cancellation."""
+        if call.progress is self.runtime.progress and call.cancellation is self.runtime.cancellation:
+            return self
+        bound = copy.copy(self)
+        bound.runtime = self.runtime.during(call)
+        return bound

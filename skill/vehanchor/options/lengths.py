@@ -1,0 +1,40 @@
+"""How the lengths of the vehicles become one: the option group ``Lengths``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import get_args
+
+from vehanchor.options.option import Limits, Words, check_fields, option
+from vehanchor.scale.defaults import OUTLIER_ALPHA, Aggregation
+
+
+@dataclass(frozen=True)
+class Lengths:
+    """How the lengths of the vehicles become one.
+
+    Attributes:
+        alpha: outlier filter, ``P_i <= alpha * median`` (paper, equation 2), alpha >= 1; None switches it off.
+        aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean`` (see ``vehanchor.scale.lengths.modal_length``);
+            None for the model's own choice (``kde``, the paper's, for foreign models).
+
+    Raises:
+        InvalidParameterError: alpha is no number >= 1, or the aggregation is unknown.
+    """
+
+    aggregation: Aggregation | None = field(
+        default=None,
+        metadata=option(
+            "Statistic of the lengths; below 5 vehicles a KDE gives way to the median. Default: the model's, or kde.",
+            Words(get_args(Aggregation)),
+        ),
+    )
+    alpha: float | None = field(
+        default=OUTLIER_ALPHA,
+        metadata=option(
+            "Drop vehicles longer than X times the median; 'none' keeps all.", Limits(least=1), metavar="X|none"
+        ),
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)

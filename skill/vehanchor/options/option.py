@@ -1,0 +1,198 @@
+"""Declaration of an option: its help and the values that it takes, said once for all surfaces.
+
+A field of an option group carries its ``Option`` as metadata. Keywords, command-line options, tool arguments and server
+settings take help, type, limits and default from there.
+"""
+
+from __future__ import annotations
+
+import math
+import numbers
+from dataclasses import fields
+from typing import Any, NamedTuple
+
+from vehanchor.errors import InvalidParameterError
+
+_METADATA = "option"
+
+
+class Limits(NamedTuple):
+    """Numbers that an option takes.
+
+    Attributes:
+        least: the least number; None for no such limit.
+        most: the largest number; None for no such limit.
+        above: a number that every value exceeds; None for no such limit.
+        whole: whether only whole numbers are taken.
+    """
+
+    least: float | None = None
+    most: float | None = None
+    above: float | None = None
+    whole: bool = False
+
+    @property
+    def schema(self) -> dict[str, float]:
+        """The limits by the names that pydantic gives them: ``ge``, ``le`` and ``gt``."""
+        named = {"ge": self.least, "le": self.most, "gt": self.above}
+        return {
+            name: int(limit) if limit == int(limit) else limit for name, limit in named.items() if limit is not None
+        }
+
+    def __str__(self) -> str:
+        """Name the values, as ``a finite number > 0``."""
+        noun = "a whole number" if self.whole else "a finite number"
+        if self.least is not None and self.most is not None:
+            return f"{noun} from {self.least:.10g} to {self.most:.10g}"
+        named = ((" > ", self.above), (" >= ", self.least), (", at most ", self.most))
+        return noun + "".join(f"{sign}{limit:.10g}" for sign, limit in named if limit is not None)
+
+    def check(self, name: str, value: Any) -> float:
+        """Take any real number of these limits, also NumPy's, as Python's own.
+
+        Raises:
+            InvalidParameterError: the value is a bool, is no finite number, or lies outside the limits.
+        """
+        if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
+            raise InvalidParameterError(f"{name} is {value!r}: use {self}")
+        found = float(value)
+        low = found < self.least if self.least is not None else self.above is not None and found <= self.above
+        if low or (self.most is not None and found > self.most) or (self.whole and found != int(found)):
+            raise InvalidParameterError(f"{name} is {found:.10g}: use {self}")
+        return int(found) if self.whole else found
+
+
+class Text(NamedTuple):
+    """Texts that an option takes.
+
+    Attributes:
+        most: the largest number of characters.
+    """
+
+    most: int = 64
+
+    @property
+    def schema(self) -> dict[str, float]:
+        """The limit by the name that pydantic gives it."""
+        return {"max_length": self.most}
+
+    def check(self, name: str, value: Any) -> str:
+        """Take a text.
+
+        Raises:
+            InvalidParameterError: the value is no text, or is too long.
+        """
+        if not isinstance(value, str):
+            raise InvalidParameterError(f"{name} is {value!r}: give one name")
+        if len(value) > self.most:
+            raise InvalidParameterError(f"{name} has {len(value)} characters: use at most {self.most}")
+        return value
+
+
+class Words(NamedTuple):
+    """Words of which an option takes one."""
+
+    words: tuple[str, ...]
+
+    @property
+    def schema(self) -> dict[str, float]:
+        """Nothing: the type names the words."""
+        return {}
+
+    def check(self, name: str, value: Any) -> str:
+        """Take one of the words.
+
+        Raises:
+            InvalidParameterError: the value is none of them.
+        """
+        if not isinstance(value, str) or value not in self.words:
+            raise InvalidParameterError(f"{name} is {value!r}: use one of {', '.join(self.words)}")
+        return value
+
+
+class Flag(NamedTuple):
+    """Yes or no."""
+
+    @property
+    def schema(self) -> dict[str, float]:
+        """Nothing: the type says all."""
+        return {}
+
+    def check(self, name: str, value: Any) -> bool:
+        """Take True or False.
+
+        Raises:
+            InvalidParameterError: the value is neither.
+        """
+        if not isinstance(value, bool):
+            raise InvalidParameterError(f"{name} is {value!r}: use True or False")
+        return value
+
+
+class Option(NamedTuple):
+    """Declaration of an option.
+
+    Attributes:
+        help: one or two short sentences, for ``--help``, tools and settings alike.
+        takes: the values that it takes; None for an option that its group checks by itself.
+        metavar: placeholder of the value on the command line.
+        flag: its name on the command line; empty for the field's name without its unit.
+        keyword: its name as a keyword; empty for the field's name.
+        cli: whether the command line offers it.
+    """
+
+    help: str
+    takes: Limits | Text | Words | Flag | None = None
+    metavar: str = ""
+    flag: str = ""
+    keyword: str = ""
+    cli: bool = True
+
+
+def option(
+    help_text: str,
+    takes: Limits | Text | Words | Flag | None = None,
+    *,
+    metavar: str = "",
+    flag: str = "",
+    keyword: str = "",
+    cli: bool = True,
+) -> dict[str, Option]:
+    """Make the metadata of a dataclass field that is an option; see ``Option``."""
+    return metadata_of(Option(help_text, takes, metavar, flag, keyword, cli))
+
+
+def metadata_of(declared: Option) -> dict[str, Option]:
+    """Make the metadata of a dataclass field that is this option."""
+    return {_METADATA: declared}
+
+
+def option_of(field: Any) -> Option | None:
+    """Give the declaration of a dataclass field; None for a field that is no option."""
+    found: Option | None = field.metadata.get(_METADATA)
+    return found
+
+
+def keyword_of(field: Any) -> str:
+    """Give the name that a field has as a keyword."""
+    declared = option_of(field)
+    name: str = field.name
+    return declared.keyword or name if declared is not None else name
+
+
+def set_frozen(group: Any, name: str, value: Any) -> None:
+    """Set a field of a frozen group while it is being made."""
+    object.__setattr__(group, name, value)
+
+
+def check_fields(group: Any) -> None:
+    """Check the fields of a group by their declarations; None is taken where the field's type has it.
+
+    Raises:
+        InvalidParameterError: a value is none that its option takes.
+    """
+    for each in fields(group):
+        declared, value = option_of(each), getattr(group, each.name)
+        if declared is None or declared.takes is None or (value is None and str(each.type).endswith("| None")):
+            continue
+        set_frozen(group, each.name, declared.takes.check(keyword_of(each), value))

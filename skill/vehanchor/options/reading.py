@@ -1,0 +1,57 @@
+"""How an image is read: the option group ``Reading``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from vehanchor.errors import InvalidParameterError
+from vehanchor.options.image_limits import DECODED_BYTES_PER_PIXEL, ImageLimits
+from vehanchor.options.option import Flag, Limits, check_fields, option, set_frozen
+
+_MEGAPIXEL = 1_000_000
+_BAND = Limits(least=1, whole=True)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How an image is read.
+
+    Attributes:
+        bands: three 1-based bands to take as red, green, blue; None takes the first three.
+        limits: what an image may cost, checked before decoding.
+        bgr: arrays have blue, green and red, as OpenCV reads them.
+        max_megapixels: in the place of the limits' pixels and of the memory that decoding them takes; None leaves them.
+
+    Raises:
+        InvalidParameterError: a number has no meaning, or the bands are not three whole numbers >= 1.
+    """
+
+    bands: tuple[int, int, int] | None = field(
+        default=None,
+        metadata=option("Bands to take as red, green and blue, from 1. Default: the first three.", metavar="R G B"),
+    )
+    limits: ImageLimits = field(default_factory=ImageLimits)
+    bgr: bool = field(
+        default=False, metadata=option("Arrays have blue, green and red, as OpenCV reads them.", Flag(), cli=False)
+    )
+    max_megapixels: float | None = field(
+        default=None,
+        metadata=option(
+            "Decode images of up to this many megapixels whole. Default: 100.", Limits(above=0), metavar="MP"
+        ),
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if self.bands is not None:
+            try:
+                first, second, third = self.bands
+            except (TypeError, ValueError):
+                raise InvalidParameterError(f"bands is {self.bands!r}: give three, from 1") from None
+            set_frozen(self, "bands", tuple(_BAND.check("bands", band) for band in (first, second, third)))
+        if not isinstance(self.limits, ImageLimits):
+            raise InvalidParameterError(f"limits is {self.limits!r}: give vehanchor.ImageLimits(...)")
+        if self.max_megapixels is not None:
+            pixels = max(1, round(self.max_megapixels * _MEGAPIXEL))
+            memory = max(self.limits.max_decoded_bytes, DECODED_BYTES_PER_PIXEL * pixels)
+            set_frozen(self, "limits", replace(self.limits, max_pixels=pixels, max_decoded_bytes=memory))

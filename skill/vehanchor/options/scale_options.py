@@ -1,0 +1,129 @@
+"""All option groups together, taken alike by all verbs, commands and the server."""
+
+from __future__ import annotations
+
+from dataclasses import Field, dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from vehanchor.errors import InvalidParameterError
+from vehanchor.options.frame import Frame
+from vehanchor.options.lengths import Lengths
+from vehanchor.options.option import Option, keyword_of, option_of
+from vehanchor.options.reading import Reading
+from vehanchor.options.reference import Reference
+from vehanchor.options.rulers import KnownLength, Rulers
+from vehanchor.options.search import Search
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+@dataclass(frozen=True)
+class ScaleOptions:
+    """All groups; the defaults are the paper's, or the model's own where that is None.
+
+    Attributes:
+        search: how the image is searched.
+        lengths: how lengths become one.
+        reference: where the reference length comes from.
+        frame: the caller's resized copy.
+        reading: how the image is read.
+        rulers: what the scale is taken from.
+    """
+
+    search: Search = field(default_factory=Search)
+    lengths: Lengths = field(default_factory=Lengths)
+    reference: Reference = field(default_factory=Reference)
+    frame: Frame = field(default_factory=Frame)
+    reading: Reading = field(default_factory=Reading)
+    rulers: Rulers = field(default_factory=Rulers)
+
+    def __post_init__(self) -> None:
+        if self.frame.coordinates == "pixels":
+            self.rulers.check_lengths()
+
+    def in_pixels(self, width_px: int, height_px: int) -> ScaleOptions:
+        """The same choices with the lines of known length in pixels of the frame, or of the image where none is named.
+
+        Args:
+            width_px: of the image.
+            height_px: of the image.
+
+        Raises:
+            KnownLengthError: a line is shorter than five pixels, or leaves the picture.
+        """
+        picture = self.frame.size or (width_px, height_px)
+        extent = self.frame.extent(width_px, height_px)
+        across, down = picture[0] / extent[0], picture[1] / extent[1]
+        lines = tuple(
+            KnownLength(line.x1 * across, line.y1 * down, line.x2 * across, line.y2 * down, line.metres)
+            for line in self.rulers.known_lengths
+        )
+        told = self
+        if lines and self.frame.coordinates != "pixels":
+            told = replace(
+                self, rulers=replace(self.rulers, known_lengths=lines), frame=replace(self.frame, coordinates="pixels")
+            )
+        told.rulers.check(*picture)
+        return told
+
+    @classmethod
+    def of(cls, keywords: Mapping[str, Any]) -> ScaleOptions:
+        """Make the groups that hold the verbs' keywords (``OptionKeywords``).
+
+        Raises:
+            InvalidParameterError: a value has no meaning, or there is no such option.
+        """
+        return cls().with_keywords(keywords)
+
+    def with_keywords(self, keywords: Mapping[str, Any]) -> ScaleOptions:
+        """Give the same options with other values of single fields (``OptionKeywords``).
+
+        Raises:
+            InvalidParameterError: a value is invalid, or there is no such option.
+        """
+        rest, groups = dict(keywords), {each.name: getattr(self, each.name) for each in fields(self)}
+        for name, group in groups.items():
+            known = {each.name: keyword_of(each) for each in fields(group)}
+            changes = {key: rest.pop(word) for key, word in known.items() if word in rest}
+            groups[name] = replace(group, **changes) if changes else group
+        if rest:
+            names = ", ".join(sorted(each.keyword for each in declared_options()))
+            raise InvalidParameterError(f"there is no option {next(iter(rest))!r}: the options are {names}")
+        return ScaleOptions(**groups)
+
+
+class DeclaredOption(NamedTuple):
+    """An option of a group.
+
+    Attributes:
+        keyword: its name as a keyword of the verbs.
+        field: the field of the group.
+        group: the group.
+        declared: its declaration; None for an option of the library alone.
+    """
+
+    keyword: str
+    field: Field[Any]
+    group: type[Any]
+    declared: Option | None
+
+
+def declared_options() -> tuple[DeclaredOption, ...]:
+    """List the options of all groups."""
+    groups = (Search, Lengths, Reference, Frame, Reading, Rulers)
+    return tuple(
+        DeclaredOption(keyword_of(each), each, group, option_of(each)) for group in groups for each in fields(group)
+    )
+
+
+def declared_option(keyword: str) -> Option:
+    """Find the declaration of an option by its keyword.
+
+    Raises:
+        KeyError: there is no such option.
+    """
+    found = next((each.declared for each in declared_options() if each.keyword == keyword), None)
+    if found is None:
+        raise KeyError(keyword)
+    return found

@@ -1,0 +1,212 @@
+"""One engine holds what is loaded; the package's verbs are its methods."""
+
+from __future__ import annotations
+
+import inspect
+import threading
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vehanchor
+import vehanchor.aio
+from tests.models import blank_image, paint_vehicles, write_detector
+from tests.sam_models import write_sam
+from tests.tiles import watched_tiles
+from vehanchor import Cancellation, Engine, Runtime, ScaleOptions
+from vehanchor.detection.detector import Detector
+from vehanchor.errors import InvalidParameterError, ModelNotFoundError, VehAnchorError
+from vehanchor.segmentation.segmenter import Segmenter
+
+BOX = (300.0, 150.0, 371.0, 190.0)
+PATH = [(10.0, 20.0), (310.0, 420.0)]
+VERBS = {
+    "estimate_gsd": "estimate",
+    "analyse_scale": "analyse_scale",
+    "measure_area": "measure_area",
+    "analyse_area": "analyse_area",
+    "measure_distance": "measure_distance",
+    "analyse_distance": "analyse_distance",
+    "estimate_flight": "flight",
+}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a detector, m.onnx, and a segmenter."""
+    folder = tmp_path_factory.mktemp("models")
+    write_detector(folder / "m.onnx")
+    write_sam(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def segmenter(files: Path) -> tuple[Path, Path]:
+    encoder, decoder = write_sam(files)
+    return encoder, decoder
+
+
+@pytest.fixture
+def engine(files: Path, segmenter: tuple[Path, Path]) -> Engine:
+    return Engine(files / "m.onnx", segmenter)
+
+
+def _place() -> np.ndarray:
+    image = blank_image(800, 600)
+    boxes = [[40 + 70 * (k % 10), 40 + 60 * (k // 10), 30 + 0.1 * k, 12, 0.4] for k in range(30)]
+    paint_vehicles(image, np.array(boxes))
+    return image
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[type]:
+    """The classes of models that are opened, in order."""
+    found: list[type] = []
+    for kind in (Detector, Segmenter):
+        original = kind.__init__
+
+        def noted(self: Any, *args: Any, _original: Any = original, _kind: type = kind, **keywords: Any) -> None:
+            found.append(_kind)
+            _original(self, *args, **keywords)
+
+        monkeypatch.setattr(kind, "__init__", noted)
+    return found
+
+
+def test_each_model_is_loaded_once_and_not_before_it_is_needed(
+    tmp_path: Path, segmenter: tuple[Path, Path], opened: list[type]
+) -> None:
+    engine = Engine(write_detector(tmp_path / "once.onnx"), segmenter, runtime=Runtime(threads=3))
+    assert opened == []
+    image = _place()
+    estimate = engine.estimate(image)
+    assert opened == [Detector]
+    engine.measure_distance(image, PATH)
+    engine.measure_area(image, box=BOX, scale=estimate)
+    engine.replace(runtime=Runtime(threads=3, progress=lambda _done, _total: None)).measure_area(image, box=BOX)
+    assert opened == [Detector, Segmenter]
+
+
+def test_a_known_scale_needs_no_detector(tmp_path: Path, segmenter: tuple[Path, Path]) -> None:
+    engine = Engine(tmp_path / "nowhere.onnx", segmenter)
+    assert engine.measure_area(_place(), box=BOX, gsd_m_per_px=0.1).scale_source == "given"
+    assert engine.measure_distance(_place(), PATH, gsd_m_per_px=0.1).distance_m == pytest.approx(50)
+    with pytest.raises(ModelNotFoundError):
+        engine.estimate(_place())
+
+
+def test_many_threads_share_one_engine(tmp_path: Path, opened: list[type]) -> None:
+    engine = Engine(write_detector(tmp_path / "shared.onnx"), classes=["small vehicle"])
+    together = threading.Barrier(4)
+
+    def estimate(_: int) -> str:
+        together.wait()
+        return engine.estimate(_place()).model_dump_json()
+
+    with ThreadPoolExecutor(4) as pool:
+        records = set(pool.map(estimate, range(4)))
+    assert opened == [Detector]
+    assert len(records) == 1
+
+
+def test_a_cancellation_ends_the_call_that_it_belongs_to_and_no_other(engine: Engine) -> None:
+    cancellation, image = Cancellation(), _place()
+
+    def cancel(done: int, _total: int) -> None:
+        if done == 2:
+            cancellation.cancel()
+
+    with watched_tiles() as tiles, pytest.raises(CancelledError):
+        engine.estimate(image, tile_px=128, stride_px=96, progress=cancel, cancellation=cancellation)
+    assert tiles.n_begun <= 3
+    with pytest.raises(CancelledError):
+        engine.measure_area(image, box=BOX, gsd_m_per_px=0.1, cancellation=cancellation)
+    assert engine.estimate(image).status == "ok"
+
+
+def test_a_cancelled_flight_ends_and_its_journal_resumes(engine: Engine, tmp_path: Path) -> None:
+    import cv2
+
+    paths = [str(tmp_path / f"{name}.png") for name in "abc"]
+    for k, path in enumerate(paths):
+        cv2.imwrite(path, np.roll(_place(), 5 * k, axis=1)[:, :, ::-1])
+    cancellation, told = Cancellation(), []
+
+    def cancel(done: int, total: int) -> None:
+        told.append((done, total))
+        if done == 2:
+            cancellation.cancel()
+
+    journal = tmp_path / "flight.journal"
+    with pytest.raises(CancelledError):
+        engine.flight(paths, same_scale=True, journal=journal, progress=cancel, cancellation=cancellation)
+    assert told == [(0, 3), (1, 3), (2, 3)], "photographs are counted, not tiles"
+    assert journal.exists()
+    with watched_tiles() as tiles:
+        record = engine.flight(paths, same_scale=True, journal=journal)
+    assert tiles.n_begun == 1, "two photographs were known"
+    assert record == engine.flight(paths, same_scale=True)
+
+
+@pytest.mark.parametrize(("verb", "method"), VERBS.items())
+def test_a_verb_takes_what_its_method_takes(verb: str, method: str) -> None:
+    own = inspect.signature(getattr(Engine, method), eval_str=False)
+    parameters = [each for name, each in own.parameters.items() if name != "self"]
+    assert list(inspect.signature(getattr(vehanchor, verb)).parameters.values()) == parameters
+
+
+def test_a_verb_gives_what_its_method_gives(engine: Engine, files: Path, segmenter: tuple[Path, Path]) -> None:
+    image, detector = _place(), files / "m.onnx"
+    estimate = engine.estimate(image)
+    assert estimate == vehanchor.estimate_gsd(image, detector=detector, threads=1)
+    assert [estimate, estimate] == vehanchor.estimate_gsd([image, image], detector=detector)
+    area = vehanchor.measure_area(image, box=BOX, detector=detector, segmenter=segmenter)
+    assert engine.measure_area(image, box=BOX) == area == engine.analyse_area(image, box=BOX).measurement
+    distance = vehanchor.measure_distance(image, PATH, detector=detector)
+    assert engine.measure_distance(image, PATH) == distance == engine.analyse_distance(image, PATH).measurement
+    flight = vehanchor.estimate_flight([image, image[::-1]], detector=detector, same_scale=True)
+    assert engine.flight([image, image[::-1]], same_scale=True) == flight
+
+
+def test_keywords_change_single_fields_of_the_engines_options(files: Path) -> None:
+    image = _place()
+    chosen = Engine(files / "m.onnx", options=ScaleOptions.of({"reference_length_m": 4.0, "alpha": None}))
+    assert chosen.estimate(image).reference_length_m == 4.0
+    assert chosen.estimate(image, frame_width_px=400, frame_height_px=300).reference_length_m == 4.0
+    assert chosen.estimate(image, reference_length_m=5.0).reference_length_m == 5.0
+    assert chosen.estimate(image, ScaleOptions()) == Engine(files / "m.onnx").estimate(image)
+    with pytest.raises(InvalidParameterError, match="there is no option 'regoin'"):
+        chosen.estimate(image, regoin="europe")  # type: ignore[call-overload]
+
+
+def test_a_loaded_detector_is_taken_as_it_is(files: Path) -> None:
+    detector = Detector(files / "m.onnx", runtime=Runtime(threads=1))
+    engine = Engine(detector)
+    assert engine.detector is detector
+    assert engine.replace(runtime=Runtime(threads=2)).detector is detector
+    bound = engine.replace(runtime=Runtime(cancellation=Cancellation())).detector
+    assert bound.runtime.cancellation is not None
+    assert (bound.runtime, bound.card) == (detector.runtime, detector.card)
+    assert detector.runtime.cancellation is None
+
+
+def test_a_segmenter_is_two_paths_or_one_that_is_loaded(files: Path, segmenter: tuple[Path, Path]) -> None:
+    assert Engine(segmenter=Segmenter(*segmenter)).segmenter.card == Engine(segmenter=segmenter).segmenter.card
+    with pytest.raises(InvalidParameterError, match="give two paths"):
+        _ = Engine(segmenter="encoder.onnx").segmenter  # type: ignore[arg-type]
+
+
+def test_load_fails_before_the_work(tmp_path: Path) -> None:
+    with pytest.raises(VehAnchorError):
+        Engine(tmp_path / "nowhere.onnx").load()
+    with pytest.raises(ModelNotFoundError, match="int8"):
+        Engine("vehicles-none", runtime=Runtime(precision="int8")).load()
+
+
+@pytest.mark.parametrize("threads", [0, 257, 1.5, True, "2"])
+def test_a_runtime_without_meaning_is_refused_before_any_model_is_opened(threads: Any) -> None:
+    with pytest.raises(InvalidParameterError, match="whole number from 1 to 256"):
+        vehanchor.estimate_gsd(_place(), threads=threads)
