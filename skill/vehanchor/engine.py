@@ -33,6 +33,7 @@ from vehanchor.measure.resolved_scale import given_scale
 from vehanchor.models.runtime import Runtime, RuntimeKeywords
 from vehanchor.models.zoo import resolve_model, resolve_segmenter
 from vehanchor.options import OptionKeywords, ScaleOptions
+from vehanchor.rulers.registry import check_rulers
 from vehanchor.segmentation.prompt import read_prompt
 from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
 
@@ -361,7 +362,9 @@ class Engine:
         models: dict[str, Any] = {name: own.pop(name) for name in ("detector", "segmenter") if name in own}
         engine = self.replace(**models, runtime=self.runtime.with_keywords(own)) if own or models else self
         rest = {name: value for name, value in keywords.items() if name not in _OWN_KEYWORDS}
-        return engine, (options or self.options).with_keywords(rest)
+        chosen = (options or self.options).with_keywords(rest)
+        check_rulers(chosen.rulers)
+        return engine, chosen
 
     def _scale_input(self, known: tuple[Any, Any], options: ScaleOptions) -> ScaleInput:
         """The scale that the caller gives, else the detector that finds it."""

@@ -2,26 +2,38 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
+from typer.testing import CliRunner
 
+import vehanchor
 from tests.analyses import made_card
 from tests.conftest import ROOT
 from tests.docs.documents import blocks
+from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.cli.app import app
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.detections import Detections, Objects
+from vehanchor.errors import InvalidParameterError
 from vehanchor.estimate import analyse_detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
+from vehanchor.records import GsdEstimate
+from vehanchor.records.flat import flat_row
 from vehanchor.rulers.evidence import View
-from vehanchor.rulers.registry import RULERS, ruler_class
+from vehanchor.rulers.registry import RULERS, ruler_class, rulers_help
 from vehanchor.scale.plane import GroundPlane
+from vehanchor_server.app_page.page import page_html
+from vehanchor_server.tools.messages import ruler_explanations, ruler_names
 
 LENGTH_PX, GSD = 800.0, 176.91 / 800.0
 WIDTH_PX = LENGTH_PX * 92.52 / 176.91
@@ -111,3 +123,75 @@ def test_a_ruler_that_cannot_use_the_plane_gives_no_evidence_on_a_tilted_photogr
     (warning,) = (each for each in record.warnings if each.code == "ruler_needs_nadir")
     assert warning.message.startswith("The camera was tilted by 40 degrees: the ruler running track is left out")
     assert not any(each.code == "ruler_needs_nadir" for each in _analysed(300.0, camera=TILTED).estimate.warnings)
+
+
+@pytest.fixture
+def detector(tmp_path: Path) -> Path:
+    """A detector that knows running tracks."""
+    return write_detector(tmp_path / "tracks.onnx", names={0: "small-vehicle", 1: "ground-track-field"})
+
+
+@pytest.fixture
+def photograph(tmp_path: Path) -> Path:
+    """A photograph of a running track, 200 px long, and of no car."""
+    image = blank_image(400, 400)
+    paint_vehicles(image, [[200, 200, 200, 200 * 92.52 / 176.91, 0.0]], classes=[1])
+    path = tmp_path / "track.png"
+    Image.fromarray(image).save(path)
+    return path
+
+
+@pytest.mark.usefixtures("track")
+def test_the_verb_searches_for_it_and_the_record_its_table_and_its_schema_name_it(
+    detector: Path, photograph: Path
+) -> None:
+    record = vehanchor.estimate_gsd(photograph, detector=str(detector), rulers=("track",))
+    assert (record.leading_ruler, record.n_vehicles, record.tiles_searched) == ("track", 0, 1)
+    assert record.gsd_m_per_px == pytest.approx(176.91 / 200, rel=0.02)
+    assert flat_row(record)["ruler_track_gsd_m_per_px"] == record.rulers[0].gsd_m_per_px
+    assert "track" in GsdEstimate.model_json_schema()["$defs"]["RulerScale"]["properties"]["kind"]["enum"]
+    assert GsdEstimate.model_validate_json(record.model_dump_json()) == record
+
+
+@pytest.mark.usefixtures("track")
+def test_a_flight_pools_it_and_its_error_as_the_class_says(detector: Path, photograph: Path) -> None:
+    again = photograph.with_name("again.png")
+    shutil.copy(photograph, again)
+    flight = vehanchor.estimate_flight([photograph, again], same_scale=True, detector=str(detector), rulers=("track",))
+    assert flight.gsd_m_per_px == pytest.approx(176.91 / 200, rel=0.02)
+    assert flight.photographs[0].rulers[0].ruler == "track"
+    one = vehanchor.estimate_gsd(photograph, detector=str(detector), rulers=("track",))
+    both = flight.components[0].pooled
+    widths = [
+        np.log(each.gsd_ci95_high_m_per_px / each.gsd_ci95_low_m_per_px)
+        for each in (one, both)
+        if each.gsd_ci95_high_m_per_px and each.gsd_ci95_low_m_per_px
+    ]
+    assert widths[0] / widths[1] == pytest.approx(2**0.25, rel=0.05)  # two photographs count as 2 ** 0.5
+
+
+@pytest.mark.usefixtures("track")
+def test_the_command_takes_it_and_shows_it(detector: Path, photograph: Path) -> None:
+    assert "track" in rulers_help()
+    done = CliRunner().invoke(app, ["estimate", str(photograph), "--detector", str(detector), "--rulers", "track"])
+    assert done.exit_code == 0
+    assert "running track 0.8" in done.stdout
+
+
+@pytest.mark.usefixtures("track")
+def test_the_server_names_it_in_sentences_and_the_page_by_its_label() -> None:
+    record = _analysed().estimate
+    assert ruler_names(record) == "running track"
+    assert ruler_explanations(record)[0].startswith("A running track")
+    assert "ruler.label" in page_html()
+
+
+def test_a_plot_draws_it_in_its_colour(track: Any) -> None:
+    figure = _analysed().plot()
+    lines = {line.get_label(): line.get_color() for axes in figure.axes for line in axes.get_lines()}
+    assert lines["running track 0.221"] == track.colour
+
+
+def test_a_ruler_that_is_not_registered_is_refused_before_the_work() -> None:
+    with pytest.raises(InvalidParameterError, match="use some of vehicles"):
+        vehanchor.estimate_gsd("none.png", detector="nowhere.onnx", rulers=("track",))

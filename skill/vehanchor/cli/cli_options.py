@@ -24,6 +24,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.models.precision import Precision
 from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Rulers, ScaleOptions, Search, models
 from vehanchor.options.frame import FRAME
+from vehanchor.options.method import Method
 from vehanchor.options.option import Option, metadata_of, option_of
 from vehanchor.rulers.registry import rulers_help
 
@@ -88,6 +89,7 @@ _GROUPS: tuple[tuple[type[Any], str], ...] = (
     (Frame, "Reading the image"),
     (Reading, "Reading the image"),
     (Rulers, "Other rulers"),
+    (Method, "Method"),
 )
 _NEEDED_FIRST = ("region", "known_lengths", "height_m", "frame")  # what helps without knowing the method
 _FIRST_PANEL = "What helps most"

@@ -201,7 +201,8 @@ class Vehicles(Ruler):
         guard_px = guard_length(reference.length_m, card.min_length_px)
         resolved = view.resolved_share(fleet.centres, fleet.working_scale or 1.0)
         seen_px = (mode_px or math.nan) * (fleet.working_scale or 1.0)  # as the model saw them
-        unresolved = seen_px >= guard_px > seen_px * resolved
+        exact = view.options.method.preset == "paper"  # nothing that the paper does not have
+        unresolved = not exact and seen_px >= guard_px > seen_px * resolved
         guarded = seen_px < guard_px or unresolved
         doubts = _doubts(fleet, card)
         terms = confidence_terms(
@@ -221,7 +222,7 @@ class Vehicles(Ruler):
                 *([_detail_missing(seen_px, resolved, guard_px)] if unresolved else []),
                 *doubts,
             ),
-            density=_density(detections, card, reference),
+            density=None if exact else _density(detections, card, reference),
             fleet=fleet,
             reference=reference,
             mode_length_px=mode_px,
@@ -231,6 +232,7 @@ class Vehicles(Ruler):
             guarded=guarded,
             resolved=resolved,
             sharpness=1.0 if card.votes is None else card.votes.sharpness,
+            uncapped=exact,
         )
 
     def not_measured(self, view: View) -> VehicleEvidence:
