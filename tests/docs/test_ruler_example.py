@@ -1,4 +1,4 @@
-"""The running track of docs/how-to/rulers.md: one file and one line in the registry make a ruler."""
+"""The running track of docs/how-to/add-a-ruler.md: one file and one line in the registry make a ruler."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ TILTED = CameraMetadata(focal_px=900.0, taken_width_px=1000, taken_height_px=800
 @pytest.fixture
 def track(monkeypatch: pytest.MonkeyPatch) -> Any:
     """The class of the how-to, registered."""
-    (text,) = (block.text for block in blocks(ROOT / "docs/how-to/rulers.md") if "class Track" in block.text)
+    (text,) = (block.text for block in blocks(ROOT / "docs/how-to/add-a-ruler.md") if "class Track" in block.text)
     module = ModuleType("track_of_the_docs")
     exec(compile(text, "track.py", "exec"), module.__dict__)
     monkeypatch.setitem(sys.modules, module.__name__, module)
@@ -159,7 +159,7 @@ def test_a_flight_pools_it_and_its_error_as_the_class_says(detector: Path, photo
     shutil.copy(photograph, again)
     flight = vehanchor.estimate_flight([photograph, again], same_scale=True, detector=str(detector), rulers=("track",))
     assert flight.gsd_m_per_px == pytest.approx(176.91 / 200, rel=0.02)
-    assert flight.photographs[0].rulers[0].ruler == "track"
+    assert flight.photographs[0].supported_by[0].ruler == "track"
     one = vehanchor.estimate_gsd(photograph, detector=str(detector), rulers=("track",))
     both = flight.components[0].pooled
     widths = [
