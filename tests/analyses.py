@@ -9,8 +9,9 @@ from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detections import Detections
 from vehanchor.estimate import analyse_detections
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.evidence import View
 from vehanchor.scale.defaults import Aggregation
 
 

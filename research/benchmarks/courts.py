@@ -28,8 +28,8 @@ from vehanchor.courts.find import find_courts
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import load_scene_scale
-from vehanchor.estimate import image_facts
 from vehanchor.imagery.detail import resolved_share
+from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
@@ -179,7 +179,7 @@ def processor_time(card: DetectorCard, rounds: int) -> list[str]:
 
 def _seconds(view: View) -> float:
     begun = time.process_time()
-    Courts().look(view)
+    Courts().measure(view)
     return time.process_time() - begun
 
 
@@ -203,9 +203,10 @@ def added_time(rounds: int) -> list[str]:
     assert network is not None
     for _ in range(rounds):
         with open_raster(image) as raster:
-            detections = Detections(np.zeros((0, 5)), np.zeros(0), scene=network.look(raster))
+            detections = Detections(np.zeros((0, 5)), np.zeros(0))
+            prior = network.look(raster)
             started = time.process_time()
-            find_courts(raster, detections, detector.card)
+            find_courts(raster, detections, detector.card, prior)
             apart.append(time.process_time() - started)
     return values_table(
         {

@@ -38,10 +38,10 @@ from vehanchor.flight.matching import match
 from vehanchor.flight.pairs import candidate_pairs
 from vehanchor.flight.photograph import Look, Photograph, chief_member
 from vehanchor.flight.record import Failure, conclude_flight
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.evidence import ImageFacts
 from vehanchor.storage.stored import from_json, to_json
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def looked_at(
             (seen,) = search_flight([InputPhotograph(name, pixels)], detector, ScaleOptions())
             if isinstance(seen, Failure):
                 raise seen.error
-            look = Look.of(seen.view.image, seen.view.detections, seen.analysis)
+            look = Look.of(seen.view, seen.analysis)
             if known is not None:
                 known.write_text(json.dumps(to_json(look)))
         else:
@@ -146,7 +146,7 @@ def pooled(data: Path, split: str, flights: int, cache: Path | None) -> None:
                 again = [
                     Photograph.of(
                         each.name,
-                        Look.of(each.view.image, each.view.detections, each.analysis),
+                        Look.of(each.view, each.analysis),
                         detector.card,
                         given,
                     )

@@ -24,8 +24,8 @@ from vehanchor.errors import ImageError
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
+from vehanchor.rulers.decision import fuse_rulers, shares
 from vehanchor.rulers.evidence import Evidence
-from vehanchor.rulers.fused import fuse_rulers
 from vehanchor.rulers.lognormal import lognormal_evidence
 from vehanchor.verbs import analyse_scale
 from vehanchor_evaluation.table import read_table
@@ -146,10 +146,12 @@ def row(case: Case, seen: Sequence[Seen]) -> str:
             told, truth = drawn(rng, image, case)
             fused = fuse_rulers(told)
             assert fused is not None
+            assert fused.p_within_20 is not None
+            agreeing = shares(told, fused.gsd_m_per_px, fused.multiplied)
             errors.append(abs(fused.gsd_m_per_px / truth - 1))
             held.append(fused.interval.low <= truth <= fused.interval.high)
             chances.append(fused.p_within_20)
-            flagged.append(any(ruler.kind == case.liar and not ruler.agrees for ruler in fused.rulers))
+            flagged.append(any(ruler.kind == case.liar and not ruler.agrees for ruler in agreeing))
     off = np.array(errors)
     named = f"{100 * np.mean(flagged):.1f} %" if case.liar else ""
     return (

@@ -28,12 +28,13 @@ from vehanchor.detection.levels import search_levels
 from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_shares
 from vehanchor.detection.search import search
 from vehanchor.detection.tile_prior import car_prior, tile_prior_of
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions, Search
 from vehanchor.rulers.decision import convergence, decide
-from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.evidence import View
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.fusion import GRID
 
@@ -154,9 +155,9 @@ def outcome(mosaic: Mosaic, detector: Detector, options: ScaleOptions) -> Outcom
             visited += 1
         if rule.share is not None and due <= visited < most:
             due = next_check(visited)
-            checks.append(convergence(Vehicles().look(view(detections=mosaic.detections(found))), ()))
+            checks.append(convergence(Vehicles().measure(view(detections=mosaic.detections(found))), ()))
             done = settled(checks, rule)
-    evidence = Vehicles().look(view(detections=mosaic.detections(found)))
+    evidence = Vehicles().measure(view(detections=mosaic.detections(found)))
     told = decide(evidence, ())
     if told.gsd_m_per_px is None or told.interval is None:
         return Outcome(visited / len(places), math.nan, False, math.inf, done)

@@ -25,23 +25,25 @@ import numpy as np
 from research.benchmarks.flights import read, spoiled
 from research.results.record import add_record_option, recording
 from vehanchor.detection.detections import Detections
-from vehanchor.detection.scene_scale import load_scene_scale
+from vehanchor.detection.scene_scale import SceneScalePrior, load_scene_scale
 from vehanchor.detection.search import search
 from vehanchor.engine import Engine
 from vehanchor.errors import TooObliqueError
-from vehanchor.estimate import analyse_detections, image_facts
+from vehanchor.estimate import analyse_detections
 from vehanchor.imagery.detail import resolved_share
+from vehanchor.imagery.facts import ImageFacts, image_facts
 from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.metadata.lens import equivalent_lens
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.options import ScaleOptions
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.camera import MAX_OFF_NADIR_DEG, equivalent_lens
-from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.evidence import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.storage.stored import from_json, to_json
-from vehanchor.tilt.camera_tilt import plane_of_record
-from vehanchor.tilt.vehicle_cue import LEAST_CARS, SURE, tilt_from_vehicles
+from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, plane_of_record
+from vehanchor.tilt.estimate import NEARLY_CERTAIN, tilt_from_vehicles
+from vehanchor.tilt.vehicle_cue import LEAST_CARS
 from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
@@ -69,29 +71,32 @@ _CANNES_COLUMNS = 49
 
 
 class Aside(NamedTuple):
-    """A tilted view with its truth; ``detections`` holds the detections."""
+    """A tilted view with its truth, its detections and its scene-scale prior."""
 
     image: NDArray[np.uint8]
     plane: GroundPlane
     detections: Detections
+    prior: SceneScalePrior | None = None
 
 
-def looked_at(image: ImageSource, detector: Detector, cache: Path | None) -> tuple[ImageFacts, Detections]:
-    """Facts and detections of an image, from the cache if it was searched before."""
+def looked_at(
+    image: ImageSource, detector: Detector, cache: Path | None
+) -> tuple[ImageFacts, Detections, SceneScalePrior | None]:
+    """Facts, detections and prior of an image, from the cache if it was searched before."""
     with open_raster(image) as raster:
         facts = image_facts(raster)
         key = hashlib.sha256(f"{detector.card.sha256} {facts.image_id}".encode()).hexdigest()[:24]
         known = None if cache is None else cache / f"seen_{key}.json"
         if known is not None and known.exists():
-            found = from_json(json.loads(known.read_text()))
-            return facts, found
+            detections, prior = from_json(json.loads(known.read_text()))
+            return facts, detections, prior
         network = load_scene_scale(detector.runtime)
-        scene = None if network is None else network.look(raster)
-        detections = search(raster, detector, ScaleOptions().search, scene=scene)
+        prior = None if network is None else network.look(raster)
+        detections = search(raster, detector, ScaleOptions().search, scene=prior)
     if known is not None:
         known.parent.mkdir(parents=True, exist_ok=True)
-        known.write_text(json.dumps(to_json(detections)))
-    return facts, detections
+        known.write_text(json.dumps(to_json((detections, prior))))
+    return facts, detections, prior
 
 
 def seen_aside(ground: NDArray[np.uint8], plane: GroundPlane, aim: ArrayLike | None = None) -> NDArray[np.uint8]:
@@ -146,7 +151,7 @@ def estimated(
     with open_raster(aside.image) as raster:
         facts = ImageFacts(raster.width_px, raster.height_px, camera=camera)
         share = partial(resolved_share, raster)
-        view = View(facts, aside.detections, detector.card, options or ScaleOptions(), share, raster)
+        view = View(facts, aside.detections, detector.card, options or ScaleOptions(), share, raster, prior=aside.prior)
         try:
             return analyse_detections(view).estimate
         except TooObliqueError:
@@ -213,12 +218,12 @@ def _row(
     focal = equivalent_lens(*_SIZE, float(rng.choice(_FOCALS_35MM[tilt > _WIDEST_AT_DEG :]))).pixels
     plane = GroundPlane(gsd, tilt, focal, *_SIZE, float(rng.uniform(-10, 10)))
     image = np.ascontiguousarray(spoiled(seen_aside(ground, plane), rng)[:, :, ::-1])
-    aside = Aside(image, plane, looked_at(image, detector, cache)[1])
+    aside = Aside(image, plane, *looked_at(image, detector, cache)[1:])
     found: dict[str, float] = {}
     known, unknown = (tilt_from_vehicles(aside.detections, *_SIZE, each) for each in (focal, None))
     if known is not None and unknown is not None:
         found |= {"known": abs(known.tilt_deg - tilt), "unknown": abs(unknown.tilt_deg - tilt)}
-        found["warned"] = float(unknown.chance_above(MAX_OFF_NADIR_DEG) >= SURE)
+        found["warned"] = float(unknown.chance_above(NADIR_TOLERANCE_DEG) >= NEARLY_CERTAIN)
     camera = told(plane, rng)
     bare = ScaleOptions.of({"rulers": ("vehicles", "scene_scale", "camera")})  # no court is in these tiles
     plain = estimated(aside, None, detector, bare)
@@ -326,11 +331,13 @@ def real(data: Path, detector: Detector, cache: Path | None) -> None:
     print("|---|---|---|---|---|---|---|---|")
     for row in listed:
         pitch, path = float(row["camera_pitch_deg"]), data / "tilt" / row["file"]
-        facts, detections = looked_at(path, detector, cache)
+        facts, detections, prior = looked_at(path, detector, cache)
         alone = tilt_from_vehicles(detections, facts.width_px, facts.height_px)
         said = "-" if alone is None else f"{alone.tilt_deg:.0f} ({alone.low_deg:.0f} to {alone.high_deg:.0f})"
         with open_raster(path) as raster:
-            view = View(facts, detections, detector.card, ScaleOptions(), partial(resolved_share, raster), raster)
+            view = View(
+                facts, detections, detector.card, ScaleOptions(), partial(resolved_share, raster), raster, prior=prior
+            )
             try:
                 analysis = analyse_detections(view)
             except TooObliqueError:
@@ -353,8 +360,8 @@ def nadir(data: Path, split: str, least: int, detector: Detector, cache: Path | 
     print("|---|---|---|---|---|---|---|---|")
     rows: dict[str, list[dict[str, float]]] = {}
     for name, image in from_above(data, split, least):
-        facts, detections = looked_at(image, detector, cache)
-        seen = Aside(image, GroundPlane(1.0, 0.0, 1.0, facts.width_px, facts.height_px), detections)
+        facts, detections, prior = looked_at(image, detector, cache)
+        seen = Aside(image, GroundPlane(1.0, 0.0, 1.0, facts.width_px, facts.height_px), detections, prior)
         lens = equivalent_lens(facts.width_px, facts.height_px, _FOCALS_35MM[1]).pixels
         known = CameraMetadata(focal_px=lens, taken_width_px=facts.width_px, taken_height_px=facts.height_px)
         found: dict[str, float] = {}

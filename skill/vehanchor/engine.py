@@ -24,7 +24,7 @@ from vehanchor.courts.proposals import load_court_network
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.errors import InvalidParameterError
-from vehanchor.estimate import analyse_image, check_region
+from vehanchor.estimate import analyse_image, checked_detector
 from vehanchor.flight.estimate import analyse_flight
 from vehanchor.flight.inputs import check_many
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
@@ -34,6 +34,7 @@ from vehanchor.measure.resolved_scale import given_scale
 from vehanchor.models.runtime import Runtime, RuntimeKeywords
 from vehanchor.models.zoo import resolve_model, resolve_segmenter
 from vehanchor.options import OptionKeywords, ScaleOptions
+from vehanchor.rulers.registry import check_rulers
 from vehanchor.segmentation.prompt import read_prompt
 from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
 
@@ -237,7 +238,7 @@ class Engine:
             CancelledError: the call was cancelled (``concurrent.futures``).
         """
         engine, chosen = self._call(options, keywords)
-        detector = check_region(engine.detector, chosen)
+        detector = checked_detector(engine.detector, chosen)
         if isinstance(image, list | tuple):
             return [analyse_image(each, detector, chosen).estimate for each in image]
         return analyse_image(image, detector, chosen).estimate
@@ -247,7 +248,7 @@ class Engine:
     ) -> ScaleAnalysis:
         """As ``estimate`` of one image; returns the detections and the evidence behind the record, too."""
         engine, chosen = self._call(options, keywords)
-        return analyse_image(image, check_region(engine.detector, chosen), chosen)
+        return analyse_image(image, checked_detector(engine.detector, chosen), chosen)
 
     def measure_area(
         self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[AreaKeywords]
@@ -363,12 +364,14 @@ class Engine:
         models: dict[str, Any] = {name: own.pop(name) for name in ("detector", "segmenter") if name in own}
         engine = self.replace(**models, runtime=self.runtime.with_keywords(own)) if own or models else self
         rest = {name: value for name, value in keywords.items() if name not in _OWN_KEYWORDS}
-        return engine, (options or self.options).with_keywords(rest)
+        chosen = (options or self.options).with_keywords(rest)
+        check_rulers(chosen.rulers)
+        return engine, chosen
 
     def _scale_input(self, known: tuple[Any, Any], options: ScaleOptions) -> ScaleInput:
         """The scale that the caller gives, else the detector that finds it."""
         given = given_scale(*known, options)
-        return check_region(self.detector, options) if given is None else given
+        return checked_detector(self.detector, options) if given is None else given
 
 
 class _OnDemand(Generic[T]):

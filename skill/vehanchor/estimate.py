@@ -1,9 +1,9 @@
 """One photograph to its scale: the geometric perception skill.
 
-    image -> raster -> search -> sighting -> rulers -> evidence -> conclude -> record
+    image -> raster -> prior -> search -> tilt -> rulers -> decision -> record
 
-Stateless but for loaded models, and deterministic: the same image and model give the same record, whatever the number
-of threads.
+Stateless but for loaded models, and deterministic: the same image and model give the same record for any number of
+threads.
 """
 
 from __future__ import annotations
@@ -13,14 +13,12 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from vehanchor.analysis.scale import ScaleAnalysis
-from vehanchor.detection.detections import Detections
+from vehanchor.detection.detections import NOT_SEARCHED, Detections
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import search
 from vehanchor.imagery.detail import resolved_share
-from vehanchor.imagery.identity import image_id
+from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
 from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.zoo import bundled_courts, bundled_scene_scale
@@ -28,14 +26,14 @@ from vehanchor.records import FrameScale, GsdEstimate, KnownScale, Notice, Ruler
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.agreement import disagreements
 from vehanchor.rulers.decision import convergence, decide
-from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.evidence import View
+from vehanchor.rulers.measurement import measure_all, with_tilt
 from vehanchor.rulers.reference import reference_length
-from vehanchor.rulers.registry import OTHER_RULERS
+from vehanchor.rulers.registry import active_rulers, check_rulers, ruler_class, uses
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.vehicles import Vehicles
-from vehanchor.tilt.camera_tilt import known_plane, metadata_tilt, rectified, tilt_record
-from vehanchor.tilt.estimate import estimate_tilt, expected_scale, on_the_plane
-from vehanchor.tilt.vehicle_cue import tilt_notice
+from vehanchor.tilt.camera_tilt import metadata_tilt
+from vehanchor.tilt.estimate import tilt_notice
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -46,18 +44,17 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import Frame, ScaleOptions
+    from vehanchor.rulers.decision import RulerShare, ScaleDecision
     from vehanchor.rulers.evidence import Evidence
-    from vehanchor.rulers.fused import RulerShare
     from vehanchor.rulers.vehicles import VehicleEvidence
-    from vehanchor.tilt.camera_tilt import CameraTilt
 
-_NOT_SEARCHED = Detections(np.zeros((0, 5)), np.zeros(0), 0, n_tiles_total=0)
 _MODEL_DIGITS = 12
 GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale may differ by this from another before a warning
 
 
-def check_region(detector: Detector, options: ScaleOptions) -> Detector:
-    """The detector, after a check that it has a reference length for the options' region: before the work."""
+def checked_detector(detector: Detector, options: ScaleOptions) -> Detector:
+    """The detector, after a check that the options' rulers exist and that it knows their region: before the work."""
+    check_rulers(options.rulers)
     reference_length(detector.card, options.reference, None)
     return detector
 
@@ -73,107 +70,99 @@ def analyse_image(image: ImageSource, detector: Detector, options: ScaleOptions)
 
 def analyse_raster(raster: Raster, detector: Detector, options: ScaleOptions) -> ScaleAnalysis:
     """Search an open image and measure its scale; the detector's runtime says how, and for which call."""
+    return analyse_detections(search_raster(raster, detector, options))
+
+
+def search_raster(raster: Raster, detector: Detector, options: ScaleOptions) -> View:
+    """Take the scene-scale prior of an open image, and search it: the first half of ``analyse_raster``."""
     options.frame.check(raster.width_px, raster.height_px)
     options = options.in_pixels(raster.width_px, raster.height_px)
+    rulers = active_rulers(options.rulers)
     facts = image_facts(raster)
-    aside = metadata_tilt(facts, options)  # a horizon in sight is refused before the work
-    weighed = detector.card.votes or not options.rulers.uses(Vehicles.kind)  # else there is nothing to weigh it against
-    looks = weighed and options.rulers.uses(SceneScale.kind)
-    network = load_scene_scale(detector.runtime) if looks else None
-    scene = None if network is None else network.look(raster)
-    nothing_yet, resolved = replace(_NOT_SEARCHED, scene=scene), partial(resolved_share, raster)
-    view = View(facts, nothing_yet, detector.card, options, resolved, raster, detector.runtime)
-    if options.rulers.searches:
-        detections = search(
-            raster,
-            detector,
-            options.search,
-            scene=scene,
-            convergence=None if aside else partial(_convergence, view),  # lengths differ over a view that is not level
-        )
-        view = replace(view, detections=detections)
-    return analyse_detections(view)
+    tilt = metadata_tilt(facts, options)  # an image with the horizon in sight is refused before the work
+    kinds = {ruler.kind for ruler in rulers}
+    weighed = detector.card.votes or Vehicles.kind not in kinds  # else the prior has nothing to weigh
+    network = load_scene_scale(detector.runtime) if weighed and SceneScale.kind in kinds else None
+    prior = None if network is None else network.look(raster)
+    resolved = partial(resolved_share, raster)
+    view = View(facts, NOT_SEARCHED, detector.card, options, resolved, raster, detector.runtime, prior, tilt)
+    if not any(ruler.needs_search for ruler in rulers):
+        return view
+    detections = search(
+        raster,
+        detector,
+        options.search,
+        scene=prior,
+        convergence=None if tilt else partial(_convergence, view),  # in a tilted view lengths differ with the place
+    )
+    return replace(view, detections=detections)
 
 
 def _convergence(view: View, detections: Detections) -> Convergence:
-    """Say whether what was found so far would do."""
+    """Convergence of the search so far."""
     view = replace(view, detections=detections)
-    return convergence(Vehicles().look(view), (SceneScale().look(view),))
+    priors = [ruler.measure(view) for ruler in active_rulers(view.options.rulers) if not ruler.sets_scale]
+    return convergence(Vehicles().measure(view), priors)
 
 
-def image_facts(raster: Raster) -> ImageFacts:
-    """Facts of an open image, as records hold them."""
-    return ImageFacts(
-        raster.width_px,
-        raster.height_px,
-        raster.georeference_gsd_m_per_px,
-        image_notices(raster),
-        raster.camera,
-        image_id(raster),
-    )
-
-
-def image_notices(raster: Raster) -> tuple[Notice, ...]:
-    """What there was to tell when an image was read."""
-    return tuple(Notice(code=note.code, message=note.message) for note in raster.warnings)
-
-
-def analyse_detections(view: View, others: Sequence[Evidence] | None = None, *, level: bool = True) -> ScaleAnalysis:
+def analyse_detections(view: View) -> ScaleAnalysis:
     """As ``analyse_raster``, of an image that has been searched: one search can serve several options.
 
     Args:
         view: of the image.
-        others: evidence of the rulers beside vehicles, where they have looked already; None has them look.
-        level: measure vehicles on the plane of the ground where the camera looked aside; False where they were.
 
     Raises:
-        InvalidParameterError: the model does not know the region.
+        InvalidParameterError: the model does not know the region, or there is no such ruler.
         CalibrationMismatchError: the calibration was made for another model.
         TooObliqueError: the horizon is in sight, or nearly so.
     """
-    rulers, aside = view.options.rulers, metadata_tilt(view.image, view.options)
-    said = aside if level else None
-    if said is not None:  # the network of the ground was never shown such a view
-        view = replace(view, detections=replace(view.detections, scene=None))
-    if others is None:
-        others = tuple(ruler.look(view) for ruler in OTHER_RULERS if rulers.uses(ruler.kind))
-    looked, seen = estimate_tilt(said, view, others) if level else None, view
-    if looked is not None:
-        others = on_the_plane(others, looked, view)
-        seen = replace(view, detections=rectified(view.detections, looked, view.image))
-    expected = None if looked is None and aside is None else expected_scale(others)
-    used = rulers.uses(Vehicles.kind)
-    vehicles = Vehicles(expected).look(seen if used else replace(view, detections=_NOT_SEARCHED))
-    estimate = conclude(vehicles, others, view, looked, placed=level)
-    in_image = view.detections if looked is not None and used else None
-    return ScaleAnalysis(estimate, vehicles, tuple(others), in_image)
+    return analyse_view(with_tilt(view))
+
+
+def analyse_view(view: View, known: Sequence[Evidence] = ()) -> ScaleAnalysis:
+    """As ``analyse_detections``, of a view whose tilt has been estimated.
+
+    Args:
+        view: of the image.
+        known: evidence that is not measured again.
+    """
+    vehicles, others = measure_all(view, known)
+    notices = tilt_notice(view.image, view.options, view.detections) if view.tilt is None and vehicles.n else ()
+    return conclude(view, vehicles, others, notices)
 
 
 def conclude(
-    vehicles: VehicleEvidence,
-    others: Sequence[Evidence],
-    view: View,
-    looked: CameraTilt | None = None,
-    *,
-    placed: bool = True,
-) -> GsdEstimate:
-    """Conclude from the evidence to the caller's record.
+    view: View, vehicles: VehicleEvidence, others: tuple[Evidence, ...], notices: Sequence[Notice] = ()
+) -> ScaleAnalysis:
+    """Decide on the scale, and write the record.
 
     Args:
-        vehicles: their evidence.
-        others: that of the other rulers.
         view: of the image.
-        looked: where the camera looked aside; None where it looked down, or nobody knows.
-        placed: whether vehicles are where they were seen: those of many photographs put together are not.
+        vehicles: their evidence.
+        others: evidence of the other rulers.
+        notices: of the tilt.
     """
-    image, decision = view.image, decide(vehicles, others)
-    gsd, interval = decision.gsd_m_per_px, decision.interval
-    warnings = [*image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
-    warnings += tilt_notice(view) if placed and looked is None and vehicles.n else []
-    warnings += disagreements((vehicles, *others), [ruler.kind for ruler in decision.rulers if not ruler.agrees])
-    if gsd is not None:
-        who_says = "the vehicles say" if gsd == vehicles.gsd_m_per_px else "the rulers say"
-        warnings += georeference_notice(image.georeference_gsd_m_per_px, gsd, who_says)
+    decision = decide(vehicles, others)
+    outvoted = [ruler.kind for ruler in decision.rulers if not ruler.agrees]
+    warnings = [*view.image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
+    warnings += [*notices, *disagreements((vehicles, *others), outvoted)]
+    if decision.gsd_m_per_px is not None:
+        alone = decision.gsd_m_per_px == vehicles.gsd_m_per_px
+        own, who_says = view.image.georeference_gsd_m_per_px, Vehicles.says() if alone else "the rulers say"
+        warnings += georeference_notice(own, decision.gsd_m_per_px, who_says)
+    record = _record(view, vehicles, others, decision, tuple(warnings))
+    rectified = view.tilt is not None and uses(view.options.rulers, Vehicles.kind)
+    return ScaleAnalysis(record, vehicles, others, view.detections if rectified else None)
+
+
+def _record(
+    view: View,
+    vehicles: VehicleEvidence,
+    others: Sequence[Evidence],
+    decision: ScaleDecision,
+    warnings: tuple[Notice, ...],
+) -> GsdEstimate:
+    image, gsd, interval = view.image, decision.gsd_m_per_px, decision.interval
     return GsdEstimate(
         status="no_scale" if gsd is None else "low_confidence" if decision.reason else "ok",
         gsd_m_per_px=gsd,
@@ -200,27 +189,28 @@ def conclude(
         image_width_px=image.width_px,
         image_height_px=image.height_px,
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
-        tilt=None if looked is None else tilt_record(looked, image, gsd),
+        tilt=None if view.tilt is None else view.tilt.record(image, gsd),
         frame=frame_scale(view.options.frame, image.width_px, gsd, interval),
-        scale=_known_scale(view, gsd, interval, decision.confidence, looked),
+        scale=_known_scale(view, gsd, interval, decision.confidence),
         model=view.card.name,
         model_sha256=view.card.sha256,
-        warnings=tuple(warnings),
+        warnings=warnings,
     )
 
 
 def _ruler_scale(share: RulerShare) -> RulerScale:
-    return RulerScale.model_validate(
-        {
-            "kind": share.kind,
-            "gsd_m_per_px": share.gsd_m_per_px,
-            "gsd_ci95_low_m_per_px": share.interval.low,
-            "gsd_ci95_high_m_per_px": share.interval.high,
-            "n": share.n,
-            "weight": share.weight,
-            "agrees": share.agrees,
-            "explanation": share.explanation,
-        }
+    ruler = ruler_class(share.kind)
+    return RulerScale(
+        kind=share.kind,
+        label=ruler.label,
+        sets_scale=ruler.sets_scale,
+        gsd_m_per_px=share.gsd_m_per_px,
+        gsd_ci95_low_m_per_px=share.interval.low,
+        gsd_ci95_high_m_per_px=share.interval.high,
+        n=share.n,
+        weight=share.weight,
+        agrees=share.agrees,
+        explanation=share.explanation,
     )
 
 
@@ -243,9 +233,9 @@ def networks_sha256(card: DetectorCard) -> str:
 
 
 def _known_scale(
-    view: View, gsd: float | None, interval: tuple[float, float] | None, confidence: float, looked: CameraTilt | None
+    view: View, gsd: float | None, interval: tuple[float, float] | None, confidence: float
 ) -> KnownScale | None:
-    """The scale as it can be given back; None where there is none, or where nobody looked at the image's pixels."""
+    """The scale as it can be given back; None without one, or if the image has no checksum."""
     if gsd is None or interval is None or not view.image.image_id:
         return None
     return KnownScale(
@@ -255,7 +245,7 @@ def _known_scale(
         confidence=confidence,
         image_id=view.image.image_id,
         model_id=model_id(view.card),
-        plane=None if looked is None else known_plane(looked.tilt_deg, looked.roll_deg, looked.focal_px),
+        plane=None if view.tilt is None else view.tilt.known_plane(),
     )
 
 

@@ -12,9 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.detections import Detections
-from vehanchor.estimate import analyse_image, check_region
+from vehanchor.estimate import analyse_image, checked_detector
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import Reference, ScaleOptions
-from vehanchor.rulers.evidence import ImageFacts
 from vehanchor.scale.lengths import kde_mode
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor_evaluation.dota import SMALL_VEHICLE, labelled_boxes
@@ -161,7 +161,7 @@ def check_options(
         CalibrationMismatchError: the calibration was made for another detector.
     """
     for options in {id(options): options for options in map(options_of, data.images)}.values():
-        check_region(detector, options)
+        checked_detector(detector, options)
 
 
 def with_regions(options: ScaleOptions, regions: Mapping[str, str]) -> Callable[[KnownScaleImage], ScaleOptions]:

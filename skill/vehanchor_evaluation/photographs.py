@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.estimate import analyse_raster
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.options.rulers import RulerName
-from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.rulers.registry import active_rulers
 from vehanchor.scale.lengths import Z95
 from vehanchor_evaluation.known_scale import (
     DATASET_LIMITS,
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
     from vehanchor.batch.known_lengths import KnownLengthTable
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
-
-_WITNESS = "scene_scale"
 
 
 def survey_photographs(
@@ -54,7 +51,7 @@ def survey_photographs(
         InvalidParameterError: a path does not exist, or the options exclude all these rulers.
     """
     rulers = tuple(
-        kind for kind in get_args(RulerName) if kind not in (Vehicles.kind, _WITNESS) and options.rulers.uses(kind)
+        each.kind for each in active_rulers(options.rulers) if each.sets_scale and each.independent_of_vehicles
     )
     if not rulers:
         raise InvalidParameterError("photographs need a ruler other than vehicles: drop --rulers and --metadata")

@@ -16,12 +16,14 @@ from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.batch.pool import finished_in_threads
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import InvalidParameterError, VehAnchorError
-from vehanchor.estimate import analyse_detections, analyse_raster, image_facts, networks_sha256
+from vehanchor.estimate import analyse_detections, networks_sha256, search_raster
 from vehanchor.imagery.detail import resolved_share
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Lengths, ScaleOptions, Search
-from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.evidence import View
+from vehanchor.rulers.registry import needs_search
 from vehanchor.rulers.vehicles import select
 from vehanchor.scale.defaults import OUTLIER_ALPHA
 from vehanchor.storage.journal import Journal
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
+    from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
     from vehanchor_evaluation.known_scale import KnownScaleSet
 
@@ -50,11 +53,13 @@ class SearchedImage:
         image: size, own scale and notices of the file.
         resolved: share of the pixels' resolution at which there is detail around the vehicles that the outlier filter
             keeps, by its factor; vehicles that nobody has looked for, as labels, need none.
+        prior: the scene-scale prior; None without one.
     """
 
     detections: Detections
     image: ImageFacts
     resolved: Mapping[float | None, float] = field(default_factory=dict)
+    prior: SceneScalePrior | None = None
 
     def analysis(self, card: DetectorCard, options: ScaleOptions) -> ScaleAnalysis:
         """Estimate the scale from these vehicles.
@@ -67,7 +72,7 @@ class SearchedImage:
         share = self.resolved.get(options.lengths.alpha) if self.resolved else 1.0
         if share is None:
             raise InvalidParameterError(f"searched without alpha {options.lengths.alpha}: search with these options")
-        return analyse_detections(View(self.image, self.detections, card, options, lambda *_: share))
+        return analyse_detections(View(self.image, self.detections, card, options, lambda *_: share, prior=self.prior))
 
 
 DetectionLog: TypeAlias = Journal[SearchedImage]
@@ -78,7 +83,7 @@ def default_workers() -> int:
     return min(MAX_WORKERS, os.cpu_count() or 1)
 
 
-_FORM = 2  # of what is kept of an image: a log of another form is refused
+_FORM = 3  # of what is kept of an image: a log of another form is refused
 
 
 def open_detection_log(
@@ -101,7 +106,7 @@ def open_detection_log(
         "form": _FORM,
         "networks_sha256": networks_sha256(detector.card),
         "classes": classes,
-        "search": _of_full_search(options.search) if options.rulers.searches else None,
+        "search": _of_full_search(options.search) if needs_search(options.rulers) else None,
         "bands": options.reading.bands,
     }
     return Journal(path, settings, dump=_dumped, load=_loaded)
@@ -114,12 +119,12 @@ def _of_full_search(chosen: Search) -> dict[str, Any]:
 
 
 def _dumped(searched: SearchedImage) -> Any:
-    return to_json((searched.detections, searched.image, list(searched.resolved.items())))
+    return to_json((searched.detections, searched.image, list(searched.resolved.items()), searched.prior))
 
 
 def _loaded(stored: Any) -> SearchedImage:
-    detections, image, resolved = from_json(stored)
-    return SearchedImage(detections, image, dict(resolved))
+    detections, image, resolved, prior = from_json(stored)
+    return SearchedImage(detections, image, dict(resolved), prior)
 
 
 def search_images(
@@ -218,14 +223,15 @@ def _search(
 ) -> SearchedImage | FileIssue:
     try:
         with open_raster(os.fspath(file), bands=options.reading.bands, limits=options.reading.limits) as raster:
-            found = analyse_raster(raster, detector, options).detections
-            resolved = {alpha: _resolved(raster, found, alpha) for alpha in alphas}
-            return SearchedImage(found, image_facts(raster), resolved)
+            view = search_raster(raster, detector, options)
+            resolved = {alpha: _resolved(raster, view, alpha) for alpha in alphas}
+            return SearchedImage(view.detections, view.image, resolved, view.prior)
     except VehAnchorError as error:
         return FileIssue(file, error.code, str(error))
 
 
-def _resolved(raster: Raster, found: Detections, alpha: float | None) -> float:
+def _resolved(raster: Raster, view: View, alpha: float | None) -> float:
     """The share of the resolution with detail around the vehicles that a factor of the outlier filter keeps."""
-    fleet = select(found, Lengths(alpha=alpha))
+    expected = None if view.prior is None or view.tilt is not None else view.prior.density
+    fleet = select(view.detections, Lengths(alpha=alpha), expected)
     return resolved_share(raster, fleet.centres, fleet.working_scale or 1.0)

@@ -1,54 +1,84 @@
-"""The ruler that the documentation works through, put into the registry as it says: it makes a scale and is drawn."""
+"""The running track of docs/how-to/add-a-ruler.md: one file and one line in the registry make a ruler."""
 
 from __future__ import annotations
 
+import shutil
+import sys
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
+from typer.testing import CliRunner
 
+import vehanchor
 from tests.analyses import made_card
 from tests.conftest import ROOT
 from tests.docs.documents import blocks
+from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.cli.app import app
+from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.detections import Detections, Objects
+from vehanchor.errors import InvalidParameterError
 from vehanchor.estimate import analyse_detections
+from vehanchor.imagery.facts import ImageFacts
+from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.records import GsdEstimate
+from vehanchor.records.flat import flat_row
+from vehanchor.rulers.evidence import View
+from vehanchor.rulers.registry import RULERS, ruler_class, rulers_help
+from vehanchor.scale.plane import GroundPlane
+from vehanchor_server.app_page.page import page_html
+from vehanchor_server.tools.messages import ruler_explanations, ruler_names
 
 LENGTH_PX, GSD = 800.0, 176.91 / 800.0
+WIDTH_PX = LENGTH_PX * 92.52 / 176.91
+CENTRE, ANGLE = np.array([500.0, 400.0]), 0.3
+TILTED = CameraMetadata(focal_px=900.0, taken_width_px=1000, taken_height_px=800, off_nadir_deg=40.0)
 
 
 @pytest.fixture
 def track(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The class of the how-to, registered under a name that options and records know already."""
-    (text,) = (block.text for block in blocks(ROOT / "docs/how-to/rulers.md") if "class Track" in block.text)
-    defined: dict[str, Any] = {"__name__": "track"}
-    exec(compile(text, "track.py", "exec"), defined)
-    ruler = defined["Track"]()
-    assert ruler.kind == "track"
-    ruler.kind = "courts"
-    monkeypatch.setattr("vehanchor.estimate.OTHER_RULERS", (ruler,))
-    return ruler
+    """The class of the how-to, registered."""
+    (text,) = (block.text for block in blocks(ROOT / "docs/how-to/add-a-ruler.md") if "class Track" in block.text)
+    module = ModuleType("track_of_the_docs")
+    exec(compile(text, "track.py", "exec"), module.__dict__)
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setitem(RULERS, "track", f"{module.__name__}:Track")
+    return ruler_class("track")
 
 
-def _analysed(width_px: float, name: str = "ground-track-field", score: float = 0.9) -> ScaleAnalysis:
-    seen = Objects(np.array([[500.0, 400.0, LENGTH_PX, width_px, 0.3]]), np.array([score]), np.array([1]))
+def _analysed(
+    width_px: float = WIDTH_PX,
+    name: str = "ground-track-field",
+    score: float = 0.9,
+    camera: CameraMetadata | None = None,
+    **options: Any,
+) -> ScaleAnalysis:
+    seen = Objects(np.array([[*CENTRE, LENGTH_PX, width_px, ANGLE]]), np.array([score]), np.array([1]))
     found = Detections(np.zeros((0, 5)), np.zeros(0), others=seen)
     card = made_card().model_copy(update={"class_names": {0: "small-vehicle", 1: name}})
-    return analyse_detections(View(ImageFacts(1000, 800), found, card, ScaleOptions(), lambda *_: 1.0))
+    facts = ImageFacts(1000, 800, camera=camera)
+    return analyse_detections(View(facts, found, card, ScaleOptions.of(options), lambda *_: 1.0))
 
 
-def test_a_running_track_makes_the_scale_of_an_image_without_cars(track: Any) -> None:
-    record = _analysed(LENGTH_PX * 92.52 / 176.91).estimate
+@pytest.mark.usefixtures("track")
+def test_a_running_track_makes_the_scale_of_an_image_without_cars() -> None:
+    record = _analysed().estimate
     assert record.gsd_m_per_px == pytest.approx(GSD, rel=0.005)
-    assert (record.leading_ruler, record.n_vehicles) == (track.kind, 0)
+    assert (record.leading_ruler, record.n_vehicles) == ("track", 0)
+    assert (record.rulers[0].label, record.rulers[0].sets_scale) == ("running track", True)
     assert record.rulers[0].explanation is not None
     assert record.rulers[0].explanation.startswith("A running track of 800 px says 0.2211 m/px")
 
 
-def test_its_outline_is_there_to_be_drawn(track: Any) -> None:
-    (mark,) = _analysed(LENGTH_PX * 92.52 / 176.91).marks
+@pytest.mark.usefixtures("track")
+def test_its_outline_is_there_to_be_drawn() -> None:
+    (mark,) = _analysed().marks
     assert (mark.label, mark.closed, len(mark.points)) == ("176.91 m", True, 4)
     sides = [np.hypot(*np.subtract(mark.points[k], mark.points[k - 1])) for k in range(4)]
     assert max(sides) == pytest.approx(LENGTH_PX)
@@ -57,5 +87,111 @@ def test_its_outline_is_there_to_be_drawn(track: Any) -> None:
 @pytest.mark.usefixtures("track")
 @pytest.mark.parametrize("other", [{"width_px": 300.0}, {"name": "soccer-ball-field"}, {"score": 0.3}])
 def test_another_field_is_no_ruler(other: dict[str, Any]) -> None:
-    record = _analysed(**{"width_px": LENGTH_PX * 92.52 / 176.91, **other}).estimate
+    record = _analysed(**{"width_px": WIDTH_PX, **other}).estimate
     assert (record.status, record.gsd_m_per_px) == ("no_scale", None)
+
+
+def _width_at_40_degrees() -> float:
+    """Width of the box whose rectified sides are a track's, at a tilt of 40 degrees."""
+    plane = GroundPlane(1.0, 40.0, 900.0, 1000, 800)
+    widths, shapes = np.arange(200.0, 700.0, 1.0), []
+    for width in widths:
+        corners = box_corners(np.array([[*CENTRE, LENGTH_PX, width, ANGLE]]))[0]
+        middles = plane.from_above((corners + np.roll(corners, -1, axis=0)) / 2)
+        long, short = sorted(np.hypot(*(middles[:2] - middles[2:]).T), reverse=True)
+        shapes.append(long / short)
+    return float(widths[np.argmin(np.abs(np.array(shapes) - 176.91 / 92.52))])
+
+
+@pytest.mark.usefixtures("track")
+def test_on_a_tilted_photograph_it_agrees_with_a_known_line_on_the_same_pixels() -> None:
+    reach = LENGTH_PX / 2 * np.array([np.cos(ANGLE), np.sin(ANGLE)])
+    line = (*(CENTRE - reach), *(CENTRE + reach), 176.91)
+    record = _analysed(_width_at_40_degrees(), camera=TILTED, known_lengths=[line]).estimate
+    said = {ruler.kind: ruler.gsd_m_per_px for ruler in record.rulers}
+    assert said["track"] == pytest.approx(said["known_length"], rel=1e-6)
+    assert abs(said["track"] / GSD - 1) > 0.05  # the scale as if taken at nadir
+    assert record.tilt is not None
+
+
+def test_a_ruler_that_cannot_use_the_plane_gives_no_evidence_on_a_tilted_photograph(
+    track: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(track, "uses_plane", False)
+    record = _analysed(camera=TILTED).estimate
+    assert (record.status, record.gsd_m_per_px, record.rulers) == ("no_scale", None, ())
+    (warning,) = (each for each in record.warnings if each.code == "ruler_needs_nadir")
+    assert warning.message.startswith("The camera was tilted by 40 degrees: the ruler running track is left out")
+    assert not any(each.code == "ruler_needs_nadir" for each in _analysed(300.0, camera=TILTED).estimate.warnings)
+
+
+@pytest.fixture
+def detector(tmp_path: Path) -> Path:
+    """A detector that knows running tracks."""
+    return write_detector(tmp_path / "tracks.onnx", names={0: "small-vehicle", 1: "ground-track-field"})
+
+
+@pytest.fixture
+def photograph(tmp_path: Path) -> Path:
+    """A photograph of a running track, 200 px long, and of no car."""
+    image = blank_image(400, 400)
+    paint_vehicles(image, [[200, 200, 200, 200 * 92.52 / 176.91, 0.0]], classes=[1])
+    path = tmp_path / "track.png"
+    Image.fromarray(image).save(path)
+    return path
+
+
+@pytest.mark.usefixtures("track")
+def test_the_verb_searches_for_it_and_the_record_its_table_and_its_schema_name_it(
+    detector: Path, photograph: Path
+) -> None:
+    record = vehanchor.estimate_gsd(photograph, detector=str(detector), rulers=("track",))
+    assert (record.leading_ruler, record.n_vehicles, record.tiles_searched) == ("track", 0, 1)
+    assert record.gsd_m_per_px == pytest.approx(176.91 / 200, rel=0.02)
+    assert flat_row(record)["ruler_track_gsd_m_per_px"] == record.rulers[0].gsd_m_per_px
+    assert "track" in GsdEstimate.model_json_schema()["$defs"]["RulerScale"]["properties"]["kind"]["enum"]
+    assert GsdEstimate.model_validate_json(record.model_dump_json()) == record
+
+
+@pytest.mark.usefixtures("track")
+def test_a_flight_pools_it_and_its_error_as_the_class_says(detector: Path, photograph: Path) -> None:
+    again = photograph.with_name("again.png")
+    shutil.copy(photograph, again)
+    flight = vehanchor.estimate_flight([photograph, again], same_scale=True, detector=str(detector), rulers=("track",))
+    assert flight.gsd_m_per_px == pytest.approx(176.91 / 200, rel=0.02)
+    assert flight.photographs[0].supported_by[0].ruler == "track"
+    one = vehanchor.estimate_gsd(photograph, detector=str(detector), rulers=("track",))
+    both = flight.components[0].pooled
+    widths = [
+        np.log(each.gsd_ci95_high_m_per_px / each.gsd_ci95_low_m_per_px)
+        for each in (one, both)
+        if each.gsd_ci95_high_m_per_px and each.gsd_ci95_low_m_per_px
+    ]
+    assert widths[0] / widths[1] == pytest.approx(2**0.25, rel=0.05)  # two photographs count as 2 ** 0.5
+
+
+@pytest.mark.usefixtures("track")
+def test_the_command_takes_it_and_shows_it(detector: Path, photograph: Path) -> None:
+    assert "track" in rulers_help()
+    done = CliRunner().invoke(app, ["estimate", str(photograph), "--detector", str(detector), "--rulers", "track"])
+    assert done.exit_code == 0
+    assert "running track 0.8" in done.stdout
+
+
+@pytest.mark.usefixtures("track")
+def test_the_server_names_it_in_sentences_and_the_page_by_its_label() -> None:
+    record = _analysed().estimate
+    assert ruler_names(record) == "running track"
+    assert ruler_explanations(record)[0].startswith("A running track")
+    assert "ruler.label" in page_html()
+
+
+def test_a_plot_draws_it_in_its_colour(track: Any) -> None:
+    figure = _analysed().plot()
+    lines = {line.get_label(): line.get_color() for axes in figure.axes for line in axes.get_lines()}
+    assert lines["running track 0.221"] == track.colour
+
+
+def test_a_ruler_that_is_not_registered_is_refused_before_the_work() -> None:
+    with pytest.raises(InvalidParameterError, match="use some of vehicles"):
+        vehanchor.estimate_gsd("none.png", detector="nowhere.onnx", rulers=("track",))

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.detection.search import search
 from vehanchor.errors import InvalidParameterError, OutputError
-from vehanchor.estimate import image_facts
+from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
 from vehanchor.verbs import analyse_scale
@@ -162,8 +161,7 @@ def test_a_log_keeps_all_that_was_seen(tmp_path: Path) -> None:
     with open_raster(image) as raster:
         found, facts = search(raster, telling), image_facts(raster)
     ground = SceneScalePrior((SceneLevel(1, 9, np.log([0.25, 0.5, 0.25])),), SceneCalibration(-2.0, 0.1, doubt=0.1))
-    found = replace(found, scene=ground)
-    _log(tmp_path / "log.jsonl", telling).add(("a.png",), SearchedImage(found, facts))
+    _log(tmp_path / "log.jsonl", telling).add(("a.png",), SearchedImage(found, facts, prior=ground))
     again = _log(tmp_path / "log.jsonl", telling).get(("a.png",))
     assert again is not None
     assert (len(found.boxes), len(found.others)) == (3, 1)
@@ -172,6 +170,6 @@ def test_a_log_keeps_all_that_was_seen(tmp_path: Path) -> None:
             np.testing.assert_array_equal(getattr(kept, name), getattr(seen, name))
     assert found.fleet is not None
     np.testing.assert_array_equal(again.detections.fleet, found.fleet)
-    assert again.detections.scene is not None
-    np.testing.assert_array_equal(again.detections.scene.density, ground.density)
+    assert again.prior is not None
+    np.testing.assert_array_equal(again.prior.density, ground.density)
     assert _log(tmp_path / "log.jsonl", model).get(("a.png",)) is None  # of another fleet network: none

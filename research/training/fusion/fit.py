@@ -24,7 +24,7 @@ from research.training.detector.data import is_dev
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene_scale import SceneScaleNetwork, load_scene_scale
 from vehanchor.detection.search import search
-from vehanchor.estimate import image_facts
+from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions, Search
 from vehanchor.rulers.evidence import View
@@ -77,12 +77,14 @@ def look(path: Path, set_name: str, gsd: float, detector: Detector, ground: Scen
     """Lead an image through the skill; None where nothing is found."""
     options = ScaleOptions()
     with open_raster(path) as raster:
-        detections = search(raster, detector, Search(), scene=ground.look(raster))
-        evidence = Vehicles().look(View(image_facts(raster), detections, detector.card, options, lambda *_: 1.0))
-    if evidence.gsd_m_per_px is None or detections.scene is None:
+        prior = ground.look(raster)
+        detections = search(raster, detector, Search(), scene=prior)
+        view = View(image_facts(raster), detections, detector.card, options, lambda *_: 1.0, prior=prior)
+        evidence = Vehicles().measure(view)
+    if evidence.gsd_m_per_px is None:
         return None
     lengths, reference = detections.boxes[:, 2], evidence.reference
-    density = detections.scene.density
+    density = prior.density
     return Case(
         set_name, gsd, lengths, detections.scores, reference.length_m, reference.sd_m, density, evidence.gsd_m_per_px
     )

@@ -1,17 +1,12 @@
 // ---- Rulers and their scales ----
 
-const RULERS = {
-  vehicles: "Vehicles", scene_scale: "Scene-scale prior", camera: "Camera metadata", known_length: "Known length", height: "Given height",
-  courts: "Sports courts", positions: "Positions",
-};
-
-const hasOtherRulers = (scale) => (scale.rulers ?? []).some(({ kind }) => kind !== "vehicles" && kind !== "scene_scale");
+const hasOtherRulers = (scale) => (scale.rulers ?? []).some(({ kind, sets_scale }) => sets_scale && kind !== "vehicles");
 
 // Vehicles alone, or with the scene-scale prior, need no list.
 function rulersSection(scale) {
   if (!hasOtherRulers(scale)) return undefined;
   const rows = scale.rulers.map((ruler) => {
-    const name = RULERS[ruler.kind] ?? ruler.kind.replaceAll("_", " ");
+    const name = ruler.label[0].toUpperCase() + ruler.label.slice(1);
     const lead = ruler.kind === scale.leading_ruler ? ", leading" : "";
     const bounds = interval(ruler.gsd_ci95_low_m_per_px, ruler.gsd_ci95_high_m_per_px, "m/px");
     return html(

@@ -143,12 +143,12 @@ def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Questio
         CallError: a model cannot be loaded.
         CallStoppedError: the call was stopped.
     """
-    from vehanchor.estimate import analyse_raster, check_region
+    from vehanchor.estimate import analyse_raster, checked_detector
     from vehanchor.imagery.sources.opening import open_raster
 
     detector = services.models.detector(job.runtime)
     options = asked.scale.options(services.settings, services.models)
-    check_region(detector, options)
+    checked_detector(detector, options)
     job.enter("decode")
     with open_raster(source, limits=options.reading.limits) as raster:
         analysis = analyse_raster(raster, detector, options)

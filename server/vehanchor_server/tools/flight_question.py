@@ -79,7 +79,7 @@ def estimate_with_flight(
         CallError: the library refused another image, or a model cannot be loaded.
         CallStoppedError: the call was stopped.
     """
-    from vehanchor.estimate import check_region
+    from vehanchor.estimate import checked_detector
     from vehanchor.flight.estimate import conclude, search_flight
     from vehanchor.imagery.sources.opening import open_raster
 
@@ -87,7 +87,7 @@ def estimate_with_flight(
     detector = services.models.detector(replace(job.runtime, progress=progress))
     asked = question.scale.options(services.settings, services.models)
     options = replace(asked, frame=Frame())
-    check_region(detector, options)
+    checked_detector(detector, options)
     job.enter("decode")
     for _ in _open_each(services, source, more, []):  # refuse a path before the search
         job.stop.check()

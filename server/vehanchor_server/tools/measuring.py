@@ -42,13 +42,13 @@ class ScaleArguments:
             CallError: a model cannot be loaded.
             VehAnchorError: the arguments contradict each other.
         """
-        from vehanchor.estimate import check_region
+        from vehanchor.estimate import checked_detector
         from vehanchor.measure.resolved_scale import given_scale
 
         searched = self.gsd_m_per_px is None and self.scale is None
         options = self.question.options(services.settings, services.models if searched else None)
         given = given_scale(self.gsd_m_per_px, self.scale, options)
-        return options, check_region(services.models.detector(job.runtime), options) if given is None else given
+        return options, checked_detector(services.models.detector(job.runtime), options) if given is None else given
 
 
 def copy_hint(

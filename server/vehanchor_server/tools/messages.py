@@ -26,16 +26,6 @@ STATUS_RULES = (
 """The meaning of ``status`` in the descriptions of the measuring tools."""
 
 
-_RULERS = {
-    "scene_scale": "the scene-scale prior",
-    "camera": "the camera's metadata",
-    "known_length": "known length",
-    "height": "the given height",
-    "courts": "sports courts",
-    "positions": "the metadata's positions",
-}
-
-
 def rounded(value: float) -> str:
     """Format a number with three significant digits; from 100 without decimals."""
     return f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
@@ -52,11 +42,10 @@ def count_vehicles(number: int) -> str:
 
 
 def ruler_names(estimate: GsdEstimate) -> str:
-    """List the rulers that agree with the scale, the leading one first, without the scene-scale prior."""
-    agreeing = [ruler for ruler in estimate.rulers if ruler.agrees and ruler.kind != "scene_scale"]
-    names = {"vehicles": count_vehicles(estimate.n_vehicles), **_RULERS}
+    """List the rulers that agree with the scale, the leading one first, without priors."""
+    agreeing = [ruler for ruler in estimate.rulers if ruler.agrees and ruler.sets_scale]
     by_weight = sorted(agreeing, key=lambda ruler: -ruler.weight)
-    words = [names.get(ruler.kind, ruler.kind.replace("_", " ")) for ruler in by_weight]
+    words = [count_vehicles(estimate.n_vehicles) if ruler.kind == "vehicles" else ruler.label for ruler in by_weight]
     return " and ".join(words) or count_vehicles(estimate.n_vehicles)
 
 

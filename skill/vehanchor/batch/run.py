@@ -19,7 +19,7 @@ from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, Task
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, OutputError
-from vehanchor.estimate import check_region, networks_sha256
+from vehanchor.estimate import checked_detector, networks_sha256
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import bundled_models, resolve_model
 from vehanchor.options import ScaleOptions
@@ -159,7 +159,7 @@ def _job(
     """Load the model once, so that what is wrong with it is told before the work."""
     named = tuple(classes) if classes else None
     path = resolve_model(None if detector is None else str(detector), runtime.precision)
-    model = check_region(Detector(path, classes=named, runtime=runtime), options)
+    model = checked_detector(Detector(path, classes=named, runtime=runtime), options)
     bundled = model.path in bundled_models().values()  # elsewhere in the cluster it may lie elsewhere
     name = model.path.stem if bundled else str(model.path.resolve())
     return BatchJob(name, networks_sha256(model.card), named, options, runtime)

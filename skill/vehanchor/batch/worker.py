@@ -12,7 +12,7 @@ from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.batch.row import BatchRow
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
-from vehanchor.estimate import analyse_image, check_region, networks_sha256
+from vehanchor.estimate import analyse_image, checked_detector, networks_sha256
 from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.addresses import is_address
 from vehanchor.models.runtime import Runtime
@@ -81,7 +81,7 @@ class Worker:
     def __init__(self, job: BatchJob) -> None:
         self._options, self._known_lengths = job.options, job.known_lengths
         path = resolve_model(job.detector)
-        self._detector = check_region(Detector(path, classes=job.classes, runtime=job.runtime), job.options)
+        self._detector = checked_detector(Detector(path, classes=job.classes, runtime=job.runtime), job.options)
         here = networks_sha256(self._detector.card)
         if here != job.networks_sha256:
             raise ModelContractError(

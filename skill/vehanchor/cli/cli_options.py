@@ -23,8 +23,10 @@ import typer
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Rulers, ScaleOptions, Search, models
 from vehanchor.options.frame import FRAME
+from vehanchor.options.method import Method
 from vehanchor.options.models import Precision
 from vehanchor.options.option import Option, metadata_of, option_of
+from vehanchor.rulers.registry import rulers_help
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
@@ -87,6 +89,7 @@ _GROUPS: tuple[tuple[type[Any], str], ...] = (
     (Frame, "Reading the image"),
     (Reading, "Reading the image"),
     (Rulers, "Other rulers"),
+    (Method, "Method"),
 )
 _NEEDED_FIRST = ("region", "known_lengths", "height_m", "frame")  # what helps without knowing the method
 _FIRST_PANEL = "What helps most"
@@ -223,7 +226,8 @@ def _parameter(declared: Field[Any], stated: Option, kind: Any, panel: str) -> i
         kind, default = list[str] | None, None
     flags = f"--{flag}/--no-{flag}" if bare is bool else f"--{flag}"
     heading = _FIRST_PANEL if name in _NEEDED_FIRST else panel
-    option = typer.Option(flags, help=stated.help, rich_help_panel=heading, **more)
+    text = rulers_help() if name == "rulers" else stated.help
+    option = typer.Option(flags, help=text, rich_help_panel=heading, **more)
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option])
 
 

@@ -196,7 +196,7 @@ def _write_outputs(analysis: ScaleAnalysis, outputs: _Outputs) -> None:
 
 
 def _estimate_table(source: str, record: GsdEstimate) -> Table:
-    fused = any(ruler.kind not in ("vehicles", "scene_scale") for ruler in record.rulers)
+    fused = any(ruler.sets_scale and ruler.kind != "vehicles" for ruler in record.rulers)
     guard = "; capped by the resolution guard" if record.resolution_guard and not fused else ""
     searched = record.stopped_because is not None
     facts = [
@@ -233,7 +233,7 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
 def _ruler_text(ruler: RulerScale) -> str:
     """What one ruler says, and what came of it."""
     part = f"weight {100 * ruler.weight:.0f} %" if ruler.agrees else "disagrees, outvoted"
-    return f"{ruler.kind.replace('_', ' ')} {ruler.gsd_m_per_px:.4g} m/px, {part}"
+    return f"{ruler.label} {ruler.gsd_m_per_px:.4g} m/px, {part}"
 
 
 def _tilt_text(tilt: TiltEstimate) -> str:

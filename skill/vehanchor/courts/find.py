@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from vehanchor.courts.template import Template
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detections import Detections
+    from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
 
 _FAR = Reach(0.0, 1.0, 0.4, 0.04, 27, 3)  # proposals lie at a court's end as often as at its centre
@@ -104,12 +105,14 @@ def propose_courts(
     raster: Raster,
     detections: Detections,
     card: DetectorCard,
+    prior: SceneScalePrior | None = None,
+    *,
     runtime: Runtime | None = None,
 ) -> Proposed:
     """Propose courts from the network and from a detector with court classes; arguments as in ``find_courts``."""
     proposals = boxes_of_courts(detections, card)
     network = load_court_network(runtime)
-    factors = [] if network is None else coarse_factors(raster, detections)
+    factors = [] if network is None else coarse_factors(raster, prior)
     if network is not None:
         for factor in factors:
             proposals += network.propose(raster, factor)
@@ -120,6 +123,7 @@ def find_courts(
     raster: Raster,
     detections: Detections,
     card: DetectorCard,
+    prior: SceneScalePrior | None = None,
     *,
     proposed: Proposed | None = None,
     runtime: Runtime | None = None,
@@ -128,15 +132,16 @@ def find_courts(
 
     Args:
         raster: the image.
-        detections: detections with the scene-scale prior.
+        detections: detections of the image.
         card: model card of the detector.
+        prior: scene-scale prior; None without one.
         proposed: proposals of courts; None calls ``propose_courts``.
         runtime: of the network that proposes courts; None for the defaults.
 
     Returns:
         At most four courts, the highest score first. Half hidden courts and courts at the image's edge are left out.
     """
-    proposals, n_sizes = proposed or propose_courts(raster, detections, card, runtime)
+    proposals, n_sizes = proposed or propose_courts(raster, detections, card, prior, runtime=runtime)
     surest = islice(_apart(proposals), _MOST_OF_ONE_SIZE if n_sizes == 1 else _MOST_LOOKED_AT)
     laid = [each for proposal in surest for each in _laid(raster, proposal)]
     found: list[Court] = []

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detections import Detections
+    from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
 
 _CELL_PX = 8  # side of the network's cells, and the unit of its lengths: research/training/courts/network.py
@@ -62,23 +63,23 @@ class Proposal(NamedTuple):
     factor: int
 
 
-def coarse_factors(raster: Raster, detections: Detections) -> list[int]:
+def coarse_factors(raster: Raster, prior: SceneScalePrior | None) -> list[int]:
     """Choose the reduction factors for the court network.
 
     For large images the scene-scale prior, if there is one, selects a single factor.
 
     Args:
         raster: the image.
-        detections: detections with the scene-scale prior, if there is one.
+        prior: scene-scale prior; None without one.
 
     Returns:
         Factors, the finest first.
     """
     side = min(raster.width_px, raster.height_px)
     factors = [factor for factor in _FACTORS if side // factor >= _MIN_SIDE_PX]
-    if detections.scene is None or raster.width_px * raster.height_px <= _MOST_PIXELS_UNASKED:
+    if prior is None or raster.width_px * raster.height_px <= _MOST_PIXELS_UNASKED:
         return factors
-    median = credible_interval(detections.scene.density, probability=0.0).low
+    median = credible_interval(prior.density, probability=0.0).low
     return [min(factors, key=lambda factor: abs(math.log(median * factor / _SEEN_BEST_M)))] if factors else []
 
 

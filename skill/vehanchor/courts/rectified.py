@@ -94,8 +94,8 @@ def rough_courts_on(
         Courts in the image; verify each on the ground plane that its shape implies.
     """
     level = RectifiedRaster(raster, plane)
-    nothing = replace(detections, others=Objects.joined(), scene=None)  # both refer to the unrectified image
-    proposed = propose_courts(level, nothing, card, runtime)
+    nothing = replace(detections, others=Objects.joined())  # they refer to the unrectified image
+    proposed = propose_courts(level, nothing, card, runtime=runtime)
     surest = sorted(proposed.proposals, key=lambda each: -each.share)[:most]
     rough = [court for each in surest if (court := rough_court(level, each)) is not None]
     return [replace(each, shape=None if each.shape is None else level.in_image(each.shape)) for each in rough]
@@ -122,7 +122,7 @@ def find_courts_on(
         Courts with corners in the image. Their GSD holds at the image's centre if the plane is correct.
     """
     level = RectifiedRaster(raster, plane)
-    nothing = replace(detections, others=Objects.joined(), scene=None)  # both refer to the unrectified image
+    nothing = replace(detections, others=Objects.joined())  # they refer to the unrectified image
     courts = find_courts(level, nothing, card, runtime=runtime)
     size = raster.width_px, raster.height_px
     found = [

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.appearance import FleetAppearance
-    from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.options.search import Stopped
 
 
@@ -69,7 +68,6 @@ class Detections:
         classes: ``[n]`` int, the index of each vehicle's class; None where no detector named one, as of labels.
         others: objects of the model's other classes, in image pixels, best score first; boxes of one class that
             overlap are merged, those of different classes are not.
-        scene: what the ground itself tells of the scale; None where nobody looked.
         n_tiles_total: tiles that the image has at all resolutions; None where nobody counted.
         stopped_because: why the search ended; None where there was none.
     """
@@ -82,6 +80,9 @@ class Detections:
     fleet: FleetAppearance | None = None
     classes: NDArray[np.intp] | None = None
     others: Objects = field(default_factory=Objects.joined)
-    scene: SceneScalePrior | None = None
     n_tiles_total: int | None = None
     stopped_because: Stopped | None = None
+
+
+NOT_SEARCHED = Detections(np.zeros((0, 5)), np.zeros(0), 0, n_tiles_total=0)
+"""Result for an image that was not searched."""

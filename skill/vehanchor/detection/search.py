@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.detector import Detector, TileSighting
     from vehanchor.detection.levels import SearchLevel
     from vehanchor.detection.scene_scale import SceneScalePrior
+    from vehanchor.detection.verifier import Verifier
     from vehanchor.imagery.raster import Raster, Window
     from vehanchor.options.search import Stopped
 
@@ -124,6 +125,7 @@ class _Work:
         card = detector.card
         self._raster, self._detector, self._scene = raster, detector, scene
         self._nms_iou = options.nms_iou
+        self._verifier = detector.verifier if options.verify else None
         tile_px, stride_px = _tile_and_stride(detector.fixed_size, options)
         self._overlap_px = tile_px - stride_px
         self._min_score = card.min_score if options.min_score is None else options.min_score
@@ -196,7 +198,7 @@ class _Work:
     def visit(self, k: int, pixels: NDArray[np.uint8]) -> int:
         """Look at a tile; how many vehicles it shows."""
         level, tile = self.visits[k]
-        seen = _seen(self._detector, pixels, level, self._min_score, self._scene)
+        seen = _seen(self._detector, self._verifier, pixels, level, self._min_score, self._scene)
         vehicles, others = (_in_image(found, tile, level, self._overlap_px) for found in (seen.vehicles, seen.others))
         self._found[k] = seen._replace(vehicles=vehicles, others=others)
         return len(vehicles)
@@ -218,7 +220,6 @@ class _Work:
             fleet.look(self._raster, vehicles.boxes) if fleet else None,
             vehicles.classes,
             _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
-            self._scene,
             len(self.visits),
             because,
         )
@@ -226,19 +227,19 @@ class _Work:
 
 def _seen(
     detector: Detector,
+    verifier: Verifier | None,
     pixels: NDArray[np.uint8],
     level: SearchLevel,
     min_score: float,
     scene: SceneScalePrior | None,
 ) -> TileSighting:
-    """One tile's objects that count: vehicles of the level's lengths, after the second look where there is one."""
-    look = detector.verifier
+    """One tile's objects that count: vehicles of the level's lengths, scored again by the verifier, if there is one."""
     # What the detector alone doubts may turn out to be a car.
-    seen = detector.detect_tile(pixels, min(min_score, look.card.least_score) if look else min_score)
+    seen = detector.detect_tile(pixels, min(min_score, verifier.card.least_score) if verifier else min_score)
     vehicles = seen.vehicles.take(level.counts(seen.vehicles.boxes[:, 2]))
-    if look:
+    if verifier:
         size_odds = 0.0 if scene is None else scene.size_odds(vehicles.boxes[:, 2] * level.factor)
-        vehicles = look.judged(pixels, vehicles, size_odds=size_odds)
+        vehicles = verifier.judged(pixels, vehicles, size_odds=size_odds)
         vehicles = vehicles.take(vehicles.scores >= min_score)
     # The range of lengths is that of vehicles: it says nothing of other objects.
     return seen._replace(vehicles=vehicles, others=seen.others.take(seen.others.scores >= min_score))

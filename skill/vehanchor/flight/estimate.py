@@ -13,7 +13,7 @@ import numpy as np
 
 from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
-from vehanchor.estimate import analyse_raster, check_region, image_facts, networks_sha256
+from vehanchor.estimate import analyse_view, checked_detector, networks_sha256, search_raster
 from vehanchor.flight.components import single_component
 from vehanchor.flight.features import find_features
 from vehanchor.flight.inputs import InputPhotograph, check_many, named
@@ -23,6 +23,7 @@ from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
+from vehanchor.rulers.measurement import with_tilt
 from vehanchor.storage.journal import Journal, Key
 from vehanchor.storage.stored import from_json, to_json
 
@@ -61,7 +62,7 @@ def analyse_flight(
     """
     check_many(images)
     check_options(options)
-    check_region(detector, options)
+    checked_detector(detector, options)
     taken = list(named(images)) if isinstance(images, Sequence) else named(images)
     kept = None if journal is None else open_journal(Path(journal), detector, options, lines or {})
     looks = search_flight(taken, detector, options, featured=not same_scale, journal=kept, lines=lines or {})
@@ -151,8 +152,8 @@ def _look(
         features = find_features(raster) if featured else None
         if known is not None:
             return known, features
-        analysis = analyse_raster(raster, detector, options)
-        return Look.of(image_facts(raster), analysis.detections, analysis), features
+        view = with_tilt(search_raster(raster, detector, options))
+        return Look.of(view, analyse_view(view)), features
 
 
 def check_options(options: ScaleOptions) -> None:

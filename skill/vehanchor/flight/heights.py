@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vehanchor.flight.positions import POSITIONS
-from vehanchor.rulers.camera import lens
+from vehanchor.imagery.metadata.lens import lens
+from vehanchor.rulers.camera import GROUND_LOG_SD
 from vehanchor.rulers.lognormal import lognormal_evidence, on_grid
+from vehanchor.rulers.positions import Positions
 from vehanchor.scale.lengths import Z95
 
 if TYPE_CHECKING:
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from vehanchor.records import GsdEstimate
     from vehanchor.rulers.evidence import Evidence
 
-_GROUND_LOG_SD = 0.12  # of the height above it: ground elsewhere, as vehanchor.rulers.camera has it
 _ALTITUDE_SD_M = 3.0  # of one receiver between two places
 _CHANCE_WRONG = 0.05
 _LEAST_HEIGHT_M = 5.0
@@ -58,7 +58,7 @@ class _Stood(NamedTuple):
 
 
 def _stood(photograph: Photograph) -> _Stood | None:
-    """None where the metadata do not tell, or the camera looked aside."""
+    """None if the metadata lack height or lens, or if the camera was tilted."""
     image = photograph.view.image
     camera = image.camera
     if camera is None or camera.altitude_m is None or photograph.analysis.estimate.tilt is not None:
@@ -119,6 +119,6 @@ def heights_evidence(
         return ()
     share = source.above_m / middle  # of the height that is the other's
     lens_sd = stood[0][0].focal_log_sd * abs(1 - share)  # it cancels where both are as high
-    log_sd = math.hypot(_GROUND_LOG_SD, _ALTITUDE_SD_M / middle, source.log_sd * share, lens_sd)
+    log_sd = math.hypot(GROUND_LOG_SD, _ALTITUDE_SD_M / middle, source.log_sd * share, lens_sd)
     said = f"Heights above the sea, with the ground as it lies below {sources} photographs of known scale, say {{}}."
-    return (lognormal_evidence(POSITIONS, gsd, log_sd, _CHANCE_WRONG, said, n=len(stood)),)
+    return (lognormal_evidence(Positions.kind, gsd, log_sd, _CHANCE_WRONG, said, n=len(stood)),)

@@ -13,8 +13,9 @@ from vehanchor.flight.layout import Seam, lay_out
 from vehanchor.flight.matching import match
 from vehanchor.flight.pairs import candidate_pairs
 from vehanchor.flight.photograph import chief_member
-from vehanchor.flight.positions import POSITIONS, baseline, places_of, positions_evidence
 from vehanchor.records import FlightLink
+from vehanchor.rulers.positions import Positions, baseline, places_of, positions_evidence
+from vehanchor.rulers.registry import uses
 from vehanchor.scale.lengths import Z95
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ def link_photographs(
         Islands and overlaps.
     """
     rulers = photographs[0].view.options.rulers
-    places = places_of([each.view.image for each in photographs]) if rulers.uses(POSITIONS) else None
+    places = places_of([each.view.image for each in photographs]) if uses(rulers, Positions.kind) else None
     pairs = candidate_pairs(features, places)
     found: list[tuple[int, int, Match]] = []
     for first, second in pairs:

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.detection.detections import Detections
-from vehanchor.estimate import analyse_detections
-from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.estimate import analyse_view
+from vehanchor.imagery.facts import ImageFacts
+from vehanchor.rulers.evidence import View
+from vehanchor.rulers.measurement import with_tilt
 from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
@@ -17,9 +19,11 @@ if TYPE_CHECKING:
 
     from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.flight.features import Features
     from vehanchor.options import ScaleOptions
     from vehanchor.rulers.evidence import Evidence
+    from vehanchor.tilt.camera_tilt import CameraTilt
 
 
 @stored("photograph_findings")
@@ -29,31 +33,35 @@ class Look:
 
     Attributes:
         image: facts of the file.
-        detections: what was found in it.
+        detections: result of the search, in pixels of the image.
         resolved: share of the pixels' resolution at which there is detail around its vehicles.
-        others: evidence of the rulers beside vehicles, some of which look at pixels.
+        others: evidence of the rulers beside vehicles, measured along the tilt; None if they have not measured.
+        prior: the scene-scale prior; None without one.
+        tilt: of the camera; None at nadir.
     """
 
     image: ImageFacts
     detections: Detections
     resolved: float
     others: tuple[Evidence, ...] | None = None
+    prior: SceneScalePrior | None = None
+    tilt: CameraTilt | None = None
 
     @classmethod
-    def of(cls, image: ImageFacts, detections: Detections, analysis: ScaleAnalysis) -> Look:
-        """The findings that an analysis was made from."""
-        return cls(image, detections, analysis.resolved, analysis.others)
+    def of(cls, view: View, analysis: ScaleAnalysis) -> Look:
+        """Keep what an analysis was made from."""
+        return cls(view.image, view.detections, analysis.resolved, analysis.others, view.prior, view.tilt)
 
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """A photograph with what it says by itself.
+    """A photograph with its own analysis.
 
     Attributes:
         name: as the caller named it.
-        view: all that rulers were shown, without its pixels.
-        analysis: what they said.
-        features: by which it finds those that overlap; None where nobody asked.
+        view: all that rulers saw, without its pixels.
+        analysis: their result.
+        features: for overlaps with other photographs; None if they are not needed.
     """
 
     name: str
@@ -63,25 +71,28 @@ class Photograph:
 
     @property
     def measured(self) -> Detections:
-        """What was found, levelled where the camera looked aside."""
+        """Its detections, rectified in a tilted view."""
         return self.view.detections if self.analysis.in_image is None else self.analysis.vehicles.fleet.detections
 
     @classmethod
     def of(
         cls, name: str, look: Look, card: DetectorCard, options: ScaleOptions, features: Features | None = None
     ) -> Photograph:
-        """Lead the findings through the second half of the skill."""
-        view = fixed_view(look.image, look.detections, card, options, look.resolved)
-        return cls(name, view, analyse_detections(view, look.others), features)
-
-
-def fixed_view(
-    image: ImageFacts, detections: Detections, card: DetectorCard, options: ScaleOptions, resolved: float
-) -> View:
-    """A view of which the detail is known already, so that no pixel is needed."""
-    return View(image, detections, card, options, lambda _centres, _scale: resolved)
+        """Analyse what was found in a photograph."""
+        view = View(
+            look.image,
+            look.detections,
+            card,
+            options,
+            lambda _centres, _scale: look.resolved,
+            prior=look.prior,
+            tilt=look.tilt,
+        )
+        if look.others is None:
+            view = with_tilt(view)
+        return cls(name, view, analyse_view(view, look.others or ()), features)
 
 
 def chief_member(members: Sequence[Photograph]) -> int:
-    """Index of the photograph with the most vehicles, the first of equals: what is measured in its pixels is sharp."""
+    """Index of the photograph with the most vehicles, the first of equals: it measures best in its pixels."""
     return int(np.argmax([member.analysis.estimate.n_vehicles for member in members]))

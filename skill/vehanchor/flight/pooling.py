@@ -16,10 +16,11 @@ import numpy as np
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.scene_scale import SceneScalePrior
-from vehanchor.estimate import analyse_detections
-from vehanchor.flight.photograph import fixed_view
+from vehanchor.estimate import conclude
 from vehanchor.records import Notice
-from vehanchor.rulers.evidence import Evidence
+from vehanchor.rulers.evidence import Evidence, View
+from vehanchor.rulers.measurement import expected_scale, measure_all
+from vehanchor.rulers.registry import ruler_class
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.scale.fusion import GRID, TOLERANCE, credible_interval, mass_within
 from vehanchor.tilt.camera_tilt import known_plane, with_scale
@@ -31,17 +32,14 @@ if TYPE_CHECKING:
 
     from vehanchor.analysis.scale import ScaleAnalysis
     from vehanchor.flight.photograph import Photograph
-    from vehanchor.rulers.evidence import ImageFacts
+    from vehanchor.imagery.facts import ImageFacts
 
-_SCENE_GAIN = 0.5  # n photographs say as much as n ** 0.5 places: research/benchmarks/flights.py, train split
-_GAINS = {SceneScale.kind: _SCENE_GAIN, "camera": 0.0, "height": 0.0}  # one camera, one take-off: one error
-_OTHER_GAIN = 0.5
 _LEAST = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class _PooledScene(SceneScalePrior):
-    """What was seen of the ground in many photographs, in the pixels of one.
+class _PooledPrior(SceneScalePrior):
+    """Scene-scale prior of many photographs, in the pixels of one.
 
     Attributes:
         pooled: ``[g]`` their density.
@@ -74,17 +72,23 @@ def pool(
         return members[0].analysis
     logs = np.asarray(log_scales, dtype=np.float64)
     offsets = logs - logs[reference]
-    chief = members[reference].view
-    detections = pooled_sighting([member.measured for member in members], offsets)
-    resolved = _resolved(members)
-    view = fixed_view(_facts(members, reference), detections, chief.card, chief.options, resolved)
-    pooled = analyse_detections(view, (*_pooled_others(members, offsets), *added), level=False)
+    chief, resolved = members[reference].view, _resolved(members)
+    others = (*_pooled_others(members, offsets), *added)
+    view = View(  # its boxes are rectified already: it has no tilt
+        _facts(members, reference),
+        pooled_sighting([member.measured for member in members], offsets),
+        chief.card,
+        chief.options,
+        lambda _centres, _scale: resolved,
+        prior=_pooled_prior([member.view for member in members], offsets),
+        expected=None if chief.tilt is None else expected_scale(others),
+    )
+    pooled = conclude(view, *measure_all(view, others))
     own = members[reference].analysis.estimate
     if own.tilt is None:
         return pooled
     tilt = with_scale(own.tilt, own, pooled.estimate.gsd_m_per_px)
-    plane = known_plane(tilt.tilt_deg, tilt.roll_deg, tilt.focal_length_px)
-    scale = pooled.estimate.scale and pooled.estimate.scale.model_copy(update={"plane": plane})
+    scale = pooled.estimate.scale and pooled.estimate.scale.model_copy(update={"plane": known_plane(tilt)})
     return replace(pooled, estimate=pooled.estimate.model_copy(update={"tilt": tilt, "scale": scale}))
 
 
@@ -126,7 +130,6 @@ def pooled_sighting(detections: Sequence[Detections], offsets: ArrayLike) -> Det
         FleetAppearance(*(np.concatenate(part)[place] for part in zip(*looks, strict=True))) if looks else None,
         classes[order] if named else None,
         Objects.joined(),
-        _scene(detections, np.log(factors)),
     )
 
 
@@ -164,13 +167,18 @@ def _resolved(members: Sequence[Photograph]) -> float:
     return float(values[order][np.searchsorted(np.cumsum(counts[order]), counts.sum() / 2)])
 
 
-def _scene(detections: Sequence[Detections], offsets: NDArray[np.float64]) -> SceneScalePrior | None:
-    seen = [(each.scene, offset) for each, offset in zip(detections, offsets, strict=True) if each.scene is not None]
-    if not seen:
+def _pooled_prior(views: Sequence[View], offsets: NDArray[np.float64]) -> SceneScalePrior | None:
+    """Scene-scale prior of the photographs that were taken at nadir."""
+    priors = [
+        (view.prior, float(offset))
+        for view, offset in zip(views, offsets, strict=True)
+        if view.prior is not None and view.tilt is None
+    ]
+    if not priors:
         return None
-    density = combined_density([shifted(scene.density, offset) for scene, offset in seen], _SCENE_GAIN)
-    levels = tuple(level for scene, _ in seen for level in scene.levels)
-    return _PooledScene(levels, seen[0][0].calibration, density)
+    density = combined_density([shifted(prior.density, offset) for prior, offset in priors], SceneScale.pooling_gain)
+    levels = tuple(level for prior, _ in priors for level in prior.levels)
+    return _PooledPrior(levels, priors[0][0].calibration, density)
 
 
 def _pooled_others(members: Sequence[Photograph], offsets: NDArray[np.float64]) -> list[Evidence]:
@@ -196,7 +204,7 @@ def _pooled_evidence(kind: str, found: Sequence[tuple[Evidence, float]]) -> Evid
     if len(said) == 1 and said[0][1] == 0.0:
         return replace(said[0][0], notices=notices)
     densities = [shifted(other.density, offset) for other, offset in said if other.density is not None]
-    density = combined_density(densities, _GAINS.get(kind, _OTHER_GAIN))
+    density = combined_density(densities, ruler_class(kind).pooling_gain)
     median = credible_interval(density, probability=0.0).low
     cue = all(other.confidence == 0 for other, _ in said)
     confidence = 0.0 if cue else min(1.0, mass_within(density, median, TOLERANCE))

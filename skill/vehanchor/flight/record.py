@@ -11,8 +11,10 @@ import numpy as np
 from vehanchor.estimate import model_id
 from vehanchor.flight.heights import ground_below, heights_evidence
 from vehanchor.flight.pooling import pool
-from vehanchor.flight.positions import POSITIONS, places_of
 from vehanchor.records import FlightComponent, FlightEstimate, FlightPhotograph, FlightRuler, KnownScale
+from vehanchor.rulers.positions import Positions, places_of
+from vehanchor.rulers.registry import uses
+from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, UNSURE_CONFIDENCE, WIDEST_USABLE
 from vehanchor.tilt.camera_tilt import known_plane
@@ -125,7 +127,7 @@ def _pooled(
         members = _members(looks, component)
         pooled = pool(members, component.log_scales, component.reference, component.extra)
         found.append((component, pooled))
-        if members[0].view.options.rulers.uses(POSITIONS):
+        if uses(members[0].view.options.rulers, Positions.kind):
             grounds.append(ground_below(members, component.offsets, pooled.estimate))
     known = [ground for ground in grounds if ground is not None]
     for place, (component, pooled) in enumerate(found if known else ()):
@@ -141,7 +143,7 @@ def _pooled(
 def _positions(looks: Sequence[Photograph | Failure]) -> dict[int, tuple[float, float]]:
     """Places by metadata, metres, of those photographs that have one."""
     usable = [(place, look) for place, look in enumerate(looks) if not isinstance(look, Failure)]
-    if not usable or not usable[0][1].view.options.rulers.uses(POSITIONS):
+    if not usable or not uses(usable[0][1].view.options.rulers, Positions.kind):
         return {}
     places = places_of([look.view.image for _, look in usable])
     if places is None:
@@ -238,7 +240,7 @@ def _given_back(
         confidence=confidence,
         image_id=image_id,
         model_id=model_id(photograph.view.card),
-        plane=None if tilt is None else known_plane(tilt.tilt_deg, tilt.roll_deg, tilt.focal_length_px),
+        plane=None if tilt is None else known_plane(tilt),
     )
 
 
@@ -290,10 +292,8 @@ def _supports(members: Sequence[Photograph], component: Component, pooled: Scale
         )
         strength = float((detections.scores[among] ** 2).sum())
         if strength > 0:
-            supports.append(_Support("vehicles", place, strength))
+            supports.append(_Support(Vehicles.kind, place, strength))
         supports += [
-            _Support(other.kind, place, other.confidence)
-            for other in member.analysis.others
-            if other.gsd_m_per_px is not None and other.confidence > 0
+            _Support(other.kind, place, other.confidence) for other in member.analysis.others if other.sets_scale
         ]
     return supports

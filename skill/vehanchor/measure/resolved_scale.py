@@ -10,17 +10,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
-from vehanchor.estimate import analyse_raster, georeference_notice, image_notices
+from vehanchor.estimate import analyse_raster, georeference_notice
+from vehanchor.imagery.facts import ImageFacts, image_notices
 from vehanchor.imagery.identity import image_id
+from vehanchor.imagery.metadata.lens import equivalent_lens, lens
 from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT_M
 from vehanchor.records import KnownScale
 from vehanchor.records.known_scale import known_scale
-from vehanchor.rulers.camera import equivalent_lens, lens
-from vehanchor.rulers.evidence import ImageFacts
+from vehanchor.rulers.camera import height_log_sd
+from vehanchor.rulers.given_height import HEIGHT_LOG_SD
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
-from vehanchor.tilt.camera_tilt import metadata_tilt, plane_of_record, plane_with
+from vehanchor.tilt.camera_tilt import metadata_tilt, plane_of_record
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,27 +31,27 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.imagery.metadata.lens import Lens
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
     from vehanchor.records import GsdEstimate, Notice, ScaleSource, Status
-    from vehanchor.rulers.camera import Lens
-
-_HEIGHT_LOG_SD = 0.12  # of a height that was told, above ground that may lie elsewhere than the take-off
 
 ScaleInput: TypeAlias = Detector | float | KnownScale
 """What finds the scale, or what it is."""
 
 
 class CameraAbove(NamedTuple):
-    """How high the camera was: by the scale of the ground and a lens, or by a height that was told.
+    """Data for the height of the camera: a lens, which gives it with the scale of the ground, or a stated height.
 
     Attributes:
-        lens: the view; None where nothing tells it.
-        height_m: above the ground, or the take-off; None where nothing tells it.
+        lens: field of view; None if unknown.
+        height_m: above the ground, or above take-off; None if unknown.
+        height_log_sd: standard deviation of its log.
     """
 
     lens: Lens | None
     height_m: float | None
+    height_log_sd: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,8 +199,8 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
 def _plane(raster: Raster, options: ScaleOptions, gsd_m_per_px: float | None) -> GroundPlane | None:
     """The ground under a camera that looked aside, with this scale at the image's centre."""
     image = ImageFacts(raster.width_px, raster.height_px, camera=raster.camera)
-    looked = None if gsd_m_per_px is None else metadata_tilt(image, options)
-    return None if looked is None or gsd_m_per_px is None else plane_with(looked, image, gsd_m_per_px)
+    tilt = None if gsd_m_per_px is None else metadata_tilt(image, options)
+    return None if tilt is None or gsd_m_per_px is None else tilt.plane(image, gsd_m_per_px)
 
 
 def _given_plane(raster: Raster, scale: KnownScale) -> GroundPlane | None:
@@ -228,7 +230,8 @@ def camera_above(raster: Raster, options: ScaleOptions, object_height_m: float) 
             "object_height_m needs the camera's height, which neither the file nor an option tells: give height_m, or "
             "measure on the ground"
         )
-    return CameraAbove(seen, height)
+    spread = HEIGHT_LOG_SD if chosen.height_m is not None else 0.0 if height is None else height_log_sd(height)
+    return CameraAbove(seen, height, spread)
 
 
 def raised(found: ResolvedScale, object_height_m: float, camera: CameraAbove) -> ResolvedScale:
@@ -254,7 +257,7 @@ def raised(found: ResolvedScale, object_height_m: float, camera: CameraAbove) ->
         lens_log_sd = camera.lens.log_sd if camera.lens else 0.0
         log_sd = math.hypot(found.log_sd, share * lens_log_sd) / (1 - share)
     else:
-        log_sd = math.hypot(found.log_sd, share / (1 - share) * _HEIGHT_LOG_SD)
+        log_sd = math.hypot(found.log_sd, share / (1 - share) * camera.height_log_sd)
     return replace(
         found,
         gsd_m_per_px=found.gsd_m_per_px * (1 - share),

@@ -8,7 +8,7 @@ from vehanchor.options.keywords import OptionKeywords
 from vehanchor.options.lengths import Lengths
 from vehanchor.options.reading import Reading
 from vehanchor.options.reference import Reference
-from vehanchor.options.rulers import KnownLength, RulerName, Rulers
+from vehanchor.options.rulers import KnownLength, Rulers
 from vehanchor.options.scale_options import ScaleOptions, declared_option, declared_options
 from vehanchor.options.search import Effort, Search
 
@@ -23,7 +23,6 @@ __all__ = [
     "OptionKeywords",
     "Reading",
     "Reference",
-    "RulerName",
     "Rulers",
     "ScaleOptions",
     "Search",

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     from vehanchor.options.frame import Coordinates
     from vehanchor.options.image_limits import ImageLimits
-    from vehanchor.options.rulers import RulerName
+    from vehanchor.options.method import Preset
     from vehanchor.options.search import Effort
     from vehanchor.scale.calibration import Calibration
     from vehanchor.scale.defaults import Aggregation
@@ -22,6 +22,7 @@ class OptionKeywords(TypedDict, total=False):
     min_score: float | None
     nms_iou: float
     search_scales: bool | None
+    verify: bool
     tile_px: int | None
     stride_px: int | None
     effort: Effort
@@ -39,8 +40,9 @@ class OptionKeywords(TypedDict, total=False):
     limits: ImageLimits
     bgr: bool
     max_megapixels: float | None
-    rulers: Sequence[RulerName] | None
+    rulers: Sequence[str] | None
     metadata: bool
     known_lengths: Sequence[tuple[float, float, float, float, float]]
     height_m: float | None
     focal_35mm: float | None
+    preset: Preset | None

@@ -5,18 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, NamedTuple
 
 from vehanchor.errors import InvalidParameterError, KnownLengthError
 from vehanchor.options.option import Flag, Limits, check_fields, option, set_frozen
 
-RulerName: TypeAlias = Literal["vehicles", "scene_scale", "camera", "known_length", "height", "courts", "positions"]
-"""Rulers by the names that records and options give them."""
-
-SEARCHED: frozenset[RulerName] = frozenset({"vehicles"})
-"""Rulers that measure what the detector finds: without any of them it does not run."""
-
-_FROM_METADATA = ("camera", "positions")
 _MIN_LINE_PX = 5.0  # a pixel off at each end of a shorter line is more than a quarter of it
 LINE_LENGTH_M = Limits(above=0, most=100_000)
 """Metres of a line of known length."""
@@ -63,11 +56,10 @@ class KnownLength(NamedTuple):
 
 @dataclass(frozen=True)
 class Rulers:
-    """What the scale is taken from, and what the caller knows of it.
+    """Rulers to use, and what the caller knows of the scale.
 
     Attributes:
-        rulers: which rulers are used; None for all. Vehicles alone are the paper's skill; without them, the detector
-            does not run.
+        rulers: kinds of the rulers to use; None for all. ``vehanchor.rulers.registry`` knows which exist.
         metadata: read the camera's metadata in the file; False is the paper's case.
         known_lengths: lines of known length, x1, y1, x2, y2 in pixels and metres.
         height_m: of the camera above the ground, metres; a picture counts as taken straight down unless its metadata
@@ -76,16 +68,12 @@ class Rulers:
 
     Raises:
         KnownLengthError: what is given is no line.
-        InvalidParameterError: a number has no meaning, or a ruler is not known.
+        InvalidParameterError: a number has no meaning, or the rulers are no list of names.
     """
 
-    rulers: tuple[RulerName, ...] | None = field(
+    rulers: tuple[str, ...] | None = field(
         default=None,
-        metadata=option(
-            "Rulers to use, with commas: vehicles, scene_scale, camera, known_length, height, courts, positions (of "
-            "flights). Default: all.",
-            metavar="NAMES",
-        ),
+        metadata=option("Rulers to use, with commas. Default: all.", metavar="NAMES"),
     )
     metadata: bool = field(
         default=True,
@@ -122,15 +110,6 @@ class Rulers:
             raise InvalidParameterError("focal_35mm needs height_m: give the height above the ground, too")
         check_fields(self)
 
-    def uses(self, kind: str) -> bool:
-        """Whether a ruler is used."""
-        return (self.rulers is None or kind in self.rulers) and (self.metadata or kind not in _FROM_METADATA)
-
-    @property
-    def searches(self) -> bool:
-        """Whether the detector is needed."""
-        return any(self.uses(kind) for kind in SEARCHED)
-
     def check_lengths(self) -> None:
         """Refuse lines too short to measure by.
 
@@ -164,13 +143,12 @@ class Rulers:
                 )
 
 
-def _ruler_names(names: Any) -> tuple[RulerName, ...]:
-    known = get_args(RulerName)
-    if isinstance(names, str) or not isinstance(names, Collection) or not all(name in known for name in names):
-        raise InvalidParameterError(f"rulers is {names!r}: use some of {', '.join(known)}")
+def _ruler_names(names: Any) -> tuple[str, ...]:
+    if isinstance(names, str) or not isinstance(names, Collection) or not all(isinstance(name, str) for name in names):
+        raise InvalidParameterError(f"rulers is {names!r}: give a list of names")
     if not names:
-        raise InvalidParameterError(f"rulers is {names!r}: use at least one of {', '.join(known)}")
-    return tuple(name for name in known if name in names)
+        raise InvalidParameterError(f"rulers is {names!r}: name at least one, or leave it out")
+    return tuple(dict.fromkeys(names))
 
 
 def _lines(lines: Any) -> tuple[KnownLength, ...]:

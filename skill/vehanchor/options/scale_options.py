@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options.frame import Frame
 from vehanchor.options.lengths import Lengths
+from vehanchor.options.method import Method, with_preset
 from vehanchor.options.option import Option, keyword_of, option_of
 from vehanchor.options.reading import Reading
 from vehanchor.options.reference import Reference
@@ -29,6 +30,7 @@ class ScaleOptions:
         frame: the caller's resized copy.
         reading: how the image is read.
         rulers: what the scale is taken from.
+        method: a preset of all of them.
     """
 
     search: Search = field(default_factory=Search)
@@ -37,6 +39,7 @@ class ScaleOptions:
     frame: Frame = field(default_factory=Frame)
     reading: Reading = field(default_factory=Reading)
     rulers: Rulers = field(default_factory=Rulers)
+    method: Method = field(default_factory=Method)
 
     def __post_init__(self) -> None:
         if self.frame.coordinates == "pixels":
@@ -82,6 +85,9 @@ class ScaleOptions:
         Raises:
             InvalidParameterError: a value is invalid, or there is no such option.
         """
+        preset = keywords.get("preset") or self.method.preset
+        if preset is not None:
+            keywords = with_preset(preset, keywords, _defaults())
         rest, groups = dict(keywords), {each.name: getattr(self, each.name) for each in fields(self)}
         for name, group in groups.items():
             known = {each.name: keyword_of(each) for each in fields(group)}
@@ -111,7 +117,7 @@ class DeclaredOption(NamedTuple):
 
 def declared_options() -> tuple[DeclaredOption, ...]:
     """List the options of all groups."""
-    groups = (Search, Lengths, Reference, Frame, Reading, Rulers)
+    groups = (Search, Lengths, Reference, Frame, Reading, Rulers, Method)
     return tuple(
         DeclaredOption(keyword_of(each), each, group, option_of(each)) for group in groups for each in fields(group)
     )
@@ -127,3 +133,12 @@ def declared_option(keyword: str) -> Option:
     if found is None:
         raise KeyError(keyword)
     return found
+
+
+def _defaults() -> dict[str, Any]:
+    groups = ScaleOptions()
+    return {
+        keyword_of(each): getattr(group, each.name)
+        for group in (getattr(groups, name.name) for name in fields(groups))
+        for each in fields(group)
+    }

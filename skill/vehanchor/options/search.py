@@ -27,6 +27,7 @@ class Search:
         nms_iou: IoU, 0..1, above which the weaker of two boxes is dropped.
         search_scales: search reduced copies of the image, too, for vehicles longer than the model was trained on; None
             takes the model's own choice (no, for foreign models).
+        verify: score candidates again by the model's verifier, if it has one.
         tile_px: tile side; None is 1024, or the model's input where that is fixed.
         stride_px: step between tiles; None is three quarters of the tile.
         effort: ``full`` visits every tile; ``auto`` and ``fast`` visit those where cars are likely first, and end when
@@ -57,6 +58,7 @@ class Search:
             Flag(),
         ),
     )
+    verify: bool = field(default=True, metadata=option("Score candidates again by the verifier.", Flag(), cli=False))
     tile_px: int | None = field(
         default=None,
         metadata=option("Side of a tile, pixels. Default: 1024, or the model's input.", _COUNT, metavar="PX"),

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.rulers.fused import ruler_densities
+from vehanchor.rulers.decision import ruler_densities
+from vehanchor.rulers.registry import ruler_class
+from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.fusion import GRID, product
 
 if TYPE_CHECKING:
@@ -14,15 +16,6 @@ if TYPE_CHECKING:
 
     from vehanchor.pictures.drawable import DrawableScale
 
-_COLOURS = {  # Okabe and Ito's; the vehicles' as in the histogram
-    "vehicles": "#0072B2",
-    "scene_scale": "#999999",
-    "camera": "#E69F00",
-    "known_length": "#009E73",
-    "height": "#CC79A7",
-    "courts": "#D55E00",
-}
-_OTHERS = ("#8C6D31", "#56B4E9", "#7A5195")
 _INK = "#222222"
 _PAD = 1.25  # beyond the widest interval, as a factor
 _DRAWN = 0.004  # of the highest point: below it a curve is not drawn
@@ -30,7 +23,7 @@ _DRAWN = 0.004  # of the highest point: below it a curve is not drawn
 
 def has_densities(analysis: DrawableScale) -> bool:
     """Whether there is more than one thing to draw, or one other than vehicles."""
-    return set(ruler_densities((analysis.vehicles, *analysis.others))) not in (set(), {"vehicles"})
+    return set(ruler_densities((analysis.vehicles, *analysis.others))) not in (set(), {Vehicles.kind})
 
 
 def plot_rulers(axes: Axes, analysis: DrawableScale) -> None:
@@ -47,11 +40,10 @@ def plot_rulers(axes: Axes, analysis: DrawableScale) -> None:
     outvoted = {ruler.kind for ruler in estimate.rulers if not ruler.agrees}
     ends = [end for each in evidence if each.interval is not None for end in each.interval]
     scales = np.exp(GRID)
-    others = iter(_OTHERS * len(densities))
     for kind, density in densities.items():
-        colour = _COLOURS.get(kind) or next(others)
+        colour, name = ruler_class(kind).colour, ruler_class(kind).label
         said = next(each.gsd_m_per_px for each in evidence if each.kind == kind)
-        label = f"{kind.replace('_', ' ')} {said:.3g}{' (disagrees)' if kind in outvoted else ''}"
+        label = f"{name} {said:.3g}{' (disagrees)' if kind in outvoted else ''}"
         curve = density / density.max()
         shown = np.where(curve > _DRAWN, curve, 0.0)
         axes.fill_between(scales, shown, color=colour, alpha=0.18, lw=0)

@@ -250,14 +250,14 @@ def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
 
 def _rulers_line(analysis: DrawableScale) -> CaptionLine:
     """What each ruler says, behind a swatch where it was laid along something; nothing where vehicles are the only."""
-    heard = [ruler for ruler in analysis.estimate.rulers if ruler.kind != "scene_scale"]
+    heard = [ruler for ruler in analysis.estimate.rulers if ruler.sets_scale]
     if [ruler.kind for ruler in heard] in ([], ["vehicles"]):
         return []
     marked = {other.kind for other in analysis.others if other.marks}
     return [
         (
             MARK_RGB if ruler.kind in marked else None,
-            f"{ruler.kind.replace('_', ' ')} {ruler.gsd_m_per_px:.3g} m/px{'' if ruler.agrees else ', disagrees'}",
+            f"{ruler.label} {ruler.gsd_m_per_px:.3g} m/px{'' if ruler.agrees else ', disagrees'}",
         )
         for ruler in heard
     ]

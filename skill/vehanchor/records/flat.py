@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
-from vehanchor.options.rulers import RulerName
+from vehanchor.records.ruler_kinds import ruler_kinds
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -35,7 +35,9 @@ def flat_columns(kind: type[BaseModel], *, without: Collection[str] = ()) -> dic
     """
     found: dict[str, type] = {}
     for name, field in kind.model_fields.items():
-        if name not in without:
+        if name == "rulers" and name not in without:
+            found |= {f"ruler_{ruler}_{part}": each for ruler in ruler_kinds() for part, each in _OF_RULERS.items()}
+        elif name not in without:
             found |= _columns(name, _bare(field))
     return found
 
@@ -74,8 +76,6 @@ def _columns(name: str, kind: Any) -> dict[str, type]:
         return {name: kind}
     if name == "warnings":
         return {_CODES: str}
-    if name == "rulers":
-        return {f"ruler_{ruler}_{part}": each for ruler in get_args(RulerName) for part, each in _OF_RULERS.items()}
     return {f"n_{name}": int}
 
 
@@ -90,4 +90,6 @@ def _bare(field: FieldInfo) -> Any:
     kind = field.annotation
     if optional and all(isinstance(each, type) or get_origin(each) is not None for each in kinds):
         kind = kinds[0]
+    if get_origin(kind) is Annotated:
+        kind = get_args(kind)[0]
     return type(get_args(kind)[0]) if get_origin(kind) is Literal else kind

@@ -6,11 +6,11 @@ from typing import Literal
 
 from pydantic import Field
 
-from vehanchor.options.rulers import RulerName
 from vehanchor.options.search import Stopped
 from vehanchor.records.known_scale import KnownScale
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
+from vehanchor.records.ruler_kinds import RulerKind
 from vehanchor.scale.defaults import Aggregation
 
 Status = Literal["ok", "low_confidence", "no_scale"]
@@ -52,13 +52,18 @@ class SceneScaleEstimate(Record):
 class RulerScale(Record):
     """The scale by one ruler, and its part in the estimate."""
 
-    kind: RulerName = Field(description="Name of the ruler.")
+    kind: RulerKind = Field(description="Name of the ruler in options and tables.")
+    label: str = Field(description="Name of the ruler in messages and pictures.")
+    sets_scale: bool = Field(description="Whether it can set the scale. A prior cannot: it weighs other rulers.")
     gsd_m_per_px: float = Field(gt=0, description="Scale by this ruler alone, metres per pixel of the full image.")
     gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its own 95 % interval.")
     gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its own 95 % interval.")
     n: int = Field(ge=0, description="Number of things measured: vehicles, lines, tiles of the scene.")
     weight: float = Field(
-        ge=0, le=1, description="Its share of the precision among the rulers that agree; 0 for one that does not."
+        ge=0,
+        le=1,
+        description="Its share of the precision among the rulers whose densities make the scale; 0 for the others and "
+        "for one that disagrees.",
     )
     agrees: bool = Field(description="Whether it agrees with the estimate.")
     explanation: str | None = Field(
@@ -111,7 +116,7 @@ class GsdEstimate(Record):
     scene_scale: SceneScaleEstimate | None = Field(
         description="The scale by the appearance of the scene, a prior; null if it was not computed."
     )
-    leading_ruler: RulerName | None = Field(description="The ruler with the largest weight; null without a scale.")
+    leading_ruler: RulerKind | None = Field(description="The ruler with the largest weight; null without a scale.")
     rulers: tuple[RulerScale, ...] = Field(description="All rulers that found something; none without a scale.")
     n_detections: int = Field(ge=0, description="N: vehicles detected, before the outlier filter.")
     working_scale: float | None = Field(

@@ -1,52 +1,59 @@
-"""Whether rulers agree: who says what, where they do not."""
+"""Agreement of rulers, by one rule: a ruler agrees with a scale in its 95 % interval, or within a tenth of its own."""
 
 from __future__ import annotations
 
+import math
 from itertools import combinations
 from typing import TYPE_CHECKING
 
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.registry import ruler_class
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
     from vehanchor.rulers.evidence import Evidence
 
-AGREEMENT = 0.2  # two scales agree where the larger is at most this share above the smaller
-_NAMES = {
-    "vehicles": "the vehicles say",
-    "camera": "the camera's height says",
-    "known_length": "the known length says",
-    "height": "the given height says",
-    "courts": "the courts say",
-    "positions": "the positions say",
-}
+AGREEMENT = 0.1
 _CHECK = "Check which of them is wrong before using either."
 
 
+def agrees(ruler: Evidence, gsd_m_per_px: float) -> bool:
+    """Whether a ruler agrees with a scale."""
+    if ruler.gsd_m_per_px is None or ruler.interval is None:
+        return False
+    in_interval = ruler.interval.low <= gsd_m_per_px <= ruler.interval.high
+    return in_interval or abs(math.log(ruler.gsd_m_per_px / gsd_m_per_px)) <= math.log1p(AGREEMENT)
+
+
 def disagreements(evidence: Sequence[Evidence], outvoted: Collection[str] = ()) -> list[Notice]:
-    """Warn of rulers that are outvoted, and of every two others whose scales are further apart than a fifth.
+    """Warn of outvoted rulers, and of every two others of which neither agrees with the other's scale.
 
     Args:
-        evidence: of all rulers. One that found nothing, and a witness, whose confidence is always 0, disagree with
-            nobody.
-        outvoted: kinds of those that do not agree with the scale of all.
+        evidence: of all rulers. One that found nothing and one that cannot set the scale disagree with none.
+        outvoted: kinds of the rulers that do not agree with the scale of all.
 
     Returns:
         One notice for each outvoted ruler, one for each other pair.
     """
-    found = [each for each in evidence if each.gsd_m_per_px is not None and each.confidence > 0]
+    found = [each for each in evidence if each.sets_scale]
     kept = [each for each in found if each.kind not in outvoted] or found
     notices = []
-    for liar in (each for each in found if each not in kept):
+    for wrong in (each for each in found if each not in kept):
         if len(kept) == 1:
-            notices.append(_pair(*sorted((liar, kept[0]), key=found.index)))
-        elif kept:
+            notices.append(_pair(*sorted((wrong, kept[0]), key=found.index)))
+        else:
             others = ", ".join(map(_says, kept))
-            message = f"{_says(liar).capitalize()} m/px, and the other rulers disagree: {others} m/px. {_CHECK}"
+            message = f"{_says(wrong).capitalize()} m/px, and the other rulers disagree: {others} m/px. {_CHECK}"
             notices.append(Notice(code=NoticeCode.RULERS_DISAGREE, message=message))
-    return notices + [_pair(*pair) for pair in combinations(kept, 2) if _ratio(*pair) > 1 + AGREEMENT]
+    return notices + [_pair(*pair) for pair in combinations(kept, 2) if not _compatible(*pair)]
+
+
+def _compatible(one: Evidence, other: Evidence) -> bool:
+    assert one.gsd_m_per_px is not None
+    assert other.gsd_m_per_px is not None
+    return agrees(one, other.gsd_m_per_px) or agrees(other, one.gsd_m_per_px)
 
 
 def _pair(one: Evidence, other: Evidence) -> Notice:
@@ -57,9 +64,4 @@ def _pair(one: Evidence, other: Evidence) -> Notice:
 
 
 def _says(one: Evidence) -> str:
-    return f"{_NAMES.get(one.kind, one.kind.replace('_', ' ') + ' says')} {one.gsd_m_per_px:.2g}"
-
-
-def _ratio(one: Evidence, other: Evidence) -> float:
-    low, high = sorted((one.gsd_m_per_px or 0.0, other.gsd_m_per_px or 0.0))
-    return high / low
+    return f"{ruler_class(one.kind).says()} {one.gsd_m_per_px:.2g}"

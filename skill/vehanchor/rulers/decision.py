@@ -1,46 +1,83 @@
-"""The judgement of a scale: how far it may be used, by what all rulers say, and why not further."""
+"""Decide on a scale: from the evidence of all rulers to one value, interval, chance and reason.
+
+The densities of all rulers are multiplied into one posterior. If no ruler but vehicles sets a scale, the value is the
+paper's, ``L_ref / P_mode``, and the posterior judges it. Otherwise the value is the median of the strongest mode.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from vehanchor.detection.convergence import Convergence
 from vehanchor.records.notices import FLEET_DOUBTS, NoticeCode
-from vehanchor.rulers.agreement import disagreements
-from vehanchor.rulers.fused import able_rulers, fuse_rulers, shares
-from vehanchor.rulers.scene_scale import SceneScale
-from vehanchor.scale.fusion import USABLE_CHANCE, fuse, mass_within
-from vehanchor.scale.lengths import MIN_KDE_VEHICLES, statistical_log_sds
+from vehanchor.rulers.agreement import agrees, disagreements
+from vehanchor.scale.fusion import (
+    GRID,
+    LOG_STEP,
+    TOLERANCE,
+    USABLE_CHANCE,
+    credible_interval,
+    fuse,
+    mass_within,
+    product,
+)
+from vehanchor.scale.lengths import MIN_KDE_VEHICLES, Z95, Interval, statistical_log_sds
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX, UNSURE_CONFIDENCE, WIDEST_USABLE
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
-    from vehanchor.options.rulers import RulerName
+    from numpy.typing import NDArray
+
     from vehanchor.records import Reason
     from vehanchor.rulers.evidence import Evidence
-    from vehanchor.rulers.fused import FusedScale, RulerShare
     from vehanchor.rulers.vehicles import VehicleEvidence
-    from vehanchor.scale.lengths import Interval
 
-_WIDEST_OF_ANY = 3.0  # the same where no chance of being right is known, as with foreign detectors
-_LOST_WIDTH = 5.0  # high over low of the scene's own interval: it was never shown the like
-_SCENE_REACH, _SCENE_AGREES = 0.4, 0.1  # the ground bears a scale out where it holds a tenth within +-40 %
+_BASIN = 0.25  # of log scale on either side of the highest cell: what belongs to one mode
+_WINDOW = 0.2  # the same, of what makes one mode stronger than another
+_WIDEST_OF_UNCALIBRATED = 3.0  # high over low of an interval if the votes are uncalibrated
+_LOST_WIDTH = 5.0  # high over low of a prior's interval: it has seen nothing like the scene
+_PRIOR_REACH, _PRIOR_SUPPORT = 0.4, 0.1  # a prior supports a scale if it holds a tenth within +-40 %
+
+
+class RulerShare(NamedTuple):
+    """One ruler's part in a scale.
+
+    Attributes:
+        kind: of the ruler.
+        gsd_m_per_px: its own scale.
+        interval: its own 95 % interval.
+        n: number of things measured.
+        weight: 0..1, its share of the precision among the densities multiplied into the scale; 0 for others, and for
+            one that disagrees. The weights add up to 1.
+        agrees: whether it agrees with the scale.
+        explanation: the measurement in a sentence; None if the numbers say it all.
+    """
+
+    kind: str
+    gsd_m_per_px: float
+    interval: Interval
+    n: int
+    weight: float
+    agrees: bool
+    explanation: str | None = None
 
 
 class ScaleDecision(NamedTuple):
-    """The scale that is given out, and how far it may be used.
+    """A scale and how far it may be used.
 
     Attributes:
-        gsd_m_per_px: the vehicles' scale, or, with other rulers that make one, that of all; None without any.
-        interval: that holds the true scale in 95 of 100 images; None without a scale.
-        p_within_20: chance that the error is below a fifth; None where nobody has fitted how the detector's boxes vote.
-        confidence: the paper's of vehicles alone, with other rulers ``p_within_20``; capped where the chance is below
+        gsd_m_per_px: None without a scale.
+        interval: holds the true scale in 95 of 100 images; None without a scale.
+        p_within_20: chance of an error below a fifth; None without a scale, or if the votes are uncalibrated.
+        confidence: the paper's C if vehicles alone set the scale, else ``p_within_20``; capped if the chance is below
             0.9 or the interval spans more than a factor of 2.
-        reason: why the scale is not to be used; None where it is.
-        source: kind of the ruler that leads; None without a scale.
-        rulers: what each says, and whether it agrees; none without a scale.
+        reason: why the scale is not to be used; None if it is.
+        source: kind of the ruler with the largest weight, of those that set the scale; None without a scale.
+        rulers: each ruler's part; none without a scale.
     """
 
     gsd_m_per_px: float | None
@@ -48,37 +85,56 @@ class ScaleDecision(NamedTuple):
     p_within_20: float | None
     confidence: float
     reason: Reason | None
-    source: RulerName | None = None
+    source: str | None = None
     rulers: tuple[RulerShare, ...] = ()
 
 
+class Posterior(NamedTuple):
+    """Value, interval and chance of all rulers, and the kinds whose densities make the value."""
+
+    gsd_m_per_px: float
+    interval: Interval
+    p_within_20: float | None
+    multiplied: frozenset[str]
+
+
 def decide(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> ScaleDecision:
-    """Judge what the rulers say together.
-
-    Vehicles alone give the paper's scale, judged by the product of their density with that of witnesses; as soon as
-    another ruler makes a scale, the scale is that of the product.
+    """Decide on the scale of an image.
 
     Args:
         vehicles: their evidence.
-        others: that of the other rulers.
+        others: evidence of the other rulers.
 
     Returns:
-        The judgement; of vehicles alone without a fitted density their own interval and confidence stand.
+        The decision. Vehicles alone with uncalibrated votes keep their own interval and confidence.
     """
-    makers = [each for each in able_rulers(others) if each.fusable_density is not None]
-    fused = fuse_rulers((vehicles, *others)) if makers else None
-    return _of_vehicles(vehicles, others) if fused is None else _of_all(fused, vehicles, others)
+    evidence = (vehicles, *others)
+    alone = not any(each.sets_scale and each.fusable_density is not None for each in others)
+    posterior = _posterior_of_vehicles(vehicles, others) if alone else fuse_rulers(evidence)
+    if posterior is None:
+        return ScaleDecision(None, None, None, vehicles.confidence, _vehicle_reason(vehicles, others))
+    gsd, interval, chance, multiplied = posterior
+    confidence = vehicles.confidence if alone or chance is None else chance
+    widest = WIDEST_USABLE if chance is not None else _WIDEST_OF_UNCALIBRATED
+    uncertain = (chance is not None and chance < USABLE_CHANCE) or interval.high > widest * interval.low
+    if uncertain and not vehicles.uncapped:
+        confidence = min(confidence, UNSURE_CONFIDENCE)
+    rulers = shares(evidence, gsd, multiplied)
+    reason: Reason | None = None
+    if confidence < FALLBACK_CONFIDENCE:
+        reason = _vehicle_reason(vehicles, others) if alone else _fused_reason(evidence, rulers)
+    return ScaleDecision(gsd, interval, chance, confidence, reason, _leading(evidence, rulers), rulers)
 
 
-def convergence(vehicles: VehicleEvidence, cues: Sequence[Evidence]) -> Convergence:
-    """Say of vehicles that were found so far whether more of them would help.
+def convergence(vehicles: VehicleEvidence, priors: Sequence[Evidence]) -> Convergence:
+    """Decide whether more vehicles would narrow the scale found so far.
 
     Args:
         vehicles: their evidence.
-        cues: that of what says something of the ground, but makes no scale by itself.
+        priors: evidence of rulers that cannot set the scale.
 
     Returns:
-        How far they leave the scale open, and whether it could be used.
+        How wide the scale is, and whether it could be used.
     """
     if vehicles.mode_length_px is None:
         return Convergence(math.inf, 0.0, doubted=True)
@@ -88,67 +144,148 @@ def convergence(vehicles: VehicleEvidence, cues: Sequence[Evidence]) -> Converge
     return Convergence(
         statistical,
         vehicles.reference.sd_m / vehicles.reference.length_m,
-        doubted=doubts or vehicles.guarded or decide(vehicles, cues).reason is not None,
+        doubted=doubts or vehicles.guarded or decide(vehicles, priors).reason is not None,
     )
 
 
-def _of_all(fused: FusedScale, vehicles: VehicleEvidence, others: Sequence[Evidence]) -> ScaleDecision:
-    confidence, reason = fused.p_within_20, None
-    if fused.p_within_20 < USABLE_CHANCE or fused.interval.high > WIDEST_USABLE * fused.interval.low:
-        confidence = min(confidence, UNSURE_CONFIDENCE)
-        able = {each.kind for each in able_rulers((vehicles, *others))}
-        outvoted = any(not ruler.agrees for ruler in fused.rulers if ruler.kind in able)
-        reason = "disagree" if outvoted or disagreements((vehicles, *others)) else "imprecise"
-    return ScaleDecision(
-        fused.gsd_m_per_px,
-        fused.interval,
-        fused.p_within_20,
-        confidence,
-        cast("Reason | None", reason),
-        cast("RulerName", fused.leading),
-        fused.rulers,
+def ruler_densities(evidence: Iterable[Evidence]) -> dict[str, NDArray[np.float64]]:
+    """Densities of rulers, ready to be multiplied (``vehanchor.scale.fusion.product``).
+
+    Args:
+        evidence: of all rulers of an image.
+
+    Returns:
+        ``[g]`` probabilities on ``vehanchor.scale.fusion.GRID`` by the kind of the ruler, without those that found
+        nothing.
+    """
+    found = ((each.kind, each.fusable_density) for each in evidence if each.gsd_m_per_px is not None)
+    return {kind: density for kind, density in found if density is not None}
+
+
+def fuse_rulers(evidence: Sequence[Evidence]) -> Posterior | None:
+    """Multiply the densities of all rulers; the value is the median of the strongest mode.
+
+    Args:
+        evidence: of all rulers, priors included.
+
+    Returns:
+        None if no ruler that sets a scale found anything.
+    """
+    densities = ruler_densities(evidence)
+    if not any(each.sets_scale and each.kind in densities for each in evidence):
+        return None
+    posterior = product(*densities.values())
+    gsd = _strongest(posterior)
+    low, high = credible_interval(_not_all_wrong(list(densities.values())))
+    interval = Interval(min(low, gsd), max(high, gsd))
+    return Posterior(gsd, interval, mass_within(posterior, gsd, TOLERANCE), frozenset(densities))
+
+
+def shares(evidence: Sequence[Evidence], gsd_m_per_px: float, multiplied: frozenset[str]) -> tuple[RulerShare, ...]:
+    """Compare each ruler with the scale of all.
+
+    Args:
+        evidence: of all rulers.
+        gsd_m_per_px: the scale.
+        multiplied: kinds whose densities make the scale.
+
+    Returns:
+        One for each ruler with a density, in their order.
+    """
+    densities = ruler_densities(evidence)
+    found = [(each, each.gsd_m_per_px, each.interval) for each in evidence if each.kind in densities]
+    agreed = {each.kind for each, _, _ in found if agrees(each, gsd_m_per_px)}
+    precisions = {
+        each.kind: _precision(interval)
+        for each, _, interval in found
+        if interval is not None and each.kind in agreed & multiplied
+    }
+    total = sum(precisions.values()) or 1.0
+    return tuple(
+        RulerShare(
+            each.kind,
+            gsd,
+            interval,
+            each.n,
+            precisions.get(each.kind, 0.0) / total,
+            each.kind in agreed,
+            each.explanation,
+        )
+        for each, gsd, interval in found
+        if gsd is not None and interval is not None
     )
 
 
-def _of_vehicles(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> ScaleDecision:
-    gsd, interval, p_within_20 = vehicles.gsd_m_per_px, vehicles.interval, None
-    confidence = vehicles.confidence
-    if gsd is not None and vehicles.density is not None:
-        densities = [other.density for other in others if other.density is not None]
-        interval, p_within_20 = fuse(gsd, vehicles.density, *densities, sharpness=vehicles.sharpness)
-        if p_within_20 < USABLE_CHANCE or interval.high > WIDEST_USABLE * interval.low:
-            confidence = min(confidence, UNSURE_CONFIDENCE)
-    if interval is not None and interval.high > _WIDEST_OF_ANY * interval.low:
-        confidence = min(confidence, UNSURE_CONFIDENCE)
-    usable = gsd is not None and confidence >= FALLBACK_CONFIDENCE
-    return ScaleDecision(
-        gsd,
-        interval,
-        p_within_20,
-        confidence,
-        None if usable else _reason(vehicles, others),
-        None if gsd is None else "vehicles",
-        () if gsd is None else shares((vehicles, *(each for each in others if each.density is not None)), gsd),
-    )
+def _posterior_of_vehicles(vehicles: VehicleEvidence, priors: Sequence[Evidence]) -> Posterior | None:
+    """The paper's value, judged by the product of the vehicles' density and the priors'."""
+    gsd, interval = vehicles.gsd_m_per_px, vehicles.interval
+    if gsd is None or interval is None:
+        return None
+    multiplied = frozenset({vehicles.kind})
+    if vehicles.density is None:
+        return Posterior(gsd, interval, None, multiplied)
+    densities = [prior.density for prior in priors if prior.density is not None]
+    judged = fuse(gsd, vehicles.density, *densities, sharpness=vehicles.sharpness)
+    return Posterior(gsd, judged.interval, judged.p_within_20, multiplied)
 
 
-def _reason(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> Reason:
-    """The first of: too few pixels, no cars, rulers that disagree, a scene like no other, too few cars."""
-    scene = next((other for other in others if other.kind == SceneScale.kind and other.interval is not None), None)
-    lost = scene is not None and scene.interval is not None and scene.interval.high > _LOST_WIDTH * scene.interval.low
+def _leading(evidence: Sequence[Evidence], rulers: Sequence[RulerShare]) -> str | None:
+    able = {each.kind for each in evidence if each.sets_scale}
+    heaviest = max(rulers, key=lambda ruler: (ruler.kind in able, ruler.weight), default=None)
+    return heaviest and heaviest.kind
+
+
+def _fused_reason(evidence: Sequence[Evidence], rulers: Sequence[RulerShare]) -> Reason:
+    able = {each.kind for each in evidence if each.sets_scale}
+    outvoted = any(not ruler.agrees for ruler in rulers if ruler.kind in able)
+    return "disagree" if outvoted or disagreements(evidence) else "imprecise"
+
+
+def _vehicle_reason(vehicles: VehicleEvidence, priors: Sequence[Evidence]) -> Reason:
+    """The first of: too few pixels, a contradicting prior, no cars, a scene unlike any other, too few cars."""
+    prior = next((each for each in priors if each.interval is not None), None)
+    lost = prior is not None and prior.interval is not None and prior.interval.high > _LOST_WIDTH * prior.interval.low
     if vehicles.gsd_m_per_px is None:
-        coarse = scene is not None and scene.interval is not None and scene.interval.low > GUARD_GSD_M_PER_PX
+        coarse = prior is not None and prior.interval is not None and prior.interval.low > GUARD_GSD_M_PER_PX
         return "too_coarse" if coarse else "lost" if lost else "too_few"
     codes = {notice.code for notice in vehicles.notices}
     if vehicles.guarded:
         return "too_coarse"
-    contradicted = scene is not None and not _borne_out(vehicles.gsd_m_per_px, scene)
-    if NoticeCode.LENGTHS_DISAGREE in codes or contradicted or disagreements((vehicles, *others)):
+    if NoticeCode.LENGTHS_DISAGREE in codes or (prior is not None and not _supports(prior, vehicles.gsd_m_per_px)):
         return "disagree"
     if codes & set(FLEET_DOUBTS):
         return "not_cars"
     return "lost" if lost and vehicles.n < MIN_KDE_VEHICLES else "too_few"
 
 
-def _borne_out(gsd_m_per_px: float, scene: Evidence) -> bool:
-    return scene.density is None or mass_within(scene.density, gsd_m_per_px, _SCENE_REACH) >= _SCENE_AGREES
+def _supports(prior: Evidence, gsd_m_per_px: float) -> bool:
+    return prior.density is None or mass_within(prior.density, gsd_m_per_px, _PRIOR_REACH) >= _PRIOR_SUPPORT
+
+
+def _not_all_wrong(densities: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Posterior given that not all rulers are wrong at once.
+
+    A ruler that may be wrong has an outlier floor. If all of them are wrong, nothing is known: that lowers the chance,
+    but would stretch an interval over the whole grid.
+    """
+    logs = np.sum([np.log(np.maximum(density, 1e-300)) for density in densities], axis=0)
+    all_wrong = sum(math.log(max(float(density.min()), 1e-300)) for density in densities)
+    right = np.maximum(np.exp(logs - logs.max()) - math.exp(all_wrong - logs.max()), 0.0)
+    return np.asarray(right / right.sum())
+
+
+def _strongest(posterior: NDArray[np.float64]) -> float:
+    """Median of the mode that has most of the posterior, metres per pixel."""
+    reach = round(_WINDOW / LOG_STEP)
+    below = np.concatenate([np.zeros(reach + 1), np.cumsum(posterior), np.full(reach, posterior.sum())])
+    middle = int(np.argmax(below[2 * reach + 1 :] - below[: len(posterior)]))
+    inside = slice(max(0, middle - reach), middle + reach + 1)
+    peak = GRID[inside][int(np.argmax(posterior[inside]))]
+    mode = np.where(np.abs(GRID - peak) <= _BASIN, posterior, 0.0)
+    return credible_interval(mode / mode.sum(), probability=0.0).low
+
+
+def _precision(interval: Interval) -> float:
+    """Inverse of the square of a spread."""
+    spread = math.log(interval.high / interval.low) / (2 * Z95)
+    return 1.0 / max(spread, 1e-3) ** 2

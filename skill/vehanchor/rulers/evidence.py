@@ -1,67 +1,56 @@
-"""The seam for rulers: what a ruler is shown, and what it answers.
+"""Input and output of a ruler: ``View`` and ``Evidence``.
 
-A ruler sees the image and what was found in it, never another ruler, and answers with evidence: a scale with its
-interval, what that stands on, and its doubts. One that finds nothing says so (``gsd_m_per_px`` None), it never guesses.
-To add one, write a class that is an ``Ruler`` into a file of its own and name it in ``vehanchor.rulers.registry``.
+To add a ruler, subclass ``vehanchor.rulers.ruler.Ruler`` in a file of its own and name it in
+``vehanchor.rulers.registry``.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import numpy as np
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detections import Detections
-    from vehanchor.imagery.metadata.camera import CameraMetadata
+    from vehanchor.detection.scene_scale import SceneScalePrior
+    from vehanchor.imagery.facts import ImageFacts
     from vehanchor.imagery.raster import Raster
     from vehanchor.models.runtime import Runtime
     from vehanchor.options import ScaleOptions
     from vehanchor.records import Notice
     from vehanchor.scale.lengths import Interval
-
-
-@stored("image_facts")
-class ImageFacts(NamedTuple):
-    """Facts of an image that need no look at its pixels.
-
-    Attributes:
-        width_px: columns.
-        height_px: rows.
-        georeference_gsd_m_per_px: the scale that the file itself carries; None where it has none.
-        notices: what there was to tell when it was read.
-        camera: what the file says of its camera; None where it says nothing.
-        image_id: checksum of the pixels; empty where nobody summed them up.
-    """
-
-    width_px: int
-    height_px: int
-    georeference_gsd_m_per_px: float | None = None
-    notices: tuple[Notice, ...] = ()
-    camera: CameraMetadata | None = None
-    image_id: str = ""
+    from vehanchor.scale.plane import GroundPlane
+    from vehanchor.tilt.camera_tilt import CameraTilt
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """All that a ruler is shown.
+    """All that a ruler sees.
 
     Attributes:
         image: facts of the image.
-        detections: what the search found in it.
-        card: of the model that found it.
+        detections: result of the search.
+        card: of the detector.
         options: every choice of the method.
-        resolved_share: of centres ``[n, 2]`` in pixels and the scale at which they were found: the share of the
-            resolution down to which there is detail (``vehanchor.imagery.detail``).
-        raster: the open image, for a ruler that looks at pixels; None where only what a search has found is kept.
+        resolved_share: for centres ``[n, 2]`` in pixels and the scale at which they were found, the share of the
+            resolution at which there is detail (``vehanchor.imagery.detail``).
+        raster: the open image, for a ruler that reads pixels; None if only the results of a search are kept.
         runtime: how a ruler's own model runs, as the detector does.
+        prior: the scene-scale prior; None without one.
+        tilt: of the camera; None for an image taken at nadir, or of unknown tilt.
+        found: by kind of ruler, what ``Ruler.find`` returned.
+        expected: ``[g]`` density of the scale by the rulers that do not depend on vehicles, in a tilted view; None
+            without any.
     """
 
     image: ImageFacts
@@ -71,15 +60,40 @@ class View:
     resolved_share: Callable[[NDArray[np.float64], float], float]
     raster: Raster | None = None
     runtime: Runtime | None = None
+    prior: SceneScalePrior | None = None
+    tilt: CameraTilt | None = None
+    found: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    expected: NDArray[np.float64] | None = None
+
+    @cached_property
+    def plane(self) -> GroundPlane | None:
+        """Ground of a tilted view, one metre per pixel at the centre of the image; None at nadir."""
+        return None if self.tilt is None else self.tilt.plane(self.image)
+
+    def rectified(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Rectify points ``[n, 2]`` of the image to nadir and to the scale of its centre.
+
+        Returns:
+            ``[n, 2]`` pixels; only differences count. At nadir the points themselves.
+
+        Raises:
+            TooObliqueError: a point lies above the horizon, or just below it.
+        """
+        places = np.asarray(points, dtype=np.float64)
+        return places if self.plane is None else self.plane.from_above(places)
+
+    def at_nadir(self) -> View:
+        """The same view as if the camera had looked straight down."""
+        return replace(self, tilt=None)
 
 
 @stored("mark")
 class Mark(NamedTuple):
-    """A line that a ruler was laid along, or the place for which it speaks.
+    """A line that a ruler measured, or the place for which it holds.
 
     Attributes:
         points: its corners, x and y in pixels of the image; one alone is a place.
-        label: what is written beside its middle, as "60 m"; empty for nothing.
+        label: text beside its middle, as "60 m"; empty for none.
         closed: whether the last corner is joined to the first.
     """
 
@@ -89,25 +103,25 @@ class Mark(NamedTuple):
 
     @classmethod
     def of_height(cls, image: ImageFacts, height_m: float) -> Mark:
-        """The height of the camera, in the middle of the image."""
+        """Height of the camera, in the middle of the image."""
         return cls(((image.width_px / 2, image.height_px / 2),), f"{height_m:.4g} m up")
 
 
 @stored("evidence")
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """One ruler's answer.
+    """Result of one ruler.
 
     Attributes:
         kind: of the ruler.
-        gsd_m_per_px: metres per pixel of the full image; None where it found nothing.
-        interval: the 95 % interval around it, metres per pixel; None where it found nothing.
-        n: how many things it was measured on.
-        confidence: in 0..1, 0 where it found nothing.
-        notices: its doubts, and what else there is to tell.
-        density: probabilities on ``vehanchor.scale.fusion.GRID``; None for nothing that could be multiplied.
-        explanation: what it was measured by, in a sentence; None where there is no more to say than the numbers do.
-        marks: what it was measured on, for pictures.
+        gsd_m_per_px: metres per pixel of the full image, at its centre in a tilted view; None if nothing was found.
+        interval: the 95 % interval around it, metres per pixel; None if nothing was found.
+        n: number of things measured.
+        confidence: in 0..1; 0 if nothing was found, and for a ruler that cannot set the scale.
+        notices: doubts and other remarks.
+        density: probabilities on ``vehanchor.scale.fusion.GRID``; None if there is nothing to multiply.
+        explanation: the measurement in a sentence; None if the numbers say it all.
+        marks: lines measured, for pictures.
     """
 
     kind: str
@@ -122,16 +136,10 @@ class Evidence:
 
     @property
     def fusable_density(self) -> NDArray[np.float64] | None:
-        """The density that is multiplied with those of other rulers; None for none."""
+        """Density to multiply with those of other rulers; None for none."""
         return self.density
 
-
-class Ruler(Protocol):
-    """A ruler."""
-
     @property
-    def kind(self) -> str:
-        """Name in records and options."""
-
-    def look(self, view: View) -> Evidence:
-        """Say what this ruler tells of the image's scale."""
+    def sets_scale(self) -> bool:
+        """Whether it can set a scale by itself; a prior cannot."""
+        return self.gsd_m_per_px is not None and self.confidence > 0

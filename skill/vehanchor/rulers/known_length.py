@@ -1,4 +1,4 @@
-"""The caller as a ruler: lines on the ground whose length is known, or the camera's height above the ground."""
+"""Known lengths as a ruler: lines on the ground that the caller has measured."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 from vehanchor.errors import KnownLengthError
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.camera import TILT_SD_DEG, cropped, equivalent_lens, lens, looking_aside, taken_ratio
 from vehanchor.rulers.evidence import Mark
 from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
+from vehanchor.rulers.ruler import Ruler
+from vehanchor.tilt.camera_tilt import TILT_SD_DEG
 
 if TYPE_CHECKING:
-    from vehanchor.rulers.camera import Lens
     from vehanchor.rulers.evidence import View
     from vehanchor.rulers.lognormal import LognormalEvidence
     from vehanchor.scale.plane import GroundPlane
@@ -22,27 +22,24 @@ if TYPE_CHECKING:
 _END_SD_PX = 1.0  # how well a person hits an end, in pixels of the picture in which it was drawn
 _LINE_LOG_SD = 0.01  # a line lies on ground that is neither flat nor level, and its metres are rounded
 _LINES_APART_SDS = 3.0
-_HEIGHT_LOG_SD = 0.05  # the caller knows the height above the ground itself
-_CHANCE_WRONG_LINE, _CHANCE_WRONG_HEIGHT = 0.05, 0.05
+_CHANCE_WRONG = 0.05
 
 
-class KnownLengths:
+class KnownLengths(Ruler):
     """Lines that the caller has measured on the ground."""
 
     kind = "known_length"
+    label = "known length"
+    help = "lines that you draw, and their metres"
+    colour = "#009E73"
+    uses_plane = True
+    independent_of_vehicles = True
 
-    def look(self, view: View, plane: GroundPlane | None = None) -> LognormalEvidence:
-        """Weigh the lines by how many pixels each has.
-
-        Args:
-            view: of the image.
-            plane: the ground, where the camera looked aside; its scale does not matter.
-
-        Returns:
-            The scale, of the image's centre where the camera looked aside.
+    def measure(self, view: View) -> LognormalEvidence:
+        """Average the lines, weighted by their numbers of pixels.
 
         Raises:
-            KnownLengthError: they would make a scale that no picture has.
+            KnownLengthError: a line makes an impossible scale.
         """
         lines = view.options.rulers.known_lengths
         if not lines:
@@ -52,7 +49,7 @@ class KnownLengths:
         logs, log_sds = [], []
         for line in lines:
             ends = (line.x1 * across, line.y1 * down), (line.x2 * across, line.y2 * down)
-            length_px, tilt_log_sd = _as_at_the_centre(*ends, plane)
+            length_px, tilt_log_sd = _length_at_centre(*ends, view.plane)
             if not on_grid(line.metres / length_px):
                 raise KnownLengthError(
                     f"a line of {line.metres:g} m over {length_px:.0f} px would make {line.metres / length_px:.3g} "
@@ -67,12 +64,12 @@ class KnownLengths:
         scales = sorted(math.exp(log) for log in logs)
         apart = max(off_sds) > _LINES_APART_SDS
         said = f"The {len(lines)} given lines say {{}}." if len(lines) > 1 else "The given line says {}."
-        said += _AT_THE_CENTRE if plane else ""
+        said += " At the image's centre." if view.plane else ""
         return lognormal_evidence(
             self.kind,
             math.exp(mean),
             log_sd,
-            _CHANCE_WRONG_LINE,
+            _CHANCE_WRONG,
             said,
             n=len(lines),
             notices=[_lines_disagree(scales[0], scales[-1])] if apart else (),
@@ -83,66 +80,10 @@ class KnownLengths:
         )
 
 
-class GivenHeight:
-    """The height above the ground that the caller gives, with a focal length of its own or the file's."""
-
-    kind = "height"
-
-    def look(self, view: View, tilt_deg: float = 0.0) -> LognormalEvidence:
-        """Measure by the given height.
-
-        Args:
-            view: of the image.
-            tilt_deg: angle between the camera's axis and straight down, where it is known that it looked aside.
-
-        Returns:
-            The scale, of the image's centre where the camera looked aside.
-        """
-        chosen, image = view.options.rulers, view.image
-        if chosen.height_m is None:
-            return no_evidence(self.kind)
-        camera = image.camera if chosen.metadata else None
-        if camera is not None and taken_ratio(image, camera) is None:
-            return no_evidence(self.kind, cropped(image, camera, _NO_LENS_OF_A_CROP))
-        seen: Lens | None = None
-        if chosen.focal_35mm is not None:
-            seen = equivalent_lens(image.width_px, image.height_px, chosen.focal_35mm)
-        elif camera is not None:
-            seen = lens(image, camera)
-        if seen is None:
-            return no_evidence(self.kind, _FOCAL_LENGTH_MISSING)
-        coarser, tilt_log_sd = looking_aside(tilt_deg)
-        gsd = chosen.height_m / seen.pixels * coarser
-        said = f"The given height says {{}}: {chosen.height_m:g} m and {seen.source}."
-        said += _AT_THE_CENTRE if tilt_deg else ""
-        if not on_grid(gsd):
-            return no_evidence(
-                self.kind,
-                Notice(
-                    code=NoticeCode.CAMERA_UNUSABLE,
-                    message=f"The given height is no ruler: {chosen.height_m:g} m and {seen.source} would make "
-                    f"{gsd:.3g} m/px.",
-                ),
-            )
-        log_sd, marks = math.hypot(_HEIGHT_LOG_SD, seen.log_sd, tilt_log_sd), [Mark.of_height(image, chosen.height_m)]
-        return lognormal_evidence(self.kind, gsd, log_sd, _CHANCE_WRONG_HEIGHT, said, marks=marks)
-
-
-_AT_THE_CENTRE = " At the image's centre."
-_NO_LENS_OF_A_CROP = (
-    "no focal length of the whole picture holds for it: the given height is no ruler. If focal_35mm is that of the "
-    "crop, leave the metadata out"
-)
-_FOCAL_LENGTH_MISSING = Notice(
-    code=NoticeCode.FOCAL_LENGTH_MISSING,
-    message="A height was given, but no focal length, and the file has none that holds for it: give focal_35mm, too.",
-)
-
-
-def _as_at_the_centre(
+def _length_at_centre(
     first: tuple[float, float], second: tuple[float, float], plane: GroundPlane | None
 ) -> tuple[float, float]:
-    """Pixels that a line would have at the image's centre, seen from straight above, and the log's spread of that."""
+    """Length of a line in pixels of the image's centre at nadir, and the standard deviation of its log by the tilt."""
     if plane is None:
         return math.dist(first, second), 0.0
     less = replace(plane, gsd_m_per_px=1.0, tilt_deg=plane.tilt_deg - TILT_SD_DEG)
@@ -154,5 +95,5 @@ def _lines_disagree(finest: float, coarsest: float) -> Notice:
     return Notice(
         code=NoticeCode.KNOWN_LENGTHS_DISAGREE,
         message=f"The given lines say from {finest:.4g} to {coarsest:.4g} m/px, further apart than pixels explain: one "
-        "of them is wrong, or the camera looked aslant.",
+        "of them is wrong, or the camera was tilted.",
     )

@@ -1,4 +1,4 @@
-"""Evidence of a ruler that states one scale and how far it may be off: what camera and caller say."""
+"""Point estimate with lognormal error: the evidence of most rulers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class LognormalEvidence(Evidence):
 
     Attributes:
         log_sd: standard deviation of the scale's log; None where the ruler found nothing.
-        chance_wrong: 0..1, that it tells of something else altogether.
+        chance_wrong: 0..1, chance that it measured something else altogether.
     """
 
     log_sd: float | None = None
@@ -52,7 +52,7 @@ def lognormal(gsd_m_per_px: float, log_sd: float) -> NDArray[np.float64]:
 
 
 def on_grid(gsd_m_per_px: float) -> bool:
-    """Whether a scale is one that a picture with vehicles can have: 3 mm to 3 m a pixel."""
+    """Whether a scale is possible: 3 mm to 3 m per pixel."""
     return gsd_m_per_px > 0 and bool(GRID[0] <= math.log(gsd_m_per_px) <= GRID[-1])
 
 
@@ -67,17 +67,17 @@ def lognormal_evidence(
     notices: Sequence[Notice] = (),
     marks: Sequence[Mark] = (),
 ) -> LognormalEvidence:
-    """Evidence for a scale, with a sentence that tells it.
+    """Make evidence of a scale and its standard deviation.
 
     Args:
         kind: of the ruler.
         gsd_m_per_px: the scale.
         log_sd: standard deviation of its log.
-        chance_wrong: 0..1, that it tells of something else altogether.
-        said: who says so, and from what: ``{}`` in it stands for the scale.
-        n: how many things it was measured on.
+        chance_wrong: 0..1, chance that it measured something else altogether.
+        said: a sentence with the source and the measurement; ``{}`` in it stands for the scale.
+        n: number of things measured.
         notices: its doubts.
-        marks: what it was measured on, for pictures.
+        marks: lines measured, for pictures.
     """
     reach = math.exp(Z95 * log_sd)
     interval = Interval(gsd_m_per_px / reach, gsd_m_per_px * reach)
@@ -99,5 +99,5 @@ def lognormal_evidence(
 
 
 def no_evidence(kind: str, *notices: Notice) -> LognormalEvidence:
-    """Evidence of a ruler that found nothing, with why."""
+    """Make the evidence of a ruler that found nothing; notices say why."""
     return LognormalEvidence(kind=kind, gsd_m_per_px=None, interval=None, n=0, confidence=0.0, notices=notices)

@@ -1,6 +1,6 @@
-"""Scene scale: the ground itself says roughly how big a pixel is, a witness beside the vehicles.
+"""Scene-scale prior as a ruler: the texture of the ground gives a rough scale.
 
-It never makes a record by itself; it weighs groups of vehicles, and widens or narrows the interval.
+It never sets the scale. It weighs groups of vehicles, and widens or narrows the interval.
 """
 
 from __future__ import annotations
@@ -8,23 +8,30 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from vehanchor.rulers.evidence import Evidence
+from vehanchor.rulers.ruler import Ruler
 from vehanchor.scale.fusion import credible_interval
 
 if TYPE_CHECKING:
     from vehanchor.rulers.evidence import View
 
 
-class SceneScale:
-    """The ruler that every image has: a witness, never enough by itself."""
+class SceneScale(Ruler):
+    """The prior that every image taken at nadir has."""
 
     kind = "scene_scale"
+    label = "scene-scale prior"
+    help = "nothing; it is a prior and never sets the scale"
+    colour = "#999999"
+    pooling_gain = 0.5  # benchmarks/flights.py, train split
+    uses_plane = True  # it gives no evidence there: its network has seen no tilted views
+    independent_of_vehicles = True
+    sets_scale = False
 
-    def look(self, view: View) -> Evidence:
-        """Tell the scale of the ground: the median of its density; nothing where nobody looked."""
-        scene = view.detections.scene
-        if scene is None:
+    def measure(self, view: View) -> Evidence:
+        """Take the median of the prior; no evidence without a prior, and in a tilted view."""
+        if view.prior is None or view.plane is not None:
             return Evidence(self.kind, None, None, 0, 0.0, ())
-        density = scene.density
+        density = view.prior.density
         median = credible_interval(density, probability=0.0).low
-        n_tiles = sum(level.n_tiles for level in scene.levels)
+        n_tiles = sum(level.n_tiles for level in view.prior.levels)
         return Evidence(self.kind, median, credible_interval(density), n_tiles, 0.0, (), density)

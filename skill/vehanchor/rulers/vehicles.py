@@ -1,22 +1,25 @@
-"""Vehicles as a ruler: the fleet among what was found, its modal length, the scale and the confidence in it."""
+"""Vehicles as a ruler: select the fleet among the detections, take its modal length, its scale and its confidence."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.detection.detections import NOT_SEARCHED
 from vehanchor.records import Notice
 from vehanchor.records.notices import FLEET_DOUBTS, NoticeCode
 from vehanchor.rulers.evidence import Evidence
 from vehanchor.rulers.lognormal import lognormal, on_grid
 from vehanchor.rulers.reference import reference_length
+from vehanchor.rulers.ruler import Ruler
 from vehanchor.scale.confidence import composite, confidence_terms, fleet_doubts, guard_length
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.fusion import GRID, credible_interval, flat, vehicle_density, with_outlier_floor
 from vehanchor.scale.lengths import Z95, dominant_group, gsd_interval, inlier_mask, modal_length
+from vehanchor.tilt.rectified import rectified
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -93,7 +96,7 @@ def select(detections: Detections, lengths: Lengths, expected: NDArray[np.float6
     Args:
         detections: vehicles in pixels of the image.
         lengths: the filter's factor.
-        expected: ``[g]`` density of the scale that says which group can be cars, where nothing was seen of the ground.
+        expected: ``[g]`` density of the scale that tells which group can be cars; None without any.
 
     Returns:
         The fleet, empty where nothing was found.
@@ -102,7 +105,7 @@ def select(detections: Detections, lengths: Lengths, expected: NDArray[np.float6
     if detections.scales is None or len(found) == 0:
         kept, rival_share = inlier_mask(found, lengths.alpha), 0.0
     else:
-        weights = _expected_weights(found, expected if detections.scene is None else detections.scene.density)
+        weights = _expected_weights(found, expected)
         group = dominant_group(found, np.maximum(detections.scores, _LEAST_SCORE) ** 2 * weights)
         kept, rival_share = group.members.copy(), group.rival_share
         kept[kept] = inlier_mask(found[kept], lengths.alpha)
@@ -110,7 +113,7 @@ def select(detections: Detections, lengths: Lengths, expected: NDArray[np.float6
 
 
 def _expected_weights(lengths_px: NDArray[np.float64], density: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    """How well a density of the scale bears out that each box is as long as a car; 1 without one."""
+    """How likely each box is as long as a car by a density of the scale; 1 without one."""
     if density is None:
         return np.ones(len(lengths_px))
     return np.asarray(np.interp(np.log(CAR_LENGTH_M / lengths_px), GRID, density / density.max()))
@@ -140,6 +143,7 @@ class VehicleEvidence(Evidence):
         guarded: whether the guard holds.
         resolved: share of the pixels' resolution at which there is detail.
         sharpness: of the detector's votes, see ``vehanchor.scale.fusion.recalibrated``.
+        uncapped: whether the confidence stands as the paper has it, whatever the interval.
     """
 
     fleet: Fleet
@@ -151,13 +155,14 @@ class VehicleEvidence(Evidence):
     guarded: bool
     resolved: float
     sharpness: float = 1.0
+    uncapped: bool = False
 
     @property
     def fusable_density(self) -> NDArray[np.float64] | None:
-        """What the boxes say, around the paper's scale; where nobody has fitted how they vote, that over its interval.
+        """Vehicle density centred on the paper's GSD; lognormal if the votes are uncalibrated.
 
-        The confidence bounds how far they are believed where they are guarded, or may not be cars, or are not fitted:
-        other rulers may then outvote any number of them.
+        The confidence is the density's weight over an outlier floor if the votes are uncalibrated, if the guard holds,
+        and if the vehicles may not be cars: other rulers can then outvote any number of vehicles.
         """
         if self.gsd_m_per_px is None or self.interval is None:
             return None
@@ -170,32 +175,34 @@ class VehicleEvidence(Evidence):
         return with_outlier_floor(density, 1.0 - self.confidence) if doubted else density
 
 
-class Vehicles:
-    """The ruler of the paper: cars are everywhere and about 5 m long.
-
-    Args:
-        expected: ``[g]`` density of the scale that tells cars from their parts where nothing was seen of the ground.
-    """
+class Vehicles(Ruler):
+    """The paper's ruler: cars are everywhere and about 5 m long."""
 
     kind = "vehicles"
+    label = "vehicles"
+    plural = True
+    help = "cars"
+    colour = "#0072B2"
+    needs_search = True
+    uses_plane = True
 
-    def __init__(self, expected: NDArray[np.float64] | None = None) -> None:
-        self._expected = expected
-
-    def look(self, view: View) -> VehicleEvidence:
+    def measure(self, view: View) -> VehicleEvidence:
         """Measure the fleet in a view (paper, section III).
 
         Raises:
             InvalidParameterError: the model does not know the region.
             CalibrationMismatchError: the calibration was made for another model.
         """
-        fleet, card = select(view.detections, view.options.lengths, self._expected), view.card
+        card, plane = view.card, view.plane
+        detections = view.detections if plane is None else rectified(view.detections, plane)
+        fleet = select(detections, view.options.lengths, _expected(view))
         reference = reference_length(card, view.options.reference, fleet.look)
         mode_px, aggregation, gsd, interval = _scale(fleet, card, view.options, reference)
         guard_px = guard_length(reference.length_m, card.min_length_px)
         resolved = view.resolved_share(fleet.centres, fleet.working_scale or 1.0)
         seen_px = (mode_px or math.nan) * (fleet.working_scale or 1.0)  # as the model saw them
-        unresolved = seen_px >= guard_px > seen_px * resolved
+        exact = view.options.method.preset == "paper"  # nothing that the paper does not have
+        unresolved = not exact and seen_px >= guard_px > seen_px * resolved
         guarded = seen_px < guard_px or unresolved
         doubts = _doubts(fleet, card)
         terms = confidence_terms(
@@ -211,11 +218,11 @@ class Vehicles:
             n=len(fleet.lengths),
             confidence=composite(terms, guarded=guarded, disputed=bool(doubts)),
             notices=(
-                *_capped(view.detections),
+                *_capped(detections),
                 *([_detail_missing(seen_px, resolved, guard_px)] if unresolved else []),
                 *doubts,
             ),
-            density=_density(view.detections, card, reference),
+            density=None if exact else _density(detections, card, reference),
             fleet=fleet,
             reference=reference,
             mode_length_px=mode_px,
@@ -225,11 +232,21 @@ class Vehicles:
             guarded=guarded,
             resolved=resolved,
             sharpness=1.0 if card.votes is None else card.votes.sharpness,
+            uncapped=exact,
         )
+
+    def not_measured(self, view: View) -> VehicleEvidence:
+        """Evidence for a caller who leaves vehicles out: none were looked for."""
+        return self.measure(replace(view, detections=NOT_SEARCHED, tilt=None))
+
+
+def _expected(view: View) -> NDArray[np.float64] | None:
+    """Density of the scale that tells cars from other things: the prior; in a tilted view that of other rulers."""
+    return view.expected if view.prior is None or view.plane is not None else view.prior.density
 
 
 def _recentred(density: NDArray[np.float64], gsd_m_per_px: float) -> NDArray[np.float64]:
-    """A density moved so that its mode around a scale has its median there; as it is where it has no mode there."""
+    """Move a density so that the mode around a scale has its median there; unchanged if there is no such mode."""
     near = np.where(np.abs(GRID - math.log(gsd_m_per_px)) <= _MODE_REACH, density, 0.0)
     if near.sum() < _MODE_SHARE:
         return density
@@ -241,7 +258,7 @@ def _recentred(density: NDArray[np.float64], gsd_m_per_px: float) -> NDArray[np.
 def _scale(
     fleet: Fleet, card: DetectorCard, options: ScaleOptions, reference: ReferenceLength
 ) -> tuple[float | None, Aggregation, float | None, Interval | None]:
-    """``P_mode``, how it was taken, the GSD and its interval; None where there are no vehicles."""
+    """``P_mode``, its aggregation, the GSD and its interval; None without vehicles."""
     aggregation = options.lengths.aggregation or card.aggregation
     if not len(fleet.lengths):
         return None, aggregation, None, None
@@ -252,14 +269,14 @@ def _scale(
 
 
 def _density(detections: Detections, card: DetectorCard, reference: ReferenceLength) -> NDArray[np.float64] | None:
-    """What all boxes say together, those of other groups included; None where nobody has fitted how they vote."""
+    """Density of all boxes, those of other groups included; None if the votes are uncalibrated."""
     if card.votes is None:
         return None
     return vehicle_density(detections.boxes[:, 2], detections.scores, reference.length_m, reference.sd_m, card.votes)
 
 
 def _doubts(fleet: Fleet, card: DetectorCard) -> list[Notice]:
-    """Doubts that they are cars, where a search over scales has given up their size as evidence."""
+    """Doubts that they are cars, after a search over scales: it accepts things of any size."""
     if fleet.detections.scales is None:
         return []
     doubts = fleet_doubts(

@@ -57,11 +57,11 @@ class Votes(NamedTuple):
 
 
 class Fused(NamedTuple):
-    """What all rulers together say of a scale that is given out.
+    """Interval and chance of a scale by the posterior of all rulers.
 
     Attributes:
-        interval: that holds the true scale in 95 of 100 images, and the scale given out.
-        p_within_20: chance that the error of the scale given out is below a fifth.
+        interval: holds the true scale in 95 of 100 images, and the scale itself.
+        p_within_20: chance that its error is below a fifth.
     """
 
     interval: Interval
@@ -72,12 +72,12 @@ def fuse(gsd_m_per_px: float, *densities: NDArray[np.float64], sharpness: float 
     """Judge a scale by the product of the rulers' densities.
 
     Args:
-        gsd_m_per_px: the scale that is given out.
+        gsd_m_per_px: the scale.
         *densities: ``[g]`` probabilities each.
         sharpness: see ``recalibrated``.
 
     Returns:
-        Its interval, and the chance that it is right.
+        Its interval and chance.
     """
     posterior = product(*densities)
     low, high = credible_interval(posterior)
@@ -87,9 +87,9 @@ def fuse(gsd_m_per_px: float, *densities: NDArray[np.float64], sharpness: float 
 
 
 def recalibrated(chance: ArrayLike, sharpness: float) -> NDArray[np.float64]:
-    """Chances as they were borne out: their odds over those of ``USABLE_CHANCE``, to the power ``certainty``.
+    """Scale log-odds around ``USABLE_CHANCE``.
 
-    What is usable stays so, whatever the power; a density that is too flat says too much of what is not.
+    A usable chance stays usable, whatever the factor.
 
     Args:
         chance: ``[...]`` 0..1, mass of a density within the tolerance.

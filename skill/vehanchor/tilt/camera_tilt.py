@@ -1,42 +1,34 @@
-"""Where the camera looked, and what that does to lengths: vehicles are measured on the plane of the ground.
-
-Beyond ten degrees from straight down nearer cars are longer in the image than farther ones, and those that point away
-are foreshortened. A detector that has learned cars from above draws boxes of a car's proportions all the same: laid on
-the ground, a car that points away comes out too long and too narrow, one across the view too short and too wide. Three
-quarters of the one and a quarter of the other is a length that stays the same whichever way the car stands.
-"""
+"""Tilt of the camera: its value, the ground plane that it implies, and its form in records."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
+from vehanchor.imagery.metadata.lens import taken_ratio
 from vehanchor.records import KnownPlane, TiltEstimate
-from vehanchor.rulers.camera import MAX_OFF_NADIR_DEG, TILT_SD_DEG, taken_ratio
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.tilt.vehicle_cue import focal_of
+from vehanchor.storage.stored import stored
+from vehanchor.tilt.focal import focal_of
 
 if TYPE_CHECKING:
-    from vehanchor.detection.detections import Detections
+    from vehanchor.imagery.facts import ImageFacts
     from vehanchor.options import ScaleOptions
     from vehanchor.records import GsdEstimate
-    from vehanchor.rulers.evidence import ImageFacts
 
-_BY_WIDTH = 0.25  # share of the width in the log of a length: 0.2 to 0.3 do alike at 30 and 45 degrees, train split
-_LENGTH_OVER_WIDTH = 2.21  # of the detector's boxes from above
+NADIR_TOLERANCE_DEG = 10.0  # an image with a smaller tilt counts as taken at nadir
+TILT_SD_DEG = 1.5  # of a gimbal's own angle, and of ground that is not quite level
 
 
+@stored("camera_tilt")
 class CameraTilt(NamedTuple):
-    """A camera that looked aside.
+    """Tilt of a camera that did not look straight down.
 
     Attributes:
         tilt_deg: angle between its axis and straight down.
-        roll_deg: by which the direction in which it looks aside is turned clockwise from the image's upper side.
+        roll_deg: direction of the tilt in the image, clockwise from its upper side.
         focal_px: focal length, pixels of the image.
-        source: where the tilt is from, as words.
+        source: the cues behind it, in words.
         interval_deg: 95 % interval of the tilt; None for that of a gimbal.
     """
 
@@ -46,17 +38,41 @@ class CameraTilt(NamedTuple):
     source: str
     interval_deg: tuple[float, float] | None = None
 
+    def plane(self, image: ImageFacts, gsd_m_per_px: float = 1.0) -> GroundPlane:
+        """Ground plane of an image, with a scale at its centre."""
+        return GroundPlane(gsd_m_per_px, self.tilt_deg, self.focal_px, image.width_px, image.height_px, self.roll_deg)
+
+    def known_plane(self) -> KnownPlane:
+        """Tilt as a known scale carries it."""
+        return KnownPlane(tilt_deg=self.tilt_deg, roll_deg=self.roll_deg, focal_length_px=self.focal_px)
+
+    def record(self, image: ImageFacts, gsd_m_per_px: float | None) -> TiltEstimate:
+        """Tilt as records show it, with the range of scales if the scale at the centre is known."""
+        least, largest = (None, None) if gsd_m_per_px is None else self.plane(image, gsd_m_per_px).gsd_range
+        reach = Z95 * TILT_SD_DEG
+        low, high = self.interval_deg or (self.tilt_deg - reach, self.tilt_deg + reach)
+        return TiltEstimate(
+            tilt_deg=self.tilt_deg,
+            tilt_ci95_low_deg=max(0.0, low),
+            tilt_ci95_high_deg=min(90.0, high),
+            roll_deg=self.roll_deg,
+            focal_length_px=self.focal_px,
+            source=self.source,
+            gsd_least_m_per_px=least,
+            gsd_largest_m_per_px=largest,
+        )
+
 
 def metadata_tilt(image: ImageFacts, options: ScaleOptions) -> CameraTilt | None:
-    """Read from the metadata where the camera looked.
+    """Read the tilt from the metadata.
 
     Args:
         image: with its camera.
-        options: whether metadata are to be read.
+        options: whether the metadata may be used.
 
     Returns:
-        None where it looked down to ten degrees, or does not say, or is a crop. Without a lens the focal length is that
-        of most drones, and the source says so.
+        None up to ten degrees, without an angle, and for a crop. If the focal length is unknown, that of most drones is
+        assumed, and the source says so.
 
     Raises:
         TooObliqueError: the horizon is in sight, or nearly so.
@@ -64,88 +80,37 @@ def metadata_tilt(image: ImageFacts, options: ScaleOptions) -> CameraTilt | None
     camera = image.camera
     if camera is None or camera.off_nadir_deg is None or not options.rulers.metadata:
         return None
-    if camera.off_nadir_deg <= MAX_OFF_NADIR_DEG or taken_ratio(image, camera) is None:
+    if camera.off_nadir_deg <= NADIR_TOLERANCE_DEG or taken_ratio(image, camera) is None:
         return None
     focal = focal_of(image, options)
     found = CameraTilt(camera.off_nadir_deg, camera.roll_deg or 0.0, focal.pixels, f"metadata{focal.doubt}")
-    plane_with(found, image, 1.0).check()
+    found.plane(image).check()
     return found
 
 
-def plane_with(looked: CameraTilt, image: ImageFacts, gsd_m_per_px: float) -> GroundPlane:
-    """The plane with a scale at the centre."""
-    return GroundPlane(gsd_m_per_px, looked.tilt_deg, looked.focal_px, image.width_px, image.height_px, looked.roll_deg)
-
-
-def rectified(detections: Detections, looked: CameraTilt, image: ImageFacts) -> Detections:
-    """Vehicles as long as they would be at the image's centre, seen from straight above at the centre's scale.
-
-    Args:
-        detections: in pixels of the image.
-        looked: where the camera looked.
-        image: its size.
-
-    Returns:
-        The same, with other lengths and widths; without what a network says of the ground, which was shown no such
-        view.
-    """
-    plane = plane_with(looked, image, 1.0)
-    boxes = detections.boxes
-    along = np.column_stack([np.cos(boxes[:, 4]), np.sin(boxes[:, 4])])
-    across = np.column_stack([-along[:, 1], along[:, 0]])
-    sides = []
-    for column, direction in ((2, along), (3, across)):
-        reach = direction * boxes[:, column : column + 1] / 2
-        sides.append(plane.length(boxes[:, :2] - reach, boxes[:, :2] + reach))
-    measured = boxes.copy()
-    measured[:, 2] = sides[0] ** (1 - _BY_WIDTH) * (_LENGTH_OVER_WIDTH * sides[1]) ** _BY_WIDTH
-    measured[:, 3] = measured[:, 2] / _LENGTH_OVER_WIDTH
-    return replace(detections, boxes=measured, scene=None)
-
-
-def known_plane(tilt_deg: float, roll_deg: float, focal_px: float) -> KnownPlane:
-    """Where a camera looked, as a scale that is given back has it."""
-    return KnownPlane(tilt_deg=tilt_deg, roll_deg=roll_deg, focal_length_px=focal_px)
-
-
 def plane_of_record(record: GsdEstimate) -> GroundPlane | None:
-    """The plane of an image whose scale was estimated; None where the camera looked down, or there is no scale."""
+    """Ground plane of an estimated image; None for an image taken at nadir, or without a scale."""
     tilt, gsd = record.tilt, record.gsd_m_per_px
-    if tilt is None or gsd is None:
-        return None
-    size = record.image_width_px, record.image_height_px
-    return GroundPlane(gsd, tilt.tilt_deg, tilt.focal_length_px, *size, tilt.roll_deg)
-
-
-def tilt_record(looked: CameraTilt, image: ImageFacts, gsd_m_per_px: float | None) -> TiltEstimate:
-    """The tilt as records tell it."""
-    least, largest = (None, None) if gsd_m_per_px is None else plane_with(looked, image, gsd_m_per_px).gsd_range
-    reach = Z95 * TILT_SD_DEG
-    low, high = looked.interval_deg or (looked.tilt_deg - reach, looked.tilt_deg + reach)
-    return TiltEstimate(
-        tilt_deg=looked.tilt_deg,
-        tilt_ci95_low_deg=max(0.0, low),
-        tilt_ci95_high_deg=min(90.0, high),
-        roll_deg=looked.roll_deg,
-        focal_length_px=looked.focal_px,
-        source=looked.source,
-        gsd_least_m_per_px=least,
-        gsd_largest_m_per_px=largest,
-    )
+    return None if tilt is None or gsd is None else _plane(tilt, record, gsd)
 
 
 def with_scale(tilt: TiltEstimate, record: GsdEstimate, gsd_m_per_px: float | None) -> TiltEstimate:
-    """The same tilt under another scale at the centre.
+    """Recalculate the range of scales of a tilt for another scale at the centre.
 
     Args:
         tilt: of an image.
         record: of that image.
         gsd_m_per_px: the other scale; None for none.
     """
-    size = record.image_width_px, record.image_height_px
-    least, largest = (
-        (None, None)
-        if gsd_m_per_px is None
-        else GroundPlane(gsd_m_per_px, tilt.tilt_deg, tilt.focal_length_px, *size, tilt.roll_deg).gsd_range
-    )
+    least, largest = (None, None) if gsd_m_per_px is None else _plane(tilt, record, gsd_m_per_px).gsd_range
     return tilt.model_copy(update={"gsd_least_m_per_px": least, "gsd_largest_m_per_px": largest})
+
+
+def known_plane(tilt: TiltEstimate) -> KnownPlane:
+    """Tilt of a record as a known scale carries it."""
+    return KnownPlane(tilt_deg=tilt.tilt_deg, roll_deg=tilt.roll_deg, focal_length_px=tilt.focal_length_px)
+
+
+def _plane(tilt: TiltEstimate, record: GsdEstimate, gsd_m_per_px: float) -> GroundPlane:
+    size = record.image_width_px, record.image_height_px
+    return GroundPlane(gsd_m_per_px, tilt.tilt_deg, tilt.focal_length_px, *size, tilt.roll_deg)

@@ -1,4 +1,4 @@
-"""Tilt from a court: only on the ground that the camera really saw is it as long, wide and square as its rules say."""
+"""Courts as a tilt cue: only the true tilt makes a court as long, wide and square as its rules say."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
     from vehanchor.courts.court import Court
 
-_LAID_OUT = 0.003  # of its length: how far a corner may lie from where the rules want it
-_UNKNOWN_RULES = 0.006  # of a basketball court: which rules it follows is a guess
-_TRUST_PX = 1.5  # on the corners' own spread: pieces of one line err alike
+_LAID_OUT = 0.003  # of its length: how far a corner may lie from its place by the rules
+_UNKNOWN_RULES = 0.006  # of a basketball court: its rules are a guess
+_TRUST_PX = 1.5  # factor on the corners' own spread: pieces of one line err alike
 _LEAST_SD_PX = 0.3
 
 
@@ -29,7 +29,7 @@ class CourtCue:
 
     Attributes:
         corners: ``[4, 2]`` pixels from the image's centre; the first two bound a long side.
-        rules: ``[4]`` where the rules want them, complex, metres from its middle.
+        rules: ``[4]`` corners by the rules, complex, metres from the centre.
         sd_px: standard deviation of a corner along either axis.
     """
 
@@ -39,7 +39,7 @@ class CourtCue:
     kind: str = "courts"
 
     def log_likelihoods(self, downs: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
-        """``[k]``: how far, in pixels, corners laid out by the rules would lie from those seen, wherever it may lie."""
+        """``[k]``: by the distances, in pixels, between the corners seen and those by the rules."""
         rays = np.column_stack([self.corners / focal_px, np.ones(4)])
         descents = downs @ rays.T  # [k, 4]
         seen = (descents / np.linalg.norm(rays, axis=1) >= LEAST_DESCENT).all(axis=1)
@@ -55,7 +55,7 @@ class CourtCue:
 
 
 def court_cues(courts: Sequence[Court], width_px: int, height_px: int) -> list[CourtCue]:
-    """Those courts that have enough pixels to be seen in perspective.
+    """Make tilt cues of the courts that have enough pixels to show perspective.
 
     Args:
         courts: of one image.

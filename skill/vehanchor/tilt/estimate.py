@@ -1,109 +1,153 @@
-"""Where the camera looked, by all that tells it together: metadata, courts in perspective, vehicles."""
+"""Estimate the tilt of the camera from all cues: metadata, courts in perspective, sizes of vehicles."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from vehanchor.rulers.camera import MAX_OFF_NADIR_DEG, TILT_SD_DEG, Camera
-from vehanchor.rulers.courts import CourtsEvidence
-from vehanchor.rulers.known_length import GivenHeight, KnownLengths
-from vehanchor.rulers.lognormal import no_evidence
-from vehanchor.rulers.scene_scale import SceneScale
-from vehanchor.scale.fusion import product
-from vehanchor.tilt.camera_tilt import CameraTilt, plane_with
-from vehanchor.tilt.court_cue import court_cues
+from vehanchor.imagery.metadata.lens import taken_ratio
+from vehanchor.records import Notice
+from vehanchor.records.notices import NoticeCode
+from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, TILT_SD_DEG, CameraTilt
+from vehanchor.tilt.focal import Focal, focal_of, usual_focal
 from vehanchor.tilt.posterior import GimbalCue, tilt_posterior
-from vehanchor.tilt.vehicle_cue import SURE, focal_of, vehicle_cue
+from vehanchor.tilt.vehicle_cue import vehicle_cue
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
+    from vehanchor.detection.detections import Detections
+    from vehanchor.imagery.facts import ImageFacts
+    from vehanchor.imagery.metadata.camera import CameraMetadata
+    from vehanchor.options import ScaleOptions
+    from vehanchor.tilt.posterior import TiltCue, TiltPosterior
 
-    from vehanchor.rulers.evidence import Evidence, View
-    from vehanchor.tilt.posterior import TiltCue
+_DOUBTED = 0.3  # chance of a tilt above ten degrees from which courts are searched in tilted views, too
+NEARLY_CERTAIN = 0.99  # chance of a tilt above ten degrees from which it is reported
 
 
-def estimate_tilt(said: CameraTilt | None, view: View, others: Sequence[Evidence]) -> CameraTilt | None:
-    """Where the camera looked by all that tells it: metadata, courts in perspective, vehicles.
+def estimate_tilt(
+    stated: CameraTilt | None,
+    cues: Sequence[TiltCue],
+    image: ImageFacts,
+    options: ScaleOptions,
+    detections: Detections,
+) -> CameraTilt | None:
+    """Combine the tilt of the metadata with other cues and with the vehicles.
 
     Args:
-        said: what the metadata say; None where they say nothing of a tilt.
-        view: of the image, with its vehicles as they are in it.
-        others: evidence of the rulers beside vehicles, those of courts with the courts.
+        stated: tilt by the metadata; None for nadir, or without an angle.
+        cues: of rulers, such as courts in perspective.
+        image: its size and metadata.
+        options: which metadata may be used.
+        detections: vehicles in pixels of the image.
 
     Returns:
-        None where it looked down, or where only vehicles say otherwise: they warn (``tilt_notice``).
+        None for an image taken at nadir, and if vehicles are the only cue: they warn (``tilt_notice``).
 
     Raises:
-        TooObliqueError: the horizon is in sight, or the tilt is too uncertain to say that it is not.
+        TooObliqueError: the horizon is in sight, or the tilt is too uncertain to exclude that.
     """
-    image, camera = view.image, view.image.camera if view.options.rulers.metadata else None
-    level = image.georeference_gsd_m_per_px is not None or (camera is not None and camera.off_nadir_deg is not None)
-    if said is None and level:
+    if stated is None and (_nadir_is_known(image, options) or not cues):
         return None
-    found = [court for other in others if isinstance(other, CourtsEvidence) for court in other.courts]
-    cues: list[TiltCue] = [*court_cues(found, image.width_px, image.height_px)]
-    if said is None and not cues:
-        return None
-    if said is not None:
-        cues.insert(0, GimbalCue(said.tilt_deg, said.roll_deg, TILT_SD_DEG))
-    cars = vehicle_cue(view.detections, image.width_px, image.height_px)
-    if cars is not None:
-        cues.append(cars)
-    if said is not None and len(cues) == 1:
-        return said
-    focal = focal_of(image, view.options)
-    posterior = tilt_posterior(cues, focal)
-    if posterior is None or (said is None and posterior.chance_above(MAX_OFF_NADIR_DEG) < SURE):
-        return said
-    source = ", ".join(dict.fromkeys(each.kind for each in cues)) + focal.doubt
+    seen: list[TiltCue] = list(cues)
+    if stated is not None:
+        seen.insert(0, GimbalCue(stated.tilt_deg, stated.roll_deg, TILT_SD_DEG))
+    vehicles = vehicle_cue(detections, image.width_px, image.height_px)
+    if vehicles is not None:
+        seen.append(vehicles)
+    if stated is not None and len(seen) == 1:
+        return stated
+    focal = focal_of(image, options)
+    posterior = tilt_posterior(seen, focal)
+    if posterior is None or (stated is None and posterior.chance_above(NADIR_TOLERANCE_DEG) < NEARLY_CERTAIN):
+        return stated
+    source = ", ".join(dict.fromkeys(each.kind for each in seen)) + focal.doubt
     interval = posterior.low_deg, posterior.high_deg
-    looked = CameraTilt(posterior.tilt_deg, posterior.roll_deg, posterior.focal_px, source, interval)
-    plane_with(looked if said else looked._replace(tilt_deg=posterior.high_deg), image, 1.0).check()
-    return looked
+    found = CameraTilt(posterior.tilt_deg, posterior.roll_deg, posterior.focal_px, source, interval)
+    (found if stated else found._replace(tilt_deg=posterior.high_deg)).plane(image).check()
+    return found
 
 
-def on_the_plane(others: Sequence[Evidence], looked: CameraTilt, view: View) -> tuple[Evidence, ...]:
-    """What rulers say of the scale at the image's centre, where the camera looked aside.
-
-    Args:
-        others: evidence of the rulers beside vehicles: courts, lines and heights, told or read from metadata, are
-            measured again, and the ground's own look is left out, whose network was never shown such a view.
-        looked: where the camera looked.
-        view: of the image.
-    """
-    image, camera = view.image, view.image.camera
-    plane = plane_with(looked, image, 1.0)
-    found: list[Evidence] = []
-    for each in others:
-        if isinstance(each, CourtsEvidence):
-            found.append(each.on(plane))
-        elif each.kind == Camera.kind and camera is not None:
-            aimed = image._replace(camera=replace(camera, off_nadir_deg=looked.tilt_deg))
-            found.append(Camera().look(replace(view, image=aimed)))
-        elif each.kind == GivenHeight.kind:
-            found.append(GivenHeight().look(view, looked.tilt_deg))
-        elif each.kind == KnownLengths.kind:
-            found.append(KnownLengths().look(view, plane))
-        else:
-            found.append(no_evidence(each.kind) if each.kind == SceneScale.kind else each)
-    return tuple(found)
+def may_be_tilted(image: ImageFacts, options: ScaleOptions, detections: Detections) -> bool:
+    """Whether metadata, georeference and vehicles leave a tilt possible."""
+    if _nadir_is_known(image, options):
+        return False
+    seen = _vehicle_posterior(image, options, detections)
+    return seen is None or seen[1].chance_above(NADIR_TOLERANCE_DEG) >= _DOUBTED
 
 
-def expected_scale(others: Sequence[Evidence]) -> NDArray[np.float64] | None:
-    """What the other rulers say of the scale at the image's centre, where the camera looked aside.
-
-    From aside roofs, bonnets and sides of cars are found as often as whole ones, and the ground's own look, which tells
-    them apart in a view from above, is left out. The camera's height or a court does it as well.
+def tilt_from_vehicles(
+    detections: Detections, width_px: int, height_px: int, focal_px: float | None = None
+) -> TiltPosterior | None:
+    """Estimate the tilt from vehicles alone.
 
     Args:
-        others: evidence on the plane, as ``on_the_plane`` gives it.
+        detections: vehicles in pixels of the image.
+        width_px: of the image.
+        height_px: of the image.
+        focal_px: focal length, pixels; None if it is unknown.
 
     Returns:
-        ``[g]`` probabilities on ``vehanchor.scale.fusion.GRID``; None where they say nothing.
+        None for fewer than 25 certain cars that lie whole in the image.
     """
-    said = [each.density for each in others if each.density is not None and each.gsd_m_per_px is not None]
-    return product(*said) if said else None
+    cue = vehicle_cue(detections, width_px, height_px)
+    focal = Focal(focal_px, 0.0) if focal_px else usual_focal(width_px, height_px)
+    return None if cue is None else tilt_posterior([cue], focal)
+
+
+def tilt_notice(image: ImageFacts, options: ScaleOptions, detections: Detections) -> tuple[Notice, ...]:
+    """Warn of a tilt that only the vehicles show, or that the metadata state for a crop.
+
+    Args:
+        image: its size and metadata.
+        options: which metadata may be used.
+        detections: vehicles in pixels of the image.
+
+    Returns:
+        One notice, or none.
+    """
+    camera = _camera(image, options)
+    if image.georeference_gsd_m_per_px is not None:
+        return ()
+    if camera is not None and camera.off_nadir_deg is not None:
+        tilted = camera.off_nadir_deg > NADIR_TOLERANCE_DEG and taken_ratio(image, camera) is None
+        return (_crop_of_tilted(camera.off_nadir_deg),) if tilted else ()
+    seen = _vehicle_posterior(image, options, detections)
+    if seen is None or seen[1].chance_above(NADIR_TOLERANCE_DEG) < NEARLY_CERTAIN:
+        return ()
+    n_cars, found = seen
+    message = (
+        f"The camera seems to be tilted by about {found.tilt_deg:.0f} degrees ({found.low_deg:.0f} to "
+        f"{found.high_deg:.0f}): {n_cars} cars are larger on one side of the image. Scales differ over the image, and "
+        "areas and lengths far from its centre are wrong. Give the original file, whose metadata state the tilt, or a "
+        "crop around the object."
+    )
+    return (Notice(code=NoticeCode.TILT_SUSPECTED, message=message),)
+
+
+def _camera(image: ImageFacts, options: ScaleOptions) -> CameraMetadata | None:
+    return image.camera if options.rulers.metadata else None
+
+
+def _nadir_is_known(image: ImageFacts, options: ScaleOptions) -> bool:
+    """Whether a georeference or the metadata settle the tilt."""
+    camera = _camera(image, options)
+    return image.georeference_gsd_m_per_px is not None or (camera is not None and camera.off_nadir_deg is not None)
+
+
+def _vehicle_posterior(
+    image: ImageFacts, options: ScaleOptions, detections: Detections
+) -> tuple[int, TiltPosterior] | None:
+    """Number of cars and the tilt that they show, just fine enough to tell whether there is one."""
+    cue = vehicle_cue(detections, image.width_px, image.height_px)
+    found = None if cue is None else tilt_posterior([cue], focal_of(image, options), n_passes=2)
+    return None if cue is None or found is None else (len(cue.sizes), found)
+
+
+def _crop_of_tilted(off_nadir_deg: float) -> Notice:
+    message = (
+        f"By its metadata the camera was tilted by {off_nadir_deg:.0f} degrees, and the image is a crop at an unknown "
+        "place of that picture. It is measured as if taken at nadir: scales differ over it, and areas and lengths may "
+        "be wrong. Give the original file."
+    )
+    return Notice(code=NoticeCode.TILT_SUSPECTED, message=message)

@@ -151,13 +151,13 @@ def _print_benchmark(folder: Path) -> None:
 
 def _measure(request: AreaRequest, chosen: ParsedOptions, folder: Path, workers: int) -> None:
     """Measure the benchmark, write the results and print the table."""
-    from vehanchor.estimate import check_region
+    from vehanchor.estimate import checked_detector
     from vehanchor_evaluation.area_report import area_markdown, write_area_report
     from vehanchor_evaluation.area_run import measure_benchmark
 
     engine = open_shared(chosen, workers, request.segmenter)
     options = engine.options
-    detector, segmenter = check_region(engine.detector, options), engine.segmenter
+    detector, segmenter = checked_detector(engine.detector, options), engine.segmenter
     with tile_progress(1, lines_on_terminal=False) as step:
         run = measure_benchmark(
             folder,

@@ -117,9 +117,9 @@ def test_a_peak_between_cells_is_placed_between_them() -> None:
 
 def test_a_small_image_is_searched_at_every_size_that_a_court_can_have_in_it() -> None:
     with open_raster(np.zeros((256, 256, 3), np.uint8)) as raster:
-        assert coarse_factors(raster, NOTHING) == [2, 4, 8]
+        assert coarse_factors(raster, None) == [2, 4, 8]
     with open_raster(np.zeros((40, 4000, 3), np.uint8)) as raster:
-        assert coarse_factors(raster, NOTHING) == []
+        assert coarse_factors(raster, None) == []
 
 
 def _court(gsd: float, kind: str = "tennis", log_sd: float = 0.001) -> Court:

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from vehanchor.detection.detections import Detections
 from vehanchor.flight.features import Features, find_features
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.rulers.evidence import ImageFacts
 
 _LATITUDE, _METRES_A_DEGREE = 46.0, 111_195.0
 

@@ -12,7 +12,7 @@ from tests.models import write_detector
 from tests.skill.flight.photographs import car_park, write_flight
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ImageDecodeError, ImageError, InvalidParameterError
-from vehanchor.estimate import analyse_raster
+from vehanchor.estimate import search_raster
 from vehanchor.flight import estimate as flight_estimate
 from vehanchor.flight.inputs import InputPhotograph
 from vehanchor.flight.video import sample_video
@@ -111,9 +111,9 @@ def test_an_interrupted_flight_goes_on_where_it_stopped(
 
     def counted(*arguments: Any, **more: Any) -> Any:
         searched.append(arguments)
-        return analyse_raster(*arguments, **more)
+        return search_raster(*arguments, **more)
 
-    monkeypatch.setattr(flight_estimate, "analyse_raster", counted)
+    monkeypatch.setattr(flight_estimate, "search_raster", counted)
     again = vehanchor.estimate_flight(flight, same_scale=True, detector=detector, journal=journal)
     assert len(searched) == 2
     assert again == whole
@@ -145,9 +145,9 @@ def test_an_interrupted_flight_of_a_video_goes_on_where_it_stopped(
 
     def counted(*arguments: Any, **more: Any) -> Any:
         searched.append(arguments)
-        return analyse_raster(*arguments, **more)
+        return search_raster(*arguments, **more)
 
-    monkeypatch.setattr(flight_estimate, "analyse_raster", counted)
+    monkeypatch.setattr(flight_estimate, "search_raster", counted)
     again = vehanchor.estimate_flight(sample_video(str(film), 1.0), same_scale=True, detector=detector, journal=journal)
     assert len(searched) == 1
     assert len(again.photographs) == 3

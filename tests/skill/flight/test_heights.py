@@ -10,10 +10,10 @@ from tests.skill.flight.ground import sighting_of
 from vehanchor.flight.components import single_component
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.record import conclude_flight
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.records import FlightEstimate
-from vehanchor.rulers.evidence import ImageFacts
 
 GROUND_M, FOCAL_PX, CAR_M = 312.0, 1000.0, 5.0
 FLEET = CAR_M * (1 + 0.05 * np.linspace(-1, 1, 30) ** 3)

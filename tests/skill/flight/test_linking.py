@@ -14,8 +14,8 @@ from vehanchor.flight.matching import match
 from vehanchor.flight.pairs import candidate_pairs
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.record import conclude_flight
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.evidence import ImageFacts
 
 WORLD, OTHER = ground(seed=5), ground(seed=6)
 GROUND_M_PER_PX = 0.1

@@ -9,9 +9,10 @@ from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.pooling import _pooled_evidence, combined_density, pool, pooled_sighting, shifted
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
 from vehanchor.records import Notice
-from vehanchor.rulers.evidence import Evidence, ImageFacts
+from vehanchor.rulers.evidence import Evidence
 from vehanchor.scale.fusion import GRID, credible_interval, flat
 
 

@@ -14,9 +14,9 @@ from vehanchor.flight.components import single_component
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.project import estimate_in_flight
 from vehanchor.flight.record import Failure, conclude_flight
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
 from vehanchor.records import FlightEstimate
-from vehanchor.rulers.evidence import ImageFacts
 from vehanchor.tilt.camera_tilt import CameraTilt
 
 LOOKED = CameraTilt(35.0, 0.0, FOCAL, "metadata")

@@ -11,13 +11,16 @@ import vehanchor
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options import Frame, Lengths, OptionKeywords, Reading, Reference, Rulers, ScaleOptions, Search
+from vehanchor.options.method import Method
 
 _IMAGE = np.zeros((64, 64, 3), np.uint8)
 
 
 def test_the_verbs_keywords_are_the_groups_fields() -> None:
     names = [
-        field.name for group in (Search, Lengths, Reference, Reading, Rulers) for field in dataclasses.fields(group)
+        field.name
+        for group in (Search, Lengths, Reference, Reading, Rulers, Method)
+        for field in dataclasses.fields(group)
     ]
     names += ["frame_width_px", "frame_height_px", "coordinates"]
     assert len(dataclasses.fields(Frame)) == 3
@@ -106,7 +109,8 @@ def test_a_command_gets_every_field_of_every_group_and_its_own_options_first() -
         raise NotImplementedError
 
     names = list(scale_command(without=("bands",))(shown).__annotations__)
-    fields = {field.name for group in (Search, Lengths, Reference, Rulers) for field in dataclasses.fields(group)}
+    groups = (Search, Lengths, Reference, Rulers, Method)
+    fields = {field.name for group in groups for field in dataclasses.fields(group)} - {"verify"}
     assert names[0] == "image"
     assert fields | {
         "detector",

@@ -12,6 +12,7 @@ from tests.analyses import analyse_found, made_card, make_analysis
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import OutputError
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.pictures import scale
@@ -25,8 +26,8 @@ from vehanchor.pictures.scale import (
     read_reduced,
     write_picture,
 )
-from vehanchor.rulers.evidence import ImageFacts, Mark
-from vehanchor.tilt.camera_tilt import CameraTilt, tilt_record
+from vehanchor.rulers.evidence import Mark
+from vehanchor.tilt.camera_tilt import CameraTilt
 
 
 def _near(picture: NDArray[np.uint8], colour: tuple[int, int, int]) -> NDArray[np.bool_]:
@@ -124,7 +125,7 @@ def test_a_scale_that_is_not_to_be_used_has_no_scale_bar() -> None:
 
 def test_a_picture_that_was_taken_aside_has_no_scale_bar() -> None:
     level = _judged(make_analysis(np.array([[900.0, 100.0, 50.0, 20.0, 0.0]]), 1000, 700), "ok", None)
-    tilt = tilt_record(CameraTilt(35.0, 0.0, 800.0, "metadata"), ImageFacts(1000, 700), 0.1)
+    tilt = CameraTilt(35.0, 0.0, 800.0, "metadata").record(ImageFacts(1000, 700), 0.1)
     aside = replace(level, estimate=level.estimate.model_copy(update={"tilt": tilt}))
     corner = (slice(600, 700), slice(0, 600))
     assert (draw_overlay(_grey(1000, 700), aside)[corner] == 100).all()

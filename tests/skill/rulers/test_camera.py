@@ -10,12 +10,13 @@ import pytest
 
 from tests.analyses import made_card
 from vehanchor.detection.detections import Detections
-from vehanchor.estimate import analyse_detections, image_facts
+from vehanchor.estimate import analyse_detections
+from vehanchor.imagery.facts import ImageFacts, image_facts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.camera import Camera
-from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.evidence import View
 from vehanchor.rulers.lognormal import LognormalEvidence
 from vehanchor.scale.fusion import GRID, credible_interval
 
@@ -40,7 +41,7 @@ def _view(camera: CameraMetadata | None, width_px: int = 4000, height_px: int = 
 
 
 def _look(camera: CameraMetadata | None, width_px: int = 4000, height_px: int = 3000) -> LognormalEvidence:
-    return Camera().look(_view(camera, width_px, height_px))
+    return Camera().measure(_view(camera, width_px, height_px))
 
 
 def _spread(evidence: LognormalEvidence) -> float:
@@ -117,7 +118,7 @@ def test_an_unknown_pitch_widens_the_interval() -> None:
     assert _spread(unknown) > _spread(known)
     assert unknown.chance_wrong > known.chance_wrong
     assert unknown.explanation is not None
-    assert "straight down" in unknown.explanation
+    assert "at nadir" in unknown.explanation
 
 
 def test_the_nearer_the_ground_the_less_a_height_says() -> None:
@@ -186,7 +187,7 @@ def test_nadir_photographs_of_a_known_sensor_come_out_within_a_few_per_cent(
 ) -> None:
     with open_raster(real_data / f"tilt/images/{name}.jpg") as raster:
         facts = image_facts(raster)
-    evidence = Camera().look(replace(_view(None), image=facts))
+    evidence = Camera().measure(replace(_view(None), image=facts))
     assert evidence.gsd_m_per_px == pytest.approx(height_m * 6.17 / (4.73 * 3000), rel=0.05)
 
 
@@ -197,5 +198,5 @@ def test_photographs_that_know_only_their_height_above_the_sea_have_no_ruler(rea
         facts = image_facts(raster)
     assert facts.camera is not None
     assert facts.camera.focal_mm
-    evidence = Camera().look(replace(_view(None), image=facts))
+    evidence = Camera().measure(replace(_view(None), image=facts))
     assert (evidence.gsd_m_per_px, evidence.notices) == (None, ())

@@ -13,10 +13,11 @@ from tests.analyses import made_card
 from tests.skill.rulers.test_camera import MAVIC
 from vehanchor.detection.detections import Detections
 from vehanchor.estimate import analyse_detections
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
-from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.evidence import View
 from vehanchor.scale.fusion import Votes
 
 VOTES = Votes(

@@ -11,11 +11,13 @@ from vehanchor.errors import TooObliqueError
 from vehanchor.estimate import analyse_detections
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.pooling import pool
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.evidence import View
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt, plane_with, rectified
+from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt
+from vehanchor.tilt.rectified import rectified
 
 WIDTH, HEIGHT, FOCAL, CAR_M, GSD = 3000, 2000, 2400.0, 5.0, 0.05
 CAR_WIDTH_M = CAR_M / 2.21  # as detectors draw it
@@ -23,10 +25,10 @@ CAMERA = CameraMetadata(focal_px=FOCAL, taken_width_px=WIDTH, taken_height_px=HE
 FACTS = ImageFacts(WIDTH, HEIGHT, camera=CAMERA)
 
 
-def _cars(looked: CameraTilt, n: int = 60) -> Detections:
+def _cars(tilt: CameraTilt, n: int = 60) -> Detections:
     """Cars of one length, any heading, all over the image, as the camera sees them."""
     rng = np.random.default_rng(7)
-    plane = plane_with(looked, FACTS, GSD)
+    plane = tilt.plane(FACTS, GSD)
     boxes = []
     for _ in range(n):
         x, y, heading = rng.uniform(200, WIDTH - 200), rng.uniform(200, HEIGHT - 200), rng.uniform(0, np.pi)
@@ -39,26 +41,26 @@ def _cars(looked: CameraTilt, n: int = 60) -> Detections:
 
 
 def test_cars_are_of_one_length_on_the_plane() -> None:
-    looked = CameraTilt(35.0, 20.0, FOCAL, "metadata")
-    seen = _cars(looked)
+    tilt = CameraTilt(35.0, 20.0, FOCAL, "metadata")
+    seen = _cars(tilt)
     assert seen.boxes[:, 2].max() > 1.6 * seen.boxes[:, 2].min()
-    assert rectified(seen, looked, FACTS).boxes[:, 2] == pytest.approx(CAR_M / GSD, rel=0.01)
+    assert rectified(seen, tilt.plane(FACTS)).boxes[:, 2] == pytest.approx(CAR_M / GSD, rel=0.01)
 
 
 def test_boxes_of_the_proportions_of_a_car_seen_from_above_are_of_one_length_on_the_plane() -> None:
     """The detector draws them so at 30 degrees (research/results/notes), whichever way the car points."""
-    looked = CameraTilt(30.0, 0.0, FOCAL, "metadata")
+    tilt = CameraTilt(30.0, 0.0, FOCAL, "metadata")
     middle = np.array([WIDTH, HEIGHT]) / 2
-    step = plane_with(looked, FACTS, GSD).length([middle, middle], middle + np.eye(2))
+    step = tilt.plane(FACTS, GSD).length([middle, middle], middle + np.eye(2))
     across = [WIDTH / 2, HEIGHT / 2, 0.89 * CAR_M / step[0], 1.25 * CAR_WIDTH_M / step[1], 0.0]
     away = [WIDTH / 2, HEIGHT / 2, 1.05 * CAR_M / step[1], 0.88 * CAR_WIDTH_M / step[0], np.pi / 2]
-    lengths = rectified(Detections(np.array([across, away]), np.ones(2)), looked, FACTS).boxes[:, 2]
+    lengths = rectified(Detections(np.array([across, away]), np.ones(2)), tilt.plane(FACTS)).boxes[:, 2]
     assert lengths == pytest.approx([CAR_M / GSD] * 2, rel=0.04)
 
 
 def test_the_record_is_that_of_the_centre_and_tells_the_tilt() -> None:
-    looked = CameraTilt(35.0, 0.0, FOCAL, "metadata")
-    view = View(FACTS, _cars(looked), made_card(CAR_M), ScaleOptions(), lambda *_: 1.0)
+    tilt = CameraTilt(35.0, 0.0, FOCAL, "metadata")
+    view = View(FACTS, _cars(tilt), made_card(CAR_M), ScaleOptions(), lambda *_: 1.0)
     analysis = analyse_detections(view)
     estimate = analysis.estimate
     assert estimate.gsd_m_per_px == pytest.approx(GSD, rel=0.05)
@@ -77,16 +79,16 @@ def test_the_record_is_that_of_the_centre_and_tells_the_tilt() -> None:
 
 def _cars_and_parts() -> tuple[View, GroundPlane]:
     """A view of cars and of twice as many halves of them, without the camera's height, and its plane."""
-    looked = CameraTilt(35.0, 0.0, FOCAL, "metadata")
-    cars, parts = _cars(looked, n=20).boxes, _cars(looked, n=40).boxes * [1, 1, 0.5, 0.5, 1]
+    tilt = CameraTilt(35.0, 0.0, FOCAL, "metadata")
+    cars, parts = _cars(tilt, n=20).boxes, _cars(tilt, n=40).boxes * [1, 1, 0.5, 0.5, 1]
     boxes = np.concatenate([cars, parts])
     seen = Detections(boxes, np.full(len(boxes), 0.8), scales=np.ones(len(boxes)))
-    return View(FACTS, seen, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0), plane_with(looked, FACTS, GSD)
+    return View(FACTS, seen, made_card(CAR_M), ScaleOptions(), lambda *_: 1.0), tilt.plane(FACTS, GSD)
 
 
 def test_the_height_of_the_camera_tells_cars_from_their_parts() -> None:
     view, plane = _cars_and_parts()
-    alone = analyse_detections(view, [])
+    alone = analyse_detections(view)
     assert alone.estimate.gsd_m_per_px == pytest.approx(2 * GSD, rel=0.05)
     said = replace(view, image=FACTS._replace(camera=replace(CAMERA, height_m=plane.height_m)))
     with_height = analyse_detections(said)
@@ -130,15 +132,15 @@ def test_of_a_crop_of_such_a_picture_a_warning_says_so() -> None:
 
 
 def test_a_focal_length_that_nobody_tells_is_that_of_most_drones_and_the_source_says_so() -> None:
-    looked = metadata_tilt(FACTS._replace(camera=replace(CAMERA, focal_px=None)), ScaleOptions())
-    assert looked is not None
-    assert looked.source == "metadata; focal length unknown"
+    tilt = metadata_tilt(FACTS._replace(camera=replace(CAMERA, focal_px=None)), ScaleOptions())
+    assert tilt is not None
+    assert tilt.source == "metadata; focal length unknown"
     told = metadata_tilt(
         FACTS._replace(camera=replace(CAMERA, focal_px=None)), ScaleOptions.of({"focal_35mm": 26, "height_m": 90})
     )
     assert told is not None
     assert told.source == "metadata"
-    assert told.focal_px == pytest.approx(looked.focal_px)
+    assert told.focal_px == pytest.approx(tilt.focal_px)
 
 
 def test_a_horizon_in_sight_is_refused() -> None:

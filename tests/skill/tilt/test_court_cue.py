@@ -15,13 +15,15 @@ from vehanchor.courts.proposals import Proposal
 from vehanchor.courts.rectified import RectifiedRaster, rough_courts_on
 from vehanchor.courts.template import TENNIS
 from vehanchor.detection.detections import Detections
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers import courts as ruler
-from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.evidence import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.tilt.court_cue import court_cues
-from vehanchor.tilt.posterior import Focal, GimbalCue, tilt_posterior
+from vehanchor.tilt.focal import Focal
+from vehanchor.tilt.posterior import GimbalCue, tilt_posterior
 
 SIZE, FOCAL, GSD = 600, 650.0, 0.1
 NOTHING = Detections(np.zeros((0, 5)), np.zeros(0))
@@ -97,5 +99,5 @@ def test_a_guess_that_the_camera_looked_down_is_not_followed_as_the_image_was_se
     monkeypatch.setattr(ruler, "find_courts_on", search)
     with open_raster(np.zeros((SIZE, SIZE, 3), np.uint8)) as raster:
         view = View(ImageFacts(SIZE, SIZE), NOTHING, made_card(4.6), ScaleOptions(), lambda *_: 1.0, raster)
-        assert ruler.Courts()._aside(view, raster) == ()
+        assert ruler.Courts()._found_tilted(view, raster) == ()
     assert len(searched) == followed

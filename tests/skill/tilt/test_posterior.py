@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.tilt.posterior import Focal, GimbalCue, downs_of, tilt_posterior
+from vehanchor.tilt.focal import Focal
+from vehanchor.tilt.posterior import GimbalCue, downs_of, tilt_posterior
 
 FOCAL = Focal(1000.0, 0.0)
 

@@ -8,13 +8,15 @@ import pytest
 from tests.analyses import made_card
 from vehanchor.detection.detections import Detections
 from vehanchor.estimate import analyse_detections
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.metadata.lens import equivalent_lens
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.camera import equivalent_lens
-from vehanchor.rulers.evidence import ImageFacts, View
+from vehanchor.rulers.evidence import View
 from vehanchor.scale.plane import GroundPlane
+from vehanchor.tilt.estimate import tilt_from_vehicles
 from vehanchor.tilt.posterior import TiltPosterior
-from vehanchor.tilt.vehicle_cue import LEAST_CARS, tilt_from_vehicles
+from vehanchor.tilt.vehicle_cue import LEAST_CARS
 
 WIDTH, HEIGHT = 1000, 750
 FOCAL_PX = equivalent_lens(WIDTH, HEIGHT, 26.0).pixels

@@ -1,4 +1,4 @@
-"""Positions as a ruler: how far apart photographs were taken, in metres, against how far they lie apart in pixels."""
+"""Positions as a ruler: distances between photographs of a flight, in metres over pixels."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vehanchor.rulers.lognormal import lognormal_evidence, on_grid
+from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
+from vehanchor.rulers.ruler import Ruler
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from vehanchor.rulers.evidence import Evidence, ImageFacts
+    from vehanchor.imagery.facts import ImageFacts
+    from vehanchor.rulers.evidence import Evidence, View
 
-POSITIONS = "positions"
 _EARTH_M = 6_371_009.0
 _LEAST = 2
 _POSITION_SD_M = 2.0  # of a small receiver, against its neighbour's moment
@@ -27,13 +28,31 @@ _CHANCE_WRONG = 0.05
 _REACH, _STEPS = 3.0, 10
 
 
+class Positions(Ruler):
+    """Positions in the metadata of a flight's photographs; the flight measures them (``positions_evidence``)."""
+
+    kind = "positions"
+    label = "positions"
+    plural = True
+    help = "photographs of a flight with positions in their metadata"
+    colour = "#56B4E9"
+    reads_metadata = True
+    uses_plane = True
+    independent_of_vehicles = True
+    of_flights = True
+
+    def measure(self, view: View) -> Evidence:  # noqa: ARG002
+        """Give no evidence: one image has no distance."""
+        return no_evidence(self.kind)
+
+
 class Baseline(NamedTuple):
-    """The scale of a constellation.
+    """Scale of a constellation of photographs.
 
     Attributes:
         gsd_m_per_px: metres per pixel.
         log_sd: standard deviation of its log.
-        n: photographs that it was taken from.
+        n: number of photographs.
     """
 
     gsd_m_per_px: float
@@ -42,13 +61,13 @@ class Baseline(NamedTuple):
 
 
 def places_of(images: Sequence[ImageFacts]) -> NDArray[np.float64] | None:
-    """Where photographs were taken.
+    """Read where photographs were taken.
 
     Args:
         images: their facts.
 
     Returns:
-        ``[n, 2]`` metres east and north of the first that says it, NaN for those that do not; None where none does.
+        ``[n, 2]`` metres east and north of the first known position, NaN for unknown ones; None if all are unknown.
     """
     known = [
         (math.nan, math.nan)
@@ -66,15 +85,15 @@ def places_of(images: Sequence[ImageFacts]) -> NDArray[np.float64] | None:
 
 
 def baseline(layout: NDArray[np.complex128], places: NDArray[np.float64], width_px: float) -> Baseline | None:
-    """Compare where photographs lie with where they were taken.
+    """Compare the layout of photographs with their positions.
 
     Args:
         layout: ``[m]`` centres in pixels, y down (see ``vehanchor.flight.layout``).
-        places: ``[m, 2]`` metres east and north, NaN where it is not known.
+        places: ``[m, 2]`` metres east and north, NaN for unknown ones.
         width_px: of a photograph, in these pixels.
 
     Returns:
-        The scale; None for fewer than two places, or where the two are not one constellation.
+        The scale; None for fewer than two places, or if the two constellations differ.
     """
     known = np.isfinite(places).all(axis=1)
     seen, taken = layout[known], places[known, 0] - 1j * places[known, 1]
@@ -105,8 +124,8 @@ def baseline(layout: NDArray[np.complex128], places: NDArray[np.float64], width_
 
 
 def positions_evidence(found: Baseline | None) -> tuple[Evidence, ...]:
-    """A baseline as evidence, with a notice that tells it; nothing for none."""
+    """Evidence of a baseline; nothing for none."""
     if found is None or not on_grid(found.gsd_m_per_px):
         return ()
     said = f"The positions of {found.n} overlapping photographs say {{}}."
-    return (lognormal_evidence(POSITIONS, found.gsd_m_per_px, found.log_sd, _CHANCE_WRONG, said, n=found.n),)
+    return (lognormal_evidence(Positions.kind, found.gsd_m_per_px, found.log_sd, _CHANCE_WRONG, said, n=found.n),)

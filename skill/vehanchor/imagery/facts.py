@@ -1,0 +1,51 @@
+"""Facts of an image that need no look at its pixels."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from vehanchor.imagery.identity import image_id
+from vehanchor.records import Notice
+from vehanchor.storage.stored import stored
+
+if TYPE_CHECKING:
+    from vehanchor.imagery.metadata.camera import CameraMetadata
+    from vehanchor.imagery.raster import Raster
+
+
+@stored("image_facts")
+class ImageFacts(NamedTuple):
+    """Size, own scale and metadata of an image.
+
+    Attributes:
+        width_px: columns.
+        height_px: rows.
+        georeference_gsd_m_per_px: the scale in the file's georeference; None without one.
+        notices: warnings from reading the image.
+        camera: the camera's metadata; None without any.
+        image_id: checksum of the pixels; empty if they were not read.
+    """
+
+    width_px: int
+    height_px: int
+    georeference_gsd_m_per_px: float | None = None
+    notices: tuple[Notice, ...] = ()
+    camera: CameraMetadata | None = None
+    image_id: str = ""
+
+
+def image_facts(raster: Raster) -> ImageFacts:
+    """Collect the facts of an open image."""
+    return ImageFacts(
+        raster.width_px,
+        raster.height_px,
+        raster.georeference_gsd_m_per_px,
+        image_notices(raster),
+        raster.camera,
+        image_id(raster),
+    )
+
+
+def image_notices(raster: Raster) -> tuple[Notice, ...]:
+    """Convert the warnings from reading an image to notices."""
+    return tuple(Notice(code=note.code, message=note.message) for note in raster.warnings)

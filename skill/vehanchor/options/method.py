@@ -1,0 +1,82 @@
+"""Named presets of the method: the option group ``Method``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+
+from vehanchor.errors import InvalidParameterError
+from vehanchor.options.option import Words, check_fields, option
+from vehanchor.scale.defaults import NMS_IOU, OUTLIER_ALPHA
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+Preset: TypeAlias = Literal["paper"]
+"""Names of the presets."""
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "paper": {
+        "min_score": 0.1,
+        "nms_iou": NMS_IOU,
+        "search_scales": False,
+        "verify": False,
+        "effort": "full",
+        "max_tiles": None,
+        "max_seconds": None,
+        "aggregation": "kde",
+        "alpha": OUTLIER_ALPHA,
+        "reference_length_m": 5.045,  # paper, equation 4
+        "region": None,
+        "calibration": None,
+        "rulers": ("vehicles",),
+        "metadata": False,
+        "known_lengths": (),
+        "height_m": None,
+        "focal_35mm": None,
+    }
+}
+"""Options that each preset sets, by their keywords."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """The method as a whole.
+
+    Attributes:
+        preset: ``paper`` sets every option as the paper has it, and gives its confidence C and its resolution guard;
+            None leaves all options as they are.
+
+    Raises:
+        InvalidParameterError: there is no such preset.
+    """
+
+    preset: Preset | None = field(
+        default=None,
+        metadata=option(
+            "Named preset: paper gives the paper's method exactly, with its confidence and its resolution guard.",
+            Words(get_args(Preset)),
+        ),
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+def with_preset(preset: str, keywords: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """Add the options of a preset to those of the caller.
+
+    Args:
+        preset: its name.
+        keywords: options of the caller.
+        defaults: of all options.
+
+    Raises:
+        InvalidParameterError: the caller sets an option of the preset to another value.
+    """
+    chosen = PRESETS.get(preset, {})
+    for name, value in chosen.items():
+        given = keywords.get(name, defaults[name])
+        if (tuple(given) if isinstance(given, list) else given) not in (value, defaults[name]):
+            raise InvalidParameterError(f"the preset {preset} sets {name}: leave {name} out, or leave the preset out")
+    return {**keywords, **chosen}

@@ -1,0 +1,73 @@
+"""Given height as a ruler: the camera's height above the ground, from the caller."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from vehanchor.imagery.metadata.lens import equivalent_lens, lens, taken_ratio
+from vehanchor.records import Notice
+from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.camera import coarsening, cropped
+from vehanchor.rulers.evidence import Mark
+from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
+from vehanchor.rulers.ruler import Ruler
+
+if TYPE_CHECKING:
+    from vehanchor.imagery.metadata.lens import Lens
+    from vehanchor.rulers.evidence import View
+    from vehanchor.rulers.lognormal import LognormalEvidence
+
+HEIGHT_LOG_SD = 0.05  # of a given height: the caller knows the height above the ground itself
+_CHANCE_WRONG = 0.05
+_NO_LENS_OF_A_CROP = (
+    "no focal length of the whole picture holds for it: the given height is no ruler. If focal_35mm is that of the "
+    "crop, leave the metadata out"
+)
+_FOCAL_LENGTH_MISSING = Notice(
+    code=NoticeCode.FOCAL_LENGTH_MISSING,
+    message="A height was given, but no focal length, and the file has none that holds for it: give focal_35mm, too.",
+)
+
+
+class GivenHeight(Ruler):
+    """The caller's height above the ground, with the caller's focal length or the file's."""
+
+    kind = "height"
+    label = "given height"
+    help = "the height above the ground that you give, and a focal length"
+    colour = "#CC79A7"
+    pooling_gain = 0.0  # one height: one error
+    uses_plane = True
+    independent_of_vehicles = True
+
+    def measure(self, view: View) -> LognormalEvidence:
+        """Measure by the given height and the focal length."""
+        chosen, image = view.options.rulers, view.image
+        if chosen.height_m is None:
+            return no_evidence(self.kind)
+        camera = image.camera if chosen.metadata else None
+        if camera is not None and taken_ratio(image, camera) is None:
+            return no_evidence(self.kind, cropped(image, camera, _NO_LENS_OF_A_CROP))
+        seen: Lens | None = None
+        if chosen.focal_35mm is not None:
+            seen = equivalent_lens(image.width_px, image.height_px, chosen.focal_35mm)
+        elif camera is not None:
+            seen = lens(image, camera)
+        if seen is None:
+            return no_evidence(self.kind, _FOCAL_LENGTH_MISSING)
+        coarser, tilt_log_sd = coarsening(0.0 if view.plane is None else view.plane.tilt_deg)
+        gsd = chosen.height_m / seen.pixels * coarser
+        said = f"The given height says {{}}: {chosen.height_m:g} m and {seen.source}."
+        said += " At the image's centre." if view.plane else ""
+        if not on_grid(gsd):
+            return no_evidence(
+                self.kind,
+                Notice(
+                    code=NoticeCode.CAMERA_UNUSABLE,
+                    message=f"The given height is no ruler: {chosen.height_m:g} m and {seen.source} would make "
+                    f"{gsd:.3g} m/px.",
+                ),
+            )
+        log_sd, marks = math.hypot(HEIGHT_LOG_SD, seen.log_sd, tilt_log_sd), [Mark.of_height(image, chosen.height_m)]
+        return lognormal_evidence(self.kind, gsd, log_sd, _CHANCE_WRONG, said, marks=marks)

@@ -1,0 +1,93 @@
+"""Measure an image with all rulers: first those that do not depend on vehicles, then the others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from vehanchor.records import Notice
+from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.lognormal import no_evidence
+from vehanchor.rulers.registry import active_rulers
+from vehanchor.rulers.vehicles import VehicleEvidence, Vehicles
+from vehanchor.scale.fusion import product
+from vehanchor.tilt.camera_tilt import metadata_tilt
+from vehanchor.tilt.estimate import estimate_tilt
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from vehanchor.rulers.evidence import Evidence, View
+    from vehanchor.rulers.ruler import Ruler
+
+
+def with_tilt(view: View) -> View:
+    """Let the rulers find things in an image, and estimate its tilt from them, the metadata and the vehicles.
+
+    Raises:
+        TooObliqueError: the horizon is in sight, or the tilt is too uncertain to exclude that.
+    """
+    rulers = _of_images(view)
+    stated = metadata_tilt(view.image, view.options)
+    view = replace(view, tilt=stated)
+    found = {ruler.kind: ruler.find(view) for ruler in rulers}
+    cues = [cue for ruler in rulers for cue in ruler.tilt_cues(found[ruler.kind], view.image)]
+    tilt = estimate_tilt(stated, cues, view.image, view.options, view.detections)
+    return replace(view, tilt=tilt, found=found)
+
+
+def measure_all(view: View, known: Sequence[Evidence] = ()) -> tuple[VehicleEvidence, tuple[Evidence, ...]]:
+    """Measure an image with all rulers that the caller allows.
+
+    Args:
+        view: of the image, with its tilt.
+        known: evidence that is not measured again.
+
+    Returns:
+        The evidence of vehicles, empty if the caller leaves them out, and that of the other rulers.
+    """
+    kinds = {each.kind for each in known}
+    rulers = [ruler for ruler in _of_images(view) if ruler.kind not in kinds]
+    independent = [ruler for ruler in rulers if ruler.independent_of_vehicles]
+    others = [*known, *(_measured(ruler, view) for ruler in independent)]
+    if view.expected is None and view.plane is not None:
+        view = replace(view, expected=expected_scale(others))
+    measured = [*others, *(_measured(ruler, view) for ruler in rulers if not ruler.independent_of_vehicles)]
+    vehicles = next((each for each in measured if isinstance(each, VehicleEvidence)), None)
+    others = [each for each in measured if each is not vehicles]
+    return vehicles or Vehicles().not_measured(view), tuple(others)
+
+
+def expected_scale(evidence: Iterable[Evidence]) -> NDArray[np.float64] | None:
+    """Multiply the densities of rulers that do not depend on vehicles, for a tilted view.
+
+    In oblique views the detector often finds parts of cars; the camera's height or a court identifies the whole ones.
+
+    Args:
+        evidence: of these rulers, measured on the ground plane.
+
+    Returns:
+        ``[g]`` probabilities on ``vehanchor.scale.fusion.GRID``; None if no ruler found anything.
+    """
+    densities = [each.density for each in evidence if each.density is not None and each.gsd_m_per_px is not None]
+    return product(*densities) if densities else None
+
+
+def _of_images(view: View) -> list[Ruler]:
+    return [ruler for ruler in active_rulers(view.options.rulers) if not ruler.of_flights]
+
+
+def _measured(ruler: Ruler, view: View) -> Evidence:
+    """Evidence of a ruler; none on a tilted view if the ruler measures at nadir only."""
+    if view.plane is None or ruler.uses_plane:
+        return ruler.measure(view)
+    if ruler.measure(view.at_nadir()).gsd_m_per_px is None:
+        return no_evidence(ruler.kind)
+    message = (
+        f"The camera was tilted by {view.plane.tilt_deg:.0f} degrees: the ruler {ruler.label} is left out, because it "
+        "measures nadir images only."
+    )
+    return no_evidence(ruler.kind, Notice(code=NoticeCode.RULER_NEEDS_NADIR, message=message))

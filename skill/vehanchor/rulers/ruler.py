@@ -1,0 +1,80 @@
+"""Base class of rulers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from vehanchor.imagery.facts import ImageFacts
+    from vehanchor.rulers.evidence import Evidence, View
+    from vehanchor.tilt.posterior import TiltCue
+
+
+class Ruler:
+    """One way to measure the scale of an image.
+
+    Subclasses declare what the rest of the library has to know of them, and define ``measure``.
+
+    Attributes:
+        kind: name in options and records.
+        label: name in messages and pictures, as a noun.
+        plural: whether the label is a plural.
+        help: what the ruler needs, for the help of ``--rulers``.
+        colour: of its curve in plots, ``#rrggbb``.
+        pooling_gain: n photographs of a flight count as n to this power: 0 if all have the same error, 1 if their
+            errors are independent.
+        needs_search: it measures detections, so that the detector has to run.
+        reads_metadata: it is left out if the caller forbids metadata.
+        uses_plane: it measures on ``View.plane``. If False, it gives no evidence on a tilted view.
+        independent_of_vehicles: it never looks at vehicles, so that its evidence may tell cars from parts of cars.
+        sets_scale: it can set the scale by itself. If False it is a prior: it only weighs what others say.
+        of_flights: it measures photographs of a flight together and never one image alone.
+    """
+
+    kind: ClassVar[str]
+    label: ClassVar[str]
+    help: ClassVar[str]
+    plural: ClassVar[bool] = False
+    colour: ClassVar[str] = "#8C6D31"
+    pooling_gain: ClassVar[float] = 0.5
+    needs_search: ClassVar[bool] = False
+    reads_metadata: ClassVar[bool] = False
+    uses_plane: ClassVar[bool] = False
+    independent_of_vehicles: ClassVar[bool] = False
+    sets_scale: ClassVar[bool] = True
+    of_flights: ClassVar[bool] = False
+
+    def find(self, view: View) -> tuple[Any, ...]:  # noqa: ARG002
+        """Find things in the image once, before the tilt is estimated; ``measure`` gets them in ``View.found``.
+
+        Args:
+            view: of the image; its tilt is that of the metadata.
+        """
+        return ()
+
+    def tilt_cues(self, found: tuple[Any, ...], image: ImageFacts) -> Sequence[TiltCue]:  # noqa: ARG002
+        """Make tilt cues of what ``find`` returned.
+
+        Args:
+            found: by ``find``.
+            image: facts of the image.
+        """
+        return ()
+
+    def measure(self, view: View) -> Evidence:
+        """Measure the scale; in a tilted view that of the image's centre.
+
+        Args:
+            view: of the image.
+
+        Returns:
+            The evidence; ``no_evidence`` if nothing was found.
+        """
+        raise NotImplementedError
+
+    @classmethod
+    def says(cls) -> str:
+        """Beginning of a sentence, as "the courts say"."""
+        return f"the {cls.label} {'say' if cls.plural else 'says'}"
