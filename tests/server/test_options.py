@@ -18,6 +18,7 @@ from vehanchor.options.given_scale import GSD, OBJECT_HEIGHT
 from vehanchor.options.method import Preset
 from vehanchor.options.option import Limits, Option, Words, option_of
 from vehanchor.options.rulers import LINE_LENGTH_M
+from vehanchor.rulers.registry import rulers_help
 from vehanchor.scale.calibration import Calibration
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings, SettingsError
@@ -109,7 +110,7 @@ def test_the_command_line_has_every_option_with_its_help_and_default() -> None:
         parameter = parameters[keyword]
         kind, option = typing.get_args(parameter.annotation)
         assert isinstance(option, typer.models.OptionInfo)
-        assert option.help == each.declared.help
+        assert option.help == (rulers_help() if keyword == "rulers" else each.declared.help)
         default = None if each.field.default in ((), None) else each.field.default
         assert parameter.default == (str(default) if keyword == "alpha" else default), keyword
         if isinstance(each.declared.takes, Words):
