@@ -20,11 +20,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, overload
 
+from vehanchor.analysis.pipeline import analyse_image, checked_detector
 from vehanchor.courts.proposals import load_court_network
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.errors import InvalidParameterError
-from vehanchor.estimate import analyse_image, checked_detector
 from vehanchor.flight.estimate import analyse_flight
 from vehanchor.flight.inputs import check_many
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster

@@ -20,6 +20,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network
+from vehanchor.analysis.pipeline import networks_sha256
 from vehanchor.batch import BatchJob, BatchRow, find_images, run_batch
 from vehanchor.batch.engines.local import local_workers
 from vehanchor.batch.row import COLUMNS
@@ -39,7 +40,6 @@ from vehanchor.errors import (
     VehAnchorError,
     WorkerDiedError,
 )
-from vehanchor.estimate import networks_sha256
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Frame, Reference, ScaleOptions
