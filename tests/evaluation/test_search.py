@@ -12,11 +12,11 @@ from vehanchor.detection.appearance import FleetLengths
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.detection.search import search
+from vehanchor.engine.verbs import analyse_scale
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
-from vehanchor.verbs import analyse_scale
 from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet
 from vehanchor_evaluation.search import (
     DetectionLog,

@@ -19,9 +19,9 @@ import numpy as np
 from research.training.detector.calibrate import clear_score
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.verifier import Weights
+from vehanchor.engine.verbs import analyse_scale
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
-from vehanchor.verbs import analyse_scale
 from vehanchor_evaluation.table import read_table
 
 _MANY_CARS = 20

@@ -31,6 +31,7 @@ from vehanchor.courts import proposals
 from vehanchor.detection import scene_scale as scene
 from vehanchor.detection.appearance import FleetLengths
 from vehanchor.detection.detector import Detector
+from vehanchor.engine.verbs import estimate_gsd
 from vehanchor.errors import (
     ImageNotFoundError,
     InvalidParameterError,
@@ -44,7 +45,6 @@ from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Frame, Reference, ScaleOptions
 from vehanchor.records import GsdEstimate
-from vehanchor.verbs import estimate_gsd
 
 if TYPE_CHECKING:
     from typer.testing import Result
