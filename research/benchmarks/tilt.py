@@ -24,12 +24,12 @@ import numpy as np
 
 from research.benchmarks.flights import read, spoiled
 from research.results.record import add_record_option, recording
+from vehanchor.analysis.pipeline import analyse_detections
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.scene_scale import SceneScalePrior, load_scene_scale
 from vehanchor.detection.search import search
 from vehanchor.engine import Engine
 from vehanchor.errors import TooObliqueError
-from vehanchor.estimate import analyse_detections
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import ImageFacts, image_facts
 from vehanchor.imagery.metadata.camera import CameraMetadata

@@ -12,11 +12,11 @@ from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from vehanchor.analysis.pipeline import analyse_detections, networks_sha256, search_raster
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.batch.pool import finished_in_threads
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import InvalidParameterError, VehAnchorError
-from vehanchor.estimate import analyse_detections, networks_sha256, search_raster
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.identity import Source

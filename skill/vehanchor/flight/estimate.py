@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.analysis.pipeline import analyse_view, checked_detector, networks_sha256, search_raster
 from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
-from vehanchor.estimate import analyse_view, checked_detector, networks_sha256, search_raster
 from vehanchor.flight.components import single_component
 from vehanchor.flight.features import find_features
 from vehanchor.flight.inputs import InputPhotograph, check_many, named

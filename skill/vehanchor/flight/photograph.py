@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.detection.detections import Detections
-from vehanchor.estimate import analyse_view
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.rulers.evidence import View
 from vehanchor.rulers.measurement import with_tilt

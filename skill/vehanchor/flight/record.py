@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vehanchor.estimate import model_id
+from vehanchor.analysis.pipeline import model_id
 from vehanchor.flight.heights import ground_below, heights_evidence
 from vehanchor.flight.pooling import pool
 from vehanchor.records import FlightComponent, FlightEstimate, FlightPhotograph, FlightRuler, KnownScale

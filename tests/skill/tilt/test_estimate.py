@@ -9,11 +9,11 @@ import pytest
 import vehanchor
 from tests.analyses import made_card
 from tests.skill.tilt.test_vehicle_cue import FOCAL_PX, HEIGHT, WIDTH, _cars
+from vehanchor.analysis.pipeline import analyse_detections, analyse_view
 from vehanchor.courts.court import Court
 from vehanchor.courts.template import TENNIS
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import TooObliqueError
-from vehanchor.estimate import analyse_detections, analyse_view
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.pooling import pool
 from vehanchor.imagery.facts import ImageFacts
