@@ -16,7 +16,6 @@ import numpy as np
 
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
-from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -32,7 +31,6 @@ _CONTRAST_FLOOR = 8.0  # grey levels; below it there is nothing to see
 _REACH = 1.15  # of a length, from a vehicle's centre to the farthest pixel that a chip needs, blur included
 
 
-@stored("fleet_appearance")
 class FleetAppearance(NamedTuple):
     """What the look of vehicles tells of their fleet.
 

@@ -25,7 +25,6 @@ from vehanchor.models.session import open_session, run_session
 from vehanchor.models.zoo import bundled_scene_scale
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.fusion import GRID, blurred, with_outlier_floor
-from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -44,7 +43,6 @@ _MOST_SIZE_ODDS = 2.0  # for or against: the ground may be wrong
 _BATCH = 8  # tiles at once: 24 would take three times the memory and no less time
 
 
-@stored("scene_level")
 class SceneLevel(NamedTuple):
     """What was seen at one resolution.
 
@@ -59,7 +57,6 @@ class SceneLevel(NamedTuple):
     log_probs: NDArray[np.float64]
 
 
-@stored("scene_calibration")
 @dataclass(frozen=True)
 class SceneCalibration:
     """From a network's answers to a density that can be believed (``research/training/scene_scale/calibrate.py``).
@@ -82,7 +79,6 @@ class SceneCalibration:
     floor: float = 0.02
 
 
-@stored("scene_scale_prior")
 @dataclass(frozen=True, eq=False)
 class SceneScalePrior:
     """What was seen of the ground at all resolutions of an image.

@@ -1,4 +1,4 @@
-"""The confidence a planner acts on: four terms with the paper's weights, and the resolution guard.
+"""The confidence that a planner acts on: four terms with the paper's weights, capped in doubt.
 
 The paper gives the weights (section III-D); the terms' shapes are ours, fitted on the held-out tenth of the train split
 by ``research/training/detector/fit_confidence.py``.

@@ -9,7 +9,6 @@ import numpy as np
 from vehanchor.errors import InvalidParameterError
 from vehanchor.scale.defaults import OUTLIER_ALPHA
 from vehanchor.scale.thresholds import GUARD_GSD_M_PER_PX
-from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -29,7 +28,6 @@ _FLEET_LOG_SD = 0.40  # error of an estimate from one car, false alarms included
 Z95 = 1.959963984540054  # standard deviations to either end of a 95 % interval
 
 
-@stored("interval")
 class Interval(NamedTuple):
     """A 95 % interval."""
 
