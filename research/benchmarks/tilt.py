@@ -91,8 +91,8 @@ def looked_at(
             detections, prior = from_json(json.loads(known.read_text()))
             return facts, detections, prior
         network = load_scene_scale(detector.runtime)
-        prior = None if network is None else network.look(raster)
-        detections = search(raster, detector, ScaleOptions().search, scene=prior)
+        prior = None if network is None else network.predict(raster)
+        detections = search(raster, detector, ScaleOptions().search, prior=prior)
     if known is not None:
         known.parent.mkdir(parents=True, exist_ok=True)
         known.write_text(json.dumps(to_json((detections, prior))))
