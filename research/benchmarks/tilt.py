@@ -92,8 +92,8 @@ def looked_at(
             detections, prior = Codec(stored_classes()).load(json.loads(known.read_text()))
             return facts, detections, prior
         network = load_scene_scale(detector.runtime)
-        prior = None if network is None else network.look(raster)
-        detections = search(raster, detector, ScaleOptions().search, scene=prior)
+        prior = None if network is None else network.predict(raster)
+        detections = search(raster, detector, ScaleOptions().search, prior=prior)
     if known is not None:
         known.parent.mkdir(parents=True, exist_ok=True)
         known.write_text(json.dumps(Codec(stored_classes()).dump((detections, prior))))
