@@ -1,1 +1,1 @@
-"""Results with what they came from, drawing and export."""
+"""Analyses: results with their evidence, drawing and export."""
