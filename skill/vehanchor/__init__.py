@@ -19,7 +19,6 @@ from vehanchor.errors import VehAnchorError
 if TYPE_CHECKING:
     from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
     from vehanchor.analysis.scale import ScaleAnalysis
-    from vehanchor.batch.files import find_images
     from vehanchor.detection.detector import Detector
     from vehanchor.engine import Engine
     from vehanchor.engine.verbs import (
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
         measure_area,
         measure_distance,
     )
+    from vehanchor.imagery.sources.files import find_images
     from vehanchor.models.runtime import Cancellation, Runtime
     from vehanchor.options import Frame, ImageLimits, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, KnownScale
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
     "analysis.measured": ("AreaAnalysis", "DistanceAnalysis"),
     "analysis.scale": ("ScaleAnalysis",),
-    "batch.files": ("find_images",),
+    "imagery.sources.files": ("find_images",),
     "detection.detector": ("Detector",),
     "engine": ("Engine",),
     "models.runtime": ("Cancellation", "Runtime"),

@@ -6,9 +6,9 @@ goes on where it stopped, and ``table`` writes them in the order of the files. `
 and ``pool`` serve the long runs of ``vehanchor_evaluation``, too.
 """
 
-from vehanchor.batch.files import find_images
 from vehanchor.batch.row import BatchRow
 from vehanchor.batch.run import BatchEngine, BatchSummary, run_batch
 from vehanchor.batch.worker import BatchJob
+from vehanchor.imagery.sources.files import find_images
 
 __all__ = ["BatchEngine", "BatchJob", "BatchRow", "BatchSummary", "find_images", "run_batch"]
