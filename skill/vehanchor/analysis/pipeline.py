@@ -8,7 +8,6 @@ threads.
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -20,8 +19,6 @@ from vehanchor.detection.search import search
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
-from vehanchor.models.files import models_sha256, read_model
-from vehanchor.models.zoo import bundled_courts, bundled_scene_scale
 from vehanchor.records import FrameScale, GsdEstimate, KnownScale, Notice, RulerScale, SceneScaleEstimate
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.agreement import disagreements
@@ -217,19 +214,6 @@ def _ruler_scale(share: RulerShare) -> RulerScale:
 def model_id(card: DetectorCard) -> str:
     """First digits of a detector's checksum."""
     return card.sha256[:_MODEL_DIGITS]
-
-
-def networks_sha256(card: DetectorCard) -> str:
-    """SHA-256 of all networks behind a record: the detector, those beside it, the ground's and the courts'.
-
-    What was found with some of them replaced is not the same any more.
-    """
-    digest = hashlib.sha256()
-    for checksum in (card.sha256, card.fleet_sha256, card.verifier_sha256):
-        digest.update(f"{checksum}\n".encode())
-    for path in (bundled_scene_scale(), bundled_courts()):
-        digest.update(models_sha256(read_model(path)).encode() if path else b"\n")
-    return digest.hexdigest()
 
 
 def _known_scale(

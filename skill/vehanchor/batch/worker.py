@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import cv2
 
-from vehanchor.analysis.pipeline import analyse_image, checked_detector, networks_sha256
+from vehanchor.analysis.pipeline import analyse_image, checked_detector
 from vehanchor.batch.row import BatchRow
 from vehanchor.detection.detector import Detector
+from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
 from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.addresses import is_address

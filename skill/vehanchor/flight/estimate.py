@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.analysis.pipeline import analyse_view, checked_detector, networks_sha256, search_raster
+from vehanchor.analysis.pipeline import analyse_view, checked_detector, search_raster
+from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
 from vehanchor.flight.components import single_component
 from vehanchor.flight.features import find_features

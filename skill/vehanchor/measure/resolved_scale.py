@@ -17,8 +17,7 @@ from vehanchor.imagery.metadata.lens import equivalent_lens, lens
 from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT_M
 from vehanchor.records import KnownScale
 from vehanchor.records.known_scale import known_scale
-from vehanchor.rulers.camera import height_log_sd
-from vehanchor.rulers.given_height import HEIGHT_LOG_SD
+from vehanchor.scale.height import GIVEN_HEIGHT_LOG_SD, height_log_sd
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
@@ -230,7 +229,7 @@ def camera_above(raster: Raster, options: ScaleOptions, object_height_m: float) 
             "object_height_m needs the camera's height, which neither the file nor an option tells: give height_m, or "
             "measure on the ground"
         )
-    spread = HEIGHT_LOG_SD if chosen.height_m is not None else 0.0 if height is None else height_log_sd(height)
+    spread = GIVEN_HEIGHT_LOG_SD if chosen.height_m is not None else 0.0 if height is None else height_log_sd(height)
     return CameraAbove(seen, height, spread)
 
 
