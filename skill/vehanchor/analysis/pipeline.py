@@ -33,12 +33,12 @@ from vehanchor.tilt.camera_tilt import metadata_tilt
 from vehanchor.tilt.estimate import tilt_notice
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.convergence import Convergence
     from vehanchor.detection.detector import Detector
-    from vehanchor.imagery.raster import Raster
+    from vehanchor.imagery.raster import Raster, RasterNote
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import Frame, ScaleOptions
     from vehanchor.rulers.decision import RulerShare, ScaleDecision
@@ -141,7 +141,8 @@ def conclude(
     """
     decision = decide(vehicles, others)
     outvoted = [ruler.kind for ruler in decision.rulers if not ruler.agrees]
-    warnings = [*view.image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
+    warnings = [*image_notices(view.image.notices), *vehicles.notices]
+    warnings += [notice for other in others for notice in other.notices]
     warnings += [*notices, *disagreements((vehicles, *others), outvoted)]
     if decision.gsd_m_per_px is not None:
         alone = decision.gsd_m_per_px == vehicles.gsd_m_per_px
@@ -240,6 +241,11 @@ def _scene_scale(evidence: Evidence) -> SceneScaleEstimate | None:
     return SceneScaleEstimate(
         gsd_m_per_px=evidence.gsd_m_per_px, gsd_ci95_low_m_per_px=low, gsd_ci95_high_m_per_px=high
     )
+
+
+def image_notices(notes: Iterable[RasterNote]) -> tuple[Notice, ...]:
+    """Convert the warnings from reading an image to notices."""
+    return tuple(Notice(code=note.code, message=note.message) for note in notes)
 
 
 def georeference_notice(own: float | None, gsd_m_per_px: float, who_says: str) -> list[Notice]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from vehanchor.analysis.pipeline import conclude
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.scene_scale import SceneScalePrior
+from vehanchor.imagery.raster import RasterNote
 from vehanchor.records import Notice
 from vehanchor.rulers.evidence import Evidence, View
 from vehanchor.rulers.measurement import expected_scale, measure_all
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
 
 _LEAST = 1e-12
+Remark = TypeVar("Remark", Notice, RasterNote)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,9 +220,9 @@ def _facts(members: Sequence[Photograph], reference: int) -> ImageFacts:
     return members[reference].view.image._replace(notices=notices)
 
 
-def _distinct(notices: Iterable[Notice]) -> tuple[Notice, ...]:
-    """One notice of each kind, the first: a hundred photographs of one camera say the same a hundred times."""
-    first: dict[str, Notice] = {}
+def _distinct(notices: Iterable[Remark]) -> tuple[Remark, ...]:
+    """First remark of each code: the photographs of one camera repeat the same remarks."""
+    first: dict[str, Remark] = {}
     for notice in notices:
         first.setdefault(notice.code, notice)
     return tuple(first.values())

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-from vehanchor.analysis.pipeline import analyse_raster, georeference_notice
+from vehanchor.analysis.pipeline import analyse_raster, georeference_notice, image_notices
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
-from vehanchor.imagery.facts import ImageFacts, image_notices
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens
 from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT_M
@@ -178,7 +178,7 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
         return ResolvedScale(
             found.gsd_m_per_px, log_sd, found.confidence, "estimated", analysis, found.warnings, plane, found.scale
         )
-    told = image_notices(raster)
+    told = image_notices(raster.warnings)
     own = raster.georeference_gsd_m_per_px
     if isinstance(scale, KnownScale):
         seen = image_id(raster)

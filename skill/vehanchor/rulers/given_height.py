@@ -69,8 +69,6 @@ class GivenHeight(Ruler):
                     f"{gsd:.3g} m/px.",
                 ),
             )
-        log_sd, marks = (
-            math.hypot(GIVEN_HEIGHT_LOG_SD, seen.log_sd, tilt_log_sd),
-            [Mark.of_height(image, chosen.height_m)],
-        )
+        log_sd = math.hypot(GIVEN_HEIGHT_LOG_SD, seen.log_sd, tilt_log_sd)
+        marks = [Mark.of_height(image, chosen.height_m)]
         return lognormal_evidence(self.kind, gsd, log_sd, _CHANCE_WRONG, said, marks=marks)
