@@ -11,9 +11,6 @@ from vehanchor.scale.defaults import NMS_IOU
 Effort: TypeAlias = Literal["full", "auto", "fast"]
 """How much of a large image is searched."""
 
-Stopped: TypeAlias = Literal["all_searched", "settled", "max_tiles", "max_seconds"]
-"""Why a search ended."""
-
 _SHARE, _COUNT = Limits(0, 1), Limits(least=1, whole=True)
 _TILES = Limits(1, 1_000_000_000, whole=True)
 
