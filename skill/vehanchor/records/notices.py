@@ -11,7 +11,7 @@ from vehanchor.storage.stored import stored
 
 
 class NoticeCode(StrEnum):
-    """What a ``Notice`` is about."""
+    """Codes of notices."""
 
     # of the image
     PIXELS_STRETCHED = "pixels_stretched"
@@ -58,7 +58,7 @@ FLEET_DOUBTS = (
 
 @stored("notice")
 class Notice(Record):
-    """A fact that a caller should know about a result that is valid all the same."""
+    """Warning about a valid result."""
 
     code: str = Field(description="Stable identifier of the warning.")
-    message: str = Field(description="What was noticed, with its value, and its meaning for the result.")
+    message: str = Field(description="The fact with its value, and its meaning for the result.")
