@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from vehanchor.analysis.pipeline import checked_detector, networks_sha256
 from vehanchor.batch.engines.local import local_rows, local_workers
 from vehanchor.batch.engines.ray import ray_rows, require_ray
 from vehanchor.batch.files import find_images
@@ -19,7 +20,6 @@ from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, Task
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, OutputError
-from vehanchor.estimate import checked_detector, networks_sha256
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import bundled_models, resolve_model
 from vehanchor.options import ScaleOptions

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import cv2
 
+from vehanchor.analysis.pipeline import analyse_image, checked_detector, networks_sha256
 from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.batch.row import BatchRow
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
-from vehanchor.estimate import analyse_image, checked_detector, networks_sha256
 from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.addresses import is_address
 from vehanchor.models.runtime import Runtime

@@ -11,21 +11,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.analysis.pipeline import analyse_view, checked_detector, networks_sha256, search_raster
 from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
-from vehanchor.estimate import analyse_view, checked_detector, networks_sha256, search_raster
 from vehanchor.flight.components import single_component
 from vehanchor.flight.features import find_features
 from vehanchor.flight.inputs import InputPhotograph, check_many, named
 from vehanchor.flight.linking import link_photographs
-from vehanchor.flight.photograph import Look, Photograph, chief_member
+from vehanchor.flight.photograph import Look, Photograph, chief_member, look_codec
 from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.measurement import with_tilt
 from vehanchor.storage.journal import Journal, Key
-from vehanchor.storage.stored import from_json, to_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -188,4 +187,5 @@ def open_journal(path: Path, detector: Detector, options: ScaleOptions, lines: K
     networks = networks_sha256(detector.card)
     settings = {"vehanchor": version("vehanchor"), "networks_sha256": networks, "flight": 1, **choices}
     remedy = "move the file away, or name another"
-    return Journal(path, settings, dump=to_json, load=from_json, sole=True, remedy=remedy)
+    codec = look_codec()
+    return Journal(path, settings, dump=codec.dump, load=codec.load, sole=True, remedy=remedy)

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.analysis.pipeline import analyse_view
+from vehanchor.analysis.stored import stored_classes
 from vehanchor.detection.detections import Detections
-from vehanchor.estimate import analyse_view
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.rulers.evidence import View
 from vehanchor.rulers.measurement import with_tilt
-from vehanchor.storage.stored import stored
+from vehanchor.storage.codec import Codec
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from vehanchor.tilt.camera_tilt import CameraTilt
 
 
-@stored("photograph_findings")
 @dataclass(frozen=True, eq=False)
 class Look:
     """Search result and evidence of one photograph, as the journal keeps them.
@@ -51,6 +51,11 @@ class Look:
     def of(cls, view: View, analysis: ScaleAnalysis) -> Look:
         """Take the intermediate results of an analysis."""
         return cls(view.image, view.detections, analysis.resolved, analysis.others, view.prior, view.tilt)
+
+
+def look_codec() -> Codec:
+    """Codec of ``Look`` for journals."""
+    return Codec({**stored_classes(), "photograph_findings": Look})
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.analysis.pipeline import conclude
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.scene_scale import SceneScalePrior
-from vehanchor.estimate import conclude
 from vehanchor.records import Notice
 from vehanchor.rulers.evidence import Evidence, View
 from vehanchor.rulers.measurement import expected_scale, measure_all

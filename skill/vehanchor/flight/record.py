@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vehanchor.estimate import model_id
+from vehanchor.analysis.pipeline import model_id
 from vehanchor.flight.heights import ground_below, heights_evidence
 from vehanchor.flight.pooling import pool
 from vehanchor.records import FlightComponent, FlightEstimate, FlightPhotograph, FlightRuler, KnownScale
@@ -274,8 +274,8 @@ def _supporting_rulers(
                 continue
             for support in by_member[way[0]]:
                 through = tuple(members[each].name for each in way[1])
-                ruler = FlightRuler(ruler=support.ruler, photograph=members[way[0]].name, through=through)
-                chosen.setdefault((support.ruler, way[0]), ruler)
+                supporting = FlightRuler(ruler=support.ruler, photograph=members[way[0]].name, through=through)
+                chosen.setdefault((support.ruler, way[0]), supporting)
         named.append(tuple(chosen.values())[:_MOST_RULERS])
     return named
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
+from vehanchor.analysis.pipeline import analyse_raster, georeference_notice
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
-from vehanchor.estimate import analyse_raster, georeference_notice
 from vehanchor.imagery.facts import ImageFacts, image_notices
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.rulers.evidence import Evidence, View
@@ -31,6 +32,7 @@ class Ruler:
         independent_of_vehicles: it does not use vehicles, so that its evidence can distinguish cars from parts of cars.
         sets_scale: it can set the scale by itself. If False, it is a prior, which only weighs other rulers.
         of_flights: it measures the photographs of a flight together, never a single image.
+        stored_classes: classes of its evidence by their names in journals; a name never changes.
     """
 
     kind: ClassVar[str]
@@ -45,6 +47,7 @@ class Ruler:
     independent_of_vehicles: ClassVar[bool] = False
     sets_scale: ClassVar[bool] = True
     of_flights: ClassVar[bool] = False
+    stored_classes: ClassVar[Mapping[str, type[Evidence]]] = MappingProxyType({})
 
     def find(self, view: View) -> tuple[Any, ...]:  # noqa: ARG002
         """Find objects in the image once, before the tilt is estimated; ``measure`` gets them in ``View.found``.

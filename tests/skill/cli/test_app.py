@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner, Result
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_other_model
-from vehanchor import engine, records, verbs
+from vehanchor import engine, records
 from vehanchor.cli import app as cli
+from vehanchor.engine import verbs
 from vehanchor.errors import VehAnchorError
 from vehanchor.models import zoo as model_zoo
 

@@ -10,9 +10,9 @@ import pytest
 import vehanchor
 from tests.models import write_detector
 from tests.skill.flight.photographs import car_park, write_flight
+from vehanchor.analysis.pipeline import search_raster
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import ImageDecodeError, ImageError, InvalidParameterError
-from vehanchor.estimate import search_raster
 from vehanchor.flight import estimate as flight_estimate
 from vehanchor.flight.inputs import InputPhotograph
 from vehanchor.flight.video import sample_video

@@ -83,7 +83,7 @@ def search_raster(raster: Raster, detector: Detector, options: ScaleOptions) -> 
     kinds = {ruler.kind for ruler in rulers}
     weighed = detector.card.votes or Vehicles.kind not in kinds  # else the prior has nothing to weigh
     network = load_scene_scale(detector.runtime) if weighed and SceneScale.kind in kinds else None
-    prior = None if network is None else network.look(raster)
+    prior = None if network is None else network.predict(raster)
     resolved = partial(resolved_share, raster)
     view = View(facts, NOT_SEARCHED, detector.card, options, resolved, raster, detector.runtime, prior, tilt)
     if not any(ruler.needs_search for ruler in rulers):
@@ -92,7 +92,7 @@ def search_raster(raster: Raster, detector: Detector, options: ScaleOptions) -> 
         raster,
         detector,
         options.search,
-        scene=prior,
+        prior=prior,
         convergence=None if tilt else partial(_convergence, view),  # in a tilted view lengths differ with the place
     )
     return replace(view, detections=detections)
