@@ -29,7 +29,7 @@ def as_box(box: Any) -> Any:
     found = getattr(box, "xyxy", None)
     if found is not None:
         if len(found) != 1:
-            raise PromptError(f"the detections have {len(found)} objects: give one, as detections[i : i + 1]")
+            raise PromptError(f"the detections are of {len(found)} objects: give one, as detections[i : i + 1]")
         return tuple(float(value) for value in found[0])
     return getattr(box, "bounds", box)
 

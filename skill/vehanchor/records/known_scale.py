@@ -54,7 +54,7 @@ def known_scale(given: Any) -> KnownScale:
     elif isinstance(given, Record) and "scale" in type(given).model_fields:
         found = getattr(given, "scale", None)
     if found is None:
-        raise InvalidParameterError("the record given as scale has none: give an estimate with a scale")
+        raise InvalidParameterError("scale is a record without a scale: give an estimate that has one")
     if isinstance(found, Mapping):
         try:
             found = KnownScale.model_validate(found)
