@@ -249,8 +249,8 @@ def raised(found: ResolvedScale, object_height_m: float, camera: CameraAbove) ->
     share = object_height_m / height
     if share >= 1:
         raise TooObliqueError(
-            f"an object {object_height_m:g} m above the ground is higher than the camera at {height:.0f} m: give a "
-            "lower height"
+            f"an object {object_height_m:g} m above the ground lies above the camera, which is {height:.0f} m up: give "
+            "a lower height"
         )
     if focal_px:  # scale less height over focal length: the relative error grows with height
         lens_log_sd = camera.lens.log_sd if camera.lens else 0.0

@@ -10,7 +10,7 @@ from vehanchor.records.record import Record
 
 
 class NoticeCode(StrEnum):
-    """What a ``Notice`` is about."""
+    """Codes of notices."""
 
     # of the image
     PIXELS_STRETCHED = "pixels_stretched"
@@ -56,7 +56,7 @@ FLEET_DOUBTS = (
 
 
 class Notice(Record):
-    """A fact that a caller should know about a result that is valid all the same."""
+    """Warning about a valid result."""
 
     code: str = Field(description="Stable identifier of the warning.")
-    message: str = Field(description="What was noticed, with its value, and its meaning for the result.")
+    message: str = Field(description="The fact with its value, and its meaning for the result.")

@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 
 _CHANCE_WRONG = 0.05
 _NO_LENS_OF_A_CROP = (
-    "no focal length of the whole picture holds for it: the given height is no ruler. If focal_35mm is that of the "
-    "crop, leave the metadata out"
+    "no focal length of the whole photograph holds for it, and the given height is not usable. If focal_35mm is that "
+    "of the crop, leave out the metadata"
 )
 _FOCAL_LENGTH_MISSING = Notice(
     code=NoticeCode.FOCAL_LENGTH_MISSING,
-    message="A height was given, but no focal length, and the file has none that holds for it: give focal_35mm, too.",
+    message="The given height is not usable: the file has no usable focal length. Also give focal_35mm.",
 )
 
 
 class GivenHeight(Ruler):
-    """The caller's height above the ground, with the caller's focal length or the file's."""
+    """Height above the ground from the caller, with a focal length from the caller or the file."""
 
     kind = "height"
     label = "given height"
@@ -58,14 +58,14 @@ class GivenHeight(Ruler):
             return no_evidence(self.kind, _FOCAL_LENGTH_MISSING)
         coarser, tilt_log_sd = coarsening(0.0 if view.plane is None else view.plane.tilt_deg)
         gsd = chosen.height_m / seen.pixels * coarser
-        said = f"The given height says {{}}: {chosen.height_m:g} m and {seen.source}."
-        said += " At the image's centre." if view.plane else ""
+        said = f"The given height gives {{}}: {chosen.height_m:g} m and {seen.source}."
+        said += " This is the scale of the image's centre." if view.plane else ""
         if not on_grid(gsd):
             return no_evidence(
                 self.kind,
                 Notice(
                     code=NoticeCode.CAMERA_UNUSABLE,
-                    message=f"The given height is no ruler: {chosen.height_m:g} m and {seen.source} would make "
+                    message=f"The given height is not usable: {chosen.height_m:g} m and {seen.source} would give "
                     f"{gsd:.3g} m/px.",
                 ),
             )

@@ -56,7 +56,7 @@ def read_known_lengths(path: str | os.PathLike[str]) -> dict[str, tuple[KnownLen
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise KnownLengthError(f"cannot read the known lengths in {str(table)!r}: {error}") from None
     if not found:
-        raise KnownLengthError(f"{str(table)!r} has no known length: give at least one")
+        raise KnownLengthError(f"{str(table)!r} has no line of known length: give at least one")
     return found
 
 

@@ -176,5 +176,5 @@ def test_a_result_that_cannot_be_read_any_more_is_told_with_the_remedy(tmp_path:
     path = tmp_path / "j.jsonl"
     _journal(path).add(("a",), 1)
     journal: Journal[Any] = Journal(path, {"model": "m"}, dump=int, load=load, remedy="start anew")
-    with pytest.raises(InvalidParameterError, match=r"cannot be read.*start anew"):
+    with pytest.raises(InvalidParameterError, match=r"unreadable.*start anew"):
         journal.get(("a",))

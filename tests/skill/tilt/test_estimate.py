@@ -147,7 +147,7 @@ def test_lines_and_heights_of_the_caller_are_measured_along_the_tilt() -> None:
         assert moved.interval is not None
         assert moved.interval.high / moved.interval.low > before.interval.high / before.interval.low
         assert moved.explanation is not None
-        assert moved.explanation.endswith("At the image's centre.")
+        assert moved.explanation.endswith("This is the scale of the image's centre.")
     record = analyse_detections(view).estimate
     assert record.gsd_m_per_px == pytest.approx(GSD, rel=0.1)  # the metadata have 30 degrees, and no roll
     assert [ruler.agrees for ruler in record.rulers] == [True, True]
