@@ -20,8 +20,7 @@ class Reference:
 
     Attributes:
         reference_length_m: the fleet's modal vehicle length, 2 to 20 metres.
-        region: use the model's reference length for a region (bundled: ``europe``,
-            ``northern_europe``, ``north_america``, ``south_america``, ``south_asia``).
+        region: use the model's reference length for a region (bundled: ``vehanchor.scale.defaults.REGIONS``).
         calibration: use the reference length measured for this fleet and detector (see ``load_calibration``); a path
             is read at once.
 

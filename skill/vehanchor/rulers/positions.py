@@ -107,7 +107,7 @@ def baseline(layout: NDArray[np.complex128], places: NDArray[np.float64], width_
         if spread_px <= 0 or spread_m <= 0:
             return None
         product = complex(weight @ (np.conj(in_px) * in_m))
-        agreement = abs(product) / math.sqrt(spread_px * spread_m)
+        agreement = min(1.0, abs(product) / math.sqrt(spread_px * spread_m))  # rounding can exceed 1
         gsd = math.sqrt(spread_m / spread_px)  # both have errors: geometric mean of the two regressions
         off = np.abs(in_m - gsd * (product / max(abs(product), 1e-12)) * in_px)
         typical = max(
