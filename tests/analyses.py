@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from vehanchor.analysis.pipeline import analyse_detections
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detections import Detections
-from vehanchor.estimate import analyse_detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.evidence import View

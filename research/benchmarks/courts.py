@@ -28,6 +28,7 @@ from vehanchor.courts.find import find_courts
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import load_scene_scale
+from vehanchor.engine.verbs import analyse_scale
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import open_raster
@@ -35,7 +36,6 @@ from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.courts import Courts, evidence_of
 from vehanchor.rulers.evidence import View
-from vehanchor.verbs import analyse_scale
 from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:

@@ -23,8 +23,8 @@ import rasterio
 
 from research.benchmarks.networks_time import networks_seconds
 from research.results.record import add_record_option, header, recording
+from vehanchor.analysis.pipeline import analyse_raster
 from vehanchor.detection.detector import load_detector
-from vehanchor.estimate import analyse_raster
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model

@@ -35,12 +35,12 @@ from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import search
+from vehanchor.engine.verbs import analyse_scale
 from vehanchor.imagery.metadata.lens import equivalent_lens
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Rulers, ScaleOptions, Search
 from vehanchor.scale.defaults import CAR_LENGTH_M
-from vehanchor.verbs import analyse_scale
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.table import read_table
 

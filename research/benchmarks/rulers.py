@@ -20,6 +20,7 @@ import numpy as np
 
 from research.results.record import add_record_option, recording, values_table
 from vehanchor.detection.detector import Detector
+from vehanchor.engine.verbs import analyse_scale
 from vehanchor.errors import ImageError
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
@@ -27,7 +28,6 @@ from vehanchor.options import ScaleOptions
 from vehanchor.rulers.decision import fuse_rulers, shares
 from vehanchor.rulers.evidence import Evidence
 from vehanchor.rulers.lognormal import lognormal_evidence
-from vehanchor.verbs import analyse_scale
 from vehanchor_evaluation.table import read_table
 from vehanchor_scenes import render_scene
 

@@ -22,12 +22,7 @@ if TYPE_CHECKING:
     from vehanchor.batch.files import find_images
     from vehanchor.detection.detector import Detector
     from vehanchor.engine import Engine
-    from vehanchor.models.runtime import Cancellation, Runtime
-    from vehanchor.options import Frame, ImageLimits, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, KnownScale
-    from vehanchor.scale.calibration import Calibration, load_calibration
-    from vehanchor.segmentation.segmenter import Segmenter
-    from vehanchor.verbs import (
+    from vehanchor.engine.verbs import (
         analyse_area,
         analyse_distance,
         analyse_scale,
@@ -36,6 +31,11 @@ if TYPE_CHECKING:
         measure_area,
         measure_distance,
     )
+    from vehanchor.models.runtime import Cancellation, Runtime
+    from vehanchor.options import Frame, ImageLimits, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, KnownScale
+    from vehanchor.scale.calibration import Calibration, load_calibration
+    from vehanchor.segmentation.segmenter import Segmenter
 
     __version__: str
 
@@ -50,7 +50,7 @@ _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing un
     "records": ("AreaMeasurement", "DistanceMeasurement", "FlightEstimate", "GsdEstimate", "KnownScale"),
     "scale.calibration": ("Calibration", "load_calibration"),
     "segmentation.segmenter": ("Segmenter",),
-    "verbs": (
+    "engine.verbs": (
         "analyse_area",
         "analyse_distance",
         "analyse_scale",

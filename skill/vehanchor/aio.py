@@ -14,19 +14,23 @@ from typing import TYPE_CHECKING, Any, TypeVar, overload
 import anyio
 import anyio.to_thread
 
-from vehanchor import verbs
-from vehanchor.models.runtime import Cancellation
+from vehanchor import Cancellation
+from vehanchor.engine import verbs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from typing import Unpack
 
-    from vehanchor.engine import AreaKeywords, EstimateKeywords, FlightKeywords, MeasureKeywords
-    from vehanchor.flight.inputs import InputPhotograph
-    from vehanchor.imagery.sources.opening import ImageSource
-    from vehanchor.options import ScaleOptions
-    from vehanchor.options.coordinates import Place
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate
+    from vehanchor import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, ScaleOptions
+    from vehanchor.engine import (
+        AreaKeywords,
+        EstimateKeywords,
+        FlightKeywords,
+        ImageSource,
+        InputPhotograph,
+        MeasureKeywords,
+        Place,
+    )
 
 __all__ = ["estimate_flight", "estimate_gsd", "measure_area", "measure_distance"]
 

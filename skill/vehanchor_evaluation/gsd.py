@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from vehanchor.analysis.pipeline import analyse_image, checked_detector
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.detection.detections import Detections
-from vehanchor.estimate import analyse_image, checked_detector
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import Reference, ScaleOptions
 from vehanchor.scale.lengths import kde_mode

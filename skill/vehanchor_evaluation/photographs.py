@@ -6,9 +6,9 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from vehanchor.analysis.pipeline import analyse_raster
 from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.errors import InvalidParameterError, VehAnchorError
-from vehanchor.estimate import analyse_raster
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.rulers.registry import active_rulers
 from vehanchor.scale.lengths import Z95

@@ -18,12 +18,12 @@ from tests.analyses import made_card
 from tests.conftest import ROOT
 from tests.docs.documents import blocks
 from tests.models import blank_image, paint_vehicles, write_detector
+from vehanchor.analysis.pipeline import analyse_detections
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.cli.app import app
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.errors import InvalidParameterError
-from vehanchor.estimate import analyse_detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions

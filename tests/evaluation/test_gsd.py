@@ -14,9 +14,9 @@ from typer.testing import CliRunner, Result
 from tests.known_scale_data import REFERENCE_M, cars, dota_lines, paint, write_geotiff
 from vehanchor.cli import app as cli
 from vehanchor.detection.detector import Detector
+from vehanchor.engine.verbs import analyse_scale
 from vehanchor.errors import ImageTooLargeError
 from vehanchor.options import ScaleOptions
-from vehanchor.verbs import analyse_scale
 from vehanchor_evaluation import ablation
 from vehanchor_evaluation.gsd import benchmark_scale, summarise_errors, with_regions
 from vehanchor_evaluation.known_scale import KnownScaleImage, KnownScaleSet

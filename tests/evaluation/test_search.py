@@ -12,11 +12,11 @@ from vehanchor.detection.appearance import FleetLengths
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.detection.search import search
+from vehanchor.engine.verbs import analyse_scale
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Lengths, Reference, ScaleOptions, Search
-from vehanchor.verbs import analyse_scale
 from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet
 from vehanchor_evaluation.search import (
     DetectionLog,
@@ -117,7 +117,8 @@ def test_progress_ends_at_all_images(tmp_path: Path, detector: Path) -> None:
 def test_the_detail_is_that_around_the_vehicles_which_each_alpha_keeps(
     tmp_path: Path, detector: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in ("vehanchor.estimate", "vehanchor_evaluation.search"):  # detail depends on where they are, as it does
+    # detail depends on where they are, as it does
+    for module in ("vehanchor.analysis.pipeline", "vehanchor_evaluation.search"):
         monkeypatch.setattr(f"{module}.resolved_share", lambda _raster, centres, _scale: centres[:, 0].mean() / 480)
     boxes = cars(20)
     boxes[[4, 5, 10, 11], 2] = 24, 33, 26, 60

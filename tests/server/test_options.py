@@ -15,8 +15,10 @@ from vehanchor.measure.resolved_scale import given_scale
 from vehanchor.options import OptionKeywords, ScaleOptions, declared_options
 from vehanchor.options.frame import FRAME, FRAME_SIDE
 from vehanchor.options.given_scale import GSD, OBJECT_HEIGHT
+from vehanchor.options.method import Preset
 from vehanchor.options.option import Limits, Option, Words, option_of
 from vehanchor.options.rulers import LINE_LENGTH_M
+from vehanchor.rulers.registry import rulers_help
 from vehanchor.scale.calibration import Calibration
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings, SettingsError
@@ -80,7 +82,14 @@ def test_a_keyword_has_the_type_of_its_option() -> None:
     import vehanchor.options as options
     from vehanchor.scale.defaults import Aggregation
 
-    names = {**vars(options), "Calibration": Calibration, "os": os, "Sequence": Sequence, "Aggregation": Aggregation}
+    names = {
+        **vars(options),
+        "Calibration": Calibration,
+        "os": os,
+        "Sequence": Sequence,
+        "Aggregation": Aggregation,
+        "Preset": Preset,
+    }
     keywords = typing.get_type_hints(OptionKeywords, localns=names)
     assert set(keywords) == set(DECLARED)
     converted = {"calibration", "rulers", "known_lengths"}  # a keyword takes more than its field holds
@@ -95,13 +104,13 @@ def test_the_command_line_has_every_option_with_its_help_and_default() -> None:
 
     parameters = inspect.signature(scale_command()(command)).parameters
     shown = {keyword: each for keyword, each in DECLARED.items() if each.declared is not None and each.declared.cli}
-    assert set(DECLARED) - set(shown) == {"frame_width_px", "frame_height_px", "limits", "bgr"}
+    assert set(DECLARED) - set(shown) == {"frame_width_px", "frame_height_px", "limits", "bgr", "verify"}
     for keyword, each in shown.items():
         assert each.declared is not None
         parameter = parameters[keyword]
         kind, option = typing.get_args(parameter.annotation)
         assert isinstance(option, typer.models.OptionInfo)
-        assert option.help == each.declared.help
+        assert option.help == (rulers_help() if keyword == "rulers" else each.declared.help)
         default = None if each.field.default in ((), None) else each.field.default
         assert parameter.default == (str(default) if keyword == "alpha" else default), keyword
         if isinstance(each.declared.takes, Words):

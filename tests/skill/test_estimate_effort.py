@@ -9,8 +9,8 @@ import pytest
 
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor.detection.detector import Detector
+from vehanchor.engine.verbs import estimate_gsd
 from vehanchor.errors import InvalidParameterError
-from vehanchor.verbs import estimate_gsd
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

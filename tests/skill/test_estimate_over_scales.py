@@ -17,11 +17,11 @@ from tests.yards import YARDS, Yard, paint_yard
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
+from vehanchor.engine.verbs import estimate_gsd
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.scale.lengths import dominant_group
-from vehanchor.verbs import estimate_gsd
 from vehanchor_evaluation.table import read_table
 from vehanchor_scenes import Scene, render_scene
 

@@ -36,12 +36,12 @@ from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.search import search
+from vehanchor.engine.verbs import analyse_scale
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Search
 from vehanchor.scale.defaults import Aggregation
 from vehanchor.scale.lengths import inlier_mask, modal_length
 from vehanchor.storage.atomic import whole_file
-from vehanchor.verbs import analyse_scale
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.known_scale import KnownScaleImage
 from vehanchor_evaluation.table import read_table

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from research.training.fleet.data import MEASURED, N_FOLDS, fold_of
 from vehanchor.detection.appearance import MAX_CHIPS, FleetLengths, vehicle_chips
 from vehanchor.detection.detector import Detector
+from vehanchor.engine.verbs import analyse_scale
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.storage.atomic import whole_file
-from vehanchor.verbs import analyse_scale
 from vehanchor_evaluation.known_scale import KnownScaleImage
 from vehanchor_evaluation.table import read_table
 

@@ -6,7 +6,7 @@ As in ``research.training.detector.calibrate``: the score that the clearest tent
 images of *train* with many cars. The detector is the bundled one with its verifier, or ``--detector FILE`` with the
 one beside it. The scene-scale prior is left out: where it was never shown the like it takes 1.2 of its weight from
 every score, and cars there shall not be doubted for that. Also prints what the verifier's scores give for a few cars
-drawn at random from an image, on which ``vehanchor.scale.confidence`` stands.
+drawn at random from an image, on which ``vehanchor.rulers.confidence`` stands.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ import numpy as np
 from research.training.detector.calibrate import clear_score
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.verifier import Weights
+from vehanchor.engine.verbs import analyse_scale
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
-from vehanchor.verbs import analyse_scale
 from vehanchor_evaluation.table import read_table
 
 _MANY_CARS = 20

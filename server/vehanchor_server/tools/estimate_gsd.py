@@ -143,7 +143,7 @@ def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Questio
         CallError: a model cannot be loaded.
         CallStoppedError: the call was stopped.
     """
-    from vehanchor.estimate import analyse_raster, checked_detector
+    from vehanchor.analysis.pipeline import analyse_raster, checked_detector
     from vehanchor.imagery.sources.opening import open_raster
 
     detector = services.models.detector(job.runtime)

@@ -79,7 +79,7 @@ def estimate_with_flight(
         CallError: the library refused another image, or a model cannot be loaded.
         CallStoppedError: the call was stopped.
     """
-    from vehanchor.estimate import checked_detector
+    from vehanchor.analysis.pipeline import checked_detector
     from vehanchor.flight.estimate import conclude, search_flight
     from vehanchor.imagery.sources.opening import open_raster
 
@@ -154,7 +154,7 @@ def _refuse_duplicates(members: Sequence[Photograph]) -> None:
 
 def _estimate_of_image(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstimate:
     """Return the image's record with its scale in the caller's frame; warn if no other image is linked to it."""
-    from vehanchor.estimate import frame_scale
+    from vehanchor.analysis.pipeline import frame_scale
     from vehanchor.flight.project import estimate_in_flight
     from vehanchor.records import Notice
     from vehanchor.records.notices import NoticeCode

@@ -42,7 +42,7 @@ class ScaleArguments:
             CallError: a model cannot be loaded.
             VehAnchorError: the arguments contradict each other.
         """
-        from vehanchor.estimate import checked_detector
+        from vehanchor.analysis.pipeline import checked_detector
         from vehanchor.measure.resolved_scale import given_scale
 
         searched = self.gsd_m_per_px is None and self.scale is None

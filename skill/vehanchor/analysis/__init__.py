@@ -1,1 +1,1 @@
-"""Results with what they came from, drawing and export."""
+"""The analysis of an image: the pipeline to its scale, and results with their evidence, drawing and export."""

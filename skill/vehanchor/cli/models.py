@@ -1,4 +1,4 @@
-"""``vehanchor models list | info``: the models that ship with the library, and files of the user's own."""
+"""``vehanchor models list | info``: bundled models and model files of the user."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 _SHORT_SHA = 12
 
-models = typer.Typer(help="The models: those that ship with VehAnchor, and files of your own.", no_args_is_help=True)
+models = typer.Typer(help="Show bundled models and your own model files.", no_args_is_help=True)
 
 
 @models.command("list")
 def list_models(
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per model and line.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per model and line.")] = False,
 ) -> None:
     """List the bundled detectors and the segmenter."""
     with exit_on_error():
@@ -74,15 +74,13 @@ def _list_segmenter(encoder: Path, decoder: Path, *, as_json: bool) -> None:
 @models.command("info")
 def show_model(
     file: Annotated[str, typer.Argument(metavar="FILE", help="An ONNX file, or the name of a bundled model.")],
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
     classes: Annotated[
         list[str] | None,
-        typer.Option(
-            "--class", metavar="NAME", help="Class that counts as a vehicle, where the model's own is unclear."
-        ),
+        typer.Option("--class", metavar="NAME", help="Class that counts as a vehicle, if the model does not name one."),
     ] = None,
 ) -> None:
-    """Show all that a detector's file says of itself; the paper's values stand in where it is silent."""
+    """Show the metadata of a detector's file; missing values are the paper's."""
     with exit_on_error():
         try:
             from vehanchor.engine import Engine
@@ -114,7 +112,7 @@ def show_model(
 def _card_facts(card: DetectorCard, *, sha_digits: int) -> list[tuple[str, str]]:
     shortest, longest = card.length_range_px
     fleets = card.fleet_lengths
-    told = "" if fleets is None else f"; by the vehicles' look {fleets.length_m[0]:.4g} to {fleets.length_m[1]:.4g} m"
+    told = "" if fleets is None else f"; by appearance {fleets.length_m[0]:.4g} to {fleets.length_m[1]:.4g} m"
     unbiased = f"; measured without bias from {card.min_length_px:g} px" if card.min_length_px else ""
     return [
         ("sha256", card.sha256[:sha_digits]),

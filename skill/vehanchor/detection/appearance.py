@@ -16,7 +16,6 @@ import numpy as np
 
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
-from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -32,7 +31,6 @@ _CONTRAST_FLOOR = 8.0  # grey levels; added to the standard deviation so that no
 _REACH = 1.15  # vehicle lengths from the centre to the farthest pixel that a chip needs, blur included
 
 
-@stored("fleet_appearance")
 class FleetAppearance(NamedTuple):
     """Fleet network's predictions for vehicles.
 

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.storage.stored import stored
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -18,7 +16,6 @@ if TYPE_CHECKING:
     from vehanchor.options.search import Stopped
 
 
-@stored("objects")
 @dataclass(frozen=True, eq=False)
 class Objects:
     """Oriented boxes with scores and classes.
@@ -50,7 +47,6 @@ class Objects:
         )
 
 
-@stored("detections")
 @dataclass(frozen=True, eq=False)
 class Detections:
     """Vehicles in an image, and objects of the detector's other classes.

@@ -25,7 +25,6 @@ from vehanchor.models.session import open_session, run_session
 from vehanchor.models.zoo import bundled_scene_scale
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.fusion import GRID, blurred, with_outlier_floor
-from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -44,7 +43,6 @@ _MOST_SIZE_ODDS = 2.0  # in either direction, because the prior may be wrong
 _BATCH = 8  # tiles per run: 24 take three times the memory and as much time
 
 
-@stored("scene_level")
 class SceneLevel(NamedTuple):
     """Network's prediction at one resolution.
 
@@ -59,7 +57,6 @@ class SceneLevel(NamedTuple):
     log_probs: NDArray[np.float64]
 
 
-@stored("scene_calibration")
 @dataclass(frozen=True)
 class SceneCalibration:
     """Calibration from a network's predictions to a density (``research/training/scene_scale/calibrate.py``).
@@ -82,7 +79,6 @@ class SceneCalibration:
     floor: float = 0.02
 
 
-@stored("scene_scale_prior")
 @dataclass(frozen=True, eq=False)
 class SceneScalePrior:
     """Scene-scale prior of an image from all resolutions.

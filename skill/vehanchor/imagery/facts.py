@@ -6,14 +6,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.imagery.identity import image_id
 from vehanchor.records import Notice
-from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from vehanchor.imagery.metadata.camera import CameraMetadata
     from vehanchor.imagery.raster import Raster
 
 
-@stored("image_facts")
 class ImageFacts(NamedTuple):
     """Size, own scale and metadata of an image.
 

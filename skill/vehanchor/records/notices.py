@@ -7,7 +7,6 @@ from enum import StrEnum
 from pydantic import Field
 
 from vehanchor.records.record import Record
-from vehanchor.storage.stored import stored
 
 
 class NoticeCode(StrEnum):
@@ -56,7 +55,6 @@ FLEET_DOUBTS = (
 """Doubts that the vehicles are cars; each caps the confidence below 0.5."""
 
 
-@stored("notice")
 class Notice(Record):
     """A fact that a caller should know about a result that is valid all the same."""
 

@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from vehanchor.storage.stored import stored
-
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -87,7 +85,6 @@ class View:
         return replace(self, tilt=None)
 
 
-@stored("mark")
 class Mark(NamedTuple):
     """A line that a ruler measured, or the place for which it holds.
 
@@ -107,7 +104,6 @@ class Mark(NamedTuple):
         return cls(((image.width_px / 2, image.height_px / 2),), f"{height_m:.4g} m up")
 
 
-@stored("evidence")
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """Result of one ruler.

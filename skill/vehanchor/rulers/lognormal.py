@@ -11,7 +11,6 @@ import numpy as np
 from vehanchor.rulers.evidence import Evidence
 from vehanchor.scale.fusion import GRID, LOG_STEP, TOLERANCE, mass_within, with_outlier_floor
 from vehanchor.scale.lengths import Z95, Interval
-from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from vehanchor.rulers.evidence import Mark
 
 
-@stored("lognormal_evidence")
 @dataclass(frozen=True, eq=False)
 class LognormalEvidence(Evidence):
     """A scale with a spread of its own.

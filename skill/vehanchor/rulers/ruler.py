@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.rulers.evidence import Evidence, View
@@ -31,6 +32,7 @@ class Ruler:
         independent_of_vehicles: it never looks at vehicles, so that its evidence may tell cars from parts of cars.
         sets_scale: it can set the scale by itself. If False it is a prior: it only weighs what others say.
         of_flights: it measures photographs of a flight together and never one image alone.
+        stored_classes: own classes of its evidence by the names under which journals store them; a name never changes.
     """
 
     kind: ClassVar[str]
@@ -45,6 +47,7 @@ class Ruler:
     independent_of_vehicles: ClassVar[bool] = False
     sets_scale: ClassVar[bool] = True
     of_flights: ClassVar[bool] = False
+    stored_classes: ClassVar[Mapping[str, type[Evidence]]] = MappingProxyType({})
 
     def find(self, view: View) -> tuple[Any, ...]:  # noqa: ARG002
         """Find things in the image once, before the tilt is estimated; ``measure`` gets them in ``View.found``.

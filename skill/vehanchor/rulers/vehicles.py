@@ -11,14 +11,14 @@ import numpy as np
 from vehanchor.detection.detections import NOT_SEARCHED
 from vehanchor.records import Notice
 from vehanchor.records.notices import FLEET_DOUBTS, NoticeCode
+from vehanchor.rulers.confidence import composite, confidence_terms, fleet_doubts
 from vehanchor.rulers.evidence import Evidence
 from vehanchor.rulers.lognormal import lognormal, on_grid
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import Ruler
-from vehanchor.scale.confidence import composite, confidence_terms, fleet_doubts, guard_length
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.fusion import GRID, credible_interval, flat, vehicle_density, with_outlier_floor
-from vehanchor.scale.lengths import Z95, dominant_group, gsd_interval, inlier_mask, modal_length
+from vehanchor.scale.lengths import Z95, dominant_group, gsd_interval, guard_length, inlier_mask, modal_length
 from vehanchor.tilt.rectified import rectified
 
 if TYPE_CHECKING:

@@ -20,9 +20,16 @@ from vehanchor.errors import (
     CalibrationRefusedError,
     InvalidParameterError,
 )
-from vehanchor.scale.confidence import guard_length
 from vehanchor.scale.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M
-from vehanchor.scale.lengths import WEIGHTED_SMOOTHING, Z95, kde_density, kde_mode, scott_bandwidth, vehicle_weights
+from vehanchor.scale.lengths import (
+    WEIGHTED_SMOOTHING,
+    Z95,
+    guard_length,
+    kde_density,
+    kde_mode,
+    scott_bandwidth,
+    vehicle_weights,
+)
 from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import numpy as np
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.scale.defaults import OUTLIER_ALPHA
-from vehanchor.storage.stored import stored
+from vehanchor.scale.thresholds import GUARD_GSD_M_PER_PX
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -28,7 +28,6 @@ _FLEET_LOG_SD = 0.40  # error of an estimate from one car, false alarms included
 Z95 = 1.959963984540054  # standard deviations to either end of a 95 % interval
 
 
-@stored("interval")
 class Interval(NamedTuple):
     """95 % interval."""
 
@@ -325,3 +324,16 @@ def gsd_interval(
     reach = np.exp(Z95 * np.sqrt(resampling**2 + fleet**2 + region**2))
     gsd = reference_length_m / mode_px
     return Interval(float(gsd / reach), float(gsd * reach))
+
+
+def guard_length(reference_length_m: float, min_length_px: float = 0.0) -> float:
+    """Compute ``P_thresh`` of the resolution guard (paper, equation 6), at least the model's own limit.
+
+    Args:
+        reference_length_m: ``L_ref``.
+        min_length_px: shortest length that the model measures without bias.
+
+    Returns:
+        Pixels: ``max(L_ref / 0.3, min_length_px)``.
+    """
+    return max(reference_length_m / GUARD_GSD_M_PER_PX, min_length_px)

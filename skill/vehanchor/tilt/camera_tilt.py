@@ -8,7 +8,6 @@ from vehanchor.imagery.metadata.lens import taken_ratio
 from vehanchor.records import KnownPlane, TiltEstimate
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.storage.stored import stored
 from vehanchor.tilt.focal import focal_of
 
 if TYPE_CHECKING:
@@ -20,7 +19,6 @@ NADIR_TOLERANCE_DEG = 10.0  # an image with a smaller tilt counts as taken at na
 TILT_SD_DEG = 1.5  # of a gimbal's angle and of nearly level ground
 
 
-@stored("camera_tilt")
 class CameraTilt(NamedTuple):
     """Tilt of a camera that was not at nadir.
 

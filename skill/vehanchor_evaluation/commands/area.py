@@ -151,7 +151,7 @@ def _print_benchmark(folder: Path) -> None:
 
 def _measure(request: AreaRequest, chosen: ParsedOptions, folder: Path, workers: int) -> None:
     """Measure the benchmark, write the results and print the table."""
-    from vehanchor.estimate import checked_detector
+    from vehanchor.analysis.pipeline import checked_detector
     from vehanchor_evaluation.area_report import area_markdown, write_area_report
     from vehanchor_evaluation.area_run import measure_benchmark
 

@@ -22,7 +22,7 @@ from tests.analyses import make_analysis
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import ERAS, by_path
 from vehanchor.records import ConfidenceTerms
-from vehanchor.scale.confidence import composite
+from vehanchor.rulers.confidence import composite
 from vehanchor_server.app_page import APP_URI, PANEL_KEY, page, page_html, view_html
 from vehanchor_server.app_page.panel import LengthHistogram, length_histogram
 

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner, Result
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_other_model
-from vehanchor import engine, records, verbs
+from vehanchor import engine, records
 from vehanchor.cli import app as cli
+from vehanchor.engine import verbs
 from vehanchor.errors import VehAnchorError
 from vehanchor.models import zoo as model_zoo
 
@@ -94,7 +95,7 @@ def test_the_table_says_what_each_ruler_says_and_who_disagrees(run: Any) -> None
     assert "weight 100 %" in liar
     alone = _estimate(run, "none.png", "--rulers", "known_length", "--known-length", 0, 0, 500, 0, 100).stdout
     assert "known length 0.2 m/px, weight 100 %" in alone
-    assert "not looked for" in alone
+    assert "not searched" in alone
     assert "900 x 500 px = 180 x 100 m" in alone
     assert "weight" not in _estimate(run, "cars.png").stdout
 

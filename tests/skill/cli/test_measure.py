@@ -14,8 +14,8 @@ from tests.models import blank_image, paint_vehicles, write_detector, write_othe
 from tests.sam_models import write_sam
 from vehanchor import records
 from vehanchor.cli import app as cli
+from vehanchor.engine.verbs import measure_area
 from vehanchor.models import zoo as model_zoo
-from vehanchor.verbs import measure_area
 
 if TYPE_CHECKING:
     from pathlib import Path

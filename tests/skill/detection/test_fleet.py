@@ -12,12 +12,12 @@ from vehanchor.detection.appearance import MAX_CHIPS, FleetLengths
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.fleet import FleetNetwork
 from vehanchor.detection.search import search
+from vehanchor.engine.verbs import analyse_scale
 from vehanchor.errors import ModelContractError, ModelNotFoundError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
-from vehanchor.verbs import analyse_scale
 
 if TYPE_CHECKING:
     from pathlib import Path

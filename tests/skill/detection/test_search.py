@@ -17,11 +17,11 @@ from vehanchor.detection.detector import Detector
 from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, search_levels
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.detection.search import search
+from vehanchor.engine.verbs import analyse_scale, estimate_gsd
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.options import Search
-from vehanchor.verbs import analyse_scale, estimate_gsd
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -14,6 +14,7 @@ from tests.models import blank_image, paint_vehicles, write_detector
 from tests.sam_models import EMPTY, write_sam
 from vehanchor.analysis.measured import AreaAnalysis
 from vehanchor.detection.detector import Detector
+from vehanchor.engine.verbs import analyse_area, estimate_gsd, measure_area
 from vehanchor.errors import FrameError, ImageDecodeError, InvalidParameterError, ModelNotFoundError, PromptError
 from vehanchor.models import zoo as model_zoo
 from vehanchor.options import ImageLimits, ScaleOptions
@@ -21,7 +22,6 @@ from vehanchor.pictures.area import draw_area, full_mask
 from vehanchor.pictures.measured import MEASURED_RGB
 from vehanchor.records import AreaMeasurement
 from vehanchor.segmentation.segmenter import Segmenter
-from vehanchor.verbs import analyse_area, estimate_gsd, measure_area
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,11 +11,11 @@ import pytest
 
 from tests.conftest import ROOT
 from vehanchor.detection.detector import Detector, load_detector
+from vehanchor.engine.verbs import estimate_gsd
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, fleet_beside, resolve_model, verifier_beside
 from vehanchor.records import GsdEstimate
 from vehanchor.scale.defaults import REGIONS
-from vehanchor.verbs import estimate_gsd
 from vehanchor_evaluation.gsd import run_trials, summarise
 from vehanchor_evaluation.table import read_table
 from vehanchor_scenes import Scene, render_scene

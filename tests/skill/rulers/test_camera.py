@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.analyses import made_card
+from vehanchor.analysis.pipeline import analyse_detections
 from vehanchor.detection.detections import Detections
-from vehanchor.estimate import analyse_detections
 from vehanchor.imagery.facts import ImageFacts, image_facts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.sources.opening import open_raster

@@ -11,8 +11,8 @@ import pytest
 
 from tests.analyses import made_card
 from tests.skill.rulers.test_camera import MAVIC
+from vehanchor.analysis.pipeline import analyse_detections
 from vehanchor.detection.detections import Detections
-from vehanchor.estimate import analyse_detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
@@ -149,7 +149,7 @@ def test_a_ruler_that_says_next_to_nothing_leaves_the_papers_scale_where_it_was(
 
 def test_rulers_without_vehicles_need_no_search(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
     import vehanchor
-    import vehanchor.estimate as module
+    import vehanchor.analysis.pipeline as module
     from tests.models import blank_image, write_detector
 
     def _refuse(*_args: Any, **_kwargs: Any) -> Detections:

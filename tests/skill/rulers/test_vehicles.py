@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.analyses import made_card
+from vehanchor.analysis.pipeline import analyse_detections
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections
-from vehanchor.estimate import analyse_detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import Lengths, ScaleOptions
 from vehanchor.records import Notice

@@ -328,7 +328,7 @@ def test_photographs_of_which_no_other_ruler_knows_the_scale_are_told(folder: Pa
     both = _run("calibrate", "--photographs", folder / "cars.png", "--table", folder / "table.csv", *common)
     assert silent.exit_code == both.exit_code == 2
     assert "warning[no_other_ruler]" in silent.stderr
-    assert "name the images by one of" in both.stderr
+    assert "give the images with one of" in both.stderr
 
 
 def test_photographs_of_a_camera_that_looked_aside_are_left_out(folder: Path, tmp_path: Path) -> None:
@@ -340,7 +340,7 @@ def test_photographs_of_a_camera_that_looked_aside_are_left_out(folder: Path, tm
     result = _run("calibrate", "--photographs", photograph, *common)
     assert result.exit_code == 2
     assert "warning[camera_tilted]" in result.stderr
-    assert "25 degrees aside" in result.stderr
+    assert "tilted by 25 degrees" in result.stderr
 
 
 def test_the_interval_of_an_estimate_follows_the_calibrations_spread(folder: Path, calibration: Path) -> None:
@@ -443,8 +443,8 @@ def test_the_command_refuses_with_a_reason(folder: Path, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--out", "c.json"], "name the images by one of --dota DIR, --table FILE and --geotiff FILES"),
-        (["--table", "t.csv", "--out", "missing/c.json"], "name a file in a folder that exists"),
+        (["--out", "c.json"], "give the images with one of --dota DIR, --table FILE and --geotiff FILES"),
+        (["--table", "t.csv", "--out", "missing/c.json"], "give a file in an existing folder"),
         (["--table", "t.csv", "--out", "c.json"], "cannot read table"),
         (["--table", "t.csv", "--out", "c.png", "--plot", "c.png"], "both the plot and the calibration"),
         (["--dota", ".", "--out", "c.json"], "no images/ folder"),

@@ -89,7 +89,7 @@ def test_a_sole_journal_says_in_what_other_settings_differ(tmp_path: Path) -> No
 def test_a_file_that_is_no_journal_is_left_alone(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "x.journal"
     path.write_bytes(content)
-    with pytest.raises(InvalidParameterError, match="is no line of a journal: move the file away"):
+    with pytest.raises(InvalidParameterError, match="is not a line of a journal: move the file away"):
         _journal(path)
     assert path.read_bytes() == content
 

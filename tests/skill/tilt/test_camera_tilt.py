@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.analyses import made_card
+from vehanchor.analysis.pipeline import analyse_detections
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import TooObliqueError
-from vehanchor.estimate import analyse_detections
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.pooling import pool
 from vehanchor.imagery.facts import ImageFacts

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vehanchor.scale.confidence import composite, confidence_terms, guard_length
+from vehanchor.rulers.confidence import composite, confidence_terms
+from vehanchor.scale.lengths import guard_length
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 
 _RANGE = (12.0, 64.0)

@@ -5,26 +5,25 @@
     >>> engine.estimate("photo.jpg").gsd_m_per_px  # doctest: +SKIP
     0.152
 
-``vehanchor.verbs`` has the same methods as functions.
+``vehanchor.engine.verbs`` has the same methods as functions.
 """
 
 from __future__ import annotations
 
 import copy
-import os
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
+from vehanchor.analysis.pipeline import analyse_image, checked_detector
 from vehanchor.courts.proposals import load_court_network
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.errors import InvalidParameterError
-from vehanchor.estimate import analyse_image, checked_detector
 from vehanchor.flight.estimate import analyse_flight
 from vehanchor.flight.inputs import check_many
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
@@ -33,7 +32,7 @@ from vehanchor.measure.distance import analyse_paths, read_path
 from vehanchor.measure.resolved_scale import given_scale
 from vehanchor.models.runtime import Runtime, RuntimeKeywords
 from vehanchor.models.zoo import resolve_model, resolve_segmenter
-from vehanchor.options import OptionKeywords, ScaleOptions
+from vehanchor.options import ScaleOptions
 from vehanchor.rulers.registry import check_rulers
 from vehanchor.segmentation.prompt import read_prompt
 from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
@@ -44,72 +43,22 @@ if TYPE_CHECKING:
 
     from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
     from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.engine.keywords import (
+        AreaKeywords,
+        DetectorSource,
+        EstimateKeywords,
+        FlightKeywords,
+        MeasureKeywords,
+        SegmenterSource,
+    )
     from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.measure.resolved_scale import ScaleInput
     from vehanchor.options.coordinates import Place
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, KnownScale
-    from vehanchor.segmentation.prompt import Box, Point
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate
 
 T = TypeVar("T")
-DetectorSource: TypeAlias = Detector | str | os.PathLike[str]
-SegmenterSource: TypeAlias = Segmenter | tuple[str | os.PathLike[str], str | os.PathLike[str]]
-
-
-class EstimateKeywords(OptionKeywords, RuntimeKeywords, total=False):
-    """Keywords of every verb: options of the method, fields of the runtime, and the detector for this call.
-
-    Attributes:
-        detector: a bundled model's name, the path of an ONNX oriented-box model, or a loaded ``Detector``. A loaded
-            one keeps the threads, providers and precision that it was opened with.
-    """
-
-    detector: DetectorSource | None
-
-
-class MeasureKeywords(EstimateKeywords, total=False):
-    """Keywords of measurements.
-
-    Attributes:
-        gsd_m_per_px: known scale, metres per pixel of the full image; the detector does not run.
-        scale: an earlier estimate of this image, or its ``scale``; the detector does not run, and the estimate's
-            interval and confidence hold.
-        object_height_m: height of the measured object above the ground, as of a roof; None for 0.
-    """
-
-    gsd_m_per_px: float | None
-    scale: KnownScale | GsdEstimate | Mapping[str, Any] | None
-    object_height_m: float | None
-
-
-class AreaKeywords(MeasureKeywords, total=False):
-    """Keywords of an area: exactly one of ``box`` and ``points``.
-
-    Attributes:
-        box: x1, y1, x2, y2, a geometry of shapely, or supervision's ``Detections`` of one object.
-        points: x, y and, optionally, whether the point lies on the object (the default) or beside it.
-        segmenter: paths of encoder and decoder, or a loaded ``Segmenter``.
-    """
-
-    box: Box | None
-    points: Sequence[Point] | None
-    segmenter: SegmenterSource | None
-
-
-class FlightKeywords(EstimateKeywords, total=False):
-    """Keywords of a flight.
-
-    Attributes:
-        same_scale: pool the evidence of all photographs: all have one scale, as those of a survey at one height.
-        journal: file that keeps the findings of each photograph, so that the same call resumes after an interruption;
-            removed at the end. It keeps photographs given as paths, and frames of ``sample_video``.
-    """
-
-    same_scale: bool
-    journal: str | os.PathLike[str] | None
-
-
 _OWN_KEYWORDS = frozenset({"detector", "segmenter", *RuntimeKeywords.__annotations__})
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, overload
 
-from vehanchor.engine import Engine
+from vehanchor.engine.engine import Engine
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
     from vehanchor.analysis.scale import ScaleAnalysis
-    from vehanchor.engine import AreaKeywords, EstimateKeywords, FlightKeywords, MeasureKeywords
+    from vehanchor.engine.keywords import AreaKeywords, EstimateKeywords, FlightKeywords, MeasureKeywords
     from vehanchor.flight.inputs import InputPhotograph
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import ScaleOptions

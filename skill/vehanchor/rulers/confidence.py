@@ -1,4 +1,4 @@
-"""Confidence: four terms with the paper's weights, doubts about the fleet, and the resolution guard.
+"""Confidence: four terms with the paper's weights, and doubts about the fleet, which limit it.
 
 The weights are the paper's (section III-D). The shapes of the terms were fitted on the held-out tenth of the train
 split by ``research/training/detector/fit_confidence.py``.
@@ -13,7 +13,7 @@ import numpy as np
 from vehanchor.records import ConfidenceTerms
 from vehanchor.records.notices import NoticeCode
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES
-from vehanchor.scale.thresholds import DISPUTE_CONFIDENCE, GUARD_CONFIDENCE, GUARD_GSD_M_PER_PX
+from vehanchor.scale.thresholds import DISPUTE_CONFIDENCE, GUARD_CONFIDENCE
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -120,19 +120,6 @@ def fleet_doubts(
         if odds.mean() < _UNLIKE_LOG_ODDS:
             doubts.append(NoticeCode.LOOKS_UNLIKE_CARS)
     return tuple(doubts)
-
-
-def guard_length(reference_length_m: float, min_length_px: float = 0.0) -> float:
-    """Compute ``P_thresh`` of the resolution guard (paper, equation 6), at least the model's own limit.
-
-    Args:
-        reference_length_m: ``L_ref``.
-        min_length_px: shortest length that the model measures without bias.
-
-    Returns:
-        Pixels: ``max(L_ref / 0.3, min_length_px)``.
-    """
-    return max(reference_length_m / GUARD_GSD_M_PER_PX, min_length_px)
 
 
 def composite(terms: ConfidenceTerms, *, guarded: bool, disputed: bool = False) -> float:
