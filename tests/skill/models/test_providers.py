@@ -32,7 +32,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, list[str]]]:
         onnxruntime, "get_available_providers", lambda: ["CUDAExecutionProvider", "CPUExecutionProvider"]
     )
     yield asked
-    session._tell_once.cache_clear()  # another test wants to hear it, too
+    session._warn_once.cache_clear()  # another test wants to hear it, too
 
 
 @pytest.mark.slow
