@@ -1,4 +1,4 @@
-"""The track of a flight as SVG: where its photographs were taken, their scale, and what anchors each of them."""
+"""Track of a flight as SVG: positions of the photographs, their scales and the supporting rulers."""
 
 from __future__ import annotations
 
