@@ -12,11 +12,12 @@ from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from vehanchor.analysis.pipeline import analyse_detections, networks_sha256, search_raster
+from vehanchor.analysis.pipeline import analyse_detections, search_raster
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.analysis.stored import stored_classes
 from vehanchor.batch.pool import finished_in_threads
 from vehanchor.detection.detections import Detections
+from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import ImageFacts

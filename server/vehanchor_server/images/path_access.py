@@ -168,7 +168,7 @@ class PathAccess:
 
 def _images_below(root: Path, stop: Stop) -> Iterator[Path]:
     """List images below a directory, by folder and name; walk by descriptors, so that no link is followed."""
-    from vehanchor.batch.files import SUFFIXES
+    from vehanchor.imagery.sources.files import SUFFIXES
 
     walk: Iterator[tuple[Any, ...]] = os.fwalk(root) if hasattr(os, "fwalk") else os.walk(root)
     n_seen = 0

@@ -68,7 +68,7 @@ class AreaAnalysis(MeasuredAnalysis):
         from vehanchor.options import Reading
         from vehanchor.pictures.area import full_mask
 
-        return full_mask(self, (self.reading or Reading()).limits)[:, :, 0] > 0
+        return full_mask(self, (self.reading or Reading()).limits.max_pixels)[:, :, 0] > 0
 
     def to_supervision(self) -> Any:
         """Convert the object for supervision.

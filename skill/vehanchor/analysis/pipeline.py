@@ -8,7 +8,6 @@ threads.
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -20,8 +19,6 @@ from vehanchor.detection.search import search
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
-from vehanchor.models.files import models_sha256, read_model
-from vehanchor.models.zoo import bundled_courts, bundled_scene_scale
 from vehanchor.records import FrameScale, GsdEstimate, KnownScale, Notice, RulerScale, SceneScaleEstimate
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.agreement import disagreements
@@ -36,12 +33,12 @@ from vehanchor.tilt.camera_tilt import metadata_tilt
 from vehanchor.tilt.estimate import tilt_notice
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.convergence import Convergence
     from vehanchor.detection.detector import Detector
-    from vehanchor.imagery.raster import Raster
+    from vehanchor.imagery.raster import Raster, RasterNote
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import Frame, ScaleOptions
     from vehanchor.rulers.decision import RulerShare, ScaleDecision
@@ -144,7 +141,8 @@ def conclude(
     """
     decision = decide(vehicles, others)
     outvoted = [ruler.kind for ruler in decision.rulers if not ruler.agrees]
-    warnings = [*view.image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
+    warnings = [*image_notices(view.image.notices), *vehicles.notices]
+    warnings += [notice for other in others for notice in other.notices]
     warnings += [*notices, *disagreements((vehicles, *others), outvoted)]
     if decision.gsd_m_per_px is not None:
         alone = decision.gsd_m_per_px == vehicles.gsd_m_per_px
@@ -219,19 +217,6 @@ def model_id(card: DetectorCard) -> str:
     return card.sha256[:_MODEL_DIGITS]
 
 
-def networks_sha256(card: DetectorCard) -> str:
-    """Compute the SHA-256 of all networks behind a record: the detector and all auxiliary models.
-
-    Results with another checksum are not reused.
-    """
-    digest = hashlib.sha256()
-    for checksum in (card.sha256, card.fleet_sha256, card.verifier_sha256):
-        digest.update(f"{checksum}\n".encode())
-    for path in (bundled_scene_scale(), bundled_courts()):
-        digest.update(models_sha256(read_model(path)).encode() if path else b"\n")
-    return digest.hexdigest()
-
-
 def _known_scale(
     view: View, gsd: float | None, interval: tuple[float, float] | None, confidence: float
 ) -> KnownScale | None:
@@ -256,6 +241,11 @@ def _scene_scale(evidence: Evidence) -> SceneScaleEstimate | None:
     return SceneScaleEstimate(
         gsd_m_per_px=evidence.gsd_m_per_px, gsd_ci95_low_m_per_px=low, gsd_ci95_high_m_per_px=high
     )
+
+
+def image_notices(notes: Iterable[RasterNote]) -> tuple[Notice, ...]:
+    """Convert the warnings from reading an image to notices."""
+    return tuple(Notice(code=note.code, message=note.message) for note in notes)
 
 
 def georeference_notice(own: float | None, gsd_m_per_px: float, who_says: str) -> list[Notice]:

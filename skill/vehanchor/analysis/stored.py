@@ -9,6 +9,7 @@ from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.raster import RasterNote
 from vehanchor.records import Notice
 from vehanchor.rulers.evidence import Evidence, Mark
 from vehanchor.rulers.lognormal import LognormalEvidence
@@ -28,6 +29,7 @@ _CLASSES: dict[str, type[Any]] = {
     "mark": Mark,
     "notice": Notice,
     "objects": Objects,
+    "raster_note": RasterNote,
     "scene_calibration": SceneCalibration,
     "scene_level": SceneLevel,
     "scene_scale_prior": SceneScalePrior,

@@ -5,9 +5,9 @@ makes a ``BatchRow`` of each, with one model per worker. A journal keeps finishe
 resumes. ``table`` writes the rows in the order of the files. ``run`` combines these modules.
 """
 
-from vehanchor.batch.files import find_images
 from vehanchor.batch.row import BatchRow
 from vehanchor.batch.run import BatchEngine, BatchSummary, run_batch
 from vehanchor.batch.worker import BatchJob
+from vehanchor.imagery.sources.files import find_images
 
 __all__ = ["BatchEngine", "BatchJob", "BatchRow", "BatchSummary", "find_images", "run_batch"]

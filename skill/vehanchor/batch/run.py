@@ -10,21 +10,22 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from vehanchor.analysis.pipeline import checked_detector, networks_sha256
+from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.batch.engines.local import local_rows, local_workers
 from vehanchor.batch.engines.ray import ray_rows, require_ray
-from vehanchor.batch.files import find_images
-from vehanchor.batch.known_lengths import lines_in
 from vehanchor.batch.row import BatchRow
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, Task
 from vehanchor.detection.detector import Detector
+from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import InvalidParameterError, OutputError
+from vehanchor.imagery.sources.files import find_images
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import bundled_models, resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.options.option import Limits
 from vehanchor.records import SCHEMA_VERSION
+from vehanchor.rulers.known_length_table import lines_in
 from vehanchor.storage.journal import Journal
 
 if TYPE_CHECKING:

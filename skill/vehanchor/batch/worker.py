@@ -8,22 +8,23 @@ from typing import TYPE_CHECKING
 
 import cv2
 
-from vehanchor.analysis.pipeline import analyse_image, checked_detector, networks_sha256
-from vehanchor.batch.known_lengths import with_lines_of
+from vehanchor.analysis.pipeline import analyse_image, checked_detector
 from vehanchor.batch.row import BatchRow
 from vehanchor.detection.detector import Detector
+from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
 from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.addresses import is_address
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
+from vehanchor.rulers.known_length_table import with_lines_of
 from vehanchor.storage.journal import Key
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from vehanchor.batch.known_lengths import KnownLengthTable
+    from vehanchor.rulers.known_length_table import KnownLengthTable
 
 
 @dataclass(frozen=True)

@@ -124,7 +124,7 @@ def _of_one_scale(
     *,
     overwrite: bool,
 ) -> BatchSummary:
-    from vehanchor.flight.table import run_same_scale
+    from vehanchor.batch.same_scale import run_same_scale
 
     if engine is not _Engine.local or workers not in (None, 1):
         raise InvalidParameterError("--same-scale works in one process: leave out --engine and --workers")

@@ -109,8 +109,8 @@ def _images(
     inputs: list[str], every_s: float, leave_out: tuple[Path, ...]
 ) -> Sequence[str] | Iterator[InputPhotograph]:
     """List the files, or the frames of one video."""
-    from vehanchor.batch.files import find_images
     from vehanchor.flight.video import is_video, sample_video
+    from vehanchor.imagery.sources.files import find_images
 
     if not any(is_video(each) for each in inputs):
         return find_images(inputs, leave_out=leave_out)

@@ -162,7 +162,7 @@ def _write_files(
     if overlay is not None:
         write_picture(overlay, analysis.overlay())
     if mask is not None:
-        write_picture(mask, full_mask(analysis, options.reading.limits))
+        write_picture(mask, full_mask(analysis, options.reading.limits.max_pixels))
 
 
 def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:

@@ -14,7 +14,7 @@ from vehanchor.cli.terminal import exit_on_error, facts_table, failure, print_js
 from vehanchor.errors import ModelError, VehAnchorError
 
 if TYPE_CHECKING:
-    from vehanchor.detection.card import DetectorCard
+    from vehanchor.engine import Engine
 
 _SHORT_SHA = 12
 
@@ -27,7 +27,7 @@ def list_models(
 ) -> None:
     """List the bundled detectors and the segmenter."""
     with exit_on_error():
-        from vehanchor.detection.detector import load_detector
+        from vehanchor.engine import Engine
         from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, bundled_segmenter
 
         files = bundled_models()
@@ -35,8 +35,9 @@ def list_models(
             print("no bundled models: pass the path of an ONNX file with --detector", file=sys.stderr)
         for name, path in files.items():
             default = name == DEFAULT_DETECTOR
+            engine = Engine(path)
             try:
-                card = load_detector(path).card
+                card = engine.detector.card
             except ModelError as error:
                 if as_json:
                     print_json(failure(str(path), error))
@@ -46,7 +47,7 @@ def list_models(
             if as_json:
                 print_json({"kind": "detector", "file": str(path), "default": default, **card.model_dump(mode="json")})
             else:
-                facts = [("file", str(path)), *_card_facts(card, sha_digits=_SHORT_SHA)]
+                facts = [("file", str(path)), *_card_facts(engine, sha_digits=_SHORT_SHA)]
                 print_table(facts_table(f"{name} (default)" if default else name, facts))
         halves = bundled_segmenter()
         if halves is not None:
@@ -54,9 +55,9 @@ def list_models(
 
 
 def _list_segmenter(encoder: Path, decoder: Path, *, as_json: bool) -> None:
-    from vehanchor.segmentation.segmenter import load_segmenter
+    from vehanchor.engine import Engine
 
-    card = load_segmenter(encoder, decoder).card
+    card = Engine(segmenter=(encoder, decoder)).segmenter.card
     if as_json:
         print_json({"kind": "segmenter", "encoder": str(encoder), "decoder": str(decoder), **asdict(card)})
         return
@@ -86,7 +87,8 @@ def show_model(
             from vehanchor.engine import Engine
 
             choice = DetectorChoice(detector=file, classes=classes)
-            model = Engine(choice.detector, classes=choice.names_and_indices).detector
+            engine = Engine(choice.detector, classes=choice.names_and_indices)
+            model = engine.detector
         except VehAnchorError as error:
             if as_json:
                 print_json(failure(file, error))
@@ -103,13 +105,14 @@ def show_model(
             ("file", str(model.path)),
             ("input", size),
             ("classes", ", ".join(card.class_names.values()) or "not named"),
-            *_card_facts(card, sha_digits=len(card.sha256)),
+            *_card_facts(engine, sha_digits=len(card.sha256)),
             ("regions", regions),
         ]
         print_table(facts_table(card.name, facts))
 
 
-def _card_facts(card: DetectorCard, *, sha_digits: int) -> list[tuple[str, str]]:
+def _card_facts(engine: Engine, *, sha_digits: int) -> list[tuple[str, str]]:
+    card = engine.detector.card
     shortest, longest = card.length_range_px
     fleets = card.fleet_lengths
     told = "" if fleets is None else f"; by appearance {fleets.length_m[0]:.4g} to {fleets.length_m[1]:.4g} m"

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.appearance import FleetAppearance
-    from vehanchor.options.search import Stopped
+    from vehanchor.scale.defaults import Stopped
 
 
 @dataclass(frozen=True, eq=False)

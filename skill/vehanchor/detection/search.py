@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.detection.verifier import Verifier
     from vehanchor.imagery.raster import Raster, Window
-    from vehanchor.options.search import Stopped
+    from vehanchor.scale.defaults import Stopped
 
 _MIN_TILE_PX = 32
 _LEAST_CHANCE = 0.01  # of cars at a resolution; most of it is the floor of the scene-scale prior

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.analysis.pipeline import analyse_view, checked_detector, networks_sha256, search_raster
-from vehanchor.batch.known_lengths import with_lines_of
+from vehanchor.analysis.pipeline import analyse_view, checked_detector, search_raster
+from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
 from vehanchor.flight.components import single_component
 from vehanchor.flight.features import find_features
@@ -23,18 +23,19 @@ from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
+from vehanchor.rulers.known_length_table import with_lines_of
 from vehanchor.rulers.measurement import with_tilt
 from vehanchor.storage.journal import Journal, Key
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from vehanchor.batch.known_lengths import KnownLengthTable
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
     from vehanchor.flight.features import Features
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.records import FlightEstimate
+    from vehanchor.rulers.known_length_table import KnownLengthTable
 
 
 def analyse_flight(

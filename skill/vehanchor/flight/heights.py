@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vehanchor.imagery.metadata.lens import lens
-from vehanchor.rulers.camera import GROUND_LOG_SD
 from vehanchor.rulers.lognormal import lognormal_evidence, on_grid
 from vehanchor.rulers.positions import Positions
+from vehanchor.scale.height import GROUND_LOG_SD
 from vehanchor.scale.lengths import Z95
 
 if TYPE_CHECKING:

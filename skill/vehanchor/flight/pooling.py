@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from vehanchor.analysis.pipeline import conclude
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.scene_scale import SceneScalePrior
+from vehanchor.imagery.raster import RasterNote
 from vehanchor.records import Notice
 from vehanchor.rulers.evidence import Evidence, View
 from vehanchor.rulers.measurement import expected_scale, measure_all
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
 
 _LEAST = 1e-12
+Remark = TypeVar("Remark", Notice, RasterNote)
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,9 +219,9 @@ def _facts(members: Sequence[Photograph], reference: int) -> ImageFacts:
     return members[reference].view.image._replace(notices=notices)
 
 
-def _distinct(notices: Iterable[Notice]) -> tuple[Notice, ...]:
-    """Keep the first notice of each code: photographs of one camera have the same notices."""
-    first: dict[str, Notice] = {}
+def _distinct(notices: Iterable[Remark]) -> tuple[Remark, ...]:
+    """Keep the first remark of each code: photographs of one camera have the same remarks."""
+    first: dict[str, Remark] = {}
     for notice in notices:
         first.setdefault(notice.code, notice)
     return tuple(first.values())

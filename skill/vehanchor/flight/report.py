@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import OutputError
+from vehanchor.flight.track import draw_tracks
 from vehanchor.imagery.names import under_one_folder
-from vehanchor.pictures.track import draw_tracks
 from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:

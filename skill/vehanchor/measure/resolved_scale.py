@@ -8,17 +8,16 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-from vehanchor.analysis.pipeline import analyse_raster, georeference_notice
+from vehanchor.analysis.pipeline import analyse_raster, georeference_notice, image_notices
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
-from vehanchor.imagery.facts import ImageFacts, image_notices
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens
 from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT_M
 from vehanchor.records import KnownScale
 from vehanchor.records.known_scale import known_scale
-from vehanchor.rulers.camera import height_log_sd
-from vehanchor.rulers.given_height import HEIGHT_LOG_SD
+from vehanchor.scale.height import GIVEN_HEIGHT_LOG_SD, height_log_sd
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
@@ -179,7 +178,7 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
         return ResolvedScale(
             found.gsd_m_per_px, log_sd, found.confidence, "estimated", analysis, found.warnings, plane, found.scale
         )
-    told = image_notices(raster)
+    told = image_notices(raster.warnings)
     own = raster.georeference_gsd_m_per_px
     if isinstance(scale, KnownScale):
         seen = image_id(raster)
@@ -230,7 +229,7 @@ def camera_above(raster: Raster, options: ScaleOptions, object_height_m: float) 
             "object_height_m needs the camera's height, which is in neither the file nor an option: give height_m, or "
             "measure on the ground"
         )
-    spread = HEIGHT_LOG_SD if chosen.height_m is not None else 0.0 if height is None else height_log_sd(height)
+    spread = GIVEN_HEIGHT_LOG_SD if chosen.height_m is not None else 0.0 if height is None else height_log_sd(height)
     return CameraAbove(seen, height, spread)
 
 

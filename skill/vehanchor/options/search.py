@@ -11,9 +11,6 @@ from vehanchor.scale.defaults import NMS_IOU
 Effort: TypeAlias = Literal["full", "auto", "fast"]
 """Extents of the search of a large image."""
 
-Stopped: TypeAlias = Literal["all_searched", "settled", "max_tiles", "max_seconds"]
-"""Reasons for the end of a search."""
-
 _SHARE, _COUNT = Limits(0, 1), Limits(least=1, whole=True)
 _TILES = Limits(1, 1_000_000_000, whole=True)
 

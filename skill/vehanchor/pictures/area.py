@@ -14,7 +14,6 @@ from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.options import ImageLimits
     from vehanchor.pictures.drawable import DrawableArea
     from vehanchor.records import AreaMeasurement
 
@@ -42,7 +41,7 @@ def draw_area(image: NDArray[np.uint8], analysis: DrawableArea) -> NDArray[np.ui
     return finish(canvas, analysis, _size(record), f"; mask score {record.mask_score:.2f}{_low_mask(record)}")
 
 
-def full_mask(analysis: DrawableArea, limits: ImageLimits) -> NDArray[np.uint8]:
+def full_mask(analysis: DrawableArea, max_pixels: int) -> NDArray[np.uint8]:
     """The mask as large as the image: ``[h, w, 3]``, 255 on the object and 0 elsewhere.
 
     Raises:
@@ -50,9 +49,9 @@ def full_mask(analysis: DrawableArea, limits: ImageLimits) -> NDArray[np.uint8]:
     """
     record = analysis.measurement
     width, height = record.image_width_px, record.image_height_px
-    if width * height > limits.max_pixels:
+    if width * height > max_pixels:
         raise OutputError(
-            f"cannot write a mask of {width} x {height} px, the limit is {limits.max_pixels} pixels: take the outline "
+            f"cannot write a mask of {width} x {height} px, the limit is {max_pixels} pixels: take the outline "
             "from the record"
         )
     window, mask = analysis.segmentation.window, analysis.segmentation.mask

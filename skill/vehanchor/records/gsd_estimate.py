@@ -6,12 +6,11 @@ from typing import Literal
 
 from pydantic import Field
 
-from vehanchor.options.search import Stopped
 from vehanchor.records.known_scale import KnownScale
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
 from vehanchor.records.ruler_kinds import RulerKind
-from vehanchor.scale.defaults import Aggregation
+from vehanchor.scale.defaults import Aggregation, Stopped
 
 Status = Literal["ok", "low_confidence", "no_scale"]
 Reason = Literal["too_coarse", "too_few", "not_cars", "disagree", "lost", "imprecise"]

@@ -15,6 +15,7 @@ from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.evidence import Mark
 from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
 from vehanchor.rulers.ruler import Ruler
+from vehanchor.scale.height import height_log_sd
 from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, TILT_SD_DEG
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from vehanchor.rulers.evidence import View
     from vehanchor.rulers.lognormal import LognormalEvidence
 
-GROUND_LOG_SD = 0.12  # of a height above take-off: 10 to 15 % between the ground there and below
-_HEIGHT_SD_M = 2.0  # barometer, and take-off from a hand or roof
 _MAX_HEIGHT_M = 20_000.0
 _UNKNOWN_PITCH_LOG_SD = 0.10
 _CHANCE_WRONG, _CHANCE_WRONG_PITCH_UNKNOWN = 0.05, 0.25
@@ -97,11 +96,6 @@ class Camera(Ruler):
     def _unusable(self, why: str) -> LognormalEvidence:
         message = f"The camera metadata are not usable: {why}."
         return no_evidence(self.kind, Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
-
-
-def height_log_sd(height_m: float) -> float:
-    """Compute the standard deviation of the log of a height above take-off."""
-    return math.hypot(GROUND_LOG_SD, _HEIGHT_SD_M / height_m)
 
 
 def coarsening(tilt_deg: float) -> tuple[float, float]:

@@ -11,11 +11,11 @@ import numpy as np
 from vehanchor.courts.find import find_courts, propose_courts
 from vehanchor.courts.rectified import find_courts_on, rough_courts_on
 from vehanchor.errors import TooObliqueError
+from vehanchor.rulers.court_cue import court_cues
 from vehanchor.rulers.evidence import Mark
 from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.tilt.court_cue import court_cues
 from vehanchor.tilt.estimate import may_be_tilted
 from vehanchor.tilt.focal import focal_of
 from vehanchor.tilt.posterior import tilt_posterior
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from vehanchor.courts.court import Court
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.imagery.raster import Raster
+    from vehanchor.rulers.court_cue import CourtCue
     from vehanchor.rulers.evidence import View
     from vehanchor.rulers.lognormal import LognormalEvidence
-    from vehanchor.tilt.court_cue import CourtCue
 
 _RULES_LOG_SD = 0.006  # lines 2.5 to 10 cm wide, layout by tape: 0.5 % on the tennis tiles
 _UNKNOWN_RULES_LOG_SD = 0.012  # of a basketball court: FIBA's 28 m and the NBA's 28.65 m are hard to distinguish

@@ -12,13 +12,13 @@ from vehanchor.rulers.camera import coarsening, cropped
 from vehanchor.rulers.evidence import Mark
 from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
 from vehanchor.rulers.ruler import Ruler
+from vehanchor.scale.height import GIVEN_HEIGHT_LOG_SD
 
 if TYPE_CHECKING:
     from vehanchor.imagery.metadata.lens import Lens
     from vehanchor.rulers.evidence import View
     from vehanchor.rulers.lognormal import LognormalEvidence
 
-HEIGHT_LOG_SD = 0.05  # of a given height above the ground, not above take-off
 _CHANCE_WRONG = 0.05
 _NO_LENS_OF_A_CROP = (
     "no focal length of the whole photograph holds for it, and the given height is not usable. If focal_35mm is that "
@@ -69,5 +69,6 @@ class GivenHeight(Ruler):
                     f"{gsd:.3g} m/px.",
                 ),
             )
-        log_sd, marks = math.hypot(HEIGHT_LOG_SD, seen.log_sd, tilt_log_sd), [Mark.of_height(image, chosen.height_m)]
+        log_sd = math.hypot(GIVEN_HEIGHT_LOG_SD, seen.log_sd, tilt_log_sd)
+        marks = [Mark.of_height(image, chosen.height_m)]
         return lognormal_evidence(self.kind, gsd, log_sd, _CHANCE_WRONG, said, marks=marks)

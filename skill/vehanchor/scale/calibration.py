@@ -30,7 +30,6 @@ from vehanchor.scale.lengths import (
     scott_bandwidth,
     vehicle_weights,
 )
-from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -266,7 +265,7 @@ def calibrate(
         detector_sha256: checksum of its file.
 
     Returns:
-        The record, to be kept with ``save_calibration`` or used as ``ScaleOptions(calibration=...)``.
+        The record, to be used as ``ScaleOptions(calibration=...)``.
 
     Raises:
         CalibrationRefusedError: fewer than 100 vehicles; or lengths that no vehicles have; or imagery so coarse that
@@ -320,7 +319,7 @@ def _widened(length: ModalLength, log_sd: float) -> tuple[float, float]:
 
 
 def load_calibration(path: str | os.PathLike[str]) -> Calibration:
-    """Read what ``save_calibration`` (``vehanchor calibrate --out``) wrote.
+    """Read the file that ``vehanchor calibrate --out`` wrote.
 
     Raises:
         CalibrationFileError: there is no such file, or it is not a calibration; the message names the field.
@@ -353,13 +352,3 @@ def as_calibration(calibration: Calibration | str | os.PathLike[str] | None) -> 
     if calibration is not None and not isinstance(calibration, Calibration):
         raise InvalidParameterError(f"calibration is a {type(calibration).__name__}: give a Calibration or a path")
     return calibration
-
-
-def save_calibration(path: str | os.PathLike[str], calibration: Calibration) -> None:
-    """Write a calibration as JSON.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
-    with whole_file(Path(path)) as partial:
-        partial.write_text(calibration.model_dump_json(indent=2) + "\n", encoding="utf-8")

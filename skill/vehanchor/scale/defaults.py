@@ -1,4 +1,4 @@
-"""What holds where nobody chooses otherwise, and the names to choose from."""
+"""Defaults, and the words that options and records share."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ from typing import Literal
 
 Aggregation = Literal["kde", "weighted_kde", "median", "mean"]
 """How lengths become one (see ``vehanchor.scale.lengths.modal_length``)."""
+
+Stopped = Literal["all_searched", "settled", "max_tiles", "max_seconds"]
+"""Why a search ended."""
 
 NMS_IOU = 0.45  # paper, section III-B
 OUTLIER_ALPHA = 1.5  # paper, equation 2

@@ -20,7 +20,6 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network
-from vehanchor.analysis.pipeline import networks_sha256
 from vehanchor.batch import BatchJob, BatchRow, find_images, run_batch
 from vehanchor.batch.engines.local import local_workers
 from vehanchor.batch.row import COLUMNS
@@ -31,6 +30,7 @@ from vehanchor.courts import proposals
 from vehanchor.detection import scene_scale as scene
 from vehanchor.detection.appearance import FleetLengths
 from vehanchor.detection.detector import Detector
+from vehanchor.detection.networks import networks_sha256
 from vehanchor.engine.verbs import estimate_gsd
 from vehanchor.errors import (
     ImageNotFoundError,

@@ -101,7 +101,7 @@ def test_a_batch_of_one_scale_counts_what_an_earlier_run_found(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("vehanchor.flight.table.write_table", interrupted)
+        patch.setattr("vehanchor.batch.same_scale.write_table", interrupted)
         assert run("batch", ".", "--same-scale", "--output", "scales.csv").exit_code == 130
     assert written
     done = run("batch", ".", "--same-scale", "--output", "scales.csv")

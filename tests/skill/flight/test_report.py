@@ -14,8 +14,8 @@ from vehanchor.flight.components import single_component
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.flight.report import check_report_path, report_page, write_report
+from vehanchor.flight.track import draw_tracks
 from vehanchor.options import ScaleOptions
-from vehanchor.pictures.track import draw_tracks
 from vehanchor.records import FlightEstimate, FlightLink
 
 FLEET = 30.0 * (1 + 0.05 * np.linspace(-1, 1, 9) ** 3)

@@ -15,8 +15,8 @@ from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneS
 from vehanchor.flight.photograph import Look, look_codec
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.raster import RasterNote
 from vehanchor.options import ScaleOptions
-from vehanchor.records import Notice
 from vehanchor.rulers import registry
 from vehanchor.rulers.evidence import Evidence, Mark
 from vehanchor.rulers.given_height import GivenHeight
@@ -33,7 +33,7 @@ assert registry.__name__ in _RULERS
 def _look() -> Look:
     scene = SceneScalePrior((SceneLevel(2, 9, np.linspace(-4, -1, 7)),), SceneCalibration(-4.6, 0.1))
     found = Detections(np.random.default_rng(1).normal(size=(4, 5)), np.linspace(0.1, 0.9, 4))
-    facts = ImageFacts(10, 20, None, (Notice(code="a", message="b"),), CameraMetadata(make="x", height_m=3.0))
+    facts = ImageFacts(10, 20, None, (RasterNote("a", "b"),), CameraMetadata(make="x", height_m=3.0))
     return Look(facts, found, 0.7, prior=scene)
 
 

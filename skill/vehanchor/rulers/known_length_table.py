@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from vehanchor.batch.files import where_it_is
 from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.sources.addresses import is_address
+from vehanchor.imagery.sources.files import where_it_is
 from vehanchor.options.rulers import KnownLength, Rulers
 
 if TYPE_CHECKING:

@@ -6,8 +6,6 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vehanchor.batch.files import find_images
-from vehanchor.batch.known_lengths import lines_in
 from vehanchor.batch.row import BatchRow
 from vehanchor.batch.run import BatchSummary, journal_path
 from vehanchor.batch.table import check_table_path, write_table
@@ -15,6 +13,8 @@ from vehanchor.errors import OutputError
 from vehanchor.flight.estimate import check_options, conclude, journal_key, open_journal, search_flight
 from vehanchor.flight.inputs import named
 from vehanchor.flight.project import estimate_in_flight
+from vehanchor.imagery.sources.files import find_images
+from vehanchor.rulers.known_length_table import lines_in
 
 if TYPE_CHECKING:
     import os
