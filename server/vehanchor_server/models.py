@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import logging
+import os
 import threading
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
@@ -181,7 +182,9 @@ class Models:
 
                 settings = self._settings
                 precision = cast("Precision", settings.precision)
-                runtime = Runtime(settings.threads, settings.providers or DEFAULT_PROVIDERS, precision)
+                # an explicit number: ONNX Runtime's own default binds threads to processors, which workers may not
+                threads = settings.threads or os.cpu_count()
+                runtime = Runtime(threads, settings.providers or DEFAULT_PROVIDERS, precision)
                 self._engine = Engine(settings.detector, settings.segmenter, runtime=runtime)
             return self._engine
 

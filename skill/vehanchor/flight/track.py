@@ -1,4 +1,4 @@
-"""Track of a flight as SVG: positions of the photographs, their scales, and the support of each scale."""
+"""Track of a flight as SVG: positions of the photographs, their scales and the supporting rulers."""
 
 from __future__ import annotations
 

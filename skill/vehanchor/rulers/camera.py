@@ -55,7 +55,7 @@ class Camera(Ruler):
         if not 0 < camera.height_m <= _MAX_HEIGHT_M:
             return self._unusable(f"{camera.height_tag} is {camera.height_m:g} m")
         if camera.digital_zoom > _MAX_DIGITAL_ZOOM:
-            return self._unusable(f"the camera enlarged the photograph {camera.digital_zoom:g} times")
+            return self._unusable(f"the photograph was enlarged {camera.digital_zoom:g} times in the camera")
         if taken_ratio(view.image, camera) is None:
             return no_evidence(self.kind, cropped(view.image, camera, "the camera metadata are not usable"))
         tilt_deg = camera.off_nadir_deg if view.plane is None else view.plane.tilt_deg

@@ -10,5 +10,5 @@ _HEIGHT_SD_M = 2.0  # barometer and the height of the hand or roof it started fr
 
 
 def height_log_sd(height_m: float) -> float:
-    """Standard deviation of the log of a height above take-off."""
+    """Compute the standard deviation of the log of a height above take-off."""
     return math.hypot(GROUND_LOG_SD, _HEIGHT_SD_M / height_m)
