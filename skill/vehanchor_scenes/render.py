@@ -15,7 +15,7 @@ from vehanchor_scenes.layout import lay_out
 from vehanchor_scenes.painter import Painter
 from vehanchor_scenes.raster import polygon_mask
 from vehanchor_scenes.sprites import Sun
-from vehanchor_scenes.truth import CATEGORIES, Category, Layout, Scene, SceneCourt, SceneObject, SceneVehicle
+from vehanchor_scenes.truth import CATEGORIES, Category, FleetKind, Layout, Scene, SceneCourt, SceneObject, SceneVehicle
 from vehanchor_scenes.world import PlacedCourt, PlacedVehicle, Target, World
 
 __all__ = ["render_scene"]
@@ -36,6 +36,7 @@ def render_scene(
     n_vehicles: int | None = None,
     mean_vehicle_length_m: float = 4.6,
     layout: Layout | None = None,
+    fleet_kind: FleetKind = "passenger",
 ) -> Scene:
     """Renders an aerial scene of exactly known ground sampling distance.
 
@@ -53,6 +54,8 @@ def render_scene(
             many small vehicles, and the same share of the large ones.
         mean_vehicle_length_m: the fleet's mean length, 2 to 8.
         layout: ``urban``, ``parking``, ``countryside`` or ``sports``; None: the seed decides among the first three.
+        fleet_kind: ``passenger``: cars and vans as above; ``mixed``: also kei cars, pickups with open beds and loads,
+            work vehicles and roof racks, of 3.3 to 6 m before their mean is set.
 
     Returns:
         The image and the truth about it.
@@ -61,10 +64,12 @@ def render_scene(
         InvalidParameterError: a parameter out of range, NaN, or an unknown layout.
     """
     _check_all(gsd_m_per_px, width_px, height_px, seed, n_vehicles, mean_vehicle_length_m, layout)
+    if fleet_kind not in get_args(FleetKind):
+        raise InvalidParameterError(f"fleet_kind must be one of {', '.join(get_args(FleetKind))}, not {fleet_kind!r}")
     place_rng, thin_rng, paint_rng, camera_rng = np.random.default_rng(seed).spawn(4)
     chosen = cast("Layout", get_args(Layout)[int(place_rng.choice(3, p=(0.45, 0.3, 0.25)))])
     sun = Sun(float(place_rng.uniform(0, 2 * math.pi)), math.radians(place_rng.uniform(33, 64)))
-    fleet = Fleet(mean_vehicle_length_m, place_rng)
+    fleet = Fleet(mean_vehicle_length_m, place_rng, fleet_kind)
     width_m, height_m = width_px * gsd_m_per_px, height_px * gsd_m_per_px
     world = lay_out(place_rng, layout or chosen, width_m, height_m, fleet)
     x0, y0 = _look_at(world, width_m, height_m, thin_rng)
@@ -86,6 +91,8 @@ def render_scene(
         "sun_elevation_deg": round(math.degrees(sun.elevation), 3),
         "shadow_azimuth_deg": round(math.degrees(sun.azimuth), 3),
     }
+    if fleet_kind != "passenger":
+        parameters["fleet_kind"] = fleet_kind
     return Scene(image, float(gsd_m_per_px), vehicles, masks, objects, int(seed), parameters, courts)
 
 
@@ -244,7 +251,7 @@ def _record(placed: PlacedVehicle, x0: float, y0: float, gsd: float, hidden: NDA
     body = polygon_mask(corners - low, int(high[0] - low[0]), int(high[1] - low[1]))
     below = hidden[low[1] : high[1], low[0] : high[0]][body]
     covered = bool(below.size and below.mean() > _HIDDEN_SHARE)
-    return SceneVehicle(placed.model.kind, x, y, *size, angle, cut or covered)
+    return SceneVehicle(placed.model.kind, x, y, *size, angle, cut or covered, placed.model.body)
 
 
 def _court(placed: PlacedCourt, x0: float, y0: float, gsd: float, hidden: NDArray[np.bool_]) -> SceneCourt | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, cast, get_args
 
@@ -18,7 +18,9 @@ __all__ = [
     "CATEGORIES",
     "Category",
     "CourtKind",
+    "FleetKind",
     "Layout",
+    "Load",
     "Scene",
     "SceneCourt",
     "SceneObject",
@@ -27,6 +29,8 @@ __all__ = [
 ]
 
 VehicleKind = Literal["small-vehicle", "large-vehicle"]
+FleetKind = Literal["passenger", "mixed"]
+Load = Literal["empty", "crates", "tarpaulin", "planks", "rack"]
 Layout = Literal["urban", "parking", "countryside", "sports"]
 Category = Literal["swimming-pool", "building", "sports-court", "field", "parking-lot"]
 CourtKind = Literal["tennis", "basketball_fiba", "basketball_nba", "basketball_ncaa"]
@@ -52,6 +56,8 @@ class SceneVehicle:
     """Direction of the long axis towards the front, from +x, clockwise as seen (y points down)."""
     difficult: bool = False
     """Cut by the image's edge, or more than 40 % hidden by a tree."""
+    body: str = field(default="", repr=False)
+    """Its body, and after a colon what it carries; empty where nobody said."""
 
     def corners(self) -> NDArray[np.float64]:
         """The four corners [4,2] in pixels: front left, front right, rear right, rear left."""
