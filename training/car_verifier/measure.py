@@ -1,0 +1,179 @@
+"""Measure a run against today's scores: ``python -m training.car_verifier.measure RUN --weights TRAINED --out FILE``.
+
+``RUN/val.npz`` is what ``cases`` wrote, ``TRAINED`` the folder of ``train``'s checkpoint. Candidates are ordered by
+today's score (vehicles alone, and with the scene-scale prior), by the verifier, and by sums of log odds. Written for
+each set: average precision, precision at recalls of 0.8 and 0.9, recall at precisions of 0.95, 0.9 and 0.8.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from training.car_verifier.cases import Cases, read_cases
+from training.car_verifier.network import CHIP_LENGTH_PX, CHIP_PX, CarVerifierNet
+from training.loop import load_average
+from vehanchor.detection.second_look import surroundings
+from vehanchor.output import whole_file
+
+VIEWS: tuple[tuple[int, int, float], ...] = ((1, 1, 1.0), (1, -1, 1.0), (-1, 1, 1.0), (-1, -1, 1.0))
+_SIZE_WEIGHT = 0.3  # of the scene-scale prior in today's scores, see ``training/verifier``
+_RECALLS, _PRECISIONS = (0.8, 0.9), (0.95, 0.9, 0.8)
+
+
+def mirrored(chips: NDArray[np.uint8], along: int, across: int) -> NDArray[np.uint8]:
+    """Chips ``[n, h, w, 3]`` mirrored along or across their axis."""
+    return chips[:, :: 1 if across > 0 else -1, :: 1 if along > 0 else -1]
+
+
+class Verified:
+    """Answers of a network for boxes of images, means over views."""
+
+    def __init__(self, network: CarVerifierNet, views: tuple[tuple[int, int, float], ...] = VIEWS) -> None:
+        self._network, self._views = network.eval(), views
+
+    @torch.no_grad()
+    def answers(self, pixels: NDArray[np.uint8], boxes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``[n, 17]``: logit, chances of types, box correction, log length in metres."""
+        total = np.zeros((len(boxes), 17))
+        for along, across, size in self._views:
+            sized = boxes * (1, 1, size, size, 1)
+            chips = mirrored(surroundings(pixels, sized, CHIP_PX, CHIP_LENGTH_PX), along, across)
+            for start in range(0, len(boxes), 128):
+                batch = np.ascontiguousarray(chips[start : start + 128].transpose(0, 3, 1, 2))
+                said = self._network(torch.from_numpy(batch).float().div(255.0))
+                box = said.box.numpy() * (along, across, 1, 1, along * across) + (0, 0, np.log(size), np.log(size), 0)
+                rows = np.column_stack([said.logit, said.types.softmax(dim=1), box, said.log_length_m])
+                total[start : start + 128] += rows
+        return total / len(self._views)
+
+
+def verified(
+    cases: Cases, network: CarVerifierNet, views: tuple[tuple[int, int, float], ...] = VIEWS
+) -> NDArray[np.float64]:
+    """Answers ``[n, 17]`` for all candidates."""
+    look = Verified(network, views)
+    out = np.zeros((len(cases.score), 17))
+    for file in np.unique(cases.files):
+        image = cv2.imread(str(file), cv2.IMREAD_COLOR)
+        assert image is not None
+        chosen = cases.files == file
+        out[chosen] = look.answers(np.ascontiguousarray(image[:, :, ::-1]), cases.boxes[chosen])
+    return out
+
+
+def curve(order: NDArray[np.float64], keys: NDArray[np.str_], n_labels: int) -> dict[str, float]:
+    """Average precision and points of the curve; of several candidates on one label the surest is its hit.
+
+    Args:
+        order: ``[n]`` scores.
+        keys: ``[n]`` the label each candidate fits, empty for none.
+        n_labels: labelled cars.
+    """
+    best = np.argsort(-order, kind="stable")
+    taken: set[str] = set()
+    hit = np.zeros(len(best), bool)
+    for k, row in enumerate(best):
+        if keys[row] and keys[row] not in taken:
+            taken.add(str(keys[row]))
+            hit[k] = True
+    found = hit.cumsum()
+    recall, precision = found / max(n_labels, 1), found / np.arange(1, len(best) + 1)
+    upper = np.maximum.accumulate(precision[::-1])[::-1]
+    out = {"ap": float((upper * hit).sum() / max(n_labels, 1))}
+    for wanted in _RECALLS:
+        reached = recall >= wanted
+        out[f"precision_at_recall_{wanted}"] = float(upper[reached.argmax()]) if reached.any() else 0.0
+    for wanted in _PRECISIONS:
+        good = precision >= wanted
+        out[f"recall_at_precision_{wanted}"] = float(recall[good].max()) if good.any() else 0.0
+    return {name: round(value, 4) for name, value in out.items()}
+
+
+def logit(scores: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Log odds of scores, away from 0 and 1."""
+    inside = np.clip(scores, 1e-4, 1 - 1e-4)
+    return np.asarray(np.log(inside / (1 - inside)))
+
+
+def orders(cases: Cases, answers: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """The scores to compare."""
+    today, new = logit(cases.score), answers[:, 0]
+    prior = _SIZE_WEIGHT * cases.size_odds
+    return {
+        "today": today,
+        "today_with_prior": today + prior,
+        "new": new,
+        "sum": today + new,
+        "new_with_prior": new + prior,
+        "sum_with_prior": today + new + prior,
+    }
+
+
+def measured(cases: Cases, answers: NDArray[np.float64]) -> dict[str, dict[str, object]]:
+    """Curves by set and by order; false alarms of sets without cars."""
+    ways = orders(cases, answers)
+    fits = cases.label >= 0
+    names = np.char.add(np.char.add(cases.files, "#"), cases.label.astype(str))
+    keys = np.where(fits, names, "")
+    out: dict[str, dict[str, object]] = {}
+    for name, count in zip(cases.set_names.tolist(), cases.n_labels.tolist(), strict=True):
+        chosen = cases.sets == name
+        row: dict[str, object] = {"cars": count, "candidates": int(chosen.sum())}
+        for way, values in ways.items():
+            if count:
+                row[way] = curve(values[chosen], keys[chosen], count)
+            else:
+                row[way] = {"above_even": int((values[chosen] > 0).sum())}
+        out[name] = row
+    return out
+
+
+def box_errors(cases: Cases, answers: NDArray[np.float64]) -> dict[str, dict[str, float]]:
+    """Spread of the log ratio of corrected and uncorrected lengths over the images' own medians, by set."""
+    out = {}
+    for name in np.unique(cases.sets[cases.label >= 0]):
+        chosen = (cases.sets == name) & (cases.label >= 0)
+        out[str(name)] = {"median_log_correction": round(float(np.median(answers[chosen, 13])), 4)}
+    return out
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--weights", type=Path, required=True, help="folder of a checkpoint")
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--sets", default="", help="only these, comma between")
+    parser.add_argument("--single", action="store_true", help="one view instead of four")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    cases = read_cases(options.run / "val.npz")
+    if options.sets:
+        wanted = options.sets.split(",")
+        chosen, kept = np.isin(cases.sets, wanted), np.isin(cases.set_names, wanted)
+        rows = (each[chosen] for each in cases[:6])
+        cases = Cases(*rows, cases.set_names[kept], cases.n_labels[kept])  # type: ignore[arg-type]
+    network = CarVerifierNet()
+    load_average(network, options.weights)
+    answers = verified(cases, network, VIEWS[:1] if options.single else VIEWS)
+    result = {"curves": measured(cases, answers), "boxes": box_errors(cases, answers)}
+    for name, row in result["curves"].items():
+        print(name, {key: value for key, value in row.items() if not isinstance(value, dict)})
+        for way, values in row.items():
+            if isinstance(values, dict):
+                print(f"  {way:18s} {' '.join(f'{value:.3f}' for value in values.values())}")
+    if options.out:
+        with whole_file(options.out) as partial:
+            partial.write_text(json.dumps(result, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
