@@ -8,6 +8,7 @@ each set: average precision, precision at recalls of 0.8 and 0.9, recall at prec
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 from pathlib import Path
 
@@ -24,6 +25,9 @@ from vehanchor.output import whole_file
 
 VIEWS: tuple[tuple[int, int, float], ...] = ((1, 1, 1.0), (1, -1, 1.0), (-1, 1, 1.0), (-1, -1, 1.0))
 _SIZE_WEIGHT = 0.3  # of the scene-scale prior in today's scores, see ``training/verifier``
+LOOKED_AT = Path(__file__).with_name("looked_at.csv")
+_SAME_PLACE, _SAME_SIZE = 0.35, 0.35  # of a length; log
+_FIRST_ADDED = 1_000_000  # number of labels that we added
 _RECALLS, _PRECISIONS = (0.8, 0.9), (0.95, 0.9, 0.8)
 
 
@@ -96,6 +100,25 @@ def curve(order: NDArray[np.float64], keys: NDArray[np.str_], n_labels: int) -> 
     return {name: round(value, 4) for name, value in out.items()}
 
 
+def corrected(cases: Cases, looked_at: Path = LOOKED_AT) -> Cases:
+    """Cases with what we saw on contact sheets of the surest false alarms: cars become labels, doubtful ones go."""
+    label, kept, added = cases.label.copy(), np.ones(len(cases.label), bool), dict.fromkeys(cases.set_names.tolist(), 0)
+    names = np.array([Path(file).name for file in cases.files])
+    with looked_at.open(newline="") as handle:
+        for number, row in enumerate(csv.DictReader(handle)):
+            gap = np.hypot(cases.boxes[:, 0] - float(row["x"]), cases.boxes[:, 1] - float(row["y"]))
+            there = (names == row["file"]) & (gap < _SAME_PLACE * float(row["length"])) & (label < 0)
+            if row["kind"] == "car" and there.any():
+                fits = there & (np.abs(np.log(cases.boxes[:, 2] / float(row["length"]))) < _SAME_SIZE)
+                label[fits] = _FIRST_ADDED + number
+                added[row["set"]] += 1
+            elif row["kind"] == "doubtful":
+                kept &= ~there
+    total = np.array([count + added[name] for name, count in zip(cases.set_names, cases.n_labels, strict=True)])
+    rows = (each[kept] for each in (*cases[:3], label, *cases[4:6]))
+    return Cases(*rows, cases.set_names, total)  # type: ignore[arg-type]
+
+
 def logit(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     """Log odds of scores, away from 0 and 1."""
     inside = np.clip(scores, 1e-4, 1 - 1e-4)
@@ -155,7 +178,7 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    cases = read_cases(options.run / "val.npz")
+    cases = corrected(read_cases(options.run / "val.npz"))
     if options.sets:
         wanted = options.sets.split(",")
         chosen, kept = np.isin(cases.sets, wanted), np.isin(cases.set_names, wanted)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import itertools
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,13 +26,17 @@ from training.detector.scenery import CAR_M, load_scenery
 from vehanchor.detection.boxes import boxes_from_corners, canonical_boxes, pair_iou
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.nms import oriented_nms
+from vehanchor.detection.search import search
 from vehanchor.detection.second_look import surroundings
+from vehanchor.imagery.raster import open_raster
 from vehanchor.models.zoo import resolve_model
+from vehanchor.options import Search
 from vehanchor_evaluation.dota import read_labels
 
 _CAR_PX = (28.0, 15.0, 55.0)  # lengths of cars at which an image is searched
 _MAX_ENLARGEMENT = {15.0: 1.5, 28.0: 2.2, 55.0: 1.2}
 _LEAST_SCORE = 0.12  # of the detector alone
+_LEAST_SEARCHED = 0.1  # after the second look
 _MOST_FALSE = 50  # of an image at one size: half the surest, half at random
 _FITS, _MISSES = 0.5, 0.25  # IoU with a label from which a box fits, and below which it does not
 GSD_M_PER_PX = {"cannes": 0.20, "ucm": 0.3048, "saopaulo": 0.10, "empty": 0.3048}
@@ -161,6 +166,15 @@ def found(
     return np.concatenate(boxes), np.concatenate(scores), np.concatenate(combined)
 
 
+def searched(
+    sample: TrainImage, detector: Detector
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Boxes and scores as the library's search finds them, at the image's own and coarser resolutions."""
+    with open_raster(sample.image) as raster:
+        seen = search(raster, detector, Search(min_score=_LEAST_SEARCHED))
+    return seen.boxes, seen.scores, seen.scores
+
+
 def moved(rng: np.random.Generator, labels: NDArray[np.float64]) -> NDArray[np.float64]:
     """Boxes that fit no more: beside a car, half or twice as long, or across it."""
     out = labels[rng.random(len(labels)) < _MOVED_SHARE].copy()
@@ -196,13 +210,17 @@ def add_lorries(image: Named, store: ChipStore) -> None:
     store.add(surroundings(image.sample.image, boxes, STORED_PX, STORED_LENGTH_PX), rows)
 
 
-def mined(image: Named, detector: Detector, rng: np.random.Generator, store: ChipStore) -> None:
-    """Add the chips of one image."""
-    add_lorries(image, store)
+def mined(image: Named, detector: Detector, rng: np.random.Generator, store: ChipStore, *, native: bool) -> None:
+    """Add the chips of one image: of a native search what it finds, else also labels, moved labels and lorries."""
     sample = image.sample
     height, width = sample.image.shape[:2]
-    boxes, scores, combined = found(sample, detector, rng)
-    extra = np.concatenate([sample.boxes, moved(rng, sample.boxes)])
+    if native:
+        boxes, scores, combined = searched(sample, detector)
+        extra = np.zeros((0, 5))
+    else:
+        add_lorries(image, store)
+        boxes, scores, combined = found(sample, detector, rng)
+        extra = np.concatenate([sample.boxes, moved(rng, sample.boxes)])
     boxes = np.concatenate([boxes, extra])
     scores, combined = (np.concatenate([each, np.zeros(len(extra))]) for each in (scores, combined))
     inside = (boxes[:, :2] > 0).all(axis=1) & (boxes[:, 0] < width) & (boxes[:, 1] < height)
@@ -250,9 +268,15 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--scenes", type=Path, help="mine this folder of render_scenes alone, into RUN/rendered")
+    parser.add_argument("--native", action="store_true", help="search as the library does, into RUN/native")
     options = parser.parse_args()
     cv2.setNumThreads(1)
-    if options.scenes:
+    if options.native:
+        images = itertools.chain(
+            train_images(options.data, held_out=False), scene_images(options.scenes) if options.scenes else ()
+        )
+        parts = {"native": images}
+    elif options.scenes:
         parts = {"rendered": scene_images(options.scenes)}
     else:
         parts = {name: train_images(options.data, held_out=name == "held_out") for name in ("held_out", "train")}
@@ -260,7 +284,7 @@ def main() -> None:
     for name, images in parts.items():
         store, rng = ChipStore(), np.random.default_rng(0)
         for number, image in enumerate(images):
-            mined(image, detector, rng, store)
+            mined(image, detector, rng, store, native=options.native)
             if number % 100 == 0:
                 print(name, number, sum(map(len, store.chips)), flush=True)
         rows = store.save(options.run / name)
