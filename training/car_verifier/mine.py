@@ -269,13 +269,15 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--scenes", type=Path, help="mine this folder of render_scenes alone, into RUN/rendered")
     parser.add_argument("--native", action="store_true", help="search as the library does, into RUN/native")
+    parser.add_argument("--sets", default="", help="with --native: these alone, comma between")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     if options.native:
         images = itertools.chain(
             train_images(options.data, held_out=False), scene_images(options.scenes) if options.scenes else ()
         )
-        parts = {"native": images}
+        wanted = [name for name in options.sets.split(",") if name]
+        parts = {"native": (image for image in images if not wanted or image.sample.set in wanted)}
     elif options.scenes:
         parts = {"rendered": scene_images(options.scenes)}
     else:
@@ -285,7 +287,7 @@ def main() -> None:
         store, rng = ChipStore(), np.random.default_rng(0)
         for number, image in enumerate(images):
             mined(image, detector, rng, store, native=options.native)
-            if number % 100 == 0:
+            if number % 50 == 0:
                 print(name, number, sum(map(len, store.chips)), flush=True)
         rows = store.save(options.run / name)
         for each in np.unique(rows.sets):

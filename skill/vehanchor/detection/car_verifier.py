@@ -1,0 +1,140 @@
+"""A verifier for photographs with few candidates: car or not, vehicle type, corners without shadow, length in metres.
+
+It costs about 20 ms for each candidate on one core, so it serves up to a dozen of them. Not part of the decision yet.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from vehanchor.detection.boxes import canonical_boxes
+from vehanchor.detection.second_look import surroundings
+from vehanchor.errors import ModelContractError
+from vehanchor.models.files import read_model
+from vehanchor.models.session import DEFAULT_PROVIDERS, open_session, run_session
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import onnxruntime
+    from numpy.typing import NDArray
+
+__all__ = ["CHIP_LENGTH_PX", "CHIP_PX", "VEHICLE_TYPES", "CarVerifier", "VerifiedVehicles", "corrected_boxes"]
+
+CHIP_PX = 96  # rows and columns: three candidate lengths
+CHIP_LENGTH_PX = 32.0  # the candidate's length on its chip, along the columns
+VEHICLE_TYPES = ("kei", "small", "compact", "saloon", "suv", "pickup", "van", "lorry", "trailer", "other")
+_OUTPUTS = {"logit": (), "types": (len(VEHICLE_TYPES),), "box": (5,), "log_length_m": ()}
+_MIRRORS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # along and across the candidate's axis
+_MOST_SHIFT, _MOST_SCALE, _MOST_TURN = 0.3, 0.35, 0.35  # lengths, log, radians: the limits of what training shows
+
+
+class VerifiedVehicles(NamedTuple):
+    """Answers of the verifier, a row for each candidate; means over mirrored chips.
+
+    Attributes:
+        logit: ``[n]`` log odds of a small vehicle in a fitting box, before calibration.
+        types: ``[n, 10]`` probabilities of ``VEHICLE_TYPES``.
+        box: ``[n, 5]`` correction in the candidate's frame: centre along and across its axis, in candidate lengths;
+            log of the true length and of the true width over the candidate's length; turn in radians.
+        log_length_m: ``[n]`` log of the length in metres that the appearance suggests.
+    """
+
+    logit: NDArray[np.float64]
+    types: NDArray[np.float64]
+    box: NDArray[np.float64]
+    log_length_m: NDArray[np.float64]
+
+
+def corrected_boxes(boxes: NDArray[np.float64], correction: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Apply corrections to candidates.
+
+    Args:
+        boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)``, pixels and radians.
+        correction: ``[n, 5]``, see ``VerifiedVehicles.box``; clipped to the range of the training.
+
+    Returns:
+        ``[n, 5]`` canonical boxes.
+    """
+    x, y, length, _, angle = boxes.T
+    along, across = np.clip(correction[:, :2], -_MOST_SHIFT, _MOST_SHIFT).T * length
+    cosine, sine = np.cos(angle), np.sin(angle)
+    lengths = length * np.exp(np.clip(correction[:, 2], -_MOST_SCALE, _MOST_SCALE))
+    widths = np.minimum(length * np.exp(correction[:, 3]), lengths)
+    turn = np.clip(correction[:, 4], -_MOST_TURN, _MOST_TURN)
+    rows = [x + cosine * along - sine * across, y + sine * along + cosine * across, lengths, widths, angle + turn]
+    return canonical_boxes(np.stack(rows, axis=1))
+
+
+class CarVerifier:
+    """A network from ``chips [n, 3, 96, 96]`` float32 RGB in 0..1 to the four outputs of ``VerifiedVehicles``.
+
+    Args:
+        path: the ONNX file.
+        threads: CPU threads; None leaves it to ONNX Runtime.
+        providers: ONNX Runtime execution providers in order of preference.
+
+    Raises:
+        ModelNotFoundError: there is no such file.
+        ModelContractError: the file has other inputs or outputs.
+        ProviderUnavailableError: an execution provider is not installed.
+    """
+
+    def __init__(
+        self, path: str | Path, *, threads: int | None = None, providers: Sequence[str] = DEFAULT_PROVIDERS
+    ) -> None:
+        self.path = Path(path)
+        content = read_model(self.path).content
+        self._session = open_session(self.path, content=content, threads=threads, providers=providers)
+        inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
+        names = [each.name for each in (*inputs, *outputs)]
+        if names != ["chips", *_OUTPUTS] or list(inputs[0].shape[1:]) != [3, CHIP_PX, CHIP_PX]:
+            raise ModelContractError(
+                f"{self.path} has {', '.join(names)}: expected chips [n, 3, {CHIP_PX}, {CHIP_PX}] and "
+                f"{', '.join(_OUTPUTS)}, as training/car_verifier writes them"
+            )
+
+    def verify(
+        self,
+        pixels: NDArray[np.uint8],
+        boxes: NDArray[np.float64],
+        run_options: onnxruntime.RunOptions | None = None,
+    ) -> VerifiedVehicles:
+        """Judge candidates, each on four mirrored chips.
+
+        Args:
+            pixels: ``[h, w, 3]`` uint8 RGB, in the resolution with the most detail.
+            boxes: ``[n, 5]`` candidates in their pixels.
+            run_options: ONNX Runtime's; ``terminate`` ends the run.
+
+        Raises:
+            ModelContractError: the network fails or does not answer in finite numbers.
+        """
+        rows = np.asarray(boxes, np.float64).reshape(-1, 5)
+        total = [np.zeros((len(rows), *shape)) for shape in _OUTPUTS.values()]
+        if not len(rows):
+            return VerifiedVehicles(*total)
+        planes = surroundings(pixels, rows, CHIP_PX, CHIP_LENGTH_PX).transpose(0, 3, 1, 2)
+        for along, across in _MIRRORS:
+            logit, types, box, length = self._answers(planes[:, :, ::across, ::along], run_options)
+            shifted = np.exp(types - types.max(axis=1, keepdims=True))
+            unmirrored = box * (along, across, 1, 1, along * across)
+            answers = (logit, shifted / shifted.sum(axis=1, keepdims=True), unmirrored, length)
+            for sum_, answer in zip(total, answers, strict=True):
+                sum_ += answer / len(_MIRRORS)
+        return VerifiedVehicles(*total)
+
+    def _answers(
+        self, planes: NDArray[np.uint8], run_options: onnxruntime.RunOptions | None
+    ) -> list[NDArray[np.float64]]:
+        batch = np.divide(np.ascontiguousarray(planes), np.float32(255), dtype=np.float32)
+        described = f"the car verifier {self.path} fails on {list(batch.shape)}"
+        found = run_session(self._session, list(_OUTPUTS), {"chips": batch}, run_options, described)
+        answers = [np.asarray(each, np.float64) for each in found]
+        shapes = [(len(batch), *shape) for shape in _OUTPUTS.values()]
+        if [each.shape for each in answers] != shapes or not all(np.isfinite(each).all() for each in answers):
+            raise ModelContractError(f"the car verifier {self.path} does not answer in finite numbers for each chip")
+        return answers
