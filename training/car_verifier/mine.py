@@ -23,7 +23,7 @@ from training.car_verifier.store import STORED_LENGTH_PX, STORED_PX, UNKNOWN, Ch
 from training.detector.data import TrainImage, is_dev, load_scenes, load_train_images
 from training.detector.places import is_held_out, places
 from training.detector.scenery import CAR_M, load_scenery
-from vehanchor.detection.boxes import boxes_from_corners, canonical_boxes, pair_iou
+from vehanchor.detection.boxes import box_corners, boxes_from_corners, canonical_boxes, pair_iou
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.nms import oriented_nms
 from vehanchor.detection.search import search
@@ -37,6 +37,7 @@ _CAR_PX = (28.0, 15.0, 55.0)  # lengths of cars at which an image is searched
 _MAX_ENLARGEMENT = {15.0: 1.5, 28.0: 2.2, 55.0: 1.2}
 _LEAST_SCORE = 0.12  # of the detector alone
 _LEAST_SEARCHED = 0.1  # after the second look
+_CROP_PX = 640  # side of the part of an image that is searched as the library does
 _MOST_FALSE = 50  # of an image at one size: half the surest, half at random
 _FITS, _MISSES = 0.5, 0.25  # IoU with a label from which a box fits, and below which it does not
 GSD_M_PER_PX = {"cannes": 0.20, "ucm": 0.3048, "saopaulo": 0.10, "empty": 0.3048}
@@ -166,6 +167,23 @@ def found(
     return np.concatenate(boxes), np.concatenate(scores), np.concatenate(combined)
 
 
+def cropped(rng: np.random.Generator, sample: TrainImage, side_px: int = _CROP_PX) -> TrainImage:
+    """A part of a large image, around a labelled car where there is one; cars that it cuts are ignored."""
+    height, width = sample.image.shape[:2]
+    if max(height, width) <= side_px:
+        return sample
+    most = np.maximum(np.array([width, height]) - side_px, 0)
+    middle = sample.boxes[rng.integers(len(sample.boxes)), :2] if len(sample.boxes) else rng.uniform(0, 1, 2) * most
+    left, top = np.clip(middle - rng.uniform(0.2, 0.8, 2) * side_px, 0, most).astype(int)
+    image = np.ascontiguousarray(sample.image[top : top + side_px, left : left + side_px])
+    boxes = sample.boxes - (left, top, 0, 0, 0)
+    corners = box_corners(boxes)
+    inside = ((corners >= 0) & (corners <= np.array(image.shape[1::-1]))).all(axis=2)
+    cut = inside.any(axis=1) & ~inside.all(axis=1)
+    ignore = np.concatenate([sample.ignore - (left, top), corners[cut]])
+    return sample._replace(image=image, boxes=boxes[inside.all(axis=1)], ignore=ignore)
+
+
 def searched(
     sample: TrainImage, detector: Detector
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -212,7 +230,7 @@ def add_lorries(image: Named, store: ChipStore) -> None:
 
 def mined(image: Named, detector: Detector, rng: np.random.Generator, store: ChipStore, *, native: bool) -> None:
     """Add the chips of one image: of a native search what it finds, else also labels, moved labels and lorries."""
-    sample = image.sample
+    sample = cropped(rng, image.sample) if native else image.sample
     height, width = sample.image.shape[:2]
     if native:
         boxes, scores, combined = searched(sample, detector)

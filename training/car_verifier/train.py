@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy, smooth_l1_loss
 
-from training.car_verifier.network import CHIP_PX, CarVerifierNet
+from training.car_verifier.network import CHIP_PX, CarVerifierNet, begin_with_detector
 from training.car_verifier.stream import Batch, ChipStream
 from training.loop import Recipe, Schedule, train
 from training.onnx_file import write_onnx
@@ -73,6 +73,8 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=8000)
     parser.add_argument("--held", type=float, default=0.5, help="share of the steps before the rate falls")
     parser.add_argument("--stores", type=Path, nargs="*", default=[], help="folders beside RUN/train")
+    parser.add_argument("--detector", type=Path, help="ONNX file of the detector, to begin with its encoder")
+    parser.add_argument("--rate", type=float, default=_RATE)
     parser.add_argument("--without", default="", help="sets to leave out, comma between")
     parser.add_argument("--train-store", type=Path, help="instead of RUN/train")
     parser.add_argument("--seed", type=int, default=0)
@@ -81,9 +83,13 @@ def main() -> None:
     torch.set_num_threads(1)
     stores = [options.train_store or options.run / "train", *options.stores]
     stream = ChipStream(stores, options.seed, [name for name in options.without.split(",") if name])
-    schedule = Schedule(options.steps, _RATE, warm_up=200, held=options.held)
+    schedule = Schedule(options.steps, options.rate, warm_up=100, held=options.held)
     recipe = Recipe(schedule, _BATCH, average=0.998, bfloat16=True, checkpoint_every=200, log_every=100)
-    network = train(CarVerifierNet(), stream, losses, recipe, options.run)
+    begun = CarVerifierNet()
+    if options.detector:
+        chips = torch.stack([stream[k].chip for k in range(256)])
+        begin_with_detector(begun, options.detector, chips.float().div(255.0))
+    network = train(begun, stream, losses, recipe, options.run)
     export(cast("CarVerifierNet", network), options.run / "car-verifier.onnx")
     print(f"wrote {options.run / 'car-verifier.onnx'}", flush=True)
 
