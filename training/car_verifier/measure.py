@@ -11,6 +11,7 @@ import argparse
 import csv
 import json
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -19,6 +20,8 @@ from numpy.typing import NDArray
 
 from training.car_verifier.cases import Cases, read_cases
 from training.car_verifier.network import CHIP_LENGTH_PX, CHIP_PX, CarVerifierNet
+from training.car_verifier.store import read_store
+from training.car_verifier.stream import Move, cut
 from training.loop import load_average
 from vehanchor.detection.second_look import surroundings
 from vehanchor.output import whole_file
@@ -27,6 +30,7 @@ VIEWS: tuple[tuple[int, int, float], ...] = ((1, 1, 1.0), (1, -1, 1.0), (-1, 1, 
 _SIZE_WEIGHT = 0.3  # of the scene-scale prior in today's scores, see ``training/verifier``
 LOOKED_AT = Path(__file__).with_name("looked_at.csv")
 _SAME_PLACE, _SAME_SIZE = 0.35, 0.35  # of a length; log
+_LEAST_COMBINED = 0.1  # of today's scores, as in ``cases``
 _FIRST_ADDED = 1_000_000  # number of labels that we added
 _RECALLS, _PRECISIONS = (0.8, 0.9), (0.95, 0.9, 0.8)
 
@@ -125,7 +129,44 @@ def logit(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.log(inside / (1 - inside)))
 
 
-def orders(cases: Cases, answers: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+class Fusion(NamedTuple):
+    """Log odds of a car: ``today * logit(score) + new * logit + bias``."""
+
+    today: float
+    new: float
+    bias: float
+
+
+EVEN = Fusion(1.0, 1.0, 0.0)
+
+
+def fitted_fusion(run: Path, network: CarVerifierNet) -> Fusion:
+    """Fit by logistic regression on the candidates of the held-out tenth, each set by the root of its number."""
+    chips, rows = read_store(run / "held_out")
+    chosen = np.flatnonzero((rows.combined >= _LEAST_COMBINED) & ((rows.box_weight > 0) | (rows.car == 0)))
+    still = Move(np.zeros(2), 1.0, 0.0, np.ones(2))
+    new = np.zeros(len(chosen))
+    with torch.no_grad():
+        for start in range(0, len(chosen), 128):
+            some = chosen[start : start + 128]
+            batch = np.stack([cut(np.asarray(chips[k]), still) for k in some]).transpose(0, 3, 1, 2)
+            said = network.eval()(torch.from_numpy(np.ascontiguousarray(batch)).float().div(255.0))
+            new[start : start + 128] = said.logit.numpy()
+    design = np.column_stack([logit(rows.combined[chosen].astype(np.float64)), new, np.ones(len(chosen))])
+    car = rows.car[chosen] == 1
+    names, number, counts = np.unique(rows.sets[chosen], return_inverse=True, return_counts=True)
+    weight = (1 / np.sqrt(counts))[number]
+    theta = np.array([0.5, 0.5, 0.0])
+    for _ in range(30):
+        chance = 1 / (1 + np.exp(-design @ theta))
+        slope = design.T @ (weight * (chance - car)) + 1e-3 * theta
+        bend = (design * (weight * chance * (1 - chance))[:, None]).T @ design + 1e-3 * np.eye(3)
+        theta = theta - np.linalg.solve(bend, slope)
+    print(f"held-out tenth: {car.sum()} cars, {(~car).sum()} others of {len(names)} sets, fusion {theta.round(3)}")
+    return Fusion(*(float(value) for value in theta))
+
+
+def orders(cases: Cases, answers: NDArray[np.float64], fusion: Fusion = EVEN) -> dict[str, NDArray[np.float64]]:
     """The scores to compare."""
     today, new = logit(cases.score), answers[:, 0]
     prior = _SIZE_WEIGHT * cases.size_odds
@@ -136,12 +177,14 @@ def orders(cases: Cases, answers: NDArray[np.float64]) -> dict[str, NDArray[np.f
         "sum": today + new,
         "new_with_prior": new + prior,
         "sum_with_prior": today + new + prior,
+        "fitted": fusion.today * today + fusion.new * new + fusion.bias,
+        "fitted_with_prior": fusion.today * today + fusion.new * new + fusion.bias + prior,
     }
 
 
-def measured(cases: Cases, answers: NDArray[np.float64]) -> dict[str, dict[str, object]]:
+def measured(cases: Cases, answers: NDArray[np.float64], fusion: Fusion = EVEN) -> dict[str, dict[str, object]]:
     """Curves by set and by order; false alarms of sets without cars."""
-    ways = orders(cases, answers)
+    ways = orders(cases, answers, fusion)
     fits = cases.label >= 0
     names = np.char.add(np.char.add(cases.files, "#"), cases.label.astype(str))
     keys = np.where(fits, names, "")
@@ -186,8 +229,13 @@ def main() -> None:
         cases = Cases(*rows, cases.set_names[kept], cases.n_labels[kept])  # type: ignore[arg-type]
     network = CarVerifierNet()
     load_average(network, options.weights)
+    fusion = fitted_fusion(options.run, network)
     answers = verified(cases, network, VIEWS[:1] if options.single else VIEWS)
-    result = {"curves": measured(cases, answers), "boxes": box_errors(cases, answers)}
+    result = {
+        "fusion": fusion._asdict(),
+        "curves": measured(cases, answers, fusion),
+        "boxes": box_errors(cases, answers),
+    }
     for name, row in result["curves"].items():
         print(name, {key: value for key, value in row.items() if not isinstance(value, dict)})
         for way, values in row.items():
