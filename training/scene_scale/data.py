@@ -82,7 +82,7 @@ def sources(data: Path) -> list[Source]:
         *_segments(data),
         *_cars_as_rulers(data),
         *_photographs(data),
-        *_chia(data),
+        *chia_photographs(data),
     ]
     return list({source.path: source for source in out}.values())
 
@@ -108,7 +108,7 @@ def load_val_images(data: Path, *, without: Collection[str] = ()) -> list[Scaled
         if float(row["camera_pitch_deg"]) < _DOWN_DEG:
             width_m = float(row["height_above_takeoff_m"]) * _FULL_FRAME_MM / float(row["focal_length_35mm"])
             found.append(Source(data / "tilt" / row["file"], "tilt", width_m / _TILT_WIDTH_PX, 0.0, held_out=False))
-    found += _chia(data, odd=False)
+    found += chia_photographs(data, odd=False)
     return [_load(source) for source in found if source.set not in without]
 
 
@@ -184,7 +184,7 @@ def _photographs(data: Path) -> list[Source]:
     return out
 
 
-def _chia(data: Path, *, odd: bool = True) -> list[Source]:
+def chia_photographs(data: Path, *, odd: bool = True) -> list[Source]:
     """Photographs of ``chia/`` that look down, and crops of the same: odd numbers train, even ones check."""
     out = []
     for table in ("chia/table.csv", "chia/crops.csv"):
