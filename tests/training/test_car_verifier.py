@@ -17,8 +17,8 @@ import torch
 
 from training.car_verifier.cases import Cases, fitted_upright
 from training.car_verifier.lookalikes import LOOKALIKES
-from training.car_verifier.measure import Verified, curve, measured
-from training.car_verifier.mine import overlaps, relative, rows_of, type_of
+from training.car_verifier.measure import Verified, corrected, curve, measured
+from training.car_verifier.mine import cropped, overlaps, relative, rows_of, type_of
 from training.car_verifier.network import CHIP_LENGTH_PX, CHIP_PX, TYPES, Answers, CarVerifierNet
 from training.car_verifier.paste import Ground, pasted
 from training.car_verifier.store import STORED_LENGTH_PX, STORED_PX, ChipStore, Rows, read_store
@@ -97,6 +97,40 @@ def test_what_lies_on_an_ignored_place_teaches_nothing() -> None:
     boxes = np.array([[60.0, 60.0, 20.0, 9.0, 0.0], [20.0, 20.0, 20.0, 9.0, 0.0]])
     _, known = rows_of(sample, "a.jpg", boxes, np.ones(2), np.ones(2))
     assert known.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_part_of_an_image_keeps_its_cars_in_place_and_ignores_those_it_cuts(seed: int) -> None:
+    image = np.zeros((400, 900, 3), np.uint8)
+    boxes = np.array([[60.0 + 30 * k, 200.0, 24.0, 10.0, 0.0] for k in range(27)])
+    for box in boxes:
+        image[int(box[1]) - 2 : int(box[1]) + 2, int(box[0]) - 2 : int(box[0]) + 2] = 255
+    sample = TrainImage("jekhor", image, boxes, np.zeros((0, 4, 2)), np.zeros((0, 2)))
+    part = cropped(np.random.default_rng(seed), sample, 300)
+    assert part.image.shape[:2] == (300, 300)
+    assert len(part.boxes) >= 8
+    for x, y, *_ in part.boxes:
+        assert (part.image[int(y) - 2 : int(y) + 2, int(x) - 2 : int(x) + 2] == 255).all()
+    whole = box_corners(part.boxes)
+    assert ((whole >= 0) & (whole <= 300)).all()
+    assert len(part.ignore) <= 2
+
+
+def test_cars_that_nobody_labelled_count_and_doubtful_things_do_not(tmp_path: Path) -> None:
+    boxes = np.array([[10.0, 10, 20, 9, 0], [50.0, 10, 20, 9, 0], [90.0, 10, 20, 9, 0], [10.5, 10, 9, 5, 0]])
+    cases = Cases(
+        boxes, np.ones(4), np.zeros(4), np.full(4, -1), np.full(4, "estonia"), np.full(4, "/a/one.jpg"),
+        np.array(["estonia"]), np.array([5]),
+    )  # fmt: skip
+    table = tmp_path / "looked_at.csv"
+    table.write_text(
+        "set,file,x,y,length,kind\nestonia,one.jpg,10,10,20,car\nestonia,one.jpg,50,10,20,doubtful\n"
+        "estonia,one.jpg,90,10,20,other\n"
+    )
+    found = corrected(cases, table)
+    assert found.n_labels.tolist() == [6]
+    np.testing.assert_array_equal(found.boxes[:, 0], [10, 90, 10.5])
+    assert (found.label >= 0).tolist() == [True, False, False]  # a box of half the length fits no car
 
 
 def test_overlaps_find_the_label_of_each_box() -> None:

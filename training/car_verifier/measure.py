@@ -217,14 +217,16 @@ def main() -> None:
     parser.add_argument("--weights", type=Path, required=True, help="folder of a checkpoint")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--sets", default="", help="only these, comma between")
+    parser.add_argument("--least", type=float, default=0.0, help="leave out candidates of lower scores")
     parser.add_argument("--single", action="store_true", help="one view instead of four")
     options = parser.parse_args()
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     cases = corrected(read_cases(options.run / "val.npz"))
-    if options.sets:
-        wanted = options.sets.split(",")
+    if options.sets or options.least:
+        wanted = options.sets.split(",") if options.sets else cases.set_names.tolist()
         chosen, kept = np.isin(cases.sets, wanted), np.isin(cases.set_names, wanted)
+        chosen &= cases.score >= options.least
         rows = (each[chosen] for each in cases[:6])
         cases = Cases(*rows, cases.set_names[kept], cases.n_labels[kept])  # type: ignore[arg-type]
     network = CarVerifierNet()

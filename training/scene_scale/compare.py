@@ -15,13 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from training.scene_scale.data import ScaledImage, load_val_images
-from training.scene_scale.density import interval, quantiles
 from vehanchor.detection.scene import SceneScaleNetwork
 from vehanchor.imagery.raster import open_raster
 from vehanchor.output import whole_file
+from vehanchor.scale.fusion import GRID
 
 _BANDS = (0.0, 0.018, 0.03, 0.06, 0.12, 0.2, 0.35, 1.2)  # m/px
 _WITHIN = 1.5
+_SHARES = (0.025, 0.5, 0.975)
 _SKIPPED = ("building", "empty")  # scales within a factor of two known only; nothing that drones fly over
 
 
@@ -31,10 +32,21 @@ def compared(network: SceneScaleNetwork, images: Sequence[ScaledImage]) -> list[
     for image in images:
         with open_raster(image.pixels) as raster:
             density = network.look(raster).density
-        middle, (low, high) = float(quantiles(density, [0.5])[0]), interval(density)
+        below = np.cumsum(density) - 0.5 * density
+        low, middle, high = np.exp(np.interp(_SHARES, below / density.sum(), GRID))
         truth = image.gsd_m_per_px
-        out.append((image.set, truth, float(np.log(middle / truth)), low < truth < high, float(np.log(high / low))))
+        out.append(
+            (image.set, truth, float(np.log(middle / truth)), bool(low < truth < high), float(np.log(high / low)))
+        )
     return out
+
+
+def some_of_each(images: Sequence[ScaledImage], most: int) -> list[ScaledImage]:
+    """At most so many images of each set, evenly spread over it."""
+    sets: dict[str, list[ScaledImage]] = {}
+    for image in images:
+        sets.setdefault(image.set, []).append(image)
+    return [each[k] for each in sets.values() for k in np.unique(np.linspace(0, len(each) - 1, most).astype(int))]
 
 
 def summary(rows: Sequence[tuple[str, float, float, bool, float]]) -> dict[str, float]:
@@ -56,8 +68,9 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("models", type=Path, nargs="+")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--most", type=int, default=30, help="images of a set, evenly spread")
     options = parser.parse_args()
-    images = load_val_images(options.data, without=_SKIPPED)
+    images = some_of_each(load_val_images(options.data, without=_SKIPPED), options.most)
     result: dict[str, dict[str, dict[str, float]]] = {}
     for model in options.models:
         rows = compared(SceneScaleNetwork(model, threads=1), images)
