@@ -69,7 +69,7 @@ class Cases(NamedTuple):
 
 
 def val_images(data: Path) -> Iterator[Image]:
-    """Val images with labels, val images without cars, and harbours of the held-out tenth."""
+    """Val images with labels, val images without cars, crops of ``chia/``, and harbours of the held-out tenth."""
     with (data / "vehicles" / "index.csv").open(newline="") as handle:
         for row in csv.DictReader(handle):
             if row["split"] == "val":
@@ -81,6 +81,9 @@ def val_images(data: Path) -> Iterator[Image]:
             if row["split"] == "val":
                 path = data / "upright" / row["file"]
                 yield Image(row["set"], path, data / "upright" / "labels" / f"{path.stem}.txt", True)
+    with (data / "chia" / "crops.csv").open(newline="") as handle:  # its cars are in ``looked_at.csv``
+        for row in csv.DictReader(handle):
+            yield Image("chia", data / "chia" / row["file"], None, upright=False)
     for place in places(data):
         if place.kind == "harbor" and is_held_out(place):
             yield Image("harbor", place.path, None, False)
