@@ -163,7 +163,7 @@ def collected(data: Path) -> Cases:
         ):
             column.append(np.asarray(values))
     joined = [np.concatenate([each for each in column if len(each)]) for column in columns]
-    return Cases(*joined, np.array(list(n_labels)), np.array(list(n_labels.values())))  # type: ignore[arg-type]
+    return Cases(*joined, np.array(list(n_labels)), np.array(list(n_labels.values())))  # type: ignore[arg-type, call-arg]
 
 
 def read_cases(path: Path) -> Cases:

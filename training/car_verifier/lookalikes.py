@@ -68,8 +68,8 @@ def draw_box(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
     elif kind == 2:
         fill(canvas, _corners(canvas, px_per_m, 0.85 * length, 0.75 * width), colour_of(rng))
     elif kind == 3:
-        part = float(rng.uniform(0.2, 0.6))
-        fill(canvas, _corners(canvas, px_per_m, part * length, width, (1 - part) * length / 2), colour_of(rng))
+        share = float(rng.uniform(0.2, 0.6))
+        fill(canvas, _corners(canvas, px_per_m, share * length, width, (1 - share) * length / 2), colour_of(rng))
     return length, width
 
 

@@ -120,7 +120,7 @@ def corrected(cases: Cases, looked_at: Path = LOOKED_AT) -> Cases:
                 kept &= ~there
     total = np.array([count + added[name] for name, count in zip(cases.set_names, cases.n_labels, strict=True)])
     rows = (each[kept] for each in (*cases[:3], label, *cases[4:6]))
-    return Cases(*rows, cases.set_names, total)  # type: ignore[arg-type]
+    return Cases(*rows, cases.set_names, total)  # type: ignore[arg-type, call-arg]
 
 
 def logit(scores: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -228,7 +228,7 @@ def main() -> None:
         chosen, kept = np.isin(cases.sets, wanted), np.isin(cases.set_names, wanted)
         chosen &= cases.score >= options.least
         rows = (each[chosen] for each in cases[:6])
-        cases = Cases(*rows, cases.set_names[kept], cases.n_labels[kept])  # type: ignore[arg-type]
+        cases = Cases(*rows, cases.set_names[kept], cases.n_labels[kept])  # type: ignore[arg-type, call-arg]
     network = CarVerifierNet()
     load_average(network, options.weights)
     fusion = fitted_fusion(options.run, network)

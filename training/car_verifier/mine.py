@@ -178,10 +178,11 @@ def cropped(rng: np.random.Generator, sample: TrainImage, side_px: int = _CROP_P
     image = np.ascontiguousarray(sample.image[top : top + side_px, left : left + side_px])
     boxes = sample.boxes - (left, top, 0, 0, 0)
     corners = box_corners(boxes)
-    inside = ((corners >= 0) & (corners <= np.array(image.shape[1::-1]))).all(axis=2)
-    cut = inside.any(axis=1) & ~inside.all(axis=1)
+    inside = np.all((corners >= 0) & (corners <= np.array(image.shape[1::-1])), axis=2)
+    whole = np.all(inside, axis=1)
+    cut = np.any(inside, axis=1) & ~whole
     ignore = np.concatenate([sample.ignore - (left, top), corners[cut]])
-    return sample._replace(image=image, boxes=boxes[inside.all(axis=1)], ignore=ignore)
+    return sample._replace(image=image, boxes=boxes[whole], ignore=ignore)
 
 
 def searched(
@@ -290,12 +291,12 @@ def main() -> None:
     parser.add_argument("--sets", default="", help="with --native: these alone, comma between")
     options = parser.parse_args()
     cv2.setNumThreads(1)
+    parts: dict[str, Iterator[Named]]
     if options.native:
-        images = itertools.chain(
-            train_images(options.data, held_out=False), scene_images(options.scenes) if options.scenes else ()
-        )
+        scenes = scene_images(options.scenes) if options.scenes else iter(())
         wanted = [name for name in options.sets.split(",") if name]
-        parts = {"native": (image for image in images if not wanted or image.sample.set in wanted)}
+        every = itertools.chain(train_images(options.data, held_out=False), scenes)
+        parts = {"native": (image for image in every if not wanted or image.sample.set in wanted)}
     elif options.scenes:
         parts = {"rendered": scene_images(options.scenes)}
     else:

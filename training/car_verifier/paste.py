@@ -107,15 +107,15 @@ def draw_vehicle(
 
 def photographed(rng: np.random.Generator, canvas: Canvas, coarse: float) -> NDArray[np.uint8]:
     """The stored chip of a canvas: as coarse as its ground was (``coarse``, canvas pixels to one of the source)."""
-    pixels = np.clip(canvas, 0, 255)
+    pixels: Canvas = np.clip(canvas, 0, 255)
     if coarse > 2.0:
         side = max(16, round(_CANVAS_PX / coarse))
-        pixels = cv2.resize(pixels, (side, side), interpolation=cv2.INTER_AREA)
+        pixels = np.asarray(cv2.resize(pixels, (side, side), interpolation=cv2.INTER_AREA), np.float32)
         way = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
-        pixels = cv2.resize(pixels, (STORED_PX, STORED_PX), interpolation=way)
+        pixels = np.asarray(cv2.resize(pixels, (STORED_PX, STORED_PX), interpolation=way), np.float32)
     else:
-        pixels = cv2.GaussianBlur(pixels, (0, 0), float(rng.uniform(0.5, 1.4)))
-        pixels = cv2.resize(pixels, (STORED_PX, STORED_PX), interpolation=cv2.INTER_AREA)
+        soft = cv2.GaussianBlur(pixels, (0, 0), float(rng.uniform(0.5, 1.4)))
+        pixels = np.asarray(cv2.resize(soft, (STORED_PX, STORED_PX), interpolation=cv2.INTER_AREA), np.float32)
     return np.asarray(np.clip(pixels + 0.5, 0, 255), np.uint8)
 
 

@@ -47,7 +47,7 @@ class Rows(NamedTuple):
 
     def take(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Rows:
         """Those of a mask or of indices."""
-        return Rows(*(each[which] for each in self))
+        return Rows(*(each[which] for each in self))  # type: ignore[arg-type]
 
     @classmethod
     def joined(cls, parts: Sequence[Rows]) -> Rows:

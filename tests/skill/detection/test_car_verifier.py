@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -35,10 +36,15 @@ def _write_network(path: Path, *, outputs: tuple[str, ...] = tuple(_PARTS), bias
         helper.make_node("Squeeze", ["logits", "axis"], ["logit"]),
         helper.make_node("Squeeze", ["lengths", "axis"], ["log_length_m"]),
     ]
-    values = {
+    values: dict[str, NDArray[Any]] = {
         "weight": weight.reshape(-1, weight.shape[-1]), "offset": offset, "sizes": sizes, "axis": np.array([1]),
     }  # fmt: skip
-    shapes = {"logit": ["n"], "types": ["n", 10], "box": ["n", 5], "log_length_m": ["n"]}
+    shapes: dict[str, list[str | int | None]] = {
+        "logit": ["n"],
+        "types": ["n", 10],
+        "box": ["n", 5],
+        "log_length_m": ["n"],
+    }
     graph = helper.make_graph(
         nodes, "verifier",
         [helper.make_tensor_value_info("chips", TensorProto.FLOAT, ["n", 3, CHIP_PX, CHIP_PX])],
