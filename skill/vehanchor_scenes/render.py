@@ -54,8 +54,7 @@ def render_scene(
             many small vehicles, and the same share of the large ones.
         mean_vehicle_length_m: the fleet's mean length, 2 to 8.
         layout: ``urban``, ``parking``, ``countryside`` or ``sports``; None: the seed decides among the first three.
-        fleet_kind: ``passenger``: cars and vans as above; ``mixed``: also kei cars, pickups with open beds and loads,
-            work vehicles and roof racks, of 3.3 to 6 m before their mean is set.
+        fleet_kind: ``passenger``, or ``mixed``: also kei cars, pickups with loads, work vehicles and roof racks.
 
     Returns:
         The image and the truth about it.
@@ -63,9 +62,7 @@ def render_scene(
     Raises:
         InvalidParameterError: a parameter out of range, NaN, or an unknown layout.
     """
-    _check_all(gsd_m_per_px, width_px, height_px, seed, n_vehicles, mean_vehicle_length_m, layout)
-    if fleet_kind not in get_args(FleetKind):
-        raise InvalidParameterError(f"fleet_kind must be one of {', '.join(get_args(FleetKind))}, not {fleet_kind!r}")
+    _check_all(gsd_m_per_px, width_px, height_px, seed, n_vehicles, mean_vehicle_length_m, layout, fleet_kind)
     place_rng, thin_rng, paint_rng, camera_rng = np.random.default_rng(seed).spawn(4)
     chosen = cast("Layout", get_args(Layout)[int(place_rng.choice(3, p=(0.45, 0.3, 0.25)))])
     sun = Sun(float(place_rng.uniform(0, 2 * math.pi)), math.radians(place_rng.uniform(33, 64)))
@@ -81,19 +78,24 @@ def render_scene(
 
     hidden = crowns > 127
     masks, objects = _masks(world.targets, x0, y0, gsd_m_per_px, hidden)
-    recorded = (_record(placed, x0, y0, gsd_m_per_px, hidden) for placed in world.vehicles)
-    vehicles = tuple(vehicle for vehicle in recorded if vehicle is not None)
+    vehicles = tuple(each for v in world.vehicles if (each := _record(v, x0, y0, gsd_m_per_px, hidden)) is not None)
     courts = tuple(court for each in world.courts if (court := _court(each, x0, y0, gsd_m_per_px, hidden)) is not None)
     parameters: dict[str, float | int | str | None] = {
         "layout": layout or chosen,
         "n_vehicles": n_vehicles,
         "mean_vehicle_length_m": mean_vehicle_length_m,
+        **_drawn(sun, fleet_kind),
+    }
+    return Scene(image, float(gsd_m_per_px), vehicles, masks, objects, int(seed), parameters, courts)
+
+
+def _drawn(sun: Sun, fleet_kind: FleetKind) -> dict[str, float | str]:
+    """Parameters that the seed decides, and the fleet where it is not the usual one."""
+    drawn: dict[str, float | str] = {
         "sun_elevation_deg": round(math.degrees(sun.elevation), 3),
         "shadow_azimuth_deg": round(math.degrees(sun.azimuth), 3),
     }
-    if fleet_kind != "passenger":
-        parameters["fleet_kind"] = fleet_kind
-    return Scene(image, float(gsd_m_per_px), vehicles, masks, objects, int(seed), parameters, courts)
+    return drawn if fleet_kind == "passenger" else {**drawn, "fleet_kind": fleet_kind}
 
 
 def _check_all(
@@ -104,6 +106,7 @@ def _check_all(
     n_vehicles: int | None,
     mean_vehicle_length_m: float,
     layout: Layout | None,
+    fleet_kind: FleetKind,
 ) -> None:
     _check("gsd_m_per_px", gsd_m_per_px, _MIN_GSD, _MAX_GSD)
     _check("width_px", width_px, _MIN_SIZE_PX, _MAX_SIZE_PX)
@@ -114,6 +117,8 @@ def _check_all(
         _check("n_vehicles", n_vehicles, 0, math.inf)
     if layout is not None and layout not in get_args(Layout):
         raise InvalidParameterError(f"layout must be one of {', '.join(get_args(Layout))}, or None, not {layout!r}")
+    if fleet_kind not in get_args(FleetKind):
+        raise InvalidParameterError(f"fleet_kind must be one of {', '.join(get_args(FleetKind))}, not {fleet_kind!r}")
 
 
 def _check(name: str, value: float, low: float, high: float) -> None:
