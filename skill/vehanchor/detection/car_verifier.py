@@ -22,13 +22,23 @@ if TYPE_CHECKING:
     import onnxruntime
     from numpy.typing import NDArray
 
-__all__ = ["CHIP_LENGTH_PX", "CHIP_PX", "VEHICLE_TYPES", "CarVerifier", "VerifiedVehicles", "corrected_boxes"]
+__all__ = [
+    "CHIP_LENGTH_PX",
+    "CHIP_PX",
+    "VEHICLE_TYPES",
+    "CarVerifier",
+    "ScoreFusion",
+    "VerifiedVehicles",
+    "corrected_boxes",
+]
 
 CHIP_PX = 96  # rows and columns: three candidate lengths
 CHIP_LENGTH_PX = 32.0  # the candidate's length on its chip, along the columns
 VEHICLE_TYPES = ("kei", "small", "compact", "saloon", "suv", "pickup", "van", "lorry", "trailer", "other")
 _OUTPUTS = {"logit": (), "types": (len(VEHICLE_TYPES),), "box": (5,), "log_length_m": ()}
 _MIRRORS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # along and across the candidate's axis
+_MARGIN = 1e-4  # scores of 0 and 1 have no log odds
+_FUSION = "vehanchor.fusion"  # metadata: three numbers, comma between
 _MOST_SHIFT, _MOST_SCALE, _MOST_TURN = 0.3, 0.35, 0.35  # lengths, log, radians: the limits of what training shows
 
 
@@ -47,6 +57,27 @@ class VerifiedVehicles(NamedTuple):
     types: NDArray[np.float64]
     box: NDArray[np.float64]
     log_length_m: NDArray[np.float64]
+
+
+class ScoreFusion(NamedTuple):
+    """Log odds of a car: ``score * logit(score) + verifier * logit + bias``, fitted on held-out places."""
+
+    score: float
+    verifier: float
+    bias: float
+
+    def log_odds(self, scores: NDArray[np.float64], logits: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Fuse.
+
+        Args:
+            scores: ``[n]`` scores of the search without the scene-scale prior.
+            logits: ``[n]`` of the verifier.
+
+        Returns:
+            ``[n]`` log odds; the prior's log odds of a length are added to them, as to any other score's.
+        """
+        inside = np.clip(scores, _MARGIN, 1 - _MARGIN)
+        return np.asarray(self.score * np.log(inside / (1 - inside)) + self.verifier * logits + self.bias)
 
 
 def corrected_boxes(boxes: NDArray[np.float64], correction: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -77,9 +108,13 @@ class CarVerifier:
         threads: CPU threads; None leaves it to ONNX Runtime.
         providers: ONNX Runtime execution providers in order of preference.
 
+    Attributes:
+        path: the ONNX file.
+        fusion: how its logits join the search's scores.
+
     Raises:
         ModelNotFoundError: there is no such file.
-        ModelContractError: the file has other inputs or outputs.
+        ModelContractError: the file has other inputs or outputs, or states no fusion.
         ProviderUnavailableError: an execution provider is not installed.
     """
 
@@ -96,6 +131,12 @@ class CarVerifier:
                 f"{self.path} has {', '.join(names)}: expected chips [n, 3, {CHIP_PX}, {CHIP_PX}] and "
                 f"{', '.join(_OUTPUTS)}, as training/car_verifier writes them"
             )
+        stated = self._session.get_modelmeta().custom_metadata_map.get(_FUSION, "")
+        try:
+            score, weight, bias = (float(number) for number in stated.split(","))
+        except ValueError:
+            raise ModelContractError(f"{self.path}: the metadata {_FUSION} {stated!r} is not three numbers") from None
+        self.fusion = ScoreFusion(score, weight, bias)
 
     def verify(
         self,

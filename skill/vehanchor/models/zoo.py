@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DEFAULT_DETECTOR",
+    "bundled_car_verifier",
     "bundled_courts",
     "bundled_models",
     "bundled_scene_scale",
@@ -31,7 +32,8 @@ _SECOND_LOOK = "second-look.onnx"  # of the default detector
 _SECOND_LOOK_IN_EIGHT_BITS = "second-look-int8.onnx"  # of the same in eight bits
 _SCENE_SCALE = "scene-scale.onnx"
 _COURTS = "courts.onnx"
-_NO_DETECTORS = (*_SEGMENTER, _FLEET, _SECOND_LOOK, _SECOND_LOOK_IN_EIGHT_BITS, _SCENE_SCALE, _COURTS)
+_CAR_VERIFIER = "car-verifier.onnx"
+_NO_DETECTORS = (*_SEGMENTER, _FLEET, _SECOND_LOOK, _SECOND_LOOK_IN_EIGHT_BITS, _SCENE_SCALE, _COURTS, _CAR_VERIFIER)
 _BUNDLED = Path(__file__).parent / "bundled"
 
 
@@ -73,6 +75,12 @@ def _beside(detector: Path, bundled: tuple[str, str], kind: str) -> Path | None:
 def bundled_scene_scale() -> Path | None:
     """The file of the network that tells a scene's scale; None where this installation has none."""
     path = _BUNDLED / _SCENE_SCALE
+    return path if path.is_file() else None
+
+
+def bundled_car_verifier() -> Path | None:
+    """The file of the network that verifies candidates where few were found; None where this installation has none."""
+    path = _BUNDLED / _CAR_VERIFIER
     return path if path.is_file() else None
 
 

@@ -20,7 +20,9 @@ _PATCH_PX = 8  # side of a bright square on a chip
 _PARTS = {"logit": 1, "types": len(VEHICLE_TYPES), "box": 5, "log_length_m": 1}
 
 
-def _write_network(path: Path, *, outputs: tuple[str, ...] = tuple(_PARTS), bias: float = 0.0) -> Path:
+def _write_network(
+    path: Path, *, outputs: tuple[str, ...] = tuple(_PARTS), bias: float = 0.0, fusion: str = "2,0.5,-0.25"
+) -> Path:
     """A linear network: its logit is the chip's mean, its box correction where a square of 8 px lies on black."""
     at = (np.arange(CHIP_PX) + 0.5 - CHIP_PX / 2) / CHIP_LENGTH_PX / _PATCH_PX**2
     weight = np.zeros((3, CHIP_PX, CHIP_PX, sum(_PARTS.values())), np.float32)
@@ -51,7 +53,9 @@ def _write_network(path: Path, *, outputs: tuple[str, ...] = tuple(_PARTS), bias
         [helper.make_tensor_value_info(name, TensorProto.FLOAT, shapes[name]) for name in outputs],
         [numpy_helper.from_array(value, name) for name, value in values.items()],
     )  # fmt: skip
-    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), path)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(model, {"vehanchor.fusion": fusion})
+    onnx.save(model, path)
     return path
 
 
@@ -111,6 +115,19 @@ def test_a_file_with_other_outputs_is_refused(tmp_path: Path) -> None:
     path = _write_network(tmp_path / "other.onnx", outputs=("logit", "box"))
     with pytest.raises(ModelContractError, match=r"has chips, logit, box: expected chips \[n, 3, 96, 96\]"):
         CarVerifier(path)
+
+
+@pytest.mark.parametrize("stated", ["", "1,2", "one,two,three"])
+def test_a_file_without_a_fusion_is_refused(tmp_path: Path, stated: str) -> None:
+    with pytest.raises(ModelContractError, match="is not three numbers"):
+        CarVerifier(_write_network(tmp_path / "other.onnx", fusion=stated))
+
+
+def test_scores_and_logits_become_log_odds(verifier: CarVerifier) -> None:
+    assert verifier.fusion == (2.0, 0.5, -0.25)
+    odds = verifier.fusion.log_odds(np.array([0.5, 0.5, 0.8, 1.0]), np.array([0.0, 3.0, 0.0, 0.0]))
+    assert odds[:3] == pytest.approx([-0.25, 1.25, 2 * np.log(4) - 0.25])
+    assert np.isfinite(odds[3])
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
