@@ -1,6 +1,6 @@
 """A verifier for photographs with few candidates: car or not, vehicle type, corners without shadow, length in metres.
 
-It costs about 20 ms for each candidate on one core, so it serves up to a dozen of them. Not part of the decision yet.
+It costs about 6 ms of one core for each candidate, so it serves up to a dozen of them. Not part of the decision yet.
 """
 
 from __future__ import annotations
