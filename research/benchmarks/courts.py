@@ -204,7 +204,7 @@ def added_time(rounds: int) -> list[str]:
     for _ in range(rounds):
         with open_raster(image) as raster:
             detections = Detections(np.zeros((0, 5)), np.zeros(0))
-            prior = network.look(raster)
+            prior = network.predict(raster)
             started = time.process_time()
             find_courts(raster, detections, detector.card, prior)
             apart.append(time.process_time() - started)

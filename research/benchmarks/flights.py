@@ -36,13 +36,12 @@ from vehanchor.flight.inputs import InputPhotograph
 from vehanchor.flight.io import read_record
 from vehanchor.flight.matching import match
 from vehanchor.flight.pairs import candidate_pairs
-from vehanchor.flight.photograph import Look, Photograph, chief_member
+from vehanchor.flight.photograph import Look, Photograph, chief_member, look_codec
 from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.options import ScaleOptions
-from vehanchor.storage.stored import from_json, to_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -111,9 +110,9 @@ def looked_at(
                 raise seen.error
             look = Look.of(seen.view, seen.analysis)
             if known is not None:
-                known.write_text(json.dumps(to_json(look)))
+                known.write_text(json.dumps(look_codec().dump(look)))
         else:
-            look = from_json(json.loads(known.read_text()))
+            look = look_codec().load(json.loads(known.read_text()))
         with open_raster(pixels) as raster:
             features = find_features(raster) if featured else None
         members.append(Photograph.of(name, look, detector.card, ScaleOptions(), features))

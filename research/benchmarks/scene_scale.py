@@ -109,7 +109,7 @@ def main() -> None:
         for name, path, length_px in images:
             gsd = _CAR_M[name] / length_px
             with open_raster(path) as raster:
-                density = ground.look(raster).density
+                density = ground.predict(raster).density
             middle, (low, high) = credible_interval(density, probability=0.0).low, credible_interval(density)
             told = Told(gsd, abs(float(np.log(middle / gsd))), low < gsd < high, high / low)
             by_set.setdefault(name, []).append(told)

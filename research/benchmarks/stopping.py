@@ -21,7 +21,7 @@ import numpy as np
 from research.benchmarks.gigapixel import CELL_PX, GSD_M, SETS, layout, pictures
 from research.results.record import add_record_option, header, recording
 from vehanchor.detection.appearance import FleetAppearance
-from vehanchor.detection.convergence import ANYTIME_PIXELS, next_check, settled, stop_rule
+from vehanchor.detection.convergence import ANYTIME_PIXELS, has_converged, next_check, stop_rule
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import load_detector
 from vehanchor.detection.levels import search_levels
@@ -67,7 +67,7 @@ def searched(images: list[NDArray[Any]], detector: Detector) -> list[Cell]:
         with open_raster(image) as raster:
             found = search(raster, detector, Search(search_scales=False))
             if len(found.boxes) and detector.fleet is not None:
-                look = detector.fleet.look(raster, found.boxes)
+                look = detector.fleet.appearance(raster, found.boxes)
             else:
                 look = FleetAppearance(np.zeros(0), np.zeros(0))
         assert len(look.log_odds) == len(found.boxes) <= _LOOKS
@@ -151,12 +151,12 @@ def outcome(mosaic: Mosaic, detector: Detector, options: ScaleOptions) -> Outcom
                 )
                 n_new = int(inside.sum())
                 found |= inside
-            order.tell(k, n_new)
+            order.report(k, n_new)
             visited += 1
         if rule.share is not None and due <= visited < most:
             due = next_check(visited)
             checks.append(convergence(Vehicles().measure(view(detections=mosaic.detections(found))), ()))
-            done = settled(checks, rule)
+            done = has_converged(checks, rule)
     evidence = Vehicles().measure(view(detections=mosaic.detections(found)))
     told = decide(evidence, ())
     if told.gsd_m_per_px is None or told.interval is None:

@@ -25,6 +25,7 @@ import numpy as np
 from research.benchmarks.flights import read, spoiled
 from research.results.record import add_record_option, recording
 from vehanchor.analysis.pipeline import analyse_detections
+from vehanchor.analysis.stored import stored_classes
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.scene_scale import SceneScalePrior, load_scene_scale
 from vehanchor.detection.search import search
@@ -40,7 +41,7 @@ from vehanchor.options import ScaleOptions
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.evidence import View
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.storage.stored import from_json, to_json
+from vehanchor.storage.codec import Codec
 from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, plane_of_record
 from vehanchor.tilt.estimate import NEARLY_CERTAIN, tilt_from_vehicles
 from vehanchor.tilt.vehicle_cue import LEAST_CARS
@@ -88,14 +89,14 @@ def looked_at(
         key = hashlib.sha256(f"{detector.card.sha256} {facts.image_id}".encode()).hexdigest()[:24]
         known = None if cache is None else cache / f"seen_{key}.json"
         if known is not None and known.exists():
-            detections, prior = from_json(json.loads(known.read_text()))
+            detections, prior = Codec(stored_classes()).load(json.loads(known.read_text()))
             return facts, detections, prior
         network = load_scene_scale(detector.runtime)
-        prior = None if network is None else network.look(raster)
-        detections = search(raster, detector, ScaleOptions().search, scene=prior)
+        prior = None if network is None else network.predict(raster)
+        detections = search(raster, detector, ScaleOptions().search, prior=prior)
     if known is not None:
         known.parent.mkdir(parents=True, exist_ok=True)
-        known.write_text(json.dumps(to_json((detections, prior))))
+        known.write_text(json.dumps(Codec(stored_classes()).dump((detections, prior))))
     return facts, detections, prior
 
 

@@ -19,9 +19,7 @@ from vehanchor.errors import VehAnchorError
 if TYPE_CHECKING:
     from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
     from vehanchor.analysis.scale import ScaleAnalysis
-    from vehanchor.batch.files import find_images
-    from vehanchor.detection.detector import Detector
-    from vehanchor.engine import Engine
+    from vehanchor.engine import Cancellation, Detector, Engine, Runtime, Segmenter
     from vehanchor.engine.verbs import (
         analyse_area,
         analyse_distance,
@@ -31,25 +29,21 @@ if TYPE_CHECKING:
         measure_area,
         measure_distance,
     )
-    from vehanchor.models.runtime import Cancellation, Runtime
+    from vehanchor.imagery.sources.files import find_images
     from vehanchor.options import Frame, ImageLimits, Lengths, Reading, Reference, Rulers, ScaleOptions, Search
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, KnownScale
     from vehanchor.scale.calibration import Calibration, load_calibration
-    from vehanchor.segmentation.segmenter import Segmenter
 
     __version__: str
 
 _LAZY = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
     "analysis.measured": ("AreaAnalysis", "DistanceAnalysis"),
     "analysis.scale": ("ScaleAnalysis",),
-    "batch.files": ("find_images",),
-    "detection.detector": ("Detector",),
-    "engine": ("Engine",),
-    "models.runtime": ("Cancellation", "Runtime"),
+    "imagery.sources.files": ("find_images",),
+    "engine": ("Cancellation", "Detector", "Engine", "Runtime", "Segmenter"),
     "options": ("Frame", "ImageLimits", "Lengths", "Reading", "Reference", "Rulers", "ScaleOptions", "Search"),
     "records": ("AreaMeasurement", "DistanceMeasurement", "FlightEstimate", "GsdEstimate", "KnownScale"),
     "scale.calibration": ("Calibration", "load_calibration"),
-    "segmentation.segmenter": ("Segmenter",),
     "engine.verbs": (
         "analyse_area",
         "analyse_distance",

@@ -14,22 +14,25 @@ from typing import TYPE_CHECKING, Any, TypeVar, overload
 import anyio
 import anyio.to_thread
 
-from vehanchor import Cancellation
-from vehanchor.engine import verbs
+from vehanchor.engine import Cancellation, verbs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from typing import Unpack
 
-    from vehanchor import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, ScaleOptions
     from vehanchor.engine import (
         AreaKeywords,
+        AreaMeasurement,
+        DistanceMeasurement,
         EstimateKeywords,
+        FlightEstimate,
         FlightKeywords,
+        GsdEstimate,
         ImageSource,
         InputPhotograph,
         MeasureKeywords,
         Place,
+        ScaleOptions,
     )
 
 __all__ = ["estimate_flight", "estimate_gsd", "measure_area", "measure_distance"]

@@ -35,8 +35,8 @@ def doctor(
 ) -> None:
     """List installed versions, measure a scene of known scale, and try VehAnchor on your images."""
     with exit_on_error():
-        from vehanchor.batch.files import find_images
         from vehanchor.engine import Engine
+        from vehanchor.imagery.sources.files import find_images
         from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
         from vehanchor_doctor.checks import installed, self_test
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from vehanchor.analysis.pipeline import analyse_raster
-from vehanchor.batch.known_lengths import with_lines_of
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.rulers.known_length_table import with_lines_of
 from vehanchor.rulers.registry import active_rulers
 from vehanchor.scale.lengths import Z95
 from vehanchor_evaluation.known_scale import (
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from vehanchor.batch.known_lengths import KnownLengthTable
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
+    from vehanchor.rulers.known_length_table import KnownLengthTable
 
 
 def survey_photographs(

@@ -12,10 +12,12 @@ from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from vehanchor.analysis.pipeline import analyse_detections, networks_sha256, search_raster
+from vehanchor.analysis.pipeline import analyse_detections, search_raster
 from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.analysis.stored import stored_classes
 from vehanchor.batch.pool import finished_in_threads
 from vehanchor.detection.detections import Detections
+from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import InvalidParameterError, VehAnchorError
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import ImageFacts
@@ -26,8 +28,8 @@ from vehanchor.rulers.evidence import View
 from vehanchor.rulers.registry import needs_search
 from vehanchor.rulers.vehicles import select
 from vehanchor.scale.defaults import OUTLIER_ALPHA
+from vehanchor.storage.codec import Codec
 from vehanchor.storage.journal import Journal
-from vehanchor.storage.stored import from_json, to_json
 from vehanchor_evaluation.known_scale import DATASET_LIMITS, FileIssue
 
 if TYPE_CHECKING:
@@ -119,11 +121,13 @@ def _of_full_search(chosen: Search) -> dict[str, Any]:
 
 
 def _dumped(searched: SearchedImage) -> Any:
-    return to_json((searched.detections, searched.image, list(searched.resolved.items()), searched.prior))
+    return Codec(stored_classes()).dump(
+        (searched.detections, searched.image, list(searched.resolved.items()), searched.prior)
+    )
 
 
 def _loaded(stored: Any) -> SearchedImage:
-    detections, image, resolved, prior = from_json(stored)
+    detections, image, resolved, prior = Codec(stored_classes()).load(stored)
     return SearchedImage(detections, image, dict(resolved), prior)
 
 

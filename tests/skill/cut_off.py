@@ -21,8 +21,9 @@ from tests.faults import REFUSED, WRITTEN, limited
 from vehanchor.batch.row import BatchRow
 from vehanchor.batch.table import write_table
 from vehanchor.pictures.scale import write_picture
-from vehanchor.scale.calibration import Calibration, save_calibration
+from vehanchor.scale.calibration import Calibration
 from vehanchor.storage.journal import Journal
+from vehanchor_evaluation.calibration_file import save_calibration
 from vehanchor_evaluation.report import write_results
 
 _LATE_IMPORTS = (cv2, pyarrow.parquet)  # here, not in each of hundreds of children

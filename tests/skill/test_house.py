@@ -1,4 +1,4 @@
-"""The house rules: who may import whom, what can be taken away, and how long things may be."""
+"""The house rules: who may import whom and how deep, what can be taken away, and how long things may be."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import pytest
 from tests.conftest import ROOT
 
 MODULE_LINES, FUNCTION_LINES = 450, 60
+ROOT_MODULES, ARROWS, FLOORS = 3, 125, 13  # of vehanchor, at most: a new import between packages needs a reason
 FOLDERS = (ROOT / "skill", ROOT / "server")
 COMMANDS = (
     "vehanchor.cli",
@@ -72,6 +73,21 @@ def _imported(name: str) -> set[str]:
 IMPORTS = {name: _imported(name) for name in MODULES}
 
 
+def _room(name: str) -> str:
+    """Package or module below ``vehanchor`` to which a module belongs."""
+    return ".".join(name.split(".")[:2])
+
+
+def _rooms() -> dict[str, set[str]]:
+    """The rooms of the library, each with those that it imports."""
+    rooms: dict[str, set[str]] = {_room(name): set() for name in MODULES if _below(name, "vehanchor")}
+    for name, imported in IMPORTS.items():
+        if _room(name) in rooms:
+            found = {_room(each) for each in imported if each in MODULES and _below(each, "vehanchor")}
+            rooms[_room(name)] |= found - {_room(name)}
+    return rooms
+
+
 def _functions(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
     return (node for node in ast.walk(tree) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)))
 
@@ -82,6 +98,27 @@ def test_no_import_comes_back_to_where_it_began() -> None:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         pytest.fail(" <- ".join(error.args[1]))
+
+
+def test_the_packages_of_the_library_form_no_circle_and_few_floors() -> None:
+    rooms = _rooms()
+    floors: dict[str, int] = {}
+    try:
+        for room in TopologicalSorter(rooms).static_order():
+            floors[room] = 1 + max((floors[each] for each in rooms[room]), default=0)
+    except CycleError as error:
+        pytest.fail(" <- ".join(error.args[1]))
+    assert max(floors.values()) <= FLOORS, sorted(floors.items(), key=lambda item: item[1])
+
+
+def test_few_packages_of_the_library_import_each_other() -> None:
+    arrows = sorted((room, each) for room, imported in _rooms().items() for each in imported)
+    assert len(arrows) <= ARROWS, arrows
+
+
+def test_few_modules_lie_outside_packages() -> None:
+    loose = [room for room in _rooms() if room != "vehanchor" and MODULES[room].name != "__init__.py"]
+    assert len(loose) <= ROOT_MODULES, loose
 
 
 @pytest.mark.parametrize("package", FORBIDDEN)

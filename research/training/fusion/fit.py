@@ -77,8 +77,8 @@ def look(path: Path, set_name: str, gsd: float, detector: Detector, ground: Scen
     """Lead an image through the skill; None where nothing is found."""
     options = ScaleOptions()
     with open_raster(path) as raster:
-        prior = ground.look(raster)
-        detections = search(raster, detector, Search(), scene=prior)
+        prior = ground.predict(raster)
+        detections = search(raster, detector, Search(), prior=prior)
         view = View(image_facts(raster), detections, detector.card, options, lambda *_: 1.0, prior=prior)
         evidence = Vehicles().measure(view)
     if evidence.gsd_m_per_px is None:

@@ -62,7 +62,7 @@ def settled(weights: Weights, logits: NDArray[np.float64], found: Candidates) ->
     ours = np.median(total[found.car & (total >= limit)]) - limit
     theirs = np.median(_logit(found.scores[found.car & (found.scores >= _MIN_SCORE)]))
     scale = float(theirs / ours)
-    return Weights(weights.detector * scale, weights.look * scale, (weights.bias - limit) * scale)
+    return Weights(weights.detector * scale, weights.verifier * scale, (weights.bias - limit) * scale)
 
 
 def look(session: onnxruntime.InferenceSession, chips: NDArray[np.uint8]) -> NDArray[np.float64]:

@@ -58,7 +58,7 @@ def searched(data: Path) -> SizedCandidates:
     logits, odds, car = [np.zeros(0)], [np.zeros(0)], [np.zeros(0, bool)]
     for sample in load_train_images(data / "vehicles", held_out=True) + load_scenery(data, held_out=True):
         with open_raster(sample.image) as raster:
-            scene = ground.look(raster)
+            scene = ground.predict(raster)
             found = search(raster, detector, Search(min_score=_LEAST_SCORE))
         truth = truth_of(found.boxes, sample.boxes, sample.ignore)
         judged = truth >= 0

@@ -16,7 +16,7 @@ import os
 import stat
 import sys
 from collections import deque
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -28,6 +28,8 @@ from vehanchor_server.images.argument import MAX_PATH_CHARS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+
+    from vehanchor_server.calls.capacity import Stop
 
 _NOFOLLOW = getattr(os, "O_NOFOLLOW", 0)
 _CLOEXEC = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
@@ -81,25 +83,30 @@ class PathAccess:
         with os.fdopen(descriptor, "rb") as file:
             yield f"/proc/self/fd/{descriptor}" if sys.platform == "linux" else file
 
-    def listed(self, first: int, count: int) -> tuple[list[str], bool]:
-        """List images below the roots by their suffixes, without links and hidden files or folders.
+    def listed(self, first: int, count: int, stop: Stop) -> tuple[list[str], bool]:
+        """List regular files below the roots that have an image's suffix, without links and hidden files or folders.
+
+        Names with control characters, or bytes that are not UTF-8, are left out: they would end a transport, or reach a
+        model as lines of their own.
 
         Args:
             first: number of images to skip.
             count: maximum number of images.
+            stop: ends the walk.
 
         Returns:
             Absolute paths in order, and whether there are more.
 
         Raises:
             CallError: ``source_disabled``.
+            CallStoppedError: the call was stopped.
         """
         if not self.roots:
             raise CallError(
                 "source_disabled", "this server takes no images by path. Use another kind, or start it with --root DIR."
             )
         found = list(
-            islice((str(path) for root in self.roots for path in _images_below(root)), first, first + count + 1)
+            islice((str(path) for root in self.roots for path in _images_below(root, stop)), first, first + count + 1)
         )
         return found[:count], len(found) > count
 
@@ -159,21 +166,24 @@ class PathAccess:
                 os.close(directory)
 
 
-def _images_below(root: Path) -> Iterator[Path]:
+def _images_below(root: Path, stop: Stop) -> Iterator[Path]:
     """List images below a directory, by folder and name; walk by descriptors, so that no link is followed."""
-    from vehanchor.batch.files import SUFFIXES
+    from vehanchor.imagery.sources.files import SUFFIXES
 
     walk: Iterator[tuple[Any, ...]] = os.fwalk(root) if hasattr(os, "fwalk") else os.walk(root)
     n_seen = 0
     for folder, folders, names, *_ in walk:
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        stop.check()
+        folders[:] = sorted(name for name in folders if not name.startswith(".") and name.isprintable())
         n_seen += len(folders) + len(names)
         if n_seen > _MAX_LISTED:
             return
         for name in sorted(names):
             path = Path(folder, name)
-            if path.suffix.lower() in SUFFIXES and not name.startswith(".") and not path.is_symlink():
-                yield path
+            if path.suffix.lower() in SUFFIXES and not name.startswith(".") and name.isprintable():
+                with suppress(OSError):  # the file is gone
+                    if stat.S_ISREG(path.lstat().st_mode):
+                        yield path
 
 
 def _refused() -> CallError:

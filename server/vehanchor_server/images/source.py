@@ -16,6 +16,7 @@ from vehanchor_server.images.argument import AnyImage, Base64Image, PathImage, U
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from vehanchor_server.calls.capacity import Stop
     from vehanchor_server.images.fetch import Fetcher
     from vehanchor_server.images.path_access import PathAccess
 
@@ -68,9 +69,9 @@ class ImageSources:
             found.append((image, fetched))
         return tuple(found)
 
-    def listed(self, first: int, count: int) -> tuple[list[str], bool]:
+    def listed(self, first: int, count: int, stop: Stop) -> tuple[list[str], bool]:
         """List images by path; see ``PathAccess.listed``."""
-        return self.paths.listed(first, count)
+        return self.paths.listed(first, count, stop)
 
     @contextmanager
     def open(self, image: AnyImage, fetched: bytes | None = None) -> Iterator[OpenedImage]:

@@ -6,9 +6,9 @@ Models need it to give coordinates in an image that they know by path only.
 # No postponed annotations here: the SDK reads the result's schema from them.
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any
 
-import anyio.to_thread
 from mcp.server.mcpserver import Context, Image
 from mcp.types import CallToolResult, TextContent
 from pydantic import Field
@@ -17,6 +17,7 @@ from vehanchor.errors import PromptError
 from vehanchor.options import Coordinates, Frame, Reading
 from vehanchor_server.calls.answer import Answer
 from vehanchor_server.calls.call import run_call
+from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.task import work
 from vehanchor_server.frozen import Flag, FrozenModel, WholeNumber
@@ -90,7 +91,11 @@ def view_image_tool(services: Services) -> StrictTool:
 
 async def _list_images(services: Services, page: int) -> CallToolResult:
     first = (page - 1) * _IMAGES_A_PAGE
-    names, more = await anyio.to_thread.run_sync(services.sources.listed, first, _IMAGES_A_PAGE)
+
+    async def call(stop: Stop) -> tuple[list[str], bool]:
+        return await services.capacity.in_thread(stop, partial(services.sources.listed, first, _IMAGES_A_PAGE, stop))
+
+    names, more = await services.capacity.run(call)
     listed = ViewedImage(images=tuple(names), next_page=page + 1 if more else None)
     head = f"{len(names)} images{f'; more on page {page + 1}' if more else ''}."
     return _result("\n".join([head, *names]), listed, None)

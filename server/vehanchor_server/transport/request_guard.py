@@ -101,6 +101,9 @@ class RequestGuard:
         if not _all_accepted(headers.getlist("origin"), self._origins, "://"):
             await Response("Invalid Origin header", status_code=403)(scope, receive, send)
             return
+        if scope.get("method") == "GET":  # a stream without an end, on which a stateless server has nothing to send
+            await Response("POST only", status_code=405, headers={"Allow": "POST"})(scope, receive, send)
+            return
         declared = headers.get("content-length", "0")
         await self._let_in(int(declared) if declared.isdigit() else 0, scope, receive, send)
 

@@ -1,4 +1,4 @@
-"""Base class of the analyses: a record, the evidence behind it, and the image that it can be drawn over."""
+"""Base class of the analyses: a record, its evidence and its image."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 
 class Analysis:
-    """An analysis that can be drawn over its image, which is read again for that.
+    """Analysis that can be drawn over its image; the image is read again.
 
     Attributes:
         image: source to read the image from again; None for a stream.
-        reading: how the image was read; None for the defaults.
+        reading: options of reading; None for the defaults.
         ground: position of the image on the ground; None without a georeference.
     """
 
@@ -33,13 +33,13 @@ class Analysis:
         """Draw the result and a scale bar over the image.
 
         Args:
-            image: source to read the image from; None for the first source, which a stream does not allow.
+            image: source to read the image from; None for the first source, unless it is a stream.
 
         Returns:
-            ``[h, w, 3]`` RGB, as ``--overlay`` of the command writes it.
+            ``[h, w, 3]`` RGB, as written by ``--overlay``.
 
         Raises:
-            InvalidParameterError: the image cannot be read twice, and none is given.
+            InvalidParameterError: the source cannot be read twice, and no image is given.
             ImageError: the image can no longer be read.
         """
         from vehanchor.imagery.sources.opening import open_raster
@@ -58,7 +58,7 @@ class Analysis:
         raise NotImplementedError
 
     def _repr_png_(self) -> bytes | None:
-        """The overlay, for notebooks; None if the image cannot be read again."""
+        """Draw the overlay for notebooks; None if the image cannot be read again."""
         if self.image is None:
             return None
         import cv2
@@ -71,7 +71,7 @@ def import_supervision() -> Any:
     """Import supervision.
 
     Raises:
-        MissingExtraError: supervision, or something that it needs, is not installed.
+        MissingExtraError: supervision or one of its dependencies is not installed.
     """
     try:
         import supervision

@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeasuredAnalysis(Analysis):
-    """Evidence of a measurement, whatever was measured.
+    """Evidence of a measurement.
 
     Attributes:
-        scale: the analysis of the scale; None for a scale that was given, or given back.
+        scale: the analysis of the scale; None for a known scale.
         image: source to read the image from again; None for a stream.
-        reading: how the image was read; None for the defaults.
+        reading: options of reading; None for the defaults.
         ground: position of the image on the ground; None without a georeference.
         nadir: whether the camera points straight down, so that one scale holds everywhere.
     """
@@ -42,7 +42,7 @@ class MeasuredAnalysis(Analysis):
 
 @dataclass(frozen=True, eq=False)
 class AreaAnalysis(MeasuredAnalysis):
-    """An area with its evidence, drawing and export.
+    """Area with its evidence, drawing and export.
 
     Attributes:
         measurement: the record.
@@ -60,26 +60,26 @@ class AreaAnalysis(MeasuredAnalysis):
         return draw_area(image, self)
 
     def full_mask(self) -> NDArray[np.bool_]:
-        """Give the object's mask in the size of the image, ``[h, w]``.
+        """Make the mask in the size of the image, ``[h, w]``.
 
         Raises:
-            OutputError: the image has more pixels than may be held at once.
+            OutputError: the image is too large for a mask in memory.
         """
         from vehanchor.options import Reading
         from vehanchor.pictures.area import full_mask
 
-        return full_mask(self, (self.reading or Reading()).limits)[:, :, 0] > 0
+        return full_mask(self, (self.reading or Reading()).limits.max_pixels)[:, :, 0] > 0
 
     def to_supervision(self) -> Any:
-        """Give the object to supervision.
+        """Convert the object for supervision.
 
         Returns:
             ``supervision.Detections`` of one object: its box, its mask, the mask's score as ``confidence``, and in
-            ``data`` its ``area_m2``, NaN without a scale; of none, for an empty mask.
+            ``data`` its ``area_m2``, NaN without a scale. Empty for an empty mask.
 
         Raises:
-            MissingExtraError: there is no supervision.
-            OutputError: the image is too large for a mask of its size.
+            MissingExtraError: supervision is not installed.
+            OutputError: the image is too large for a mask in memory.
         """
         sv, record = import_supervision(), self.measurement
         box = record.bounding_box
@@ -95,13 +95,13 @@ class AreaAnalysis(MeasuredAnalysis):
 
     @property
     def __geo_interface__(self) -> dict[str, Any]:
-        """The outline as a GeoJSON Feature with its area, which geopandas takes; pixels, y down."""
+        """Outline as a GeoJSON Feature with its area, for geopandas; pixels, y down."""
         return _feature(self.measurement, "area_m2", "area_ci95_low_m2", "area_ci95_high_m2")
 
 
 @dataclass(frozen=True, eq=False)
 class DistanceAnalysis(MeasuredAnalysis):
-    """A distance with its evidence, drawing and export.
+    """Distance with its evidence, drawing and export.
 
     Attributes:
         measurement: the record.
@@ -116,11 +116,11 @@ class DistanceAnalysis(MeasuredAnalysis):
 
     @property
     def __geo_interface__(self) -> dict[str, Any]:
-        """The line as a GeoJSON Feature with its length, which geopandas takes; pixels, y down."""
+        """Line as a GeoJSON Feature with its length, for geopandas; pixels, y down."""
         return _feature(self.measurement, "distance_m", "distance_ci95_low_m", "distance_ci95_high_m")
 
 
 def _feature(record: AreaMeasurement | DistanceMeasurement, *names: str) -> dict[str, Any]:
-    """Make a GeoJSON Feature of a measurement; ``names`` are those of the size and its interval."""
+    """Make a GeoJSON Feature of a measurement; ``names`` are the fields of the size and its interval."""
     properties = {name: getattr(record, name) for name in ("status", *names, "gsd_m_per_px", "confidence")}
     return {"type": "Feature", "geometry": record.__geo_interface__, "properties": properties}

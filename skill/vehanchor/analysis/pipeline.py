@@ -1,14 +1,13 @@
-"""One photograph to its scale: the geometric perception skill.
+"""Pipeline from a photograph to its scale: the geometric perception skill.
 
     image -> raster -> prior -> search -> tilt -> rulers -> decision -> record
 
-Stateless but for loaded models, and deterministic: the same image and model give the same record for any number of
+Stateless except for loaded models, and deterministic: the same image and model give the same record for any number of
 threads.
 """
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -20,8 +19,6 @@ from vehanchor.detection.search import search
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
-from vehanchor.models.files import models_sha256, read_model
-from vehanchor.models.zoo import bundled_courts, bundled_scene_scale
 from vehanchor.records import FrameScale, GsdEstimate, KnownScale, Notice, RulerScale, SceneScaleEstimate
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.agreement import disagreements
@@ -36,12 +33,12 @@ from vehanchor.tilt.camera_tilt import metadata_tilt
 from vehanchor.tilt.estimate import tilt_notice
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.convergence import Convergence
     from vehanchor.detection.detector import Detector
-    from vehanchor.imagery.raster import Raster
+    from vehanchor.imagery.raster import Raster, RasterNote
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import Frame, ScaleOptions
     from vehanchor.rulers.decision import RulerShare, ScaleDecision
@@ -49,11 +46,11 @@ if TYPE_CHECKING:
     from vehanchor.rulers.vehicles import VehicleEvidence
 
 _MODEL_DIGITS = 12
-GEOREFERENCE_TOLERANCE = 0.10  # the file's own scale may differ by this from another before a warning
+GEOREFERENCE_TOLERANCE = 0.10  # largest difference of the file's own scale without a warning
 
 
 def checked_detector(detector: Detector, options: ScaleOptions) -> Detector:
-    """The detector, after a check that the options' rulers exist and that it knows their region: before the work."""
+    """Check, before the work, that the rulers exist and the detector knows the region; return the detector."""
     check_rulers(options.rulers)
     reference_length(detector.card, options.reference, None)
     return detector
@@ -69,7 +66,7 @@ def analyse_image(image: ImageSource, detector: Detector, options: ScaleOptions)
 
 
 def analyse_raster(raster: Raster, detector: Detector, options: ScaleOptions) -> ScaleAnalysis:
-    """Search an open image and measure its scale; the detector's runtime says how, and for which call."""
+    """Search an open image and measure its scale, with the detector's runtime."""
     return analyse_detections(search_raster(raster, detector, options))
 
 
@@ -79,11 +76,11 @@ def search_raster(raster: Raster, detector: Detector, options: ScaleOptions) -> 
     options = options.in_pixels(raster.width_px, raster.height_px)
     rulers = active_rulers(options.rulers)
     facts = image_facts(raster)
-    tilt = metadata_tilt(facts, options)  # an image with the horizon in sight is refused before the work
+    tilt = metadata_tilt(facts, options)  # refuses an image with the horizon before the work
     kinds = {ruler.kind for ruler in rulers}
-    weighed = detector.card.votes or Vehicles.kind not in kinds  # else the prior has nothing to weigh
+    weighed = detector.card.votes or Vehicles.kind not in kinds  # otherwise the prior has no use
     network = load_scene_scale(detector.runtime) if weighed and SceneScale.kind in kinds else None
-    prior = None if network is None else network.look(raster)
+    prior = None if network is None else network.predict(raster)
     resolved = partial(resolved_share, raster)
     view = View(facts, NOT_SEARCHED, detector.card, options, resolved, raster, detector.runtime, prior, tilt)
     if not any(ruler.needs_search for ruler in rulers):
@@ -92,27 +89,27 @@ def search_raster(raster: Raster, detector: Detector, options: ScaleOptions) -> 
         raster,
         detector,
         options.search,
-        scene=prior,
-        convergence=None if tilt else partial(_convergence, view),  # in a tilted view lengths differ with the place
+        prior=prior,
+        convergence=None if tilt else partial(_convergence, view),  # in a tilted view, lengths vary over the image
     )
     return replace(view, detections=detections)
 
 
 def _convergence(view: View, detections: Detections) -> Convergence:
-    """Convergence of the search so far."""
+    """Compute the convergence of the search so far."""
     view = replace(view, detections=detections)
     priors = [ruler.measure(view) for ruler in active_rulers(view.options.rulers) if not ruler.sets_scale]
     return convergence(Vehicles().measure(view), priors)
 
 
 def analyse_detections(view: View) -> ScaleAnalysis:
-    """As ``analyse_raster``, of an image that has been searched: one search can serve several options.
+    """Measure the scale of a searched image; one search can serve several options.
 
     Args:
         view: of the image.
 
     Raises:
-        InvalidParameterError: the model does not know the region, or there is no such ruler.
+        InvalidParameterError: the model does not know the region, or a ruler does not exist.
         CalibrationMismatchError: the calibration was made for another model.
         TooObliqueError: the horizon is in sight, or nearly so.
     """
@@ -120,11 +117,11 @@ def analyse_detections(view: View) -> ScaleAnalysis:
 
 
 def analyse_view(view: View, known: Sequence[Evidence] = ()) -> ScaleAnalysis:
-    """As ``analyse_detections``, of a view whose tilt has been estimated.
+    """Measure the scale of a view with an estimated tilt.
 
     Args:
         view: of the image.
-        known: evidence that is not measured again.
+        known: earlier evidence, which is not measured again.
     """
     vehicles, others = measure_all(view, known)
     notices = tilt_notice(view.image, view.options, view.detections) if view.tilt is None and vehicles.n else ()
@@ -134,7 +131,7 @@ def analyse_view(view: View, known: Sequence[Evidence] = ()) -> ScaleAnalysis:
 def conclude(
     view: View, vehicles: VehicleEvidence, others: tuple[Evidence, ...], notices: Sequence[Notice] = ()
 ) -> ScaleAnalysis:
-    """Decide on the scale, and write the record.
+    """Decide on the scale, and make the record.
 
     Args:
         view: of the image.
@@ -144,7 +141,8 @@ def conclude(
     """
     decision = decide(vehicles, others)
     outvoted = [ruler.kind for ruler in decision.rulers if not ruler.agrees]
-    warnings = [*view.image.notices, *vehicles.notices, *(notice for other in others for notice in other.notices)]
+    warnings = [*image_notices(view.image.notices), *vehicles.notices]
+    warnings += [notice for other in others for notice in other.notices]
     warnings += [*notices, *disagreements((vehicles, *others), outvoted)]
     if decision.gsd_m_per_px is not None:
         alone = decision.gsd_m_per_px == vehicles.gsd_m_per_px
@@ -215,27 +213,14 @@ def _ruler_scale(share: RulerShare) -> RulerScale:
 
 
 def model_id(card: DetectorCard) -> str:
-    """First digits of a detector's checksum."""
+    """Give the first digits of a detector's checksum."""
     return card.sha256[:_MODEL_DIGITS]
-
-
-def networks_sha256(card: DetectorCard) -> str:
-    """SHA-256 of all networks behind a record: the detector, those beside it, the ground's and the courts'.
-
-    What was found with some of them replaced is not the same any more.
-    """
-    digest = hashlib.sha256()
-    for checksum in (card.sha256, card.fleet_sha256, card.verifier_sha256):
-        digest.update(f"{checksum}\n".encode())
-    for path in (bundled_scene_scale(), bundled_courts()):
-        digest.update(models_sha256(read_model(path)).encode() if path else b"\n")
-    return digest.hexdigest()
 
 
 def _known_scale(
     view: View, gsd: float | None, interval: tuple[float, float] | None, confidence: float
 ) -> KnownScale | None:
-    """The scale as it can be given back; None without one, or if the image has no checksum."""
+    """Make the scale to give back; None without a scale, or if the image has no checksum."""
     if gsd is None or interval is None or not view.image.image_id:
         return None
     return KnownScale(
@@ -258,13 +243,18 @@ def _scene_scale(evidence: Evidence) -> SceneScaleEstimate | None:
     )
 
 
+def image_notices(notes: Iterable[RasterNote]) -> tuple[Notice, ...]:
+    """Convert the warnings from reading an image to notices."""
+    return tuple(Notice(code=note.code, message=note.message) for note in notes)
+
+
 def georeference_notice(own: float | None, gsd_m_per_px: float, who_says: str) -> list[Notice]:
-    """Warn where the scale that the file carries differs from another by more than a tenth.
+    """Warn if the file's own scale differs from another by more than a tenth.
 
     Args:
-        own: the file's scale, metres per pixel; None where it has none.
+        own: the file's scale, metres per pixel; None without one.
         gsd_m_per_px: the other scale.
-        who_says: whose it is, as the middle of a sentence.
+        who_says: source of the other scale, as the middle of a sentence.
 
     Returns:
         One notice, or none.
@@ -283,7 +273,7 @@ def georeference_notice(own: float | None, gsd_m_per_px: float, who_says: str) -
 def frame_scale(
     frame: Frame, width_px: int, gsd: float | None, interval: tuple[float, float] | None
 ) -> FrameScale | None:
-    """The scale in the caller's copy of an image, of so many columns; None where there is no copy."""
+    """Compute the scale in the caller's copy of an image with this width; None without a copy."""
     if frame.size is None:
         return None
     factor = width_px / frame.size[0]

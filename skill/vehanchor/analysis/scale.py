@@ -1,4 +1,4 @@
-"""A scale with its evidence, drawing and export."""
+"""Scale with its evidence, drawing and export."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ScaleAnalysis(Analysis):
-    """An estimate with its evidence, drawing and export.
+    """Estimate with its evidence, drawing and export.
 
     Attributes:
         estimate: the record.
         vehicles: evidence of the vehicles, with the boxes that were dropped.
         others: evidence of the other rulers.
-        in_image: the vehicles in pixels of the image, if their evidence has them rectified; None otherwise.
+        in_image: the vehicles in pixels of the image, if the evidence has rectified boxes; None otherwise.
         image: source to read the image from again; None for a stream.
-        reading: how the image was read; None for the defaults.
+        reading: options of reading; None for the defaults.
         ground: position of the image on the ground; None without a georeference.
     """
 
@@ -46,12 +46,12 @@ class ScaleAnalysis(Analysis):
 
     @property
     def detections(self) -> Detections:
-        """All vehicles that were found: ``boxes`` and ``scores``, best first."""
+        """All vehicles found: ``boxes`` and ``scores``, best first."""
         return self.in_image or self.vehicles.fleet.detections
 
     @property
     def kept(self) -> NDArray[np.bool_]:
-        """``[n]`` bool, the vehicles that the scale was taken from."""
+        """``[n]`` bool, the vehicles behind the scale."""
         return self.vehicles.fleet.kept
 
     @property
@@ -75,24 +75,24 @@ class ScaleAnalysis(Analysis):
         return draw_overlay(image, self)
 
     def plot(self) -> Figure:
-        """Plot the lengths, their density and the scale, as ``vehanchor estimate --plot`` writes it.
+        """Plot the lengths, their density and the scale, as ``vehanchor estimate --plot`` does.
 
         Raises:
-            MissingExtraError: there is no matplotlib.
+            MissingExtraError: matplotlib is not installed.
         """
         from vehanchor.pictures.plot import plot_scale
 
         return plot_scale(self)
 
     def to_supervision(self) -> Any:
-        """Give the vehicles to supervision.
+        """Convert the vehicles for supervision.
 
         Returns:
             ``supervision.Detections``: upright boxes, scores as ``confidence``, and in ``data`` the corners of the
-            oriented boxes (``xyxyxyxy``, which its oriented annotators draw) and ``kept``, which of them were measured.
+            oriented boxes (``xyxyxyxy``, for its oriented annotators) and ``kept``, the vehicles behind the scale.
 
         Raises:
-            MissingExtraError: there is no supervision.
+            MissingExtraError: supervision is not installed.
         """
         sv = import_supervision()
         from vehanchor.detection.boxes import box_corners
@@ -111,7 +111,7 @@ class ScaleAnalysis(Analysis):
 
     @property
     def __geo_interface__(self) -> dict[str, Any]:
-        """The vehicles as a GeoJSON FeatureCollection, which geopandas and shapely take; pixels, y down."""
+        """Vehicles as a GeoJSON FeatureCollection, for geopandas and shapely; pixels, y down."""
         from vehanchor.detection.boxes import box_corners
 
         boxes, scores = self.detections.boxes, self.detections.scores

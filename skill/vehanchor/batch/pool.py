@@ -1,4 +1,4 @@
-"""Many pieces of work on a pool of threads or processes, their results as they get ready."""
+"""Work on a pool of threads or processes, with results in order of completion."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable
 
-_QUEUED_PER_WORKER = 2  # enough that none waits; a million futures at once would fill the memory
+_QUEUED_PER_WORKER = 2  # keeps all workers busy; a million futures would fill the memory
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -17,18 +17,18 @@ Result = TypeVar("Result")
 def finished(
     pool: Executor, workers: int, work: Callable[[Item], Result], items: Iterable[Item]
 ) -> Generator[tuple[Item, Future[Result]]]:
-    """Do the work for all items.
+    """Process all items.
 
-    The generator shuts the pool down when it is closed, and drops what has not begun by then: use it in ``closing``.
+    Closing the generator shuts the pool down and drops items that have not started: use it in ``closing``.
 
     Args:
         pool: of threads or processes.
-        workers: how many it has.
-        work: for one item; for processes a function of a module.
-        items: taken up as the pool gets through them.
+        workers: number of its workers.
+        work: function for one item; for processes a module-level function.
+        items: consumed as workers become free.
 
     Yields:
-        Each item with its finished future (``result`` raises what the work raised), in no particular order.
+        Each item with its finished future, in order of completion.
     """
     waiting = iter(items)
 
@@ -49,5 +49,5 @@ def finished(
 def finished_in_threads(
     workers: int, work: Callable[[Item], Result], items: Iterable[Item]
 ) -> Generator[tuple[Item, Future[Result]]]:
-    """As ``finished``, in threads of this process: for work that shares a model."""
+    """Process items as ``finished`` does, in threads of this process: for work that shares a model."""
     return finished(ThreadPoolExecutor(workers), workers, work, items)

@@ -1,4 +1,4 @@
-"""One image's row: its estimate, or why there is none; and the columns of a table of rows."""
+"""Rows of a batch table: estimate or error of one image."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ COLUMNS: dict[str, type] = {
 
 
 class BatchRow(BaseModel):
-    """The outcome for one image.
+    """Result for one image.
 
     Attributes:
         file: the image, as the caller named it.
-        estimate: null where the image could not be read.
-        error_code: stable code of the error; null where there is an estimate.
-        error: what was wrong and what to do.
+        estimate: null if the image could not be read.
+        error_code: stable code of the error; null with an estimate.
+        error: the error and its remedy.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -42,7 +42,7 @@ class BatchRow(BaseModel):
 
     @classmethod
     def failed(cls, file: str, error: VehAnchorError) -> BatchRow:
-        """The row of an image that could not be read."""
+        """Make the row of an image that could not be read."""
         return cls(file=file, error_code=error.code, error=str(error))
 
     def flat(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""A run over many images: goes on where an earlier one stopped, ends with a table."""
+"""Resumable runs over many images that end with a table."""
 
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from vehanchor.analysis.pipeline import checked_detector, networks_sha256
+from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.batch.engines.local import local_rows, local_workers
 from vehanchor.batch.engines.ray import ray_rows, require_ray
-from vehanchor.batch.files import find_images
-from vehanchor.batch.known_lengths import lines_in
 from vehanchor.batch.row import BatchRow
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, Task
 from vehanchor.detection.detector import Detector
+from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import InvalidParameterError, OutputError
+from vehanchor.imagery.sources.files import find_images
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import bundled_models, resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.options.option import Limits
 from vehanchor.records import SCHEMA_VERSION
+from vehanchor.rulers.known_length_table import lines_in
 from vehanchor.storage.journal import Journal
 
 if TYPE_CHECKING:
@@ -36,13 +37,13 @@ BatchEngine = Literal["local", "ray"]
 
 @dataclass(frozen=True)
 class BatchSummary:
-    """The outcome of a finished run.
+    """Summary of a finished run.
 
     Attributes:
         table: the file written.
-        n_rows: its rows, one an image.
-        n_resumed: rows of them that an earlier, interrupted run had made.
-        statuses: how many rows have each status; ``error`` counts those with an error.
+        n_rows: its number of rows, one per image.
+        n_resumed: number of rows from an interrupted run.
+        statuses: number of rows by status; ``error`` counts rows with an error.
     """
 
     table: Path
@@ -65,29 +66,29 @@ def run_batch(
     overwrite: bool = False,
     runtime: Runtime | None = None,
 ) -> BatchSummary:
-    """Estimate the scale of many images: a table with a row for each.
+    """Estimate the scales of many images, and write a table with a row for each.
 
-    Rows are the same whichever engine and however many workers, and stand in the order of ``find_images``. Until the
-    table is complete they are kept in ``<output>.journal``: the same call after an interruption makes only those that
-    are missing, or whose image has changed. An image that cannot be read is a row with ``error_code`` and ``error``.
+    Rows do not depend on the engine or the number of workers; their order is that of ``find_images``. Until the table
+    is complete, rows are kept in ``<output>.journal``: after an interruption, the same call makes only rows that are
+    missing or whose image has changed. An unreadable image has a row with ``error_code`` and ``error``.
 
     Args:
         inputs: directories, patterns and files; see ``find_images``.
         output: ``.parquet`` (extra ``parquet``), ``.csv`` or ``.jsonl``.
         engine: ``local`` for processes of this machine, ``ray`` (extra ``ray``) for Ray Data with a model per actor.
-        address: of a Ray cluster; None starts one here.
-        workers: models at work at once; default one a CPU of the machine or cluster.
+        address: address of a Ray cluster; None starts one on this machine.
+        workers: number of parallel models; default one per CPU of the machine or cluster.
         detector: name of a bundled model or path of an ONNX file; default the bundled one.
-        classes: of the model, by name or index, that count as vehicles; default the model's own.
-        options: every choice of the method, without a frame.
-        known_lengths: a CSV of lines of known length in single images; see ``read_known_lengths``.
-        overwrite: start anew; a complete table stays until the new one is complete.
+        classes: classes of the model, by name or index, that count as vehicles; default the model's own.
+        options: all options of the method, without a frame.
+        known_lengths: CSV with lines of known length by image; see ``read_known_lengths``.
+        overwrite: start again; an existing table stays until the new one is complete.
         runtime: providers and precision of the models, each on one thread; its progress gets (images done, images in
             all).
 
     Raises:
-        ImageNotFoundError: a directory that does not exist, a directory or pattern without images.
-        InvalidParameterError: an option has no meaning, or an unfinished run at ``output`` had others.
+        ImageNotFoundError: a directory does not exist, or a directory or pattern has no image.
+        InvalidParameterError: an option is invalid, or an unfinished run at ``output`` had other options.
         KnownLengthError: the CSV cannot be used, or names another image.
         OutputError: the table exists, or cannot be written.
         ModelError: the detector cannot be used.
@@ -100,8 +101,8 @@ def run_batch(
     tasks = list(map(Task.of, find_images(inputs, leave_out=(table, journal_path(table)))))
     lines = lines_in(known_lengths, [task.path for task in tasks])
     job = replace(_job(detector, classes, chosen, replace(told.idle, threads=1)), known_lengths=lines)
-    journal = open_journal(table, job, anew=overwrite)  # the table itself stays until the new one is whole
-    keys = {task.file: task.key() for task in tasks}  # of the images as they are now
+    journal = open_journal(table, job, anew=overwrite)  # the table itself stays until the new one is complete
+    keys = {task.file: task.key() for task in tasks}  # with the present state of the images
     missing = [task for task in tasks if keys[task.file] not in journal]
     with closing(_rows(engine, job, missing, workers, address)) as rows:
         for row in _counting(rows, len(tasks) - len(missing), len(tasks), told.tell):
@@ -112,15 +113,15 @@ def run_batch(
 
 
 def journal_path(table: Path) -> Path:
-    """Path of the file that keeps the rows of a table until it is complete."""
+    """Give the path of the journal of a table."""
     return table.with_name(table.name + ".journal")
 
 
 def open_journal(table: Path, job: BatchJob, *, anew: bool = False) -> Journal[BatchRow]:
-    """Open the rows so far of a table; with ``anew``, none.
+    """Open the journal of a table; ``anew`` discards its rows.
 
     Raises:
-        InvalidParameterError: they are those of another job, or the file is no journal.
+        InvalidParameterError: the rows belong to another job, or the file is not a journal.
         OutputError: it cannot be written.
     """
     if anew:
@@ -131,12 +132,12 @@ def open_journal(table: Path, job: BatchJob, *, anew: bool = False) -> Journal[B
         dump=lambda row: row.model_dump(mode="json"),
         load=lambda value: BatchRow.model_validate_json(json.dumps(value)),
         sole=True,
-        remedy="move the file away, or start anew with --overwrite",
+        remedy="move the file away, or start again with --overwrite",
     )
 
 
 def _settings(job: BatchJob) -> dict[str, Any]:
-    """Collect what the rows depend on: neither engine nor workers nor threads."""
+    """Collect the settings that rows depend on, without engine, workers and threads."""
     options = asdict(job.options)
     del options["frame"]
     if job.known_lengths:
@@ -156,11 +157,11 @@ def _job(
     options: ScaleOptions,
     runtime: Runtime,
 ) -> BatchJob:
-    """Load the model once, so that what is wrong with it is told before the work."""
+    """Make the job; load the model once to find its errors before the work."""
     named = tuple(classes) if classes else None
     path = resolve_model(None if detector is None else str(detector), runtime.precision)
     model = checked_detector(Detector(path, classes=named, runtime=runtime), options)
-    bundled = model.path in bundled_models().values()  # elsewhere in the cluster it may lie elsewhere
+    bundled = model.path in bundled_models().values()  # its path may differ on other machines of a cluster
     name = model.path.stem if bundled else str(model.path.resolve())
     return BatchJob(name, networks_sha256(model.card), named, options, runtime)
 
@@ -171,16 +172,16 @@ def _check(engine: str, address: str | None, workers: int | None, options: Scale
     if engine == "ray":
         require_ray()
     elif address is not None:
-        raise InvalidParameterError("an address is that of a Ray cluster: add --engine ray")
+        raise InvalidParameterError("an address needs a Ray cluster: add --engine ray")
     if workers is not None:
         Limits(least=1, whole=True).check("workers", workers)
     if options.frame.size is not None:
-        raise InvalidParameterError("a frame belongs to one image: a batch has none")
+        raise InvalidParameterError("a frame belongs to one image: leave it out for a batch")
 
 
 def _check_unfinished(table: Path, overwrite: bool) -> None:
     if table.exists() and not journal_path(table).exists() and not overwrite:
-        raise OutputError(f"{str(table)!r} is there already and complete: name another file, or pass --overwrite")
+        raise OutputError(f"{str(table)!r} exists and is complete: name another file, or pass --overwrite")
 
 
 def _rows(
@@ -197,7 +198,7 @@ def _rows(
 def _counting(
     rows: Iterator[BatchRow], n_done: int, n_tasks: int, tell: Callable[[int, int], None]
 ) -> Iterator[BatchRow]:
-    """The same rows, the progress told when each has been dealt with."""
+    """Report progress after each row."""
     tell(n_done, n_tasks)
     for number, row in enumerate(rows, start=n_done + 1):
         yield row
@@ -205,7 +206,7 @@ def _counting(
 
 
 def _write(table: Path, rows: Iterator[BatchRow]) -> dict[str, int]:
-    """Write the table; returns how many rows have each status."""
+    """Write the table; return the number of rows by status."""
     statuses: Counter[str] = Counter()
 
     def counted() -> Iterator[BatchRow]:

@@ -1,4 +1,4 @@
-"""Rows to a file: Parquet, CSV or JSON lines, by its suffix. The file is there whole or not at all."""
+"""Table files: Parquet, CSV or JSON lines, by suffix; written completely or not at all."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
 
     from vehanchor.batch.row import BatchRow
 
-_CHUNK_ROWS = 4096  # what a Parquet writer holds in memory
+_CHUNK_ROWS = 4096  # held in memory by the Parquet writer
 
 
 def check_table_path(path: Path) -> Path:
-    """Make sure, before the work, that a table can be written there.
+    """Check, before the work, that a table can be written to a path.
 
     Raises:
-        OutputError: unknown suffix, no such folder, or a folder of that name.
-        MissingExtraError: Parquet without pyarrow.
+        OutputError: the suffix is unknown, the folder does not exist, or the path is a folder.
+        MissingExtraError: pyarrow is not installed (Parquet).
     """
     if path.suffix.lower() not in _WRITERS:
         raise OutputError(f"cannot write a table as {str(path)!r}: use one of {', '.join(_WRITERS)}")
     if not path.parent.is_dir():
-        raise OutputError(f"there is no folder {str(path.parent)!r} to write {path.name!r} into: make it first")
+        raise OutputError(f"there is no folder {str(path.parent)!r} for {path.name!r}: create it first")
     if path.is_dir():
         raise OutputError(f"{str(path)!r} is a folder: name a file")
     if path.suffix.lower() == ".parquet":
@@ -39,14 +39,14 @@ def check_table_path(path: Path) -> Path:
 
 
 def write_table(path: Path, rows: Iterable[BatchRow]) -> None:
-    """Write rows, replacing what is there only once all are written.
+    """Write rows; an existing file is replaced when all are written.
 
     Args:
         path: ``.parquet``, ``.csv`` or ``.jsonl``, checked by ``check_table_path``.
-        rows: in the order wanted; never held all at once.
+        rows: in order; not all are held in memory.
 
     Raises:
-        OutputError: the disk refuses.
+        OutputError: the file cannot be written.
     """
     with whole_file(path) as partial:
         _WRITERS[path.suffix.lower()](partial, rows)

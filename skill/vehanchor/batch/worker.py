@@ -1,4 +1,4 @@
-"""The work itself: one worker holds one model and turns files into rows."""
+"""Worker of a batch run: one model that makes rows from files."""
 
 from __future__ import annotations
 
@@ -8,35 +8,36 @@ from typing import TYPE_CHECKING
 
 import cv2
 
-from vehanchor.analysis.pipeline import analyse_image, checked_detector, networks_sha256
-from vehanchor.batch.known_lengths import with_lines_of
+from vehanchor.analysis.pipeline import analyse_image, checked_detector
 from vehanchor.batch.row import BatchRow
 from vehanchor.detection.detector import Detector
+from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
 from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.addresses import is_address
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
+from vehanchor.rulers.known_length_table import with_lines_of
 from vehanchor.storage.journal import Key
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from vehanchor.batch.known_lengths import KnownLengthTable
+    from vehanchor.rulers.known_length_table import KnownLengthTable
 
 
 @dataclass(frozen=True)
 class BatchJob:
-    """The facts that every worker has to know; the same for all, wherever they run.
+    """Settings common to all workers.
 
     Attributes:
         detector: name of a bundled model, or the absolute path of a file.
-        networks_sha256: what that and all networks beside it must be: on another machine they could be others.
-        classes: of the model, that count as vehicles; None for the model's own.
-        options: every choice of the method, without a frame.
-        runtime: of each worker's models; rows are the same with any number of threads.
-        known_lengths: lines of single images, whose pixels they are in; those of the options are in every image.
+        networks_sha256: expected checksum of the detector and its auxiliary models; other machines may have others.
+        classes: classes of the model that count as vehicles; None for the model's own.
+        options: all options of the method, without a frame.
+        runtime: runtime of each worker's models; rows do not depend on the number of threads.
+        known_lengths: lines by image, in pixels of the image; lines in the options apply to every image.
     """
 
     detector: str
@@ -49,11 +50,11 @@ class BatchJob:
 
 @dataclass(frozen=True)
 class Task:
-    """One image.
+    """Image to measure.
 
     Attributes:
         file: its name in the table.
-        path: where it is, absolute, or its address.
+        path: its absolute path or address.
     """
 
     file: str
@@ -61,17 +62,17 @@ class Task:
 
     @classmethod
     def of(cls, path: str) -> Task:
-        """The task of an image named by a caller of this process; a name may hold bytes that are no text."""
+        """Make the task of an image; undecodable bytes of its name are replaced in the table."""
         name = path.encode("utf-8", "backslashreplace").decode()
         return cls(file=name, path=path if is_address(path) else str(Path(path).absolute()))
 
     def key(self) -> Key:
-        """The row's key in the journal: the image under its name as it is now; it may be replaced meanwhile."""
+        """Make the journal key of the row: name and present state of the image."""
         return (self.file, *Source.of(self.path))
 
 
 class Worker:
-    """Loads the model once, then makes rows.
+    """Loaded model that makes rows.
 
     Raises:
         ModelError: the model cannot be loaded, or is not the one that the job names.
@@ -85,29 +86,29 @@ class Worker:
         here = networks_sha256(self._detector.card)
         if here != job.networks_sha256:
             raise ModelContractError(
-                f"{job.detector} and the networks beside it are others on this machine (sha256 {here[:12]}) than where "
+                f"{job.detector} and its auxiliary models on this machine (sha256 {here[:12]}) differ from those where "
                 f"the run was started ({job.networks_sha256[:12]}): install one version of vehanchor everywhere"
             )
 
     @classmethod
     def of_own_process(cls, job: BatchJob) -> Worker:
-        """A worker to which this process belongs: OpenCV, too, is held to the job's threads."""
+        """Make the only worker of this process; OpenCV also gets the job's number of threads."""
         cv2.setNumThreads(job.runtime.threads or -1)
         return cls(job)
 
     def row(self, task: Task) -> BatchRow:
-        """The row of one image; whatever goes wrong with it is the row's error."""
+        """Make the row of one image; any error goes into the row."""
         try:
             options = with_lines_of(self._options, self._known_lengths, task.path)
             estimate = analyse_image(task.path, self._detector, options).estimate
         except VehAnchorError as error:
             return BatchRow.failed(task.file, error)
         except MemoryError:
-            return BatchRow.failed(task.file, OutOfMemoryError("too little memory was left for it"))
-        except Exception as error:  # one image that finds a defect must not end a run over a million
+            return BatchRow.failed(task.file, OutOfMemoryError("too little memory was left"))
+        except Exception as error:  # a defect in one image must not end a run over a million
             return BatchRow(file=task.file, error_code="internal_error", error=f"{type(error).__name__}: {error}")
         return BatchRow(file=task.file, estimate=estimate)
 
     def rows(self, tasks: Iterable[Task]) -> list[BatchRow]:
-        """The rows of several images."""
+        """Make the rows of several images."""
         return [self.row(task) for task in tasks]

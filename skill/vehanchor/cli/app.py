@@ -1,12 +1,12 @@
-"""The command line: one command an entry point of the group ``vehanchor.commands``, loaded when it is called.
+"""The command line: each command is an entry point of the group ``vehanchor.commands`` and is loaded when called.
 
-Results go to stdout, everything else (progress, errors, warnings) to stderr. Exit status: 0 with a result, also where
-an image has no anchor; 3 there, and with low confidence, for ``--strict``; 2 for bad input, bad options or an output
-that cannot be written; 130 after Ctrl-C; 1 for anything unforeseen, and for a self-test that fails.
+Results go to stdout; progress, errors and warnings go to stderr. Exit status: 0 for a result, also without a scale;
+with ``--strict`` 3 for no scale or low confidence; 2 for bad input, bad options or an output that cannot be written;
+130 after Ctrl-C; 1 for an unforeseen error or a failed self-test.
 
-A command is a function for Typer, or a ``typer.Typer`` of several. The library's own are listed in ``pyproject.toml``
-beside those of the scenes, the evaluation and the server, none of which is imported before it is asked for; whatever is
-slow to load (OpenCV, ONNX Runtime, tables) is imported by the command that needs it, so help comes at once.
+A command is a Typer function, or a ``typer.Typer`` with several. ``pyproject.toml`` lists the commands of the library,
+the scenes, the evaluation and the server. A package is imported only when one of its commands is called. Each command
+imports slow modules (OpenCV, ONNX Runtime, tables) itself, so that help is fast.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _FIRST = (
     "doctor",
     "models",
     "serve",
-)  # in --help; what other packages bring follows
+)  # in --help; commands of other packages follow
 _SETTINGS = {"help_option_names": ["-h", "--help"]}
 
 
@@ -56,7 +56,7 @@ class _Commands(TyperGroup):
         return [name for name in names if self.get_command(ctx, name) is not None]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Load a command; None where there is none of that name, or its package is not installed."""
+        """Load a command; None if it does not exist or its package is not installed."""
         declared = _declared().get(cmd_name)
         if declared is None:
             return None
@@ -84,8 +84,8 @@ def _declared() -> dict[str, EntryPoint]:
 app = typer.Typer(
     name="vehanchor",
     cls=_Commands,
-    help="Metric scale for aerial images without metadata: cars as the ruler. Ends with 0 (done), 2 (bad input), "
-    "3 (with --strict: a result not to be used), 1 (a defect) or 130 (interrupted).",
+    help="Metric scale for aerial images without metadata: cars as the ruler. Exit status: 0 (done), 2 (bad "
+    "input), 3 (with --strict: an unusable result), 1 (a defect), 130 (interrupted).",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -100,8 +100,8 @@ def main() -> None:
             app(prog_name="vehanchor")
         finally:
             sys.stdout.flush()
-    except BrokenPipeError:  # `| head` has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains on its way out
+    except BrokenPipeError:  # the reader has closed the pipe, as `| head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # avoids an error when Python exits
         sys.exit(UNFORESEEN)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)

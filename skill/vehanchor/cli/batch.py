@@ -1,4 +1,4 @@
-"""``vehanchor batch``: the scale of many images, as a table."""
+"""``vehanchor batch``: scales of many images in a table."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ def batch(
         list[str],
         typer.Argument(
             metavar="INPUTS",
-            help="Images, directories of images (with all below them), patterns such as 'flight/**/*.jpg', addresses.",
+            help="Images, directories (searched recursively), patterns such as 'flight/**/*.jpg', or addresses.",
             show_default=False,
         ),
     ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="The table: .parquet, .csv or .jsonl.")
+        Path, typer.Option("--output", "-o", metavar="FILE", help="Table to write: .parquet, .csv or .jsonl.")
     ],
     engine: Annotated[
-        _Engine, typer.Option(help="Processes of this machine, or Ray Data (extra 'ray'); the rows are the same.")
+        _Engine, typer.Option(help="local: processes of this machine; ray: Ray Data (extra 'ray'). Same rows.")
     ] = _Engine.local,
     address: Annotated[
         str | None,
@@ -52,21 +52,21 @@ def batch(
         ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(metavar="N", help="Models at work at once. Default: one a CPU.")
+        int | None, typer.Option(metavar="N", help="Number of parallel models. Default: one per CPU.")
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Start anew, whatever an earlier run left at FILE.")
+        bool, typer.Option("--overwrite", help="Start again and replace results of an earlier run.")
     ] = False,
     same_scale: Annotated[
-        bool, typer.Option("--same-scale", help="All are of one scale: their evidence is put together (one worker).")
+        bool, typer.Option("--same-scale", help="All images have one scale: pool their evidence (one worker).")
     ] = False,
     known_lengths: KnownLengthsFile = None,
     *,
     chosen: ParsedOptions,
 ) -> None:
-    """Estimate the scale of many images: a table with one row an image, also where an image has an error.
+    """Estimate the scales of many images, and write a table with one row per image, errors included.
 
-    Interrupted, the same command goes on where it stopped.
+    After an interruption, the same command resumes the run.
     """
     with exit_on_error():
         started = time.monotonic()
@@ -75,7 +75,7 @@ def batch(
                 run = partial(_run, inputs, output, chosen, progress, workers, overwrite=overwrite)
                 summary = run(engine, address, known_lengths, same_scale=same_scale)
             except KeyboardInterrupt:
-                print("interrupted: the rows so far are kept; the same command goes on from there", file=sys.stderr)
+                print("interrupted: finished rows are kept; run the same command to resume", file=sys.stderr)
                 raise typer.Exit(INTERRUPTED) from None
         print(_summary_text(summary, time.monotonic() - started), file=sys.stderr)
 
@@ -124,10 +124,10 @@ def _of_one_scale(
     *,
     overwrite: bool,
 ) -> BatchSummary:
-    from vehanchor.flight.table import run_same_scale
+    from vehanchor.batch.same_scale import run_same_scale
 
     if engine is not _Engine.local or workers not in (None, 1):
-        raise InvalidParameterError("--same-scale works in one process here: leave out --engine and --workers")
+        raise InvalidParameterError("--same-scale works in one process: leave out --engine and --workers")
     opened = chosen.engine(progress=progress)
     return run_same_scale(
         inputs,

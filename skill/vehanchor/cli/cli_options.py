@@ -1,12 +1,12 @@
-"""Command-line options made from the fields of the option groups, so that every command has them alike.
+"""Command-line options made from the fields of the option groups, the same for every command.
 
     @scale_command()
     def estimate(images: ..., chosen: ParsedOptions) -> None:
         engine = chosen.engine()
 
 ``estimate`` then has the options of ``Search``, ``Lengths``, ``Reference``, ``Frame``, ``Reading``, ``Rulers`` and
-``DetectorChoice`` beside its own. They are checked when ``options``, ``runtime`` or ``engine`` is called: there the
-command can report an error.
+``DetectorChoice`` beside its own. ``options``, ``runtime`` and ``engine`` check them, so that the command can report
+errors.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ _UNITS = ("_px", "_m")
 
 @dataclass(frozen=True)
 class DetectorChoice:
-    """Which model finds the vehicles, and how it runs.
+    """Detector and runtime chosen on the command line.
 
     Attributes:
         detector: path of an ONNX oriented-box model, or the name of a bundled one; None for the bundled default.
-        precision: of the numbers that a bundled model computes with; see ``vehanchor.models.zoo.resolve_model``.
+        precision: numeric precision of a bundled model; see ``vehanchor.models.zoo.resolve_model``.
         classes: classes, by name or index, that count as vehicles; None for the model's own.
         threads: CPU threads; None for all cores.
         providers: ONNX Runtime execution providers in order of preference; None for the CPU's.
@@ -67,11 +67,11 @@ class DetectorChoice:
 
     @property
     def names_and_indices(self) -> list[str | int] | None:
-        """The classes as the detector takes them: a number is an index."""
+        """Convert classes to the detector's names and indices; a number is an index."""
         return [int(name) if name.isdecimal() else name for name in self.classes] if self.classes else None
 
     def runtime(self, progress: Progress | None = None) -> Runtime:
-        """How the models run.
+        """Make the runtime of the models.
 
         Raises:
             InvalidParameterError: the threads or the providers are invalid.
@@ -91,8 +91,8 @@ _GROUPS: tuple[tuple[type[Any], str], ...] = (
     (Rulers, "Other rulers"),
     (Method, "Method"),
 )
-_NEEDED_FIRST = ("region", "known_lengths", "height_m", "frame")  # what helps without knowing the method
-_FIRST_PANEL = "What helps most"
+_NEEDED_FIRST = ("region", "known_lengths", "height_m", "frame")  # useful without knowledge of the method
+_FIRST_PANEL = "Most useful options"
 _FRAME = inspect.Parameter(
     "frame",
     inspect.Parameter.KEYWORD_ONLY,
@@ -111,15 +111,15 @@ _FRAME = inspect.Parameter(
 
 @dataclass(frozen=True)
 class ParsedOptions:
-    """What was typed for the groups, by the fields' names; checked when it is asked for."""
+    """Values of the command-line options by field name, checked on use."""
 
     typed: Mapping[str, Any]
 
     def options(self) -> ScaleOptions:
-        """Every choice of the method.
+        """Make the options of the method.
 
         Raises:
-            InvalidParameterError: a value has no meaning.
+            InvalidParameterError: a value is invalid.
             CalibrationFileError: the calibration cannot be read.
         """
         typed = dict(self.typed)
@@ -138,14 +138,14 @@ class ParsedOptions:
 
     @property
     def detector(self) -> DetectorChoice:
-        """Which model, and how it runs."""
+        """Make the choice of detector and runtime."""
         typed: dict[str, Any] = {name: self.typed.get(name) for name in DetectorChoice.__dataclass_fields__}
         return DetectorChoice(**typed)
 
     def engine(
         self, *, segmenter: tuple[str | Path, str | Path] | None = None, progress: Progress | None = None
     ) -> Engine:
-        """The engine that was chosen; it loads a model when it first needs it.
+        """Make the engine; it loads each model on first use.
 
         Raises:
             InvalidParameterError: a value is invalid.
@@ -164,13 +164,13 @@ class ParsedOptions:
 
 
 def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command the options of all groups; it gets them as the argument ``chosen``.
+    """Add the options of all groups to a command, which receives them as the argument ``chosen``.
 
     Args:
-        without: names of fields, or ``frame``, that make no sense for this command.
+        without: names of fields, or ``frame``, that do not apply to this command.
 
     Returns:
-        A decorator for a function with a parameter ``chosen``; the result is what Typer is to be given.
+        A decorator for a function with a parameter ``chosen``; its result is a Typer command.
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
@@ -178,7 +178,7 @@ def scale_command(*, without: Collection[str] = ()) -> Callable[[Callable[..., N
         del own["chosen"]
         added = [each for group, panel in _GROUPS for each in option_parameters(group, panel)]
         added = [each for each in (*added, _FRAME) if each.name not in without and each.name not in own]
-        added.sort(key=lambda each: each.name not in _NEEDED_FIRST)  # panels are shown as they come
+        added.sort(key=lambda each: each.name not in _NEEDED_FIRST)  # panels are shown in this order
 
         @functools.wraps(command)
         def with_choices(**arguments: Any) -> None:
@@ -199,7 +199,7 @@ def option_parameters(group: type[Any], panel: str) -> list[inspect.Parameter]:
 
     Args:
         group: a dataclass.
-        panel: heading in ``--help``, but for those that people need first.
+        panel: heading in ``--help``; options in ``_NEEDED_FIRST`` have their own.
 
     Returns:
         Keyword-only parameters named as the fields, annotated for Typer.
@@ -222,7 +222,7 @@ def _parameter(declared: Field[Any], stated: Option, kind: Any, panel: str) -> i
         kind, default = str, str(default)
     elif name == "rulers":  # words with commas
         kind = str | None
-    elif name == "known_lengths":  # each of them joined to one text (see ``vehanchor.cli.spaced``)
+    elif name == "known_lengths":  # each joined to one text (see ``vehanchor.cli.spaced``)
         kind, default = list[str] | None, None
     flags = f"--{flag}/--no-{flag}" if bare is bool else f"--{flag}"
     heading = _FIRST_PANEL if name in _NEEDED_FIRST else panel
@@ -232,7 +232,7 @@ def _parameter(declared: Field[Any], stated: Option, kind: Any, panel: str) -> i
 
 
 def _resolved_parameters(command: Callable[..., None]) -> dict[str, inspect.Parameter]:
-    """The command's own parameters with their annotations resolved, as Typer wants them."""
+    """Resolve the annotations of the command's own parameters, which Typer needs."""
     kinds = typing.get_type_hints(command, include_extras=True)
     return {
         name: each.replace(annotation=kinds.get(name, each.annotation))

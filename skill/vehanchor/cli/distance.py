@@ -1,4 +1,4 @@
-"""``vehanchor distance``: metres between points."""
+"""``vehanchor distance``: length of a line in metres."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _distance(
     image: Photograph,
     point: Annotated[
         list[str] | None,
-        typer.Option(metavar="X Y", help="A point of the line, pixels; two of them, or more in order."),
+        typer.Option(metavar="X Y", help="A point of the line, pixels; give two or more in order."),
     ] = None,
     gsd: GivenGsd = None,
     scale: ScaleFile = None,
@@ -43,19 +43,19 @@ def _distance(
     line: Annotated[
         Path | None,
         typer.Option(
-            metavar="OUT.geojson", help="Write the line with its metres: .geojson or .gpkg, as `measure` does."
+            metavar="OUT.geojson", help="Write the line with its length: .geojson or .gpkg, as for `measure`."
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
     overlay: Annotated[
         Path | None,
-        typer.Option(metavar="OUT.png", help="Write the image with the line, its length, the vehicles, a scale bar."),
+        typer.Option(metavar="OUT.png", help="Write the image with line, length, vehicles and scale bar."),
     ] = None,
     strict: Strict = False,
     *,
     chosen: ParsedOptions,
 ) -> None:
-    """Measure the distance (metres) between two points, or along a line, by the scale of the cars in the image."""
+    """Measure the distance (metres) between two points, or along a line, with the scale from cars in the image."""
     with exit_on_error():
         try:
             path, known = [parse_point("--point", text) for text in point or ()], read_scale(scale, image)
@@ -89,7 +89,7 @@ distance.command("distance", cls=SpacedCommand)(_distance)
 
 
 def _check_outputs(image: str, line: Path | None, overlay: Path | None) -> None:
-    """Make sure, before the work, that the files can be written, and do not take the image's place."""
+    """Check, before the work, that the files can be written and do not replace the image."""
     if line is not None:
         from vehanchor.export.vectors import LINE_SUFFIXES, check_boxes_path
 
@@ -112,7 +112,7 @@ def _write_files(analysis: DistanceAnalysis, line: Path | None, overlay: Path | 
 
 
 def _facts(record: DistanceMeasurement) -> list[tuple[str, str]]:
-    """The record as a reader wants it: what it says first, where it comes from last."""
+    """List the facts of the record, results first and sources last."""
     distance = "none: there is no scale"
     if record.distance_m is not None:
         distance = (

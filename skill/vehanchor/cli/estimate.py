@@ -1,4 +1,4 @@
-"""``vehanchor estimate``: the scale of photographs."""
+"""``vehanchor estimate``: scales of photographs."""
 
 from __future__ import annotations
 
@@ -50,28 +50,28 @@ def estimate(
         ),
     ],
     as_json: Annotated[
-        bool, typer.Option("--json", help="One JSON object per image and line on stdout, and nothing else.")
+        bool, typer.Option("--json", help="Print one JSON object per image and line, and nothing else.")
     ] = False,
     overlay: Annotated[
         str | None,
         typer.Option(
             metavar="OUT.png",
-            help="Write the image with its vehicles and a scale bar. '{stem}' in the name stands for the image's name "
-            "without suffix; with several images it must be there.",
+            help="Write the image with vehicles and scale bar. '{stem}' in the name stands for the image's name "
+            "without suffix; it is required for several images.",
         ),
     ] = None,
     plot: Annotated[
         str | None,
         typer.Option(
-            metavar="OUT.png", help="Write the plot of lengths, mode and interval (extra 'plots'). '{stem}' too."
+            metavar="OUT.png", help="Write a plot of lengths, mode and interval (extra 'plots'); '{stem}' as above."
         ),
     ] = None,
     boxes: Annotated[
         str | None,
         typer.Option(
             metavar="OUT.geojson",
-            help="Write the vehicles as .geojson, .gpkg (on the ground, where the file says where that is) or DOTA's "
-            ".txt. '{stem}' too.",
+            help="Write the vehicles as .geojson, .gpkg (ground coordinates for a georeferenced file) or DOTA's .txt; "
+            "'{stem}' as above.",
         ),
     ] = None,
     strict: Strict = False,
@@ -86,7 +86,7 @@ def estimate(
             engine = chosen.engine()
             engine.load()
         except VehAnchorError as error:
-            if as_json:  # every image gets its line
+            if as_json:  # one line for every image
                 for source in images:
                     print_json(failure(source, error))
             raise
@@ -111,7 +111,7 @@ def _refuse_folders(images: Sequence[str]) -> None:
 def _estimate_all(
     images: Sequence[str], engine: Engine, outputs: Sequence[_Outputs], *, as_json: bool
 ) -> tuple[list[tuple[str, GsdEstimate]], int]:
-    """Records of the images that could be read, and how many errors were reported."""
+    """Estimate all images; return the records and the number of reported errors."""
     rows: list[tuple[str, GsdEstimate]] = []
     n_failed = 0
     with tile_progress(len(images), lines_on_terminal=as_json and sys.stdout.isatty()) as step:
@@ -137,7 +137,7 @@ def _estimate_all(
 
 @dataclass(frozen=True)
 class _Outputs:
-    """The files to write of one image."""
+    """Output files of one image."""
 
     overlay: Path | None
     plot: Path | None
@@ -145,7 +145,7 @@ class _Outputs:
 
 
 def _outputs(images: Sequence[str], overlay: str | None, plot: str | None, boxes: str | None) -> list[_Outputs]:
-    """Where each image's files go, checked before the work: folder, suffix, no file for two purposes."""
+    """Choose the output files of each image, and check folder, suffix and conflicts before the work."""
     if plot is not None:
         from vehanchor.pictures.plot import require_plots
 
@@ -174,7 +174,7 @@ def _names(images: Sequence[str], option: str, pattern: str | None) -> list[Path
         return [None] * len(images)
     if len(images) > 1 and _STEM not in pattern:
         raise InvalidParameterError(
-            f"{option} {pattern!r} names one file for {len(images)} images: put {_STEM} into the name, as in "
+            f"{option} {pattern!r} names one file for {len(images)} images: add {_STEM} to the name, as in "
             f"{option} '{_STEM}_{option.lstrip('-')}{Path(pattern).suffix}'"
         )
     return [Path(pattern.replace(_STEM, Path(source).stem)) for source in images]
@@ -202,23 +202,23 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
     facts = [
         ("scale", scale_text(record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px)),
         ("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}{guard}"),
-        ("vehicles", f"{record.n_vehicles} kept of {record.n_detections} found" if searched else "not looked for"),
+        ("vehicles", f"{record.n_vehicles} kept of {record.n_detections} found" if searched else "not searched"),
     ]
     if fused:
         facts.append(("rulers", "\n".join(map(_ruler_text, record.rulers))))
     if record.reason is not None:
-        facts.append(("not to be used", f"{ADVICE[record.reason].why}: {ADVICE[record.reason].helps}"))
+        facts.append(("not usable", f"{ADVICE[record.reason].why}: {ADVICE[record.reason].helps}"))
     size = f"{record.image_width_px} x {record.image_height_px} px"
     if record.gsd_m_per_px is not None and record.mode_length_px is not None:
         found_at = f", found at {record.working_scale:g} of the size" if record.working_scale not in (None, 1) else ""
-        told = " by the vehicles' look" if record.reference_source == "appearance" else ""
+        told = " by the vehicles' appearance" if record.reference_source == "appearance" else ""
         found = f"{record.mode_length_px:.1f} px ({record.aggregation})"
         facts.append(("modal length", f"{found} = {record.reference_length_m:.4g} m{told}{found_at}"))
     if record.gsd_m_per_px is not None and record.tilt is None:
         width_m, height_m = (side * record.gsd_m_per_px for side in (record.image_width_px, record.image_height_px))
         size += f" = {width_m:.4g} x {height_m:.4g} m"
     if record.tilt is not None:
-        facts.append(("looked aside", _tilt_text(record.tilt)))
+        facts.append(("tilt", _tilt_text(record.tilt)))
     facts.append(("image", size))
     if record.frame is not None:
         seen = record.frame
@@ -231,7 +231,7 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
 
 
 def _ruler_text(ruler: RulerScale) -> str:
-    """What one ruler says, and what came of it."""
+    """Describe a ruler's scale and its weight."""
     part = f"weight {100 * ruler.weight:.0f} %" if ruler.agrees else "disagrees, outvoted"
     return f"{ruler.label} {ruler.gsd_m_per_px:.4g} m/px, {part}"
 
@@ -242,7 +242,7 @@ def _tilt_text(tilt: TiltEstimate) -> str:
     if tilt.gsd_least_m_per_px is None or tilt.gsd_largest_m_per_px is None:
         return text
     least, largest = tilt.gsd_least_m_per_px, tilt.gsd_largest_m_per_px
-    return f"{text}; the scale is that of the centre, {least:.4g} to {largest:.4g} m/px over the picture"
+    return f"{text}; the scale is that of the centre, {least:.4g} to {largest:.4g} m/px over the image"
 
 
 def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:

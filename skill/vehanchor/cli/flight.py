@@ -1,4 +1,4 @@
-"""``vehanchor flight``: the scales of the photographs of one flight, by the evidence of all of them."""
+"""``vehanchor flight``: scales of the photographs of one flight from their common evidence."""
 
 from __future__ import annotations
 
@@ -33,16 +33,14 @@ if TYPE_CHECKING:
     from vehanchor.records import FlightEstimate, FlightPhotograph
 
 _EVERY_S = 2.0
-_MOST_NAMED = 3  # links that were dropped, in the table
+_MOST_NAMED = 3  # dropped links in the table
 
 
 ReportFile: TypeAlias = Annotated[
     Path | None,
-    typer.Option("--report", metavar="OUT.html", help="Write a page with the track, the islands and all scales."),
+    typer.Option("--report", metavar="OUT.html", help="Write a page with the track, the components and all scales."),
 ]
-Seconds: TypeAlias = Annotated[
-    float, typer.Option(metavar="S", help="Of a video: seconds from one photograph to the next.")
-]
+Seconds: TypeAlias = Annotated[float, typer.Option(metavar="S", help="For a video: seconds between photographs.")]
 
 
 @scale_command(without=("frame", "coordinates", "known_lengths"))
@@ -51,22 +49,22 @@ def flight(
         list[str],
         typer.Argument(
             metavar="PHOTOS",
-            help="Photographs of one flight, directories of them, patterns such as 'flight/*.jpg'; or a video.",
+            help="Photographs of one flight, directories, patterns such as 'flight/*.jpg'; or one video.",
             show_default=False,
         ),
     ],
     same_scale: Annotated[
         bool,
         typer.Option(
-            "--same-scale", help="All are of one scale, as a survey's at one height: their evidence is put together."
+            "--same-scale", help="All photographs have one scale, as in a survey at one height: pool their evidence."
         ),
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="FLIGHT.json",
-            help="Write the record, for 'measure --scale'. Interrupted, the same command goes on where it stopped.",
+            help="Write the record, for 'measure --scale'. After an interruption, the same command resumes the run.",
         ),
     ] = None,
     page: ReportFile = None,
@@ -74,7 +72,7 @@ def flight(
     *,
     chosen: ParsedOptions,
 ) -> None:
-    """Estimate the scales of the photographs of one flight by the evidence of all of them."""
+    """Estimate the scales of the photographs of one flight from their common evidence."""
     with exit_on_error():
         from vehanchor.flight.io import check_record_path, write_record
         from vehanchor.flight.report import check_report_path, write_report
@@ -110,25 +108,25 @@ def _tell(record: FlightEstimate, *, as_json: bool) -> None:
 def _images(
     inputs: list[str], every_s: float, leave_out: tuple[Path, ...]
 ) -> Sequence[str] | Iterator[InputPhotograph]:
-    """Files, or the frames of one video."""
-    from vehanchor.batch.files import find_images
+    """List the files, or the frames of one video."""
     from vehanchor.flight.video import is_video, sample_video
+    from vehanchor.imagery.sources.files import find_images
 
     if not any(is_video(each) for each in inputs):
         return find_images(inputs, leave_out=leave_out)
     if len(inputs) > 1:
-        raise InvalidParameterError("a video is a flight by itself: give it alone")
+        raise InvalidParameterError("a video is a flight of its own: give it alone")
     return sample_video(inputs[0], every_s)
 
 
 @contextmanager
 def _kept(journal: Path | None) -> Iterator[None]:
-    """Ctrl-C ends quietly, and says what is left."""
+    """Report kept results after Ctrl-C."""
     try:
         yield
     except KeyboardInterrupt:
         if journal is not None:
-            print("interrupted: what was found is kept; the same command goes on from there", file=sys.stderr)
+            print("interrupted: finished photographs are kept; run the same command to resume", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
 
 
@@ -141,7 +139,7 @@ def _facts(record: FlightEstimate) -> list[tuple[str, str]]:
     facts.append(("vehicles", str(record.n_vehicles)))
     if not record.same_scale:
         sizes = ", ".join(str(component.n_photographs) for component in record.components)
-        facts.append(("tied together", f"{sizes} photographs" if len(record.components) > 1 else "all of them"))
+        facts.append(("linked", f"{sizes} photographs" if len(record.components) > 1 else "all of them"))
         dropped = [link for link in record.links if link.dropped]
         facts.append(("overlaps", f"{len(record.links) - len(dropped)} used, {len(dropped)} dropped"))
         for link in dropped[:_MOST_NAMED]:
@@ -161,7 +159,7 @@ def _photographs_table(photographs: Sequence[FlightPhotograph], names: Sequence[
     table.add_column("photograph", overflow="fold")
     for heading in ("m/px", "95 %", "confidence"):
         table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("hangs on", overflow="fold")
+    table.add_column("supported by", overflow="fold")
     table.add_column("status", no_wrap=True)
     for each, name in zip(photographs, names, strict=True):
         low, high = each.gsd_ci95_low_m_per_px, each.gsd_ci95_high_m_per_px
@@ -170,13 +168,13 @@ def _photographs_table(photographs: Sequence[FlightPhotograph], names: Sequence[
             "-" if each.gsd_m_per_px is None else f"{each.gsd_m_per_px:.4g}",
             "-" if low is None or high is None else f"{low:.4g} to {high:.4g}",
             "-" if each.confidence is None else f"{each.confidence:.2f}",
-            Text(printable(_hangs_on(each))),
+            Text(printable(_support(each))),
             each.status if each.error_code is None else f"error: {each.error_code}",
         )
     return table
 
 
-def _hangs_on(photograph: FlightPhotograph) -> str:
+def _support(photograph: FlightPhotograph) -> str:
     if not photograph.supported_by:
         return "-"
     first = photograph.supported_by[0]

@@ -1,4 +1,4 @@
-"""The scale as commands are given it: a number, or an earlier ``vehanchor estimate --json``."""
+"""Options for a known scale: a number, or the output of ``vehanchor estimate --json``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GivenGsd: TypeAlias = Annotated[
 KnownLengthsFile: TypeAlias = Annotated[
     Path | None,
     typer.Option(
-        metavar="FILE.csv", help="Lines of known length: file,x1,y1,x2,y2,metres, files relative to the table."
+        metavar="FILE.csv", help="CSV of known lengths: file,x1,y1,x2,y2,metres; files relative to the table."
     ),
 ]
 
@@ -36,21 +36,21 @@ ScaleFile: TypeAlias = Annotated[
     typer.Option(
         "--scale",
         metavar="FILE",
-        help="What 'vehanchor estimate --json' printed for this image, or 'vehanchor flight --out' wrote: its scale is "
-        "taken, and no car is searched.",
+        help="Output of 'vehanchor estimate --json' for this image, or of 'vehanchor flight --out': use its scale, "
+        "without a search for cars.",
     ),
 ]
 
 
 def read_scale(path: Path | None, image: str) -> KnownScale | None:
-    """Read the scale in a record's file; None without a file.
+    """Read the scale from a record's file; None without a file.
 
     Args:
-        path: of the file.
-        image: that is to be measured: which photograph it is, of a flight.
+        path: path of the file.
+        image: the image to measure; it selects the photograph of a flight.
 
     Raises:
-        InvalidParameterError: it cannot be read, or holds no scale.
+        InvalidParameterError: the file cannot be read, or has no scale.
     """
     if path is None:
         return None
@@ -60,7 +60,7 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
         record: Any = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InvalidParameterError(
-            f"--scale {str(path)!r} cannot be read: {error}. Give what 'vehanchor estimate IMAGE --json' prints"
+            f"--scale {str(path)!r} cannot be read: {error}. Give the output of 'vehanchor estimate IMAGE --json'"
         ) from None
     if isinstance(record, dict) and "photographs" in record:
         from vehanchor.flight.io import photograph_in, read_record
@@ -70,5 +70,5 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
         return known_scale(record)
     except InvalidParameterError as error:
         raise InvalidParameterError(
-            f"--scale {str(path)!r} holds no scale ({error}): give what 'vehanchor estimate IMAGE --json' prints"
+            f"--scale {str(path)!r} has no scale ({error}): give the output of 'vehanchor estimate IMAGE --json'"
         ) from None

@@ -1,4 +1,4 @@
-"""``vehanchor measure``: the area of one object."""
+"""``vehanchor measure``: area of one object."""
 
 from __future__ import annotations
 
@@ -57,21 +57,21 @@ def _measure(
     image: Photograph,
     box: Annotated[
         tuple[float, float, float, float] | None,
-        typer.Option(metavar="X1 Y1 X2 Y2", help="A box around the object, pixels. Either this or points."),
+        typer.Option(metavar="X1 Y1 X2 Y2", help="A box around the object, pixels; or give points."),
     ] = None,
     point: Annotated[
-        list[str] | None, typer.Option(metavar="X Y", help="A point on the object, pixels; may be repeated.")
+        list[str] | None, typer.Option(metavar="X Y", help="A point on the object, pixels; repeatable.")
     ] = None,
     negative: Annotated[
-        list[str] | None, typer.Option(metavar="X Y", help="A point beside the object; may be repeated.")
+        list[str] | None, typer.Option(metavar="X Y", help="A point beside the object; repeatable.")
     ] = None,
     gsd: GivenGsd = None,
     scale: ScaleFile = None,
     object_height: ObjectHeight = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
     overlay: Annotated[
         str | None,
-        typer.Option(metavar="OUT.png", help="Write the image with the object's outline, the vehicles, a scale bar."),
+        typer.Option(metavar="OUT.png", help="Write the image with outline, vehicles and scale bar."),
     ] = None,
     mask: MaskFile = None,
     outline: OutlineFile = None,
@@ -80,7 +80,7 @@ def _measure(
     *,
     chosen: ParsedOptions,
 ) -> None:
-    """Measure the area (square metres) of the object in a box or at a point, by the scale of the cars in the image."""
+    """Measure the area (square metres) of the object in a box or at a point, with the scale from cars in the image."""
     with exit_on_error():
         try:
             outputs = _outputs(image, overlay, mask, outline)
@@ -113,7 +113,7 @@ measure.command("measure", cls=SpacedCommand)(_measure)
 
 
 def _points(on: Sequence[str] | None, beside: Sequence[str] | None) -> list[tuple[float, float, bool]] | None:
-    """The points of both options; None without any."""
+    """Join the points of both options; None without any."""
     given = (("--point", on, True), ("--negative", beside, False))
     return [(*parse_point(option, text), kind) for option, texts, kind in given for text in texts or ()] or None
 
@@ -121,7 +121,7 @@ def _points(on: Sequence[str] | None, beside: Sequence[str] | None) -> list[tupl
 def _outputs(
     image: str, overlay: str | None, mask: str | None, outline: Path | None
 ) -> tuple[Path | None, Path | None]:
-    """Where the pictures go, checked before the work: folder, suffix, no file for two purposes."""
+    """Choose the output files, and check folder, suffix and conflicts before the work."""
     if outline is not None:
         from vehanchor.export.vectors import check_boxes_path
 
@@ -139,7 +139,7 @@ def _outputs(
                 raise InvalidParameterError(f"{str(path)!r} is {taken[resolved]}: choose another name for {what}")
             taken[resolved] = what
         if chosen[1] is not None and chosen[1].suffix.lower() != ".png":
-            raise OutputError(f"cannot write a mask as {str(chosen[1])!r}: use .png, which keeps every pixel as it is")
+            raise OutputError(f"cannot write a mask as {str(chosen[1])!r}: use .png, which is lossless")
     return chosen[0], chosen[1]
 
 
@@ -162,11 +162,11 @@ def _write_files(
     if overlay is not None:
         write_picture(overlay, analysis.overlay())
     if mask is not None:
-        write_picture(mask, full_mask(analysis, options.reading.limits))
+        write_picture(mask, full_mask(analysis, options.reading.limits.max_pixels))
 
 
 def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
-    """The record as a reader wants it: what it says first, where it comes from last."""
+    """List the facts of the record, results first and sources last."""
     facts = [("area", _quantity(record.area_m2, record.area_ci95_low_m2, record.area_ci95_high_m2, "m2"))]
     if record.area_m2 is not None:
         facts += [

@@ -1,4 +1,4 @@
-"""``vehanchor models list | info``: the models that ship with the library, and files of the user's own."""
+"""``vehanchor models list | info``: bundled models and model files of the user."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from vehanchor.cli.terminal import exit_on_error, facts_table, failure, print_js
 from vehanchor.errors import ModelError, VehAnchorError
 
 if TYPE_CHECKING:
-    from vehanchor.detection.card import DetectorCard
+    from vehanchor.engine import Engine
 
 _SHORT_SHA = 12
 
-models = typer.Typer(help="The models: those that ship with VehAnchor, and files of your own.", no_args_is_help=True)
+models = typer.Typer(help="Show bundled models and your own model files.", no_args_is_help=True)
 
 
 @models.command("list")
 def list_models(
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per model and line.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per model and line.")] = False,
 ) -> None:
     """List the bundled detectors and the segmenter."""
     with exit_on_error():
-        from vehanchor.detection.detector import load_detector
+        from vehanchor.engine import Engine
         from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, bundled_segmenter
 
         files = bundled_models()
@@ -35,8 +35,9 @@ def list_models(
             print("no bundled models: pass the path of an ONNX file with --detector", file=sys.stderr)
         for name, path in files.items():
             default = name == DEFAULT_DETECTOR
+            engine = Engine(path)
             try:
-                card = load_detector(path).card
+                card = engine.detector.card
             except ModelError as error:
                 if as_json:
                     print_json(failure(str(path), error))
@@ -46,7 +47,7 @@ def list_models(
             if as_json:
                 print_json({"kind": "detector", "file": str(path), "default": default, **card.model_dump(mode="json")})
             else:
-                facts = [("file", str(path)), *_card_facts(card, sha_digits=_SHORT_SHA)]
+                facts = [("file", str(path)), *_card_facts(engine, sha_digits=_SHORT_SHA)]
                 print_table(facts_table(f"{name} (default)" if default else name, facts))
         halves = bundled_segmenter()
         if halves is not None:
@@ -54,9 +55,9 @@ def list_models(
 
 
 def _list_segmenter(encoder: Path, decoder: Path, *, as_json: bool) -> None:
-    from vehanchor.segmentation.segmenter import load_segmenter
+    from vehanchor.engine import Engine
 
-    card = load_segmenter(encoder, decoder).card
+    card = Engine(segmenter=(encoder, decoder)).segmenter.card
     if as_json:
         print_json({"kind": "segmenter", "encoder": str(encoder), "decoder": str(decoder), **asdict(card)})
         return
@@ -74,21 +75,20 @@ def _list_segmenter(encoder: Path, decoder: Path, *, as_json: bool) -> None:
 @models.command("info")
 def show_model(
     file: Annotated[str, typer.Argument(metavar="FILE", help="An ONNX file, or the name of a bundled model.")],
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, and nothing else.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
     classes: Annotated[
         list[str] | None,
-        typer.Option(
-            "--class", metavar="NAME", help="Class that counts as a vehicle, where the model's own is unclear."
-        ),
+        typer.Option("--class", metavar="NAME", help="Class that counts as a vehicle, if the model does not name one."),
     ] = None,
 ) -> None:
-    """Show all that a detector's file says of itself; the paper's values stand in where it is silent."""
+    """Show the metadata of a detector's file; missing values are the paper's."""
     with exit_on_error():
         try:
             from vehanchor.engine import Engine
 
             choice = DetectorChoice(detector=file, classes=classes)
-            model = Engine(choice.detector, classes=choice.names_and_indices).detector
+            engine = Engine(choice.detector, classes=choice.names_and_indices)
+            model = engine.detector
         except VehAnchorError as error:
             if as_json:
                 print_json(failure(file, error))
@@ -105,16 +105,17 @@ def show_model(
             ("file", str(model.path)),
             ("input", size),
             ("classes", ", ".join(card.class_names.values()) or "not named"),
-            *_card_facts(card, sha_digits=len(card.sha256)),
+            *_card_facts(engine, sha_digits=len(card.sha256)),
             ("regions", regions),
         ]
         print_table(facts_table(card.name, facts))
 
 
-def _card_facts(card: DetectorCard, *, sha_digits: int) -> list[tuple[str, str]]:
+def _card_facts(engine: Engine, *, sha_digits: int) -> list[tuple[str, str]]:
+    card = engine.detector.card
     shortest, longest = card.length_range_px
     fleets = card.fleet_lengths
-    told = "" if fleets is None else f"; by the vehicles' look {fleets.length_m[0]:.4g} to {fleets.length_m[1]:.4g} m"
+    told = "" if fleets is None else f"; by appearance {fleets.length_m[0]:.4g} to {fleets.length_m[1]:.4g} m"
     unbiased = f"; measured without bias from {card.min_length_px:g} px" if card.min_length_px else ""
     return [
         ("sha256", card.sha256[:sha_digits]),

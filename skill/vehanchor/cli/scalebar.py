@@ -1,4 +1,4 @@
-"""``vehanchor scalebar``: the photograph with a bar of round length; world file and GeoTIFF for programs of maps."""
+"""``vehanchor scalebar``: photograph with a scale bar; world file and GeoTIFF for GIS programs."""
 
 from __future__ import annotations
 
@@ -21,13 +21,11 @@ _WORLD_SUFFIXES = {".png": ".pgw", ".jpg": ".jgw", ".jpeg": ".jgw"}
 @scale_command()
 def scalebar(
     image: Photograph,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="OUT.png", help="The picture with its bar, .png or .jpg.")
-    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT.png", help="Picture to write, .png or .jpg.")],
     world_file: Annotated[
         bool,
         typer.Option(
-            "--world-file", help="Write a world file beside it: local metres, the upper left corner at 0, 0, y upwards."
+            "--world-file", help="Also write a world file: local metres, upper left corner at 0, 0, y upwards."
         ),
     ] = False,
     geotiff: Annotated[
@@ -41,7 +39,7 @@ def scalebar(
     *,
     chosen: ParsedOptions,
 ) -> None:
-    """Write the photograph with a scale bar; nothing where no one scale may be used for all of it (status 3)."""
+    """Write the photograph with a scale bar; nothing when the photograph has no single usable scale (status 3)."""
     with exit_on_error():
         from vehanchor.export.geotiff import check_copy_path, write_metric_copy
         from vehanchor.imagery.sources.opening import open_raster
@@ -79,12 +77,12 @@ def scalebar(
 
 def _refusal(found: ResolvedScale) -> str:
     if found.status == "ok" and found.plane is not None:
-        return f"the camera looked {found.plane.tilt_deg:.0f} degrees aside, and no one scale holds"
+        return f"the camera was tilted by {found.plane.tilt_deg:.0f} degrees, and the scale varies"
     return "there is no scale" if found.status == "no_scale" else "the scale's confidence is below 0.5"
 
 
 def _write_world(picture: Path, gsd_m: float) -> None:
-    """The six lines of a world file: the middle of the first pixel lies half a pixel off the corner."""
+    """Write the six lines of a world file; the first pixel's centre is half a pixel from the corner."""
     from vehanchor.storage.atomic import whole_file
 
     lines = "".join(f"{value:.10g}\n" for value in (gsd_m, 0, 0, -gsd_m, gsd_m / 2, -gsd_m / 2))

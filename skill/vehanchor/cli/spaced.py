@@ -1,4 +1,4 @@
-"""Options that take several numbers each time and may be repeated, which Typer has none of."""
+"""Repeatable options of several numbers each, which Typer does not support."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def parse_point(option: str, text: str) -> tuple[float, float]:
     """Read a point, X Y.
 
     Raises:
-        PromptError: the text is no two numbers.
+        PromptError: the text is not two numbers.
     """
     try:
         x, y = (float(part) for part in text.split())
@@ -25,10 +25,10 @@ def parse_point(option: str, text: str) -> tuple[float, float]:
 
 
 class SpacedCommand(TyperCommand):
-    """A command that joins the values of such an option to one text before the rest is parsed."""
+    """Command that joins the values of such an option to one text before parsing."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Join, then parse."""
+        """Join values, then parse."""
         joined: list[str] = []
         rest = list(args)
         while rest:

@@ -1,4 +1,4 @@
-"""What all commands share: how results, errors, warnings and progress are told."""
+"""Output of commands: results, errors, warnings and progress."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate
 
 BAD_INPUT, UNFORESEEN, INTERRUPTED = 2, 1, 130  # exit statuses
-NOT_OK = 3  # with --strict: a result that is not to be used
+NOT_OK = 3  # with --strict: a result that is not usable
 FAILED_TEST = 1
-_LINE_EVERY_S = 10.0  # where stderr is no terminal
+_LINE_EVERY_S = 10.0  # if stderr is not a terminal
 
 Strict: TypeAlias = Annotated[
     bool,
-    typer.Option("--strict", help=f"End with status {NOT_OK} where a result is not ok: low confidence, no anchor."),
+    typer.Option("--strict", help=f"Exit with status {NOT_OK} if a result is not ok: low confidence or no scale."),
 ]
 
 
 def exit_strictly(strict: bool, statuses: Iterable[str]) -> None:
-    """End with ``NOT_OK`` where the caller wants that and a result is not to be used."""
+    """Exit with ``NOT_OK`` if the caller chose ``--strict`` and a result is not usable."""
     if strict and any(status != "ok" for status in statuses):
         raise typer.Exit(NOT_OK)
 
 
 def seldom(words: Callable[[int, int], str], stream: TextIO) -> Callable[[int, int], None]:
-    """Tell progress in a line every ten seconds: for logs."""
+    """Report progress in one line every ten seconds, for logs."""
     last = time.monotonic()
 
     def tell(done: int, total: int) -> None:
@@ -51,7 +51,7 @@ def seldom(words: Callable[[int, int], str], stream: TextIO) -> Callable[[int, i
 
 
 def report(error: VehAnchorError, about: str = "") -> None:
-    """Tell an error in one line on stderr, with what it is about where its message does not say."""
+    """Print an error in one line on stderr, with its subject if the message does not name it."""
     message = str(error)
     prefix = f"{about}: " if about and about not in message else ""
     print(f"error[{error.code}]: {prefix}{message}", file=sys.stderr, flush=True)
@@ -59,14 +59,14 @@ def report(error: VehAnchorError, about: str = "") -> None:
 
 @contextmanager
 def exit_on_error() -> Iterator[None]:
-    """Turn what a command raises into one line on stderr and an exit status."""
+    """Convert an exception of a command to one line on stderr and an exit status."""
     try:
         yield
     except VehAnchorError as error:
         report(error)
         raise typer.Exit(BAD_INPUT) from None
     except MemoryError:
-        report(OutOfMemoryError("too little memory is left for this. Try again when less is running"))
+        report(OutOfMemoryError("too little memory is left. Close other programs and try again"))
         raise typer.Exit(BAD_INPUT) from None
     except KeyboardInterrupt:
         raise typer.Exit(INTERRUPTED) from None
@@ -77,7 +77,7 @@ def exit_on_error() -> Iterator[None]:
             raise
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
         print(
-            f"error[internal_error]: {reason}. This is a defect of vehanchor; set VEHANCHOR_TRACEBACK=1 to see where",
+            f"error[internal_error]: {reason}. This is a defect of vehanchor; for details, set VEHANCHOR_TRACEBACK=1",
             file=sys.stderr,
         )
         raise typer.Exit(UNFORESEEN) from None
@@ -87,7 +87,7 @@ def exit_on_error() -> Iterator[None]:
 def tile_progress(
     n_images: int, *, lines_on_terminal: bool
 ) -> Iterator[Callable[[int, str], Callable[[int, int], None] | None]]:
-    """A progress bar on stderr where that is a terminal free for it; gives, per image, the callback of its tiles."""
+    """Show a progress bar if stderr is a terminal; yield a function that makes the callback for an image's tiles."""
     if lines_on_terminal or not sys.stderr.isatty():
         yield lambda number, source: seldom(
             lambda done, total: f"{printable(source)}: {done} of {total} tiles (image {number + 1} of {n_images})",
@@ -104,7 +104,7 @@ def tile_progress(
         TextColumn("{task.percentage:>3.0f} %"),
         TimeRemainingColumn(),
     )
-    # Left to itself, rich would take what is printed to stdout and show it on stderr.
+    # By default, rich redirects stdout to stderr.
     with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
         task = bar.add_task("", total=None)
 
@@ -117,29 +117,29 @@ def tile_progress(
 
 
 def failure(source: str, error: VehAnchorError) -> dict[str, Any]:
-    """The line of JSON of an image that failed."""
+    """Make the JSON object of a failed image."""
     return {"source": source, "error": {"code": error.code, "message": str(error)}}
 
 
 def print_json(record: Mapping[str, Any]) -> None:
-    """One object on a line of stdout."""
-    print(json.dumps(record, allow_nan=False), flush=True)  # ASCII only: the same bytes in every locale
+    """Print one JSON object in one line on stdout."""
+    print(json.dumps(record, allow_nan=False), flush=True)  # ASCII: the same bytes in every locale
 
 
 def printable(text: str) -> str:
-    """File names may hold bytes that are no text."""
+    """Replace undecodable bytes, which file names may contain."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def print_table(table: Table) -> None:
-    """A table to stdout, as wide as the terminal."""
+    """Print a table on stdout, as wide as the terminal."""
     from rich.console import Console
 
     Console(soft_wrap=False, highlight=False).print(table)
 
 
 def facts_table(title: str, facts: Sequence[tuple[str, str]]) -> Table:
-    """Names and values in two columns."""
+    """Make a table of names and values in two columns."""
     from rich import box
     from rich.table import Table
     from rich.text import Text
@@ -155,7 +155,7 @@ def facts_table(title: str, facts: Sequence[tuple[str, str]]) -> Table:
 
 
 def scale_text(gsd: float | None, low: float | None, high: float | None) -> str:
-    """A scale with its interval."""
+    """Format a scale with its interval."""
     if gsd is None:
         return "none: nothing of known size found"
     interval = "" if low is None or high is None else f"   (95 %: {low:.4g} to {high:.4g})"
@@ -164,13 +164,13 @@ def scale_text(gsd: float | None, low: float | None, high: float | None) -> str:
 
 STATUS_TEXTS = {
     "ok": "ok",
-    "low_confidence": "low: use another anchor",
-    "no_scale": "no anchor: use another source of scale",
+    "low_confidence": "low: use another source of scale",
+    "no_scale": "no scale: no ruler found",
 }
 
 
 def print_warnings(record: GsdEstimate | AreaMeasurement | DistanceMeasurement | FlightEstimate, about: str) -> None:
-    """The warnings of a record, one a line, to stderr."""
+    """Print the warnings of a record on stderr, one per line."""
     prefix = f"{about}: " if about else ""
     for notice in record.warnings:
         print(f"warning[{notice.code}]: {prefix}{notice.message}", file=sys.stderr)
@@ -178,7 +178,7 @@ def print_warnings(record: GsdEstimate | AreaMeasurement | DistanceMeasurement |
 
 @contextmanager
 def image_progress() -> Iterator[Callable[[int, int], None]]:
-    """Images done on stderr: a bar on a terminal, a line now and then in a log."""
+    """Report finished images on stderr: a bar on a terminal, a line now and then in a log."""
     if not sys.stderr.isatty():
         yield seldom(lambda done, total: f"{done} of {total} images", sys.stderr)
         return

@@ -6,14 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from vehanchor.storage.stored import stored
-
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
 
-@stored("court")
 @dataclass(frozen=True, eq=False)
 class Court:
     """Court that was found and measured in an image.

@@ -37,8 +37,8 @@ _FAR = Reach(0.0, 1.0, 0.4, 0.04, 27, 3)  # proposals lie at a court's end as of
 _NEAR = Reach(math.radians(4), math.radians(2), 0.045, 0.015, 3, 1)
 _THERE = Reach(0.0, 1.0, 0.01, 0.01, 1, 1)
 _MOST_COURTS = 4
-_MOST_LOOKED_AT, _MOST_OF_ONE_SIZE = 20, 6  # best proposals to try; fewer if the scale is known
-_MOST_IN_VAIN = 4  # rejected candidates in a row before the search ends
+_MOST_PROPOSALS, _MOST_OF_ONE_SIZE = 20, 6  # best proposals to try; fewer if the scale is known
+_MOST_REJECTED = 4  # rejected candidates in a row before the search ends
 _PERSPECTIVE_PX = 150.0  # least length of a court for a homography
 _FITTED_PX = 220.0  # a court is fitted at the coarsest resolution that makes it this long, if there is one
 _AROUND = 0.6  # of a court's length: radius for the directions of its lines
@@ -80,7 +80,7 @@ class _Patch(NamedTuple):
         return Pose(x, y, pose.angle, pose.px_per_m * self.factor)
 
 
-class _Laid(NamedTuple):
+class _Match(NamedTuple):
     """Match of a game's template with a patch: score, pose, and the game's templates, the matched one first."""
 
     score: float
@@ -142,23 +142,23 @@ def find_courts(
         At most four courts, the highest score first. Half hidden courts and courts at the image's edge are left out.
     """
     proposals, n_sizes = proposed or propose_courts(raster, detections, card, prior, runtime=runtime)
-    surest = islice(_apart(proposals), _MOST_OF_ONE_SIZE if n_sizes == 1 else _MOST_LOOKED_AT)
-    laid = [each for proposal in surest for each in _laid(raster, proposal)]
+    best = islice(_distinct(proposals), _MOST_OF_ONE_SIZE if n_sizes == 1 else _MOST_PROPOSALS)
+    matches = [each for proposal in best for each in _matches(raster, proposal)]
     found: list[Court] = []
-    in_vain = 0
-    for one in sorted(laid, key=lambda each: -each.score):
-        if in_vain == _MOST_IN_VAIN or len(found) == _MOST_COURTS:
+    rejected = 0
+    for one in sorted(matches, key=lambda each: -each.score):
+        if rejected == _MOST_REJECTED or len(found) == _MOST_COURTS:
             break
         if any(_lies_in(one.patch.outside(one.pose), court) for court in found):
             continue
         court = _measured(raster, one)
-        in_vain = 0 if court else in_vain + 1
+        rejected = 0 if court else rejected + 1
         if court is not None and not any(_lies_in(_pose_of(court), other) for other in found):
             found.append(court)
     return tuple(sorted(found, key=lambda court: -court.score))
 
 
-def _apart(proposals: Sequence[Proposal]) -> Iterator[Proposal]:
+def _distinct(proposals: Sequence[Proposal]) -> Iterator[Proposal]:
     """Yield proposals by falling score, without those within a quarter court length of a better one of like size.
 
     This is lazy because large images have thousands of proposals and the first few suffice.
@@ -181,7 +181,7 @@ def measure_court(raster: Raster, proposal: Proposal) -> Court | None:
         raster: the image.
         proposal: the proposal; it may name the wrong game.
     """
-    courts = (_measured(raster, each) for each in _laid(raster, proposal))
+    courts = (_measured(raster, each) for each in _matches(raster, proposal))
     return next((court for court in courts if court is not None), None)
 
 
@@ -190,7 +190,7 @@ def rough_court(raster: Raster, proposal: Proposal) -> Court | None:
 
     The result is a rough shape. Verify it in a rectified view before using it as a court.
     """
-    for _, patch, start, game in _laid(raster, proposal):
+    for _, patch, start, game in _matches(raster, proposal):
         ((score, pose),) = match(patch.grey, game[:1], start, _NEAR)
         seen = fit(patch.grey, game[0], pose_matrix(pose), HOMOGRAPHY)
         if seen.coverage < _ROUGH_COVERAGE or not math.isfinite(seen.corner_sd_px):
@@ -204,7 +204,7 @@ def rough_court(raster: Raster, proposal: Proposal) -> Court | None:
     return None
 
 
-def _laid(raster: Raster, proposal: Proposal) -> list[_Laid]:
+def _matches(raster: Raster, proposal: Proposal) -> list[_Match]:
     """Match the templates of all games near a proposal, the best first; empty if there are too few lines."""
     games = ((TENNIS,), BASKETBALL)[:: -1 if proposal.which else 1]
     firsts = [game[0] for game in games]  # the first template represents its game in the search
@@ -213,8 +213,8 @@ def _laid(raster: Raster, proposal: Proposal) -> list[_Laid]:
     turned = axes(patch.grey, start.x, start.y, _AROUND * firsts[0].length_m * start.px_per_m)
     angles = [axis + quarter for axis in turned for quarter in (0.0, math.pi / 2)]
     matched = match(patch.grey, firsts, start, _FAR, angles)
-    laid = [_Laid(score, patch, pose, game) for (score, pose), game in zip(matched, games, strict=True)]
-    return sorted((each for each in laid if each.score >= _WORTH_A_FIT), key=lambda each: -each.score)
+    matches = [_Match(score, patch, pose, game) for (score, pose), game in zip(matched, games, strict=True)]
+    return sorted((each for each in matches if each.score >= _WORTH_A_FIT), key=lambda each: -each.score)
 
 
 def _matched_factor(proposal: Proposal) -> int:
@@ -223,9 +223,9 @@ def _matched_factor(proposal: Proposal) -> int:
     return int(2 ** max(0, math.floor(math.log2(length_px / _MATCHED_PX))))
 
 
-def _measured(raster: Raster, laid: _Laid) -> Court | None:
+def _measured(raster: Raster, found: _Match) -> Court | None:
     """Measure the court near a match with the game's best template; None if the lines do not support it."""
-    _, patch, pose, templates = laid
+    _, patch, pose, templates = found
     ((near, pose),) = match(patch.grey, templates[:1], pose, _NEAR)
     if near < _LEAST_NEAR:
         return None
@@ -240,10 +240,12 @@ def _measured(raster: Raster, laid: _Laid) -> Court | None:
     corners = patch.in_image(project(seen.matrix, template.outline))
     if (corners < 0).any() or (corners > (raster.width_px, raster.height_px)).any():
         return None
-    return _judged(template, seen, patch, corners, score) if _is_supported(template, seen) else None
+    return _undistorted(template, seen, patch, corners, score) if _is_supported(template, seen) else None
 
 
-def _judged(template: Template, seen: Fit, patch: _Patch, corners: NDArray[np.float64], score: float) -> Court | None:
+def _undistorted(
+    template: Template, seen: Fit, patch: _Patch, corners: NDArray[np.float64], score: float
+) -> Court | None:
     """Build the court if an affine or perspective fit keeps the shape in the rules; else None."""
     in_perspective = template.length_m * seen.px_per_m >= _PERSPECTIVE_PX
     sheared = fit(patch.grey, template, seen.matrix, HOMOGRAPHY if in_perspective else AFFINE)
@@ -269,6 +271,7 @@ def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tu
 
 
 def _is_supported(template: Template, seen: Fit) -> bool:
+    """Test whether enough of the template's lines and arcs were found."""
     lines, arcs = np.split(seen.line_coverage, [len(template.lines)])
     unseen = int((lines < _SEEN_LINE).sum())
     return (

@@ -120,10 +120,10 @@ def fit(grey: NDArray[np.float32], template: Template, matrix: NDArray[np.float6
         matrix = matrix @ (np.eye(3) + np.tensordot(motion, _MOTIONS[: len(motion)], axes=1))
         matrix = matrix / matrix[2, 2]
     offsets, strengths = _seen(grey, pieces, matrix, _REACHES_PX[-1])
-    return _judged(template, pieces, matrix, offsets, strengths, jacobian)
+    return _with_quality(template, pieces, matrix, offsets, strengths, jacobian)
 
 
-def _judged(
+def _with_quality(
     template: Template,
     pieces: _Pieces,
     matrix: NDArray[np.float64],
@@ -131,6 +131,7 @@ def _judged(
     strengths: NDArray[np.float64],
     jacobian: NDArray[np.float64],
 ) -> Fit:
+    """Compute coverage, standard deviations and distortion of a fitted template."""
     near = (strengths > 0) & (np.abs(offsets) <= _NEAR_PX)
     n_lines = len(template.lines) + len(template.arcs)
     total = np.bincount(pieces.line, pieces.lengths, n_lines)

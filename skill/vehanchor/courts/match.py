@@ -22,7 +22,7 @@ _CONTRAST_PER_TEXTURE = 1.5
 _TEXTURE_PX, _SMOOTH_PX = 15, 5
 _MARGIN_M = 1.5
 _LONG = 0.35  # share of a court's length; only its longer lines select the candidates for all lines
-_LOOKED_AT = 48  # candidate positions and sizes for each angle
+_MOST_CANDIDATES = 48  # positions and sizes for each angle
 
 
 class Pose(NamedTuple):
@@ -228,8 +228,9 @@ class _Ends(NamedTuple):
         everywhere = self._everywhere(sums)
         seen = everywhere[last]
         seen -= everywhere[first]
-        told = np.einsum("sl,slp->sp", weights, seen.reshape(*seen.shape[:2], -1)).ravel()
-        kept = np.argpartition(told, -_LOOKED_AT)[-_LOOKED_AT:] if len(told) > _LOOKED_AT else np.arange(len(told))
+        rough = np.einsum("sl,slp->sp", weights, seen.reshape(*seen.shape[:2], -1)).ravel()
+        count = min(_MOST_CANDIDATES, len(rough))
+        kept = np.argpartition(rough, -count)[-count:] if len(rough) > count else np.arange(len(rough))
         size, place = np.divmod(kept, self.shift.size)
         there = self.shift.ravel()[place, None]
         whole = self.weights[size] * (sums.take(self.last[size] + there) - sums.take(self.first[size] + there))

@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
 _CELL_PX = 8  # side of the network's cells, and the unit of its lengths: research/training/courts/network.py
 _LENGTH_PX = 44.0
-_SEEN_BEST_M = 0.58  # metres per pixel, the middle of its training range: research/training/courts/data.py
+_BEST_GSD_M_PER_PX = 0.58  # the middle of its training range: research/training/courts/data.py
 _FACTORS = (2, 4, 8, 16)  # one octave of scales each: images of 0.02 to 0.44 m/px
-_MOST_PIXELS_UNASKED = 1_500_000  # up to this image size all factors are searched, whatever the scene-scale prior
+_MOST_PIXELS_ALL_FACTORS = 1_500_000  # up to this image size all factors are searched, whatever the scene-scale prior
 _TILE_PX, _STRIDE_PX = 1088, 960  # of the reduced image; tiles overlap by two courts
 _LEAST_SHARE = 0.25
 _MIN_SIDE_PX = 24
@@ -77,10 +77,10 @@ def coarse_factors(raster: Raster, prior: SceneScalePrior | None) -> list[int]:
     """
     side = min(raster.width_px, raster.height_px)
     factors = [factor for factor in _FACTORS if side // factor >= _MIN_SIDE_PX]
-    if prior is None or raster.width_px * raster.height_px <= _MOST_PIXELS_UNASKED:
+    if prior is None or raster.width_px * raster.height_px <= _MOST_PIXELS_ALL_FACTORS:
         return factors
     median = credible_interval(prior.density, probability=0.0).low
-    return [min(factors, key=lambda factor: abs(math.log(median * factor / _SEEN_BEST_M)))] if factors else []
+    return [min(factors, key=lambda factor: abs(math.log(median * factor / _BEST_GSD_M_PER_PX)))] if factors else []
 
 
 class CourtNetwork(LoadedModel):

@@ -96,8 +96,8 @@ def rough_courts_on(
     level = RectifiedRaster(raster, plane)
     nothing = replace(detections, others=Objects.joined())  # they refer to the unrectified image
     proposed = propose_courts(level, nothing, card, runtime=runtime)
-    surest = sorted(proposed.proposals, key=lambda each: -each.share)[:most]
-    rough = [court for each in surest if (court := rough_court(level, each)) is not None]
+    best = sorted(proposed.proposals, key=lambda each: -each.share)[:most]
+    rough = [court for each in best if (court := rough_court(level, each)) is not None]
     return [replace(each, shape=None if each.shape is None else level.in_image(each.shape)) for each in rough]
 
 

@@ -1,1 +1,1 @@
-"""Vehicles as oriented boxes: the model's card and contracts, the search over an image."""
+"""Vehicle detection: oriented boxes, model cards and contracts, and the search over an image."""

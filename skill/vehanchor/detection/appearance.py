@@ -1,9 +1,9 @@
-"""How long a fleet's vehicles are by their look: North American cars are longer than others, and built otherwise.
+"""Appearance of vehicles: chips for the fleet network, and the reference length that its output implies.
 
-A vehicle's *chip* is what is left of it without its scale: its pixels turned along its axis, brought to a length of 16
-px, blurred alike, in one channel, standardised. A small network reads from a chip the log of the vehicle's length in
-metres, whose mean over an image moves the reference length, and the log odds that it is of North America's fleet, whose
-spread tells cars of many makes from equal things.
+A *chip* shows a vehicle without its scale: one channel, rotated along the vehicle's axis, resized to a length of 16 px,
+blurred and standardised. From a chip the fleet network predicts two numbers. The first is the log of the vehicle's
+length in metres; its mean over an image sets the reference length. The second is the log odds of North America's fleet;
+its spread distinguishes cars of many makes from identical objects.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import numpy as np
 
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
-from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -25,39 +24,37 @@ if TYPE_CHECKING:
 
 CHIP_LENGTH_PX = 16  # a car of 5 m at 0.3 m/px, the coarsest that the guard lets pass
 CHIP_SHAPE = (16, 24)  # rows and columns: the vehicle and a quarter of its length around it
-MAX_CHIPS = 100  # more vehicles tell no more
+MAX_CHIPS = 100  # more vehicles add no information
 _CHIP_CHANNEL = 1  # green: sharpest of most cameras, and not the one that near infrared replaces
-_BLUR_PX = 1.0  # of the chip: more than the cameras differ by
-_CONTRAST_FLOOR = 8.0  # grey levels; below it there is nothing to see
-_REACH = 1.15  # of a length, from a vehicle's centre to the farthest pixel that a chip needs, blur included
+_BLUR_PX = 1.0  # pixels of the chip; exceeds the differences between cameras
+_CONTRAST_FLOOR = 8.0  # grey levels; added to the standard deviation so that noise is not amplified
+_REACH = 1.15  # vehicle lengths from the centre to the farthest pixel that a chip needs, blur included
 
 
-@stored("fleet_appearance")
 class FleetAppearance(NamedTuple):
-    """What the look of vehicles tells of their fleet.
+    """Fleet network's predictions for vehicles.
 
     Attributes:
-        log_odds: ``[n]`` float64 that each is of North America's fleet.
-        log_lengths: ``[n]`` float64, log of the length in metres that each seems to have.
+        log_odds: ``[n]`` float64, log odds that each belongs to North America's fleet.
+        log_lengths: ``[n]`` float64, log of each predicted length in metres.
     """
 
     log_odds: NDArray[np.float64]
     log_lengths: NDArray[np.float64]
 
     def take(self, kept: NDArray[np.bool_]) -> FleetAppearance:
-        """Those of a mask ``[n]``."""
+        """Select the vehicles of a mask ``[n]``."""
         return FleetAppearance(self.log_odds[kept], self.log_lengths[kept])
 
 
 class FleetLengths(NamedTuple):
-    """How the lengths that an image's vehicles seem to have become a reference length.
+    """Calibration from predicted vehicle lengths to a reference length.
 
     Attributes:
-        log_lengths: the two mean log lengths between which the reference length changes linearly; it is constant
-            beyond.
-        length_m: reference lengths there, metres.
-        sd_m: standard deviation of what is left between places, metres.
-        neutral_vehicles: how many vehicles of the middle length are added to every image: one car says little.
+        log_lengths: two mean log lengths; the reference length is linear between them and constant outside.
+        length_m: reference lengths at these two, metres.
+        sd_m: residual standard deviation between places, metres.
+        neutral_vehicles: number of vehicles of the middle length that are added to every image, as a prior.
     """
 
     log_lengths: tuple[float, float]
@@ -66,10 +63,10 @@ class FleetLengths(NamedTuple):
     neutral_vehicles: float
 
     def reference_length(self, vehicle_log_lengths: ArrayLike) -> float:
-        """Reference length of a fleet.
+        """Compute the reference length of a fleet.
 
         Args:
-            vehicle_log_lengths: ``[n]`` of its vehicles, n >= 0.
+            vehicle_log_lengths: ``[n]`` predicted log lengths of its vehicles, n >= 0.
 
         Returns:
             Metres.
@@ -88,11 +85,11 @@ def chip(pixels: NDArray[np.uint8], box: ArrayLike) -> NDArray[np.float32]:
         box: ``(x, y, length, width, angle)`` in their pixels and radians; the width is not used.
 
     Returns:
-        ``CHIP_SHAPE``, mean 0, standard deviation 1 (less where there is next to no contrast). What lies outside the
-        pixels repeats their border.
+        ``CHIP_SHAPE``, mean 0, standard deviation 1 (less at low contrast). Outside the pixels their border is
+        repeated.
     """
     x, y, length, _, angle = np.asarray(box, dtype=np.float64)
-    step = length / CHIP_LENGTH_PX  # pixels to one of the chip
+    step = length / CHIP_LENGTH_PX  # pixels per pixel of the chip
     smooth = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), _BLUR_PX * step, borderType=cv2.BORDER_REPLICATE)
     turn = step * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     rows, columns = CHIP_SHAPE
@@ -108,7 +105,7 @@ def chip(pixels: NDArray[np.uint8], box: ArrayLike) -> NDArray[np.float32]:
 
 
 def vehicle_chips(raster: Raster, boxes: NDArray[np.float64]) -> NDArray[np.float32]:
-    """The chips of vehicles.
+    """Cut the chips of vehicles from an image.
 
     Args:
         raster: the image.

@@ -1,4 +1,4 @@
-"""A network beside a detector that looks at chips of what it found: opened, checked and run in one way."""
+"""Auxiliary models: small networks that run on chips of a detector's boxes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _INPUT = "chips"
 
 
 class AuxiliaryModel(LoadedModel, Generic[_CardT]):
-    """A network from ``chips [n, c, h, w]`` float32 to some numbers ``[n]`` for each.
+    """Network from ``chips [n, c, h, w]`` float32 to outputs ``[n]``.
 
     Args:
         path: the ONNX file.
@@ -29,11 +29,11 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
 
     Attributes:
         path: the ONNX file.
-        card: what it says of itself.
+        card: model card.
 
     Raises:
         ModelNotFoundError: there is no such file.
-        ModelContractError: it is no such network, or does not say for which detector and how it is to be used.
+        ModelContractError: the file is another kind of network, or its metadata are incomplete.
         ProviderUnavailableError: an execution provider is not installed.
     """
 
@@ -60,19 +60,22 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
         metadata = self._session.get_modelmeta().custom_metadata_map
         self.card = read_auxiliary_card(self.card_type, self.path, models_sha256(file), metadata)  # type: ignore[assignment]
 
-    def answers(self, chips: NDArray[np.float32]) -> NDArray[np.float64]:
-        """What the network says of chips, a row ``[n]`` for each of its outputs.
+    def predict(self, chips: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Run the network on chips.
 
         Args:
             chips: ``[n, c, h, w]``.
 
+        Returns:
+            ``[outputs, n]``.
+
         Raises:
-            ModelContractError: it fails, or does not give a finite number for each chip.
+            ModelContractError: the network fails, or does not give a finite number for each chip.
             OutOfMemoryError: there is too little memory for it now.
         """
         described = f"the {self.named} {self.path} fails on {list(chips.shape)}"
-        said = run_session(self._session, list(self.outputs), {_INPUT: chips}, self.runtime, described)
-        numbers = [np.asarray(each, np.float64) for each in said]
+        results = run_session(self._session, list(self.outputs), {_INPUT: chips}, self.runtime, described)
+        numbers = [np.asarray(each, np.float64) for each in results]
         if not all(each.shape == (len(chips),) and np.isfinite(each).all() for each in numbers):
             raise ModelContractError(f"the {self.named} {self.path} does not give a number for each of its chips")
         return np.stack(numbers)

@@ -16,11 +16,11 @@ from scipy.spatial import cKDTree
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-_PARALLEL_RAD = 2e-4  # closer to parallel than this, the closed form errs by less than 0.001 in IoU
+_PARALLEL_RAD = 2e-4  # at smaller angles the closed form for parallel boxes errs by less than 0.001 in IoU
 
 
 def canonical_boxes(boxes: ArrayLike) -> NDArray[np.float64]:
-    """Give boxes their canonical form: the long side first, the angle in [0, pi).
+    """Convert boxes to canonical form: the long side first, the angle in [0, pi).
 
     Args:
         boxes: ``[n, 5]`` rows ``(x, y, w, h, angle)``, the angle of the ``w`` side in radians; ``w >= h`` not required.
@@ -38,7 +38,7 @@ def canonical_boxes(boxes: ArrayLike) -> NDArray[np.float64]:
 
 
 def box_corners(boxes: ArrayLike) -> NDArray[np.float64]:
-    """Corners of oriented boxes, in order around each box.
+    """Compute the corners of oriented boxes, in order around each box.
 
     Args:
         boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)``, pixels and radians.
@@ -56,9 +56,9 @@ def box_corners(boxes: ArrayLike) -> NDArray[np.float64]:
 
 
 def boxes_from_corners(corners: ArrayLike) -> NDArray[np.float64]:
-    """Oriented boxes from four corners each, as in DOTA's text labels.
+    """Convert four corners per box, as in DOTA's text labels, to oriented boxes.
 
-    Opposite sides are averaged, so that labels drawn slightly out of square keep their mean length.
+    Opposite sides are averaged: labels that are not quite rectangular keep their mean length.
 
     Args:
         corners: ``[n, 4, 2]`` or ``[n, 8]`` x, y in pixels, in order around each box.
@@ -75,12 +75,12 @@ def boxes_from_corners(corners: ArrayLike) -> NDArray[np.float64]:
 
 
 def pair_iou(boxes: NDArray[np.float64], i: int, j: int) -> float:
-    """Exact IoU of two canonical boxes, computed about a local origin (float32 is coarse at 1e5 px).
+    """Compute the exact IoU of two canonical boxes about a local origin (float32 is coarse at 1e5 px).
 
     Args:
         boxes: ``[n, 5]`` canonical boxes.
-        i: index of the one.
-        j: index of the other.
+        i: index of the first box.
+        j: index of the second box.
 
     Returns:
         In [0, 1].
@@ -94,7 +94,7 @@ def pair_iou(boxes: NDArray[np.float64], i: int, j: int) -> float:
 
 
 def _parallel_overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> float | None:
-    """Shared area of two boxes whose sides are parallel, else None: there OpenCV loses vertices on common edges."""
+    """Compute the shared area of two boxes with parallel sides, for which OpenCV loses vertices; else None."""
     turn = b[4] - a[4]
     if abs(math.sin(turn)) < _PARALLEL_RAD:
         along, across = b[2], b[3]
@@ -109,7 +109,7 @@ def _parallel_overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> float |
 
 
 def _overlap(first: float, second: float, distance: float) -> float:
-    """Length shared by two intervals of these lengths whose middles are this far apart."""
+    """Compute the overlap of two intervals from their lengths and the distance of their centres."""
     return max(0.0, min(first, second, (first + second) / 2 - distance))
 
 
@@ -128,7 +128,7 @@ def _slanted_overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 
 def oriented_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
-    """Exact intersection over union of every box of ``a`` with every box of ``b``.
+    """Compute the exact intersection over union of every box of ``a`` with every box of ``b``.
 
     Args:
         a: ``[n, 5]`` boxes.
@@ -146,7 +146,7 @@ def oriented_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
 
 
 def _touching_pairs(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Pairs (i, j) whose circumscribed circles meet; everything else cannot overlap."""
+    """Find the pairs (i, j) whose circumscribed circles intersect; no other boxes can overlap."""
     if not len(first) or not len(second):
         return np.zeros((0, 2), dtype=np.intp)
     radius_a, radius_b = (np.hypot(rows[:, 2], rows[:, 3]) / 2 for rows in (first, second))

@@ -1,4 +1,4 @@
-"""The card of a model: what its file says of itself, checked at the door; foreign detectors get the paper's values."""
+"""Model cards: validated metadata of model files; for other detectors the paper's values are the defaults."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from vehanchor.scale.fusion import Votes
 
 MIN_SCORE = 0.1  # paper, section III-B
 REFERENCE_LENGTH_M = 5.045  # paper, section III-F: KDE mode of the DOTA v1.5 training labels
-REFERENCE_LENGTH_SD_M = 0.25  # half of the paper's +-0.5 m sweep, taken as two standard deviations between regions
-LENGTH_RANGE_PX = (9.0, 120.0)  # what a DOTA-trained model at 1024 px has seen of small vehicles
+REFERENCE_LENGTH_SD_M = 0.25  # the paper's +-0.5 m sweep taken as two standard deviations between regions
+LENGTH_RANGE_PX = (9.0, 120.0)  # small vehicles in DOTA's training tiles of 1024 px
 _REGION_RATIOS = {"europe": 4.5 / 5.045, "north_america": 5.5 / 5.045}  # paper, section IV-D
 _STRIDE_PX = 32  # of every YOLO's coarsest layer
-_MAX_LENGTH_PX = 1024.0  # a tile
+_MAX_LENGTH_PX = 1024.0  # side of a tile
 _MAX_TEXT = 1 << 20  # characters of one entry; a thousand class names take a fiftieth
-_MAX_STRIDE_PX = 1024  # a tile: input sides are padded to whole strides
+_MAX_STRIDE_PX = 1024  # side of a tile; input sides are padded to whole strides
 
 _VehicleLength = Annotated[float, Field(ge=LEAST_VEHICLE_M, le=LARGEST_VEHICLE_M)]
 _VehicleSpread = Annotated[float, Field(ge=0, le=LARGEST_VEHICLE_M)]
@@ -36,7 +36,7 @@ _ClassIndex = Annotated[int, Field(ge=0)]
 
 
 class _Card(BaseModel):
-    """A frozen record of finite numbers, nothing converted on the way in."""
+    """Frozen record of finite numbers, validated without conversion."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -45,30 +45,29 @@ _CardT = TypeVar("_CardT", bound=_Card)
 
 
 class DetectorCard(_Card):
-    """What a detector's file says of itself.
+    """Model card of a detector.
 
     Attributes:
         name: the model's name.
-        sha256: of the file.
+        sha256: checksum of the file.
         class_names: class index to name.
-        reference_length_m: ``L_ref``, the length that the modal box of this model stands for.
-        reference_length_sd_m: its standard deviation between regions.
+        reference_length_m: ``L_ref``, length in metres that corresponds to the model's modal box.
+        reference_length_sd_m: standard deviation of the reference length between regions.
         region_lengths_m: reference length by region.
-        length_range_px: shortest and longest vehicle, in pixels, that the model was trained on.
-        min_length_px: shortest length measured without bias; 0 where nothing is known.
-        min_score: detections below it are dropped.
-        licence: of the weights, as the file states it.
-        search_scales: whether the model is meant to be run at reduced resolutions, too.
-        clear_score: score that the best tenth of the cars of any place reaches; 0 where it is not known.
-        aggregation: how the lengths of its boxes are best made one.
-        stride_px: the sides of its input are multiples of it.
-        fleet_lengths: how the look of the vehicles moves the reference length; None where no network beside the
-            detector can tell fleets apart.
-        fleet_sha256: of the file of that network.
-        verifier_sha256: of the file of the network beside the detector that judges its candidates once more, whose
-            ``min_score`` and ``clear_score`` then stand here; None without one.
-        votes: what its boxes tell of the scale together; None where that was never fitted, as for foreign models.
-        quantised_from: name of the detector that this one is in fewer bits: the networks beside that one serve it, too.
+        length_range_px: shortest and longest vehicle in the training data, pixels.
+        min_length_px: shortest length measured without bias; 0 if unknown.
+        min_score: detections with a lower score are dropped.
+        licence: licence of the weights, from the file.
+        search_scales: whether the model should also run at reduced resolutions.
+        clear_score: score that the best tenth of any place's cars reaches; 0 if unknown.
+        aggregation: default rule for the modal length.
+        stride_px: the sides of the input are multiples of it.
+        fleet_lengths: calibration of the fleet network to a reference length; None without that network.
+        fleet_sha256: checksum of the fleet network's file.
+        verifier_sha256: checksum of the verifier's file; None without one. With a verifier, ``min_score`` and
+            ``clear_score`` are the verifier's.
+        votes: calibration of the boxes' votes; None if it was never fitted, as for other people's models.
+        quantised_from: name of the detector from which this one was quantised; it shares that one's auxiliary models.
     """
 
     name: str
@@ -99,7 +98,7 @@ class DetectorCard(_Card):
             and 0 < value.trust <= 1
             and 0 < value.chance_wrong < 1
         ):
-            raise ValueError("expected log_sd, clutter_density and certainty > 0, trust and chance_wrong in 0..1")
+            raise ValueError("expected log_sd, clutter_density and sharpness > 0, trust and chance_wrong in 0..1")
         return value
 
     @field_validator("length_range_px")
@@ -111,25 +110,25 @@ class DetectorCard(_Card):
 
 
 class AuxiliaryCard(_Card):
-    """What the file of a network beside a detector says of itself.
+    """Model card of an auxiliary model.
 
     Attributes:
-        sha256: of the file.
-        detector: name of the detector for which its numbers were measured: they hold for no other.
+        sha256: checksum of the file.
+        detector: name of the only detector for which the model is calibrated.
     """
 
     sha256: str
     detector: str
 
 
-_CompanionT = TypeVar("_CompanionT", bound=AuxiliaryCard)
+_AuxiliaryCardT = TypeVar("_AuxiliaryCardT", bound=AuxiliaryCard)
 
 
 class FleetCard(AuxiliaryCard):
-    """What the file of a network that tells fleets apart says of itself.
+    """Model card of a fleet network.
 
     Attributes:
-        lengths: how what it says of vehicles becomes a reference length.
+        lengths: calibration of its predictions to a reference length.
     """
 
     lengths: FleetLengths
@@ -146,14 +145,14 @@ class FleetCard(AuxiliaryCard):
 
 
 class VerifierCard(AuxiliaryCard):
-    """What the file of a network that judges a detector's candidates once more says of itself.
+    """Model card of a verifier.
 
     Attributes:
-        weights: of the detector's logit, of its own, what is added, and that of how well a candidate's size fits the
-            ground (0 where it is not stated): together the logit of the combined score.
-        least_score: candidates are what the detector gives at least this score.
-        min_score: combined scores below it are dropped.
-        clear_score: combined score that the best tenth of the cars of any place reaches; 0 where it is not known.
+        weights: terms of the combined score's logit: weight of the detector's logit, weight of the verifier's logit,
+            bias, and weight of the size odds (0 if it is missing).
+        least_score: detections with at least this detector score are candidates.
+        min_score: candidates with a lower combined score are dropped.
+        clear_score: combined score that the best tenth of any place's cars reaches; 0 if unknown.
     """
 
     weights: tuple[_Weight, _Weight, float] | tuple[_Weight, _Weight, float, _Weight]
@@ -163,7 +162,7 @@ class VerifierCard(AuxiliaryCard):
 
 
 def _class_names(text: str) -> dict[int, str]:
-    """Names by index, from the repr of a Python dict or list, as Ultralytics writes it."""
+    """Read names by index from the repr of a Python dict or list, as Ultralytics writes it."""
     value = ast.literal_eval(text) if text else {}
     if not isinstance(value, (dict, list, tuple)):
         raise TypeError(f"a {type(value).__name__}")
@@ -199,7 +198,7 @@ def _votes(text: str) -> Votes:
     return Votes(**{name: float(value) for name, value in json.loads(text).items()})
 
 
-# MemoryError and RecursionError: what Python's parsers say of too many brackets.
+# Python's parsers raise MemoryError or RecursionError for too many brackets.
 _UNREADABLE = (
     ValueError,
     SyntaxError,
@@ -211,7 +210,7 @@ _UNREADABLE = (
     MemoryError,
 )
 
-# Field -> the key of the metadata, how its text is read, and what a text that cannot be read should have been.
+# Field -> key of the metadata, function that reads its text, and description of the expected text.
 _Entry = tuple[str, Callable[[str], Any], str]
 _DETECTOR_ENTRIES: dict[str, _Entry] = {
     "name": ("vehanchor.name", str, "a name"),
@@ -231,7 +230,7 @@ _DETECTOR_ENTRIES: dict[str, _Entry] = {
     "quantised_from": ("vehanchor.quantised_from", str, "a detector's name"),
 }
 _FOR_DETECTOR: dict[str, _Entry] = {"detector": ("vehanchor.detector", str, "a detector's name")}
-_SECOND_LOOK_ENTRIES: dict[str, _Entry] = {
+_VERIFIER_ENTRIES: dict[str, _Entry] = {
     **_FOR_DETECTOR,
     "weights": ("vehanchor.weights", _range, "three or four numbers, 'detector,look,bias,size'"),
     "least_score": ("vehanchor.least_score", float, "a number from 0 to 1"),
@@ -246,14 +245,14 @@ _FLEET_ENTRIES: dict[str, _Entry] = {
         "a JSON object of log_lengths, length_m, sd_m and neutral_vehicles",
     ),
 }
-_COMPANION_ENTRIES: dict[type[AuxiliaryCard], dict[str, _Entry]] = {
+_AUXILIARY_ENTRIES: dict[type[AuxiliaryCard], dict[str, _Entry]] = {
     FleetCard: _FLEET_ENTRIES,
-    VerifierCard: _SECOND_LOOK_ENTRIES,
+    VerifierCard: _VERIFIER_ENTRIES,
 }
 
 
-def _stated(path: Path, metadata: Mapping[str, str], entries: Mapping[str, _Entry]) -> dict[str, Any]:
-    """The values of the fields whose keys the metadata has."""
+def _read_entries(path: Path, metadata: Mapping[str, str], entries: Mapping[str, _Entry]) -> dict[str, Any]:
+    """Read the fields whose keys are in the metadata."""
     values = {}
     for field, (key, read, expected) in entries.items():
         if key in metadata:
@@ -268,7 +267,7 @@ def _stated(path: Path, metadata: Mapping[str, str], entries: Mapping[str, _Entr
     return values
 
 
-def _checked(
+def _validated(
     kind: type[_CardT],
     path: Path,
     metadata: Mapping[str, str],
@@ -292,20 +291,20 @@ def read_detector_card(
     fleet: FleetCard | None = None,
     verifier: VerifierCard | None = None,
 ) -> DetectorCard:
-    """The card of a detector's file.
+    """Read the model card of a detector.
 
     Args:
-        path: of the file, whose stem names the model where its metadata does not.
-        sha256: of the file.
-        metadata: of the file.
-        fleet: card of the network beside the detector that tells fleets apart.
-        verifier: card of the network beside it that judges its candidates once more.
+        path: path of the file; its stem is the name of a model whose metadata have none.
+        sha256: checksum of the file.
+        metadata: metadata of the file.
+        fleet: card of the fleet network; None without one.
+        verifier: card of the verifier; None without one.
 
     Returns:
-        The card, with the paper's values for what the metadata leaves out.
+        The card, with the paper's values for missing entries.
 
     Raises:
-        ModelContractError: an entry has no meaning; or a network beside was made for another detector.
+        ModelContractError: an entry is invalid, or an auxiliary model belongs to another detector.
     """
     values: dict[str, Any] = {
         "name": path.stem,
@@ -316,12 +315,12 @@ def read_detector_card(
         "min_length_px": 0.0,
         "min_score": MIN_SCORE,
         "licence": None,
-        **_stated(path, metadata, _DETECTOR_ENTRIES),
+        **_read_entries(path, metadata, _DETECTOR_ENTRIES),
     }
     lengths = {name: values["reference_length_m"] * ratio for name, ratio in _REGION_RATIOS.items()}
     regions = {name: length for name, length in lengths.items() if LEAST_VEHICLE_M <= length <= LARGEST_VEHICLE_M}
     values["region_lengths_m"] = regions | values.get("region_lengths_m", {})
-    for network, kind in ((fleet, "fleet network"), (verifier, "second look")):
+    for network, kind in ((fleet, "fleet network"), (verifier, "verifier")):
         if network is not None and network.detector not in (values["name"], values.get("quantised_from")):
             raise ModelContractError(
                 f"the {kind} of {path} was made for the detector {network.detector!r}, and this is "
@@ -332,23 +331,25 @@ def read_detector_card(
     if verifier is not None:
         values |= {"min_score": verifier.min_score, "clear_score": verifier.clear_score}
         values |= {"verifier_sha256": verifier.sha256}
-    return _checked(DetectorCard, path, metadata, _DETECTOR_ENTRIES, {**values, "sha256": sha256})
+    return _validated(DetectorCard, path, metadata, _DETECTOR_ENTRIES, {**values, "sha256": sha256})
 
 
-def read_auxiliary_card(kind: type[_CompanionT], path: Path, sha256: str, metadata: Mapping[str, str]) -> _CompanionT:
-    """The card of a network beside a detector.
+def read_auxiliary_card(
+    kind: type[_AuxiliaryCardT], path: Path, sha256: str, metadata: Mapping[str, str]
+) -> _AuxiliaryCardT:
+    """Read the model card of an auxiliary model.
 
     Args:
-        kind: which network's.
-        path: of the file.
-        sha256: of the file.
-        metadata: of the file.
+        kind: type of the card.
+        path: path of the file.
+        sha256: checksum of the file.
+        metadata: metadata of the file.
 
     Returns:
         The card.
 
     Raises:
-        ModelContractError: an entry is missing, or has no meaning.
+        ModelContractError: an entry is missing or invalid.
     """
-    entries = _COMPANION_ENTRIES[kind]
-    return _checked(kind, path, metadata, entries, _stated(path, metadata, entries) | {"sha256": sha256})
+    entries = _AUXILIARY_ENTRIES[kind]
+    return _validated(kind, path, metadata, entries, _read_entries(path, metadata, entries) | {"sha256": sha256})

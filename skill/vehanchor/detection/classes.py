@@ -1,4 +1,4 @@
-"""The classes of a detector: which of them are vehicles."""
+"""Classes of a detector that count as vehicles."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_VEHICLE_NAMES = ("small vehicle", "car", "vehicle")  # in this order, the first that the model knows
+_VEHICLE_NAMES = ("small vehicle", "car", "vehicle")  # the first that the model has is used
 _DOTA_NAMES = (
     "plane", "ship", "storage tank", "baseball diamond", "tennis court", "basketball court", "ground track field",
     "harbor", "bridge", "large vehicle", "small vehicle", "helicopter", "roundabout", "soccer ball field",
@@ -24,20 +24,20 @@ _DOTA_NAMES = (
 def vehicle_classes(
     class_names: Mapping[int, str], n_classes: int | None, wanted: Sequence[str | int] | None = None
 ) -> NDArray[np.intp]:
-    """Indices of the classes that count as vehicles.
+    """Find the indices of the classes that count as vehicles.
 
     Args:
-        class_names: class index to name, as the model's file has them; fifteen classes without names are DOTA's.
-        n_classes: of the model; None where its outputs do not tell.
-        wanted: names (either spelling) or indices; None takes "small vehicle", else "car" or "vehicle", else a single
-            class whatever its name.
+        class_names: class index to name, from the model's file; fifteen classes without names are taken as DOTA's.
+        n_classes: number of classes of the model; None if its outputs do not show it.
+        wanted: names (in either spelling) or indices; None takes "small vehicle", else "car" or "vehicle", else the
+            only class under any name.
 
     Returns:
         ``[n]`` int, n >= 1, rising.
 
     Raises:
-        InvalidParameterError: the model has no such class, or none is wanted.
-        ModelContractError: none is wanted by name, and none of the model's is a vehicle.
+        InvalidParameterError: the model lacks a wanted class, or ``wanted`` is empty.
+        ModelContractError: ``wanted`` is None, and no class of the model is a vehicle.
     """
     names = {index: _canonical_name(name) for index, name in class_names.items()}
     if not names and n_classes == len(_DOTA_NAMES):

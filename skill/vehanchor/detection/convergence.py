@@ -1,8 +1,9 @@
-"""When the search of a large image ends: when more tiles cannot narrow the interval of its scale any more.
+"""Stopping rules for the search of a large image: it ends when more tiles cannot narrow the scale's interval.
 
-An interval has a part that more vehicles narrow, and one that they do not: how long the cars of this fleet are. As soon
-as the first is below a third of the second over two checks in a row, and nothing is in doubt, the search has said what
-it can. Checks come ever more rarely, so that there are few at which chance could end a search too early.
+The uncertainty of a scale has two parts. More vehicles reduce the statistical part; the uncertainty of the fleet's
+length remains. With the effort ``auto``, the search ends when the statistical part is below a third of the fleet's part
+at two checks in a row, without doubts. The intervals between checks grow, so that few checks can end a search by
+chance.
 """
 
 from __future__ import annotations
@@ -15,23 +16,23 @@ if TYPE_CHECKING:
     from vehanchor.options.search import Search
 
 ANYTIME_PIXELS = 16_000_000
-"""Images of fewer pixels are searched at every resolution that may hold cars, unless tiles or seconds are limited."""
+"""Smaller images are searched at every resolution that may show cars, unless tiles or seconds are limited."""
 
 _AUTO_SHARE, _AUTO_CHECKS = 1 / 3, 2
 _FAST_SHARE, _FAST_CHECKS = 2 / 3, 1
 _FAST_TILES = 0.05  # of all tiles, at most
 _FAST_LEAST_TILES = 24
-_LEAST_FLEET_LOG_SD = 0.03  # a fleet that is known better still differs so much from quarter to quarter
+_LEAST_FLEET_LOG_SD = 0.03  # even a known fleet differs this much between parts of a town
 _FIRST_CHECK, _GROWTH = 16, 1.25
 
 
 class Convergence(NamedTuple):
-    """What an unfinished search has reached.
+    """Uncertainty of the scale from an unfinished search.
 
     Attributes:
-        statistical_log_sd: of the log of the scale, from the number and the spread of the vehicles; inf for none.
-        fleet_log_sd: of the same, from not knowing the fleet.
-        doubted: whether the scale could not be used as it stands, or something speaks against the vehicles.
+        statistical_log_sd: log standard deviation from the number and the spread of the vehicles; inf without any.
+        fleet_log_sd: log standard deviation from the fleet's unknown length.
+        doubted: whether the scale is not usable yet, or there are doubts about the vehicles.
     """
 
     statistical_log_sd: float
@@ -40,14 +41,14 @@ class Convergence(NamedTuple):
 
 
 class StopRule(NamedTuple):
-    """When to end.
+    """Conditions that end a search.
 
     Attributes:
-        share: of the fleet's part that the statistical part has to be below; None never ends for that.
-        checks: in a row at which it has to be.
-        max_tiles: to visit at most; None for all.
-        max_seconds: to search at most; None for no limit.
-        every_level: whether resolutions count at which, by the ground, no vehicle can be.
+        share: limit of the statistical part as a share of the fleet's part; None for no such condition.
+        checks: number of checks in a row at which the statistical part must be below the limit.
+        max_tiles: maximum number of tiles; None for all.
+        max_seconds: maximum duration; None for no limit.
+        every_level: whether to search resolutions at which the scene-scale prior excludes vehicles.
     """
 
     share: float | None
@@ -63,12 +64,12 @@ class StopRule(NamedTuple):
 
 
 def stop_rule(options: Search, n_pixels: int, n_tiles: int) -> StopRule:
-    """Choose the rule for an image by its size and the caller's effort.
+    """Choose the stopping rule for an image by its size and the effort.
 
     Args:
-        options: the caller's.
-        n_pixels: of the image.
-        n_tiles: in all.
+        options: search options.
+        n_pixels: number of pixels of the image.
+        n_tiles: number of tiles at all resolutions.
     """
     everywhere = options.effort == "full"
     if everywhere or n_pixels < ANYTIME_PIXELS:
@@ -80,20 +81,20 @@ def stop_rule(options: Search, n_pixels: int, n_tiles: int) -> StopRule:
 
 
 def next_check(n_visited: int) -> int:
-    """How many tiles are visited when it is checked again: 16, then a quarter more each time."""
+    """Compute the number of visited tiles at the next check: 16, then a quarter more each time."""
     return max(_FIRST_CHECK, n_visited + 4, round(n_visited * _GROWTH))
 
 
-def settled(standings: Sequence[Convergence], rule: StopRule) -> bool:
-    """Whether more tiles cannot narrow the interval.
+def has_converged(checks: Sequence[Convergence], rule: StopRule) -> bool:
+    """Test whether more tiles cannot narrow the interval.
 
     Args:
-        standings: at all checks so far.
-        rule: when to end.
+        checks: results of all checks so far.
+        rule: stopping rule.
     """
-    if rule.share is None or len(standings) < rule.checks:
+    if rule.share is None or len(checks) < rule.checks:
         return False
     return all(
         not each.doubted and each.statistical_log_sd < rule.share * max(each.fleet_log_sd, _LEAST_FLEET_LOG_SD)
-        for each in standings[-rule.checks :]
+        for each in checks[-rule.checks :]
     )

@@ -1,4 +1,4 @@
-"""The result of a search: the vehicles of an image, and whatever else its detector has seen."""
+"""Result of a search: the vehicles of an image, and objects of the detector's other classes."""
 
 from __future__ import annotations
 
@@ -7,21 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.storage.stored import stored
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from vehanchor.detection.appearance import FleetAppearance
-    from vehanchor.options.search import Stopped
+    from vehanchor.scale.defaults import Stopped
 
 
-@stored("objects")
 @dataclass(frozen=True, eq=False)
 class Objects:
-    """Oriented boxes with what a detector says of each.
+    """Oriented boxes with scores and classes.
 
     Attributes:
         boxes: ``[n, 5]`` float64 rows ``(x, y, length, width, angle)``, pixels and radians.
@@ -37,12 +34,12 @@ class Objects:
         return len(self.boxes)
 
     def take(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> Objects:
-        """Those of a mask, or of indices in their order."""
+        """Select objects by a mask, or by indices in their order."""
         return Objects(self.boxes[which], self.scores[which], self.classes[which])
 
     @classmethod
     def joined(cls, parts: Sequence[Objects] = ()) -> Objects:
-        """The objects of all parts, one part after the other; none without parts."""
+        """Concatenate the objects of all parts; without parts the result is empty."""
         return cls(
             np.concatenate([np.zeros((0, 5)), *(part.boxes for part in parts)]),
             np.concatenate([np.zeros(0), *(part.scores for part in parts)]),
@@ -50,26 +47,25 @@ class Objects:
         )
 
 
-@stored("detections")
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """Vehicles found in an image, and the other objects that its detector knows.
+    """Vehicles in an image, and objects of the detector's other classes.
 
     Attributes:
         boxes: ``[n, 5]`` float64 rows ``(x, y, length, width, angle)`` of the vehicles, in image pixels and radians,
             best score first.
         scores: ``[n]`` float64 in [0, 1].
-        n_tiles: tiles that were searched.
-        n_capped_tiles: tiles in which an end-to-end model had no row left, so that vehicles may be missing.
-        scales: ``[n]`` float64, the scale of the image in which each was found: 1, 0.5, 0.25 or 0.125; None stands
-            for a search at full resolution alone.
-        fleet: what the look of the first m = min(n, 100) vehicles tells; None where no network beside the model can
-            tell.
-        classes: ``[n]`` int, the index of each vehicle's class; None where no detector named one, as of labels.
-        others: objects of the model's other classes, in image pixels, best score first; boxes of one class that
-            overlap are merged, those of different classes are not.
-        n_tiles_total: tiles that the image has at all resolutions; None where nobody counted.
-        stopped_because: why the search ended; None where there was none.
+        n_tiles: number of tiles that were searched.
+        n_capped_tiles: number of tiles in which an end-to-end model filled all its rows, so that vehicles may be
+            missing.
+        scales: ``[n]`` float64, scale of the image in which each was found: 1, 0.5, 0.25 or 0.125; None for a search
+            at full resolution only.
+        fleet: predictions of the fleet network for the first m = min(n, 100) vehicles; None without that network.
+        classes: ``[n]`` int, class index of each vehicle; None without classes, as for labels.
+        others: objects of the model's other classes, in image pixels, best score first; overlapping boxes are merged
+            within a class, not between classes.
+        n_tiles_total: number of tiles of the image at all resolutions; None if it was not counted.
+        stopped_because: reason for the end of the search; None without a search.
     """
 
     boxes: NDArray[np.float64]

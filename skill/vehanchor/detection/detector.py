@@ -1,4 +1,4 @@
-"""An oriented-box detector: an ONNX model that is run on one tile, and what its file says of itself.
+"""Oriented-box detector: an ONNX model that runs on one tile, and its model card.
 
 One code path reads the bundled model and any YOLOv8, YOLO11 or YOLO26 OBB file that a user exports with Ultralytics.
 """
@@ -33,21 +33,21 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-_PADDING_LEVEL = 114  # the grey that Ultralytics pads with
-_ANGLE_LIMIT = 1e4  # a finite, sane angle in radians before it is taken modulo pi
-_MAX_INPUT_PX = 8192  # of a fixed input: 100 times the pixels of what YOLO is trained on
-_PX_PER_PLACE = 8  # a YOLO with a layer of stride 4 has a place for every 12
-_LEAST_PLACES = 4096
-_PROBE_STRIDES = 4  # side of the blank image that tells the shapes of outputs, in strides
+_PADDING_LEVEL = 114  # grey level of Ultralytics' padding
+_ANGLE_LIMIT = 1e4  # radians; larger angles are invalid
+_MAX_INPUT_PX = 8192  # of a fixed input: 100 times the pixels of YOLO's training images
+_PX_PER_BOX = 8  # a YOLO with a layer of stride 4 has one anchor for 12 px
+_LEAST_BOXES = 4096
+_PROBE_STRIDES = 4  # side of the blank image that reveals the outputs' shapes, in strides
 
 
-class TileSighting(NamedTuple):
-    """One tile's objects, before non-maximum suppression, in tile pixels.
+class TileDetections(NamedTuple):
+    """Objects of one tile before non-maximum suppression, in tile pixels.
 
     Attributes:
-        vehicles: the best vehicle class of every place, whatever else it may be.
-        others: objects that are best explained by a class that is no vehicle.
-        ran_out: whether the model had no row left, so that objects may be missing.
+        vehicles: boxes with their best vehicle class, even if another class scores higher.
+        others: boxes whose best class is not a vehicle class.
+        ran_out: whether the model filled all its rows, so that objects may be missing.
     """
 
     vehicles: Objects
@@ -56,25 +56,25 @@ class TileSighting(NamedTuple):
 
 
 class Detector(LoadedModel):
-    """An oriented-box vehicle detector: an ONNX Runtime session and what its file says of itself.
+    """Oriented-box vehicle detector with its model card and auxiliary models.
 
     Args:
         path: the ONNX file.
-        classes: class names (either spelling) or indices that count as vehicles; default "small vehicle", else "car" or
-            "vehicle", else a single class whatever its name.
-        fleet: file of the network that tells fleets apart; default the one beside the detector, ``<stem>.fleet.onnx``
-            (the bundled one for a bundled detector). Without any the look of vehicles is no evidence.
-        verifier: file of the network that judges the candidates once more; default the one beside the detector,
-            ``<stem>.verifier.onnx``. Without any the detector's scores stand.
-        runtime: how to open it and the networks beside it; None for the defaults.
+        classes: class names (in either spelling) or indices that count as vehicles; by default "small vehicle", else
+            "car" or "vehicle", else the only class under any name.
+        fleet: file of the fleet network; by default the file beside the detector, ``<stem>.fleet.onnx`` (the bundled
+            one for a bundled detector). Without one, the appearance of vehicles is not used.
+        verifier: file of the verifier; by default the file beside the detector, ``<stem>.verifier.onnx``. Without one,
+            the detector's scores are used unchanged.
+        runtime: how to open the detector and its auxiliary models; None for the defaults.
 
     Attributes:
         path: the ONNX file.
-        card: what it says of itself.
-        fleet: the network that tells fleets apart; None without any.
-        verifier: the network that judges candidates once more; None without any. ``search`` asks it.
-        runtime: how it was opened, and the call that it runs for.
-        fixed_size: height and width of the model's input, pixels; None where they are free.
+        card: model card.
+        fleet: the fleet network; None without one.
+        verifier: the verifier, which ``search`` applies; None without one.
+        runtime: how the detector was opened, and the call that it runs for.
+        fixed_size: height and width of the model's input, pixels; None if they are free.
 
     Raises:
         ModelNotFoundError: there is no such file.
@@ -95,10 +95,10 @@ class Detector(LoadedModel):
         self.path, self.runtime = Path(path), runtime or Runtime()
         file = read_model(self.path)
         self._session = open_session(self.path, content=file.content, runtime=self.runtime)
-        beside = fleet if fleet is not None else fleet_beside(self.path)
-        self.fleet = None if beside is None else FleetNetwork(beside, runtime=self.runtime)
-        look = verifier if verifier is not None else verifier_beside(self.path)
-        self.verifier = None if look is None else Verifier(look, runtime=self.runtime)
+        fleet_path = fleet if fleet is not None else fleet_beside(self.path)
+        self.fleet = None if fleet_path is None else FleetNetwork(fleet_path, runtime=self.runtime)
+        verifier_path = verifier if verifier is not None else verifier_beside(self.path)
+        self.verifier = None if verifier_path is None else Verifier(verifier_path, runtime=self.runtime)
         self.card = read_detector_card(
             self.path,
             models_sha256(file),
@@ -116,7 +116,7 @@ class Detector(LoadedModel):
             raise ModelContractError(f"{self.path}: {error}") from None
 
     def under(self, call: Runtime) -> Self:
-        """The same detector for one call, with the networks beside it; see ``LoadedModel.under``."""
+        """Bind the detector and its auxiliary models to one call; see ``LoadedModel.under``."""
         bound = super().under(call)
         if bound is not self:
             bound.fleet = self.fleet and self.fleet.under(call)
@@ -152,7 +152,7 @@ class Detector(LoadedModel):
         return (height, width) if height and width else None
 
     def _recognised_contract(self) -> DetectorContract:
-        """The contract of the outputs' shapes; where these are symbolic, of those for a blank image."""
+        """Recognise the contract by the outputs' shapes; if these are symbolic, run a blank image to get them."""
         shapes = [tuple(output.shape) for output in self._session.get_outputs()]
         if not all(isinstance(side, int) for shape in shapes for side in shape[1:]):
             height, width = self.fixed_size or (self.card.stride_px * _PROBE_STRIDES,) * 2
@@ -172,7 +172,7 @@ class Detector(LoadedModel):
         return [np.asarray(output) for output in outputs]
 
     def _prepared(self, tile: NDArray[np.uint8]) -> NDArray[Any]:
-        """``[h, w, 3]`` uint8 to the model's ``[1, 3, H, W]`` in 0..1, padded right and below."""
+        """Convert ``[h, w, 3]`` uint8 to the model's ``[1, 3, H, W]`` in 0..1, padded right and below."""
         height, width = tile.shape[:2]
         stride = self.card.stride_px
         full_h, full_w = self.fixed_size or (-(-side // stride) * stride for side in (height, width))
@@ -185,15 +185,15 @@ class Detector(LoadedModel):
             np.multiply(channel, np.float32(1 / 255), out=plane, casting="unsafe")
         return batch
 
-    def detect_tile(self, tile: NDArray[np.uint8], min_score: float) -> TileSighting:
-        """Detect objects in one tile, before non-maximum suppression.
+    def detect_tile(self, tile: NDArray[np.uint8], min_score: float) -> TileDetections:
+        """Detect objects in one tile, without non-maximum suppression.
 
         Args:
-            tile: ``[h, w, 3]`` uint8 RGB, no larger than the model's input where that is fixed.
+            tile: ``[h, w, 3]`` uint8 RGB, no larger than the model's fixed input.
             min_score: detections below it are dropped.
 
         Returns:
-            Vehicles and other objects, their boxes canonical, in tile pixels.
+            Vehicles and other objects with canonical boxes, in tile pixels.
         """
         outputs = self._run(self._prepared(tile))
         try:
@@ -203,19 +203,19 @@ class Detector(LoadedModel):
                 anything = self._contract.objects(outputs, min_score)
                 others = anything.take(~np.isin(anything.classes, self._vehicle_classes))
             ran_out = self._contract.ran_out(outputs)
-        except (LookupError, ValueError, TypeError) as error:  # shapes that the blank image did not have
+        except (LookupError, ValueError, TypeError) as error:  # other shapes than for the blank image
             shapes = ", ".join(str(list(output.shape)) for output in outputs)
             raise ModelContractError(f"the detector {self.path} puts out {shapes}, no layout of its") from error
-        return TileSighting(self._checked(vehicles, tile), self._checked(others, tile), ran_out)
+        return TileDetections(self._checked(vehicles, tile), self._checked(others, tile), ran_out)
 
     def _checked(self, found: Objects, tile: NDArray[np.uint8]) -> Objects:
-        """The boxes that can be objects of a tile.
+        """Select the boxes that can be objects of a tile.
 
         Raises:
-            ModelContractError: there are more of them than a tile has places.
+            ModelContractError: there are more boxes than any detector has anchors.
         """
         height, width = tile.shape[:2]
-        most = _LEAST_PLACES + height * width // _PX_PER_PLACE
+        most = _LEAST_BOXES + height * width // _PX_PER_BOX
         if len(found) > most:
             raise ModelContractError(
                 f"the detector {self.path} puts out {len(found)} boxes for {width} x {height} px: at most {most} have "
@@ -225,7 +225,7 @@ class Detector(LoadedModel):
 
 
 def _within(found: Objects, width_px: int, height_px: int) -> Objects:
-    """The objects that are boxes no larger than the tile, with their centre inside it, in canonical form."""
+    """Select the boxes that are no larger than the tile and centred in it, and convert them to canonical form."""
     boxes = found.boxes
     diagonal_px = math.hypot(width_px, height_px)
     sane = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:4] > 0).all(axis=1) & (np.abs(boxes[:, 4]) < _ANGLE_LIMIT)
@@ -235,14 +235,14 @@ def _within(found: Objects, width_px: int, height_px: int) -> Objects:
 
 
 def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:
-    """Open a detector once, until its file or that of a network beside it changes; see ``Detector``.
+    """Open a detector, or return the open one while its files are unchanged; see ``Detector``.
 
     Args:
         path: the ONNX file.
         runtime: how to open it, and the call that it runs for; None for the defaults.
 
     Returns:
-        The detector, shared by all that ask for the same.
+        The detector, shared by all callers with equal arguments.
 
     Raises:
         ModelError: as ``Detector``.

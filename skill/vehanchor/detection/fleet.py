@@ -1,4 +1,4 @@
-"""The network beside a detector that tells the length of a fleet's vehicles by their look."""
+"""Fleet network: predicts the lengths of vehicles from their appearance."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 
 class FleetNetwork(AuxiliaryModel[FleetCard]):
-    """A network from chips of vehicles to what they tell of their fleet.
+    """Network from chips of vehicles ``[n, 1, 16, 24]`` to ``log_odds [n]`` and ``log_length [n]``.
 
-    ``chips [n, 1, 16, 24]`` to ``log_odds [n]`` and ``log_length [n]``, see ``FleetAppearance``.
+    See ``FleetAppearance`` for the two outputs.
     """
 
     named = "fleet network"
@@ -28,16 +28,16 @@ class FleetNetwork(AuxiliaryModel[FleetCard]):
     outputs = ("log_odds", "log_length")
     card_type = FleetCard
 
-    def look(self, raster: Raster, boxes: NDArray[np.float64]) -> FleetAppearance:
-        """What vehicles tell of their fleet by their look alone.
+    def appearance(self, raster: Raster, boxes: NDArray[np.float64]) -> FleetAppearance:
+        """Predict fleet and length of vehicles from their chips.
 
         Args:
             raster: the image.
             boxes: ``[n, 5]`` in image pixels, best first.
 
         Returns:
-            Of the first m = min(n, 100).
+            Predictions for the first m = min(n, 100).
         """
         if len(boxes) == 0:
             return FleetAppearance(np.zeros(0), np.zeros(0))
-        return FleetAppearance(*self.answers(vehicle_chips(raster, boxes[:MAX_CHIPS])))
+        return FleetAppearance(*self.predict(vehicle_chips(raster, boxes[:MAX_CHIPS])))

@@ -1,4 +1,4 @@
-"""The resolutions at which an image is searched, and the lengths of vehicles that count at each."""
+"""Search levels: the resolutions at which an image is searched, and the vehicle lengths accepted at each."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-SEARCH_FACTORS = (1, 2, 4, 8)  # the image is searched at 1/1, 1/2, 1/4 and 1/8: a third more pixels in all
-MIN_LEVEL_SIDE_PX = 96  # a reduced image with a shorter side is not searched: it would hold a car or two
-LEVEL_OVERLAP = 1.25  # factor by which the length ranges of two levels overlap: a car at their border is seen by both
+SEARCH_FACTORS = (1, 2, 4, 8)  # the levels 1/2, 1/4 and 1/8 add a third to the pixels
+MIN_LEVEL_SIDE_PX = 96  # reduced images with a shorter side are not searched: they would show one or two cars
+LEVEL_OVERLAP = 1.25  # factor by which the length ranges of two levels overlap, for cars at their limit
 
 
 class SearchLevel(NamedTuple):
-    """One resolution at which an image is searched, and the lengths that count there.
+    """Resolution at which an image is searched, and the vehicle lengths accepted there.
 
     Attributes:
-        factor: the image is reduced by it.
-        width_px: columns of the reduced image.
-        height_px: its rows.
-        shortest_px: shortest vehicle that counts here, in pixels of the reduced image.
-        longest_px: longest one.
+        factor: reduction factor.
+        width_px: width of the reduced image.
+        height_px: height of the reduced image.
+        shortest_px: shortest accepted vehicle, in pixels of the reduced image.
+        longest_px: longest accepted vehicle, in pixels of the reduced image.
     """
 
     factor: int
@@ -32,25 +32,25 @@ class SearchLevel(NamedTuple):
     longest_px: float
 
     def counts(self, lengths_px: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which vehicles count here, by their lengths in pixels of the reduced image."""
+        """Test which vehicles are accepted, by their lengths in pixels of the reduced image."""
         return (lengths_px >= self.shortest_px) & (lengths_px <= self.longest_px)
 
 
 def search_levels(
     width_px: int, height_px: int, length_range_px: tuple[float, float], *, search_scales: bool
 ) -> list[SearchLevel]:
-    """The resolutions at which an image is searched, finest first.
+    """List the resolutions at which an image is searched, finest first.
 
-    A vehicle is measured at the finest level at which it is not longer than what the model was trained on: there it has
-    the most pixels. So each coarser level counts the lengths from half of that limit up, less an overlap: a fleet at
-    the border of two levels is cut off by neither, and boxes of one vehicle found twice are merged by the non-maximum
-    suppression. The finest level has no lower and the coarsest no upper limit.
+    A vehicle is measured at the finest level at which it is within the model's training range: there it has the most
+    pixels. Each coarser level therefore accepts lengths from half of that limit up, with an overlap, so that no fleet
+    is split between two levels. Non-maximum suppression merges a vehicle found twice. The finest level has no lower
+    limit and the coarsest no upper limit.
 
     Args:
-        width_px: of the image.
-        height_px: of the image.
-        length_range_px: shortest and longest vehicle that the model was trained on.
-        search_scales: False gives full resolution alone.
+        width_px: width of the image.
+        height_px: height of the image.
+        length_range_px: shortest and longest vehicle in the model's training data.
+        search_scales: False gives full resolution only.
 
     Returns:
         Levels whose shorter side has at least 96 px; always full resolution.

@@ -1,4 +1,4 @@
-"""Non-maximum suppression of oriented boxes: of those that overlap, the best."""
+"""Non-maximum suppression of oriented boxes."""
 
 from __future__ import annotations
 
@@ -18,13 +18,12 @@ _MOST_PAIRS = 20_000_000  # 0.3 GiB of indices
 
 
 def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = NMS_IOU) -> NDArray[np.intp]:
-    """Greedy non-maximum suppression with exact oriented IoU.
+    """Suppress non-maximum boxes greedily with exact oriented IoU.
 
-    Boxes are visited from the highest score down (equal scores: by position and size, so that the input's order does
-    not matter); one is dropped if its IoU with a kept box exceeds ``iou_threshold``. Pairs are gated by a k-d tree on
-    the centres within size classes (one huge box does not widen everybody's gate), by the ratio of areas and by the
-    boxes' extents in each other's frame, which bound the IoU from above; what passes is intersected exactly, and only
-    against boxes that were kept.
+    Boxes are visited by falling score; equal scores by position and size, independent of the input's order. A box is
+    dropped if its IoU with a kept box exceeds ``iou_threshold``. Three upper bounds of the IoU preselect pairs: the
+    distance of the centres (a k-d tree per size class), the ratio of areas, and the boxes' extents in each other's
+    frame. The exact IoU is computed only for the remaining pairs with kept boxes.
 
     Args:
         boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)``.
@@ -35,8 +34,7 @@ def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = 
         Indices into ``boxes`` of those kept, from the highest score down.
 
     Raises:
-        ModelContractError: no detector of vehicles puts so many boxes on one another: time and memory would grow with
-            the square of their number.
+        ModelContractError: too many boxes overlap; time and memory grow with the square of their number.
     """
     rows = canonical_boxes(boxes)
     score = np.asarray(scores, dtype=np.float64).reshape(-1)
@@ -59,7 +57,7 @@ def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = 
 
 
 def _shared_bound(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Upper bound of the area that each box of ``a`` shares with that of ``b``: the extent of ``b`` along a's sides."""
+    """Bound the area that each box of ``a`` shares with that of ``b`` by the extent of ``b`` along a's sides."""
     turn = b[:, 4] - a[:, 4]
     cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
     dx, dy = (b[:, :2] - a[:, :2]).T
@@ -75,7 +73,7 @@ def _shared_bound(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.
 
 
 def _overlap_candidates(rows: NDArray[np.float64], iou_threshold: float) -> list[list[int]]:
-    """For each box the later ones that might exceed the threshold, by distance, area ratio and extent."""
+    """List for each box the later ones that may exceed the threshold, by distance, area ratio and extent."""
     length, width = rows[:, 2], rows[:, 3]
     radius = np.hypot(length, width) / 2
     area = length * width
@@ -92,8 +90,8 @@ def _overlap_candidates(rows: NDArray[np.float64], iou_threshold: float) -> list
                 n_pairs += int(trees[c].count_neighbors(trees[d], reach))
             if n_pairs > _MOST_PAIRS:
                 raise ModelContractError(
-                    f"the detector put {len(rows)} boxes so much on one another that more than {_MOST_PAIRS} pairs of "
-                    "them would have to be compared: it is none for vehicles, or min_score is too low for it"
+                    f"more than {_MOST_PAIRS} pairs of the detector's {len(rows)} boxes may overlap: it is not a "
+                    "vehicle detector, or min_score is too low"
                 )
             if c == d:
                 local = trees[c].query_pairs(reach, output_type="ndarray")

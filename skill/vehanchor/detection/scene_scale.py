@@ -1,8 +1,8 @@
-"""Looking at the ground: what a small network sees of the scale on tiles of an image.
+"""Scene-scale prior: a small network predicts the GSD from tiles of an image.
 
-The network tells of a tile of 160 px how many metres a pixel is. An image is looked at on tiles spread over it at its
-own resolution and at 1/2, 1/4 and 1/8: the further view tells houses and roads where the near one sees nothing but
-grass.
+The network predicts a density of the GSD for a tile of 160 px. It runs on tiles spread over the image at full
+resolution and at 1/2, 1/4 and 1/8. Where a tile at full resolution shows only grass, a reduced one shows houses and
+roads.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from vehanchor.models.session import open_session, run_session
 from vehanchor.models.zoo import bundled_scene_scale
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.fusion import GRID, blurred, with_outlier_floor
-from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -35,23 +34,22 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
 
 TILE_PX = 160
-FACTORS = (1, 2, 4, 8)  # by which an image is reduced
-MOST_TILES = 24  # of a level
+FACTORS = (1, 2, 4, 8)  # reduction factors of the image
+MOST_TILES = 24  # per level
 _LEAST_PROBABILITY = 1e-12
-_SIZES_LOG_SD = 0.1  # of cars, and of the measurement of one
-_OPEN_LOG_WIDTH = 2.0  # ground that leaves the scale open so far neither raises nor lowers a score
-_MOST_SIZE_ODDS = 2.0  # for or against: the ground may be wrong
-_BATCH = 8  # tiles at once: 24 would take three times the memory and no less time
+_SIZES_LOG_SD = 0.1  # of cars' lengths and of their measurement
+_OPEN_LOG_WIDTH = 2.0  # a prior that is flat over this width neither raises nor lowers a score
+_MOST_SIZE_ODDS = 2.0  # in either direction, because the prior may be wrong
+_BATCH = 8  # tiles per run: 24 take three times the memory and as much time
 
 
-@stored("scene_level")
 class SceneLevel(NamedTuple):
-    """What was seen at one resolution.
+    """Network's prediction at one resolution.
 
     Attributes:
-        factor: by which the image was reduced.
-        n_tiles: how many tiles were looked at.
-        log_probs: ``[bins]`` mean of their log-probabilities: tiles that disagree flatten it.
+        factor: reduction factor of the image.
+        n_tiles: number of tiles.
+        log_probs: ``[bins]`` mean of the tiles' log-probabilities; it is flat if the tiles disagree.
     """
 
     factor: int
@@ -59,19 +57,18 @@ class SceneLevel(NamedTuple):
     log_probs: NDArray[np.float64]
 
 
-@stored("scene_calibration")
 @dataclass(frozen=True)
 class SceneCalibration:
-    """From a network's answers to a density that can be believed (``research/training/scene_scale/calibrate.py``).
+    """Calibration from a network's predictions to a density (``research/training/scene_scale/calibrate.py``).
 
     Attributes:
-        first_log_gsd: natural log of metres per pixel of the first bin's centre.
-        log_step: from one bin to the next.
+        first_log_gsd: natural log of metres per pixel at the first bin's centre.
+        log_step: difference between neighbouring bins.
         temperature: exponent on the mean of a level's tiles.
-        doubt: chance that a level is wrong altogether, so that it cannot veto the others.
-        levels: the exponent on the levels' geometric mean grows with their number to this power: 0 if each says the
-            same, 1 if each says something else.
-        floor: chance that all are wrong.
+        doubt: outlier probability of a level, so that no level can veto the others.
+        levels: power of the number of levels in the exponent on their geometric mean: 0 if the levels are fully
+            dependent, 1 if they are independent.
+        floor: outlier probability of all levels together.
     """
 
     first_log_gsd: float
@@ -82,20 +79,19 @@ class SceneCalibration:
     floor: float = 0.02
 
 
-@stored("scene_scale_prior")
 @dataclass(frozen=True, eq=False)
 class SceneScalePrior:
-    """What was seen of the ground at all resolutions of an image.
+    """Scene-scale prior of an image from all resolutions.
 
     Attributes:
-        levels: finest resolution first.
-        calibration: of the network that saw it.
+        levels: predictions, finest resolution first.
+        calibration: calibration of the network.
     """
 
     levels: tuple[SceneLevel, ...]
     calibration: SceneCalibration
 
-    @cached_property  # the weights of the boxes and the ruler both ask
+    @cached_property  # used by the boxes' scores and by the ruler
     def density(self) -> NDArray[np.float64]:
         """Probabilities on ``vehanchor.scale.fusion.GRID``."""
         return scene_density(self.levels, self.calibration)
@@ -107,14 +103,13 @@ class SceneScalePrior:
         return np.asarray(np.clip(odds, -_MOST_SIZE_ODDS, _MOST_SIZE_ODDS))
 
     def size_odds(self, lengths_px: ArrayLike) -> NDArray[np.float64]:
-        """Say how well lengths fit a car's, by the scale that the ground tells.
+        """Compute how well lengths fit a car's length under this prior.
 
         Args:
             lengths_px: ``[n]`` pixels of the image.
 
         Returns:
-            ``[n]`` log odds from -2 to 2, over a scale that is open within a factor of 7.4; -1.2 where the ground is
-            quite lost.
+            ``[n]`` log odds from -2 to 2, relative to a prior that is flat over a factor of 7.4; -1.2 for a flat prior.
         """
         return np.asarray(np.interp(np.log(CAR_LENGTH_M / np.asarray(lengths_px, np.float64)), GRID, self._size_odds))
 
@@ -123,11 +118,11 @@ def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]
     """Spread tiles evenly over an image, at every resolution that still holds one.
 
     Args:
-        width_px: of the image.
-        height_px: of the image; where either is less than 160 there is one level of a tile that overlaps it.
+        width_px: width of the image.
+        height_px: height of the image. If either side is below 160 px, there is one level with smaller tiles.
 
     Returns:
-        Factors and the tiles in pixels of the image reduced by them, the finest first.
+        Reduction factors and tiles in pixels of the reduced image, the finest first.
     """
     levels = []
     for factor in FACTORS:
@@ -146,14 +141,15 @@ def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]
 
 
 def scene_density(levels: Sequence[SceneLevel], calibration: SceneCalibration) -> NDArray[np.float64]:
-    """Combine what was seen at all resolutions into one density.
+    """Combine the predictions at all resolutions into one density.
 
-    The log-probabilities of the levels, each mixed with some doubt, are shifted by their factors and averaged; the
-    result is mixed with the flat density. Bins at either end stand for all that is finer or coarser.
+    Each level is mixed with a flat density. The log-probabilities are shifted by the reduction factors and averaged,
+    and the result is mixed with the flat density again. The first and the last bin stand for all finer and coarser
+    scales.
 
     Args:
-        levels: of one image, at least one.
-        calibration: of the network.
+        levels: levels of one image, at least one.
+        calibration: calibration of the network.
 
     Returns:
         Probabilities on ``vehanchor.scale.fusion.GRID``.
@@ -170,7 +166,7 @@ def scene_density(levels: Sequence[SceneLevel], calibration: SceneCalibration) -
 
 
 class SceneScaleNetwork(LoadedModel):
-    """The network of scene scale.
+    """Network that predicts the GSD of tiles.
 
     Args:
         path: ONNX file with an input ``tiles`` ``[n, 3, 160, 160]`` uint8 RGB and an output ``log_probs``
@@ -179,7 +175,7 @@ class SceneScaleNetwork(LoadedModel):
 
     Raises:
         ModelNotFoundError: there is no such file.
-        ModelContractError: it is another kind of file.
+        ModelContractError: the file is not a scene-scale network.
     """
 
     def __init__(self, path: Path, *, runtime: Runtime | None = None) -> None:
@@ -190,14 +186,14 @@ class SceneScaleNetwork(LoadedModel):
             raise ModelContractError(f"{path} has {', '.join(names)}: expected the input tiles, the output log_probs")
         self.calibration = _read_calibration(path, self._session.get_modelmeta().custom_metadata_map)
 
-    def look(self, raster: Raster) -> SceneScalePrior:
-        """Look at an image on tiles of every resolution.
+    def predict(self, raster: Raster) -> SceneScalePrior:
+        """Predict the scale of an image from tiles at every resolution.
 
         Args:
             raster: the image.
 
         Returns:
-            What was seen.
+            The scene-scale prior.
         """
         levels = []
         for factor, windows in tile_windows(raster.width_px, raster.height_px):
@@ -223,7 +219,7 @@ def _loaded(path: Path, *, runtime: Runtime) -> SceneScaleNetwork:
 
 
 def _tile(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
-    """``[3, 160, 160]``; what lies beyond a small image mirrors it."""
+    """Read a tile ``[3, 160, 160]``; a small image is mirrored beyond its edges."""
     pixels = read_reduced_window(raster, window, factor)
     down, right = TILE_PX - pixels.shape[0], TILE_PX - pixels.shape[1]
     if down or right:

@@ -1,8 +1,8 @@
-"""The order in which the tiles of a large image are visited, so that cars are found early.
+"""Scheduler of a large image's tiles, so that cars are found early.
 
-Of each resolution the most promising tile comes next: by the coarse view at first, then by what its neighbours showed,
-since cars stand where cars stand. Every fourth comes from a fixed order that spreads over the image whatever it shows.
-How often each resolution has its turn follows from how likely cars fit it. The order depends on the image alone.
+Each resolution continues with its most likely tile: first by the tile prior, later by the vehicles in neighbouring
+tiles. Every fourth tile comes from a fixed order that spreads over the image. A resolution's share of the tiles follows
+from the probability that cars fit it. The order depends only on the image.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Window
 
-_SHARE_OF_ALL = 0.2  # of the tiles go to all resolutions alike: the ground may say something wrong
-_SPREAD_EVERY = 4  # every so many tiles one is taken whatever the image shows
-_PRIOR_TILES = 2.0  # neighbours that a coarse view weighs as much as
-_FULL_TILE = 4  # vehicles from which on a tile counts as one with cars
-_NEAR_TILES = 1.1  # sides of a tile between the corners of neighbours
+_SHARE_OF_ALL = 0.2  # share of the tiles that is split evenly, because the scene-scale prior may be wrong
+_SPREAD_EVERY = 4  # one tile in four comes from the fixed order
+_PRIOR_TILES = 2.0  # weight of the tile prior, in neighbours
+_FULL_TILE = 4  # number of vehicles at which a tile counts in full
+_NEAR_TILES = 1.1  # largest distance between the corners of neighbours, in tile sides
 _PLASTIC = (0.7548776662466927, 0.5698402909980532)  # of the plastic number: Roberts' sequence R2
 
 
 class TilePlace(NamedTuple):
-    """A tile of one resolution.
+    """Tile at one resolution.
 
     Attributes:
-        factor: the image is reduced by it.
+        factor: reduction factor.
         window: in pixels of the reduced image.
     """
 
@@ -44,14 +44,15 @@ class TilePlace(NamedTuple):
 def level_chances(
     length_ranges_px: Mapping[int, tuple[float, float]], density: NDArray[np.float64]
 ) -> dict[int, float]:
-    """Say how likely cars fit each resolution.
+    """Compute the probability that cars fit each resolution.
 
     Args:
-        length_ranges_px: shortest and longest vehicle that counts at each resolution, pixels of the reduced image.
+        length_ranges_px: shortest and longest accepted vehicle at each resolution, pixels of the reduced image.
         density: ``[g]`` probabilities of the scale on ``vehanchor.scale.fusion.GRID``.
 
     Returns:
-        Probabilities by factor; neighbours overlap, and at some scales cars fit none.
+        Probabilities by factor. They need not sum to 1: neighbouring resolutions overlap, and at some scales cars fit
+        none.
     """
     lengths = CAR_LENGTH_M / np.exp(GRID)
     return {
@@ -63,11 +64,11 @@ def level_chances(
 def level_shares(
     length_ranges_px: Mapping[int, tuple[float, float]], density: NDArray[np.float64] | None
 ) -> dict[int, float]:
-    """Say how many of the tiles belong to each resolution: as many as cars are likely to fit it, and some to all.
+    """Compute each resolution's share of the tiles: by the probability that cars fit it, plus an even part.
 
     Args:
-        length_ranges_px: as for ``level_chances``.
-        density: the same; None where nobody knows.
+        length_ranges_px: as in ``level_chances``.
+        density: as in ``level_chances``; None without a prior.
 
     Returns:
         Shares by factor; their sum is 1.
@@ -81,7 +82,7 @@ def level_shares(
 
 
 def spread_order(places: Sequence[TilePlace]) -> NDArray[np.intp]:
-    """Order tiles of one resolution so that the first of them, however many, spread over the image.
+    """Order tiles of one resolution so that any number of the first ones spreads over the image.
 
     Args:
         places: the tiles.
@@ -96,19 +97,19 @@ def spread_order(places: Sequence[TilePlace]) -> NDArray[np.intp]:
 
 
 class TileScheduler:
-    """What is visited next, by what the tiles visited so far have shown.
+    """Chooses the next tiles from the vehicles in the visited ones.
 
     Args:
         places: all tiles of the image.
-        promises: ``[n]`` how likely each holds cars, by a coarse view.
-        shares: how many tiles belong to each resolution, by factor.
+        priors: ``[n]`` probability that each tile shows cars, from a preview of the image.
+        shares: share of the tiles for each resolution, by factor.
     """
 
-    def __init__(self, places: Sequence[TilePlace], promises: NDArray[np.float64], shares: Mapping[int, float]) -> None:
+    def __init__(self, places: Sequence[TilePlace], priors: NDArray[np.float64], shares: Mapping[int, float]) -> None:
         self._factors = np.array([place.factor for place in places])
         self._corners = np.array([(place.window.x_px, place.window.y_px) for place in places], dtype=np.float64)
         self._reach = np.array([max(place.window.width_px, place.window.height_px) for place in places]) * _NEAR_TILES
-        self._hits, self._seen = _PRIOR_TILES * promises, np.full(len(places), _PRIOR_TILES)
+        self._hits, self._seen = _PRIOR_TILES * priors, np.full(len(places), _PRIOR_TILES)
         self._waiting = np.ones(len(places), dtype=bool)
         self._shares = dict(shares)
         self._taken = dict.fromkeys(self._shares, 0)
@@ -121,15 +122,15 @@ class TileScheduler:
             self._rank[ordered] = np.arange(len(ordered))
 
     def next_tiles(self, count: int) -> list[int]:
-        """Take the next tiles, at most so many; none when all are taken."""
+        """Take up to ``count`` tiles; none are left when all are taken."""
         taken: list[int] = []
         while len(taken) < count and self._waiting.any():
             taken.append(self._next())
             self._waiting[taken[-1]] = False
         return taken
 
-    def tell(self, tile: int, n_vehicles: int) -> None:
-        """Say how many vehicles a tile has shown."""
+    def report(self, tile: int, n_vehicles: int) -> None:
+        """Report the number of vehicles found in a tile."""
         near = (self._factors == self._factors[tile]) & (
             np.abs(self._corners - self._corners[tile]).max(axis=1) <= self._reach[tile]
         )
@@ -150,6 +151,6 @@ class TileScheduler:
         return int(best[np.argmin(self._rank[best])])
 
     def _next_factor(self) -> int:
-        """The resolution whose turn it is: the one that is furthest behind its share."""
+        """Choose the resolution that is furthest behind its share."""
         open_factors = [factor for factor in self._shares if (self._waiting & (self._factors == factor)).any()]
         return min(open_factors, key=lambda factor: ((self._taken[factor] + 1) / self._shares[factor], factor))

@@ -1,8 +1,8 @@
-"""The search of an image: overlapping tiles at one or more resolutions, and what they show merged into one sighting.
+"""Search of an image: overlapping tiles at one or more resolutions, merged into one ``Detections``.
 
-Tiles of a small image are visited in reading order; those of resolutions at which, by the ground, no car can be, come
-last and only where the others show few. Tiles of a large one are visited where cars are likely first, until the
-caller's ``standing`` says that more of them cannot narrow the scale's interval.
+The tiles of a small image are visited in reading order. Resolutions that the scene-scale prior excludes come last, and
+only if the others show few vehicles. The tiles of a large image are visited where cars are likely first, until the
+caller's ``convergence`` shows that more tiles cannot narrow the scale's interval.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.detection.boxes import box_corners
-from vehanchor.detection.convergence import ANYTIME_PIXELS, next_check, settled, stop_rule
+from vehanchor.detection.convergence import ANYTIME_PIXELS, has_converged, next_check, stop_rule
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.levels import search_levels
 from vehanchor.detection.nms import oriented_nms
@@ -30,17 +30,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.convergence import Convergence, StopRule
-    from vehanchor.detection.detector import Detector, TileSighting
+    from vehanchor.detection.detector import Detector, TileDetections
     from vehanchor.detection.levels import SearchLevel
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.detection.verifier import Verifier
     from vehanchor.imagery.raster import Raster, Window
-    from vehanchor.options.search import Stopped
+    from vehanchor.scale.defaults import Stopped
 
 _MIN_TILE_PX = 32
-_LEAST_CHANCE = 0.01  # of cars at a resolution: the flat part of the ground's density alone leaves most of that
-_ENOUGH_VEHICLES = 5  # elsewhere, for such a resolution to be left out: the ground may be wrong
-_TILES_AT_ONCE = 4  # read one after the other while the model works, and chosen by what those before them showed
+_LEAST_CHANCE = 0.01  # of cars at a resolution; most of it is the floor of the scene-scale prior
+_ENOUGH_VEHICLES = 5  # at the other resolutions, to skip an unlikely one; the prior may be wrong
+_TILES_AT_ONCE = 4  # tiles that are scheduled together; each is read while the model runs on the one before
 
 
 def search(
@@ -48,18 +48,18 @@ def search(
     detector: Detector,
     options: Search | None = None,
     *,
-    scene: SceneScalePrior | None = None,
+    prior: SceneScalePrior | None = None,
     convergence: Callable[[Detections], Convergence] | None = None,
 ) -> Detections:
     """Search an image tile by tile, at one or more resolutions, and merge the results (paper, section III-B).
 
     Args:
-        raster: the image; only two tiles of it are held at a time.
+        raster: the image; at most two of its tiles are in memory.
         detector: the model; the search reports its tiles to the progress of the detector's runtime.
         options: how to search; None for the defaults.
-        scene: what the ground tells of the scale: at which resolutions to look first, and how long a car would be.
-            None where nobody looked.
-        convergence: says of what was found so far whether it would do; None searches on to the options' other limits.
+        prior: scene-scale prior, which orders the resolutions and weighs the boxes' sizes; None without one.
+        convergence: measures the uncertainty of the scale from the detections so far; None leaves only the options'
+            limits to end the search early.
 
     Returns:
         Vehicles and other objects in image pixels, after oriented non-maximum suppression.
@@ -68,7 +68,7 @@ def search(
         InvalidParameterError: a tile larger than the model's fixed input, a stride beyond the tile.
     """
     chosen = options or Search()
-    work, tell = _Work(raster, detector, chosen, scene), detector.runtime.tell
+    work, tell = _Work(raster, detector, chosen, prior), detector.runtime.tell
     total = len(work.visits)
     rule = stop_rule(chosen, raster.width_px * raster.height_px, total)
     because = (
@@ -79,7 +79,7 @@ def search(
 
 
 def _search_likely_levels(work: _Work, rule: StopRule, tell: Callable[[int, int], None]) -> Stopped:
-    """Visit the tiles of resolutions that may hold cars, and the others where these show few; why it ended."""
+    """Visit the tiles of likely resolutions, and of the others if these show few vehicles; return why it ended."""
     unlikely = frozenset() if rule.every_level else work.unlikely_factors()
     order = work.reading_order()
     likely = [k for k in order if work.visits[k][0].factor not in unlikely]
@@ -99,9 +99,9 @@ def _search_in_order(
     convergence: Callable[[Detections], Convergence] | None,
     tell: Callable[[int, int], None],
 ) -> Stopped:
-    """Visit tiles where cars are likely first, until the rule says to end; why it did."""
+    """Visit tiles where cars are likely first, until the stopping rule holds; return why it ended."""
     started = time.monotonic()
-    order, standings, total = work.order(), [], len(work.visits)
+    order, checks, total = work.order(), [], len(work.visits)
     most = min(total, rule.max_tiles or total)
     due = next_check(0)
     while work.n_visited < most:
@@ -109,21 +109,21 @@ def _search_in_order(
             if rule.max_seconds is not None and work.n_visited and time.monotonic() - started > rule.max_seconds:
                 return "max_seconds"
             tell(work.n_visited, total)
-            order.tell(k, work.visit(k, pixels))
+            order.report(k, work.visit(k, pixels))
         if convergence is not None and rule.share is not None and due <= work.n_visited < most:
             due = next_check(work.n_visited)
-            standings.append(convergence(work.detections()))
-            if settled(standings, rule):
+            checks.append(convergence(work.detections()))
+            if has_converged(checks, rule):
                 return "settled"
     return "all_searched" if most == total else "max_tiles"
 
 
 class _Work:
-    """The tiles of an image, and what those that were visited have shown."""
+    """Tiles of an image, and the detections in the visited ones."""
 
-    def __init__(self, raster: Raster, detector: Detector, options: Search, scene: SceneScalePrior | None) -> None:
+    def __init__(self, raster: Raster, detector: Detector, options: Search, prior: SceneScalePrior | None) -> None:
         card = detector.card
-        self._raster, self._detector, self._scene = raster, detector, scene
+        self._raster, self._detector, self._prior = raster, detector, prior
         self._nms_iou = options.nms_iou
         self._verifier = detector.verifier if options.verify else None
         tile_px, stride_px = _tile_and_stride(detector.fixed_size, options)
@@ -139,7 +139,7 @@ class _Work:
             for level in self.levels
             for tile in tile_grid(level.width_px, level.height_px, tile_px=tile_px, stride_px=stride_px)
         ]
-        self._found: dict[int, TileSighting] = {}
+        self._found: dict[int, TileDetections] = {}
 
     @property
     def n_visited(self) -> int:
@@ -147,22 +147,22 @@ class _Work:
 
     @property
     def n_vehicles(self) -> int:
-        """Found so far, before those found twice are merged."""
+        """Number of vehicles found so far, before duplicates are merged."""
         return sum(len(seen.vehicles) for seen in self._found.values())
 
     def order(self) -> TileScheduler:
-        """The order in which to visit, by a coarse view of the image."""
+        """Schedule the tiles by the tile prior and the scene-scale prior."""
         cells = tile_prior_map(self._raster)
         places = [TilePlace(level.factor, tile) for level, tile in self.visits]
-        promises = np.array([tile_prior_of(cells, place.window, place.factor) for place in places])
-        density = None if self._scene is None else self._scene.density
-        return TileScheduler(places, promises, level_shares(self._length_ranges_px(), density))
+        priors = np.array([tile_prior_of(cells, place.window, place.factor) for place in places])
+        density = None if self._prior is None else self._prior.density
+        return TileScheduler(places, priors, level_shares(self._length_ranges_px(), density))
 
     def unlikely_factors(self) -> frozenset[int]:
-        """Resolutions at which, by the ground, no car is of a length that counts there."""
-        if self._scene is None:
+        """List the resolutions at which the scene-scale prior excludes cars of an accepted length."""
+        if self._prior is None:
             return frozenset()
-        chances = level_chances(self._length_ranges_px(), self._scene.density)
+        chances = level_chances(self._length_ranges_px(), self._prior.density)
         return frozenset(factor for factor, chance in chances.items() if chance < _LEAST_CHANCE)
 
     def _length_ranges_px(self) -> dict[int, tuple[float, float]]:
@@ -170,14 +170,14 @@ class _Work:
         return {level.factor: (max(shortest, level.shortest_px), level.longest_px) for level in self.levels}
 
     def reading_order(self) -> list[int]:
-        """All tiles; of a large image the coarse ones right after the fine ones below them, while these are decoded."""
+        """List all tiles; in a large image a coarse tile follows the fine ones under it, which are still decoded."""
         if self._raster.width_px * self._raster.height_px < ANYTIME_PIXELS:
             return list(range(len(self.visits)))
         ends = [(level.factor * (tile.y_px + tile.height_px), k) for k, (level, tile) in enumerate(self.visits)]
         return [k for _, k in sorted(ends)]
 
     def read(self, tiles: Sequence[int]) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-        """Tiles with their pixels; of a large image each is read while the caller works on the one before."""
+        """Yield tiles with their pixels; in a large image the next tile is read while the caller works on this one."""
 
         def read_one(k: int) -> NDArray[np.uint8]:
             level, tile = self.visits[k]
@@ -196,15 +196,15 @@ class _Work:
                 yield k, pixels
 
     def visit(self, k: int, pixels: NDArray[np.uint8]) -> int:
-        """Look at a tile; how many vehicles it shows."""
+        """Detect objects in a tile; return its number of vehicles."""
         level, tile = self.visits[k]
-        seen = _seen(self._detector, self._verifier, pixels, level, self._min_score, self._scene)
+        seen = _detect(self._detector, self._verifier, pixels, level, self._min_score, self._prior)
         vehicles, others = (_in_image(found, tile, level, self._overlap_px) for found in (seen.vehicles, seen.others))
         self._found[k] = seen._replace(vehicles=vehicles, others=others)
         return len(vehicles)
 
     def detections(self, because: Stopped | None = None) -> Detections:
-        """All that was found, merged; whatever the order of the visits was."""
+        """Merge the detections of all visited tiles, independent of the order of the visits."""
         parts = [self._found[k] for k in sorted(self._found)]
         scales = [np.full(len(self._found[k].vehicles), 1 / self.visits[k][0].factor) for k in sorted(self._found)]
         vehicles = Objects.joined([part.vehicles for part in parts])
@@ -217,7 +217,7 @@ class _Work:
             len(parts),
             sum(part.ran_out for part in parts),
             np.concatenate([np.zeros(0), *scales])[kept] if self._search_scales else None,
-            fleet.look(self._raster, vehicles.boxes) if fleet else None,
+            fleet.appearance(self._raster, vehicles.boxes) if fleet else None,
             vehicles.classes,
             _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
             len(self.visits),
@@ -225,28 +225,28 @@ class _Work:
         )
 
 
-def _seen(
+def _detect(
     detector: Detector,
     verifier: Verifier | None,
     pixels: NDArray[np.uint8],
     level: SearchLevel,
     min_score: float,
-    scene: SceneScalePrior | None,
-) -> TileSighting:
-    """One tile's objects that count: vehicles of the level's lengths, scored again by the verifier, if there is one."""
-    # What the detector alone doubts may turn out to be a car.
+    prior: SceneScalePrior | None,
+) -> TileDetections:
+    """Detect the objects of a tile: vehicles of the level's lengths, rescored by the verifier, and other objects."""
+    # The verifier can raise the score of a weak detection.
     seen = detector.detect_tile(pixels, min(min_score, verifier.card.least_score) if verifier else min_score)
     vehicles = seen.vehicles.take(level.counts(seen.vehicles.boxes[:, 2]))
     if verifier:
-        size_odds = 0.0 if scene is None else scene.size_odds(vehicles.boxes[:, 2] * level.factor)
-        vehicles = verifier.judged(pixels, vehicles, size_odds=size_odds)
+        size_odds = 0.0 if prior is None else prior.size_odds(vehicles.boxes[:, 2] * level.factor)
+        vehicles = verifier.scored(pixels, vehicles, size_odds=size_odds)
         vehicles = vehicles.take(vehicles.scores >= min_score)
-    # The range of lengths is that of vehicles: it says nothing of other objects.
+    # The range of lengths applies to vehicles only.
     return seen._replace(vehicles=vehicles, others=seen.others.take(seen.others.scores >= min_score))
 
 
 def _tile_and_stride(fixed_size: tuple[int, int] | None, options: Search) -> tuple[int, int]:
-    """Side of the tiles and step between them, pixels."""
+    """Choose the side of the tiles and their stride, pixels."""
     tile_px = options.tile_px
     if tile_px is None:
         tile_px = min(fixed_size) if fixed_size else TILE_SIZE_PX
@@ -261,7 +261,7 @@ def _tile_and_stride(fixed_size: tuple[int, int] | None, options: Search) -> tup
 
 
 def _in_image(found: Objects, tile: Window, level: SearchLevel, overlap_px: int) -> Objects:
-    """A tile's objects in pixels of the image, without those of which another tile sees more."""
+    """Convert a tile's objects to pixels of the image, without those that another tile shows completely."""
     whole = found.take(~_cut_by_tile(found.boxes, tile, level, overlap_px))
     boxes = whole.boxes.copy()
     boxes[:, :2] += tile.x_px, tile.y_px
@@ -270,7 +270,7 @@ def _in_image(found: Objects, tile: Window, level: SearchLevel, overlap_px: int)
 
 
 def _cut_by_tile(boxes: NDArray[np.float64], tile: Window, level: SearchLevel, overlap_px: int) -> NDArray[np.bool_]:
-    """Boxes cut by a tile's inner edge, which the next tile sees whole: their length is not the vehicle's."""
+    """Find the boxes that a tile's inner edge cuts and the next tile shows completely."""
     corners = box_corners(boxes)
     low, high = corners.min(axis=1), corners.max(axis=1)
     over = np.zeros(len(boxes), dtype=bool)
@@ -286,7 +286,7 @@ def _cut_by_tile(boxes: NDArray[np.float64], tile: Window, level: SearchLevel, o
 
 
 def _merged_by_class(found: Objects, nms_iou: float) -> Objects:
-    """Objects after non-maximum suppression within each class, best score first; of equal ones the lower class."""
+    """Suppress non-maximum objects within each class; the result is sorted by falling score, then by class."""
     parts = []
     for index in np.unique(found.classes):
         members = found.take(found.classes == index)

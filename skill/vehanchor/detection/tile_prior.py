@@ -1,4 +1,7 @@
-"""Where in a large image cars may be, by a coarse view: streets, yards and towns have edges, fields have few."""
+"""Tile prior: where cars are likely in a large image, from the edges in a preview of it.
+
+Streets, yards and towns have many edges, fields have few.
+"""
 
 from __future__ import annotations
 
@@ -16,18 +19,18 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
 
 CELL_PX = 512
-"""Side of the cells of a promise map, pixels of the image."""
+"""Side of the cells of a tile-prior map, pixels of the image."""
 
-_FACTOR = 8  # of the coarse view
+_FACTOR = 8  # reduction factor of the preview
 _CELL = CELL_PX // _FACTOR
-_BLOCK = 4 * _CELL  # of the coarse view, read at once: 2048 px of the image
+_BLOCK = 4 * _CELL  # pixels of the preview that are read at once: 2048 px of the image
 _ODDS_AT_ONE, _ODDS_PER_LOG = -7.2, 3.08  # of a car, over the log gradient: research/training/tile_prior/fit.py
 FLAT = 0.5
-"""Grey levels per pixel that are added to a gradient before its log is taken: what noise alone gives."""
+"""Grey levels per pixel, the gradient of noise, added before the log is taken."""
 
 
 def gradient(coarse: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Tell by how much grey levels change at each pixel.
+    """Compute the gradient of the grey levels at each pixel.
 
     Args:
         coarse: ``[h, w, 3]`` uint8 RGB.
@@ -40,7 +43,7 @@ def gradient(coarse: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def car_prior(coarse: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Say of each cell of a coarse view how likely there are cars, by how much its grey levels change.
+    """Compute the probability of cars in each cell of a preview from its mean gradient.
 
     Args:
         coarse: ``[h, w, 3]`` uint8 RGB at an eighth of the image's resolution.
@@ -55,10 +58,10 @@ def car_prior(coarse: NDArray[np.uint8]) -> NDArray[np.float64]:
 
 
 def tile_prior_map(raster: Raster) -> NDArray[np.float64]:
-    """Say of each cell of an image how likely there are cars.
+    """Compute the probability of cars in each cell of an image.
 
     Args:
-        raster: the image, at least 8 px a side; 2048 x 2048 px of it are held at a time.
+        raster: the image, at least 8 px a side; at most 2048 x 2048 px of it are in memory.
 
     Returns:
         ``[rows, columns]`` of cells of 512 px in 0..1.
@@ -78,9 +81,9 @@ def tile_prior_of(cells: NDArray[np.float64], window: Window, factor: int) -> fl
     """Average the cells that a tile touches.
 
     Args:
-        cells: as ``tile_prior_map`` gives them.
-        window: in pixels of the image reduced by ``factor``.
-        factor: of the tile's level.
+        cells: result of ``tile_prior_map``.
+        window: the tile, in pixels of the image reduced by ``factor``.
+        factor: reduction factor of the tile's level.
     """
     rows, columns = cells.shape
     top, left = min(window.y_px * factor // CELL_PX, rows - 1), min(window.x_px * factor // CELL_PX, columns - 1)

@@ -1,8 +1,8 @@
-"""The network beside a detector that takes a second look at each candidate, with its surroundings.
+"""Verifier: an auxiliary model that scores each candidate of the detector again, with its surroundings.
 
-The detector sees a whole tile at once. A candidate's *chip* here is what stands around it, turned along its axis and
-brought to one length; a small network reads from it the logit that it is a car. Both opinions become one score, in
-which the ground has a say, too, where it was looked at: a car-shaped thing is a car only at a car's size.
+A candidate's *chip* shows it and its surroundings, rotated along its axis and resized to one length. From the chip a
+small network predicts the logit of a car. The score combines the detector's logit, this logit and, with a scene-scale
+prior, how well the candidate's size fits a car.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 CHIP_PX = 48  # rows and columns
-CHIP_LENGTH_PX = 20.0  # the candidate's own length on its chip, along the columns: 0.7 lengths of surroundings each way
-_SHARPNESS = 1.5  # of the chip's resolution: the image is averaged down to it before it is sampled
-_BATCH = 64  # chips at a time: a car park has a thousand candidates
-_MARGIN = 1e-4  # scores of 0 and 1 have no logit
+CHIP_LENGTH_PX = 20.0  # candidate's length on its chip, along the columns; leaves 0.7 lengths on either side
+_SHARPNESS = 1.5  # resolution to which the image is averaged before sampling, in units of the chip's
+_BATCH = 64  # chips per run: a car park has a thousand candidates
+_MARGIN = 1e-4  # scores are clipped: 0 and 1 have no logit
 
 
 def surroundings(
     pixels: NDArray[np.uint8], boxes: ArrayLike, side_px: int = CHIP_PX, length_px: float = CHIP_LENGTH_PX
 ) -> NDArray[np.uint8]:
-    """Cut candidates with what stands around them.
+    """Cut chips of candidates with their surroundings.
 
     Args:
         pixels: ``[h, w, 3]`` uint8 RGB.
@@ -38,8 +38,8 @@ def surroundings(
         length_px: a candidate's length on its chip.
 
     Returns:
-        ``[n, side, side, 3]`` uint8: the box's middle in the chip's middle, its axis along the columns. What lies
-        outside the pixels repeats their border.
+        ``[n, side, side, 3]`` uint8: the box is centred, its axis along the columns. Outside the pixels their border
+        is repeated.
     """
     parts = _parts(np.asarray(boxes, np.float64).reshape(-1, 5), pixels.shape[1], pixels.shape[0], side_px, length_px)
     chips = np.empty((len(parts.matrices), side_px, side_px, 3), np.uint8)
@@ -62,11 +62,11 @@ def surroundings(
 
 
 class _Parts(NamedTuple):
-    """Where chips come from.
+    """Parts of the image from which chips are cut.
 
     Attributes:
-        bounds: ``[n, 4]`` left, top, right and bottom of a part of the pixels.
-        sizes: ``[n, 2]`` width and height to which it is reduced.
+        bounds: ``[n, 4]`` left, top, right and bottom of each part.
+        sizes: ``[n, 2]`` width and height to which each part is reduced.
         matrices: ``[n, 2, 3]`` from the chip to the reduced part.
     """
 
@@ -76,9 +76,9 @@ class _Parts(NamedTuple):
 
 
 def _parts(boxes: NDArray[np.float64], width_px: int, height_px: int, side_px: int, length_px: float) -> _Parts:
-    """Lay out the chips of all boxes at once: for one at a time this took longer than to cut them."""
+    """Compute the parts for all boxes at once; a loop over boxes takes longer than cutting the chips."""
     centres, angles = boxes[:, :2], boxes[:, 4]
-    step = boxes[:, 2] / length_px  # pixels to one of the chip
+    step = boxes[:, 2] / length_px  # pixels per pixel of the chip
     reach = (0.75 * side_px * step + 2)[:, None]  # beyond the corners of the turned chip
     ends = np.array([width_px, height_px])
     first = np.clip(centres - reach, 0, ends - 1).astype(np.intp)
@@ -96,49 +96,56 @@ def _parts(boxes: NDArray[np.float64], width_px: int, height_px: int, side_px: i
 
 
 class Weights(NamedTuple):
-    """How the opinions become one: weights of the detector's logit, the second look's, and the ground's of the size."""
+    """Weights of the detector's logit, the verifier's logit and the size odds in the combined logit.
+
+    Attributes:
+        detector: weight of the detector's logit.
+        verifier: weight of the verifier's logit.
+        bias: constant term.
+        size: weight of the size odds.
+    """
 
     detector: float
-    look: float
-    bias: float  # what is added
+    verifier: float
+    bias: float
     size: float = 0.0
 
     def score(self, scores: ArrayLike, logits: ArrayLike, size_odds: ArrayLike = 0.0) -> NDArray[np.float64]:
-        """Combined scores ``[n]`` in [0, 1] of the detector's scores, the second look's logits, and the sizes' odds."""
+        """Combine the detector's scores, the verifier's logits and the size odds into scores ``[n]`` in [0, 1]."""
         first = np.clip(np.asarray(scores, np.float64), _MARGIN, 1 - _MARGIN)
-        total = self.detector * np.log(first / (1 - first)) + self.look * np.asarray(logits, np.float64) + self.bias
+        total = self.detector * np.log(first / (1 - first)) + self.verifier * np.asarray(logits, np.float64) + self.bias
         total = total + self.size * np.asarray(size_odds, np.float64)
         return np.asarray(1 / (1 + np.exp(-np.clip(total, -50, 50))))
 
 
 class Verifier(AuxiliaryModel[VerifierCard]):
-    """A network from chips of candidates to the logit of a car: ``chips [n, 3, 48, 48]`` to ``logit [n]``."""
+    """Network from chips of candidates ``[n, 3, 48, 48]`` to the logit of a car, ``logit [n]``."""
 
-    named = "second look"
+    named = "verifier"
     trained_by = "research/training/verifier"
     chip_shape = (3, CHIP_PX, CHIP_PX)
     outputs = ("logit",)
     card_type = VerifierCard
 
-    def judged(
+    def scored(
         self,
         pixels: NDArray[np.uint8],
         found: Objects,
         *,
         size_odds: ArrayLike = 0.0,
     ) -> Objects:
-        """The same objects with the scores that all opinions make together.
+        """Replace the scores of candidates by the combined scores.
 
         Args:
             pixels: ``[h, w, 3]`` uint8 RGB, the tile in which they were found.
             found: candidates, in its pixels.
-            size_odds: ``[n]`` how well their sizes fit (see ``SceneScalePrior.size_odds``); 0 where nobody knows.
+            size_odds: ``[n]`` how well their sizes fit (see ``SceneScalePrior.size_odds``); 0 without a prior.
         """
         logits = [np.zeros(0)]
         for start in range(0, len(found), _BATCH):
             chips = surroundings(pixels, found.boxes[start : start + _BATCH])
             planes = np.ascontiguousarray(chips.transpose(0, 3, 1, 2))
             batch: NDArray[np.float32] = np.divide(planes, np.float32(255), dtype=np.float32)
-            logits.extend(self.answers(batch))
+            logits.extend(self.predict(batch))
         scores = Weights(*self.card.weights).score(found.scores, np.concatenate(logits), size_odds)
         return Objects(found.boxes, scores, found.classes)

@@ -1,4 +1,4 @@
-"""The engine: holds the models, the default options and the runtime, and measures images with them.
+"""The engine: loaded models, default options and runtime.
 
     >>> import vehanchor
     >>> engine = vehanchor.Engine(runtime=vehanchor.Runtime(threads=2))
@@ -66,18 +66,18 @@ class Engine:
     """Loaded models with default options and a runtime; safe for several threads.
 
     Each model is loaded when it is first needed, and kept. All methods take the same keywords: they override the
-    engine's own choices for one call. Records are the same whatever the runtime.
+    engine's own choices for one call. Records do not depend on the runtime.
 
     Args:
         detector: as in ``EstimateKeywords``; None for the bundled one.
         segmenter: as in ``AreaKeywords``; None for the bundled one.
         classes: the detector's classes, by name or index, that count as vehicles; None for the model's own.
         options: defaults of the method; keywords of a call change single fields.
-        runtime: how models run; None for the CPU and all cores.
+        runtime: threads, providers and precision of the models; None for the CPU and all cores.
 
     Attributes:
         options: defaults of the method.
-        runtime: how models run.
+        runtime: threads, providers and precision of the models.
     """
 
     def __init__(
@@ -96,28 +96,28 @@ class Engine:
 
     @property
     def detector(self) -> Detector:
-        """The detector, bound to this engine's runtime; blocks while it is loaded.
+        """The detector with this engine's runtime; the first access loads it.
 
         Raises:
-            ModelError: it cannot be used.
+            ModelError: the detector cannot be used.
         """
         return self._detector.get().under(self.runtime)
 
     @property
     def segmenter(self) -> Segmenter:
-        """The segmenter, bound to this engine's runtime; blocks while it is loaded.
+        """The segmenter with this engine's runtime; the first access loads it.
 
         Raises:
-            ModelError: it cannot be used.
-            InvalidParameterError: it is neither a ``Segmenter`` nor two paths.
+            ModelError: the segmenter cannot be used.
+            InvalidParameterError: the source is neither a ``Segmenter`` nor two paths.
         """
         return self._segmenter.get().under(self.runtime)
 
     def load(self) -> None:
-        """Load the detector and the auxiliary models now instead of at their first use.
+        """Load the detector and the auxiliary models before their first use.
 
         Raises:
-            ModelError: one cannot be used.
+            ModelError: a model cannot be used.
         """
         runtime = self.detector.runtime.idle
         load_scene_scale(runtime)
@@ -131,13 +131,13 @@ class Engine:
         options: ScaleOptions | None = None,
         runtime: Runtime | None = None,
     ) -> Engine:
-        """An engine with other choices; None keeps this one's, and models that stay the same are shared.
+        """Copy the engine with other settings; None keeps this engine's, and unchanged models are shared.
 
         Args:
             detector: another detector.
             segmenter: another segmenter.
             options: other defaults.
-            runtime: another runtime. One that differs in progress and cancellation alone shares the models.
+            runtime: another runtime. If only progress and cancellation differ, the models are shared.
         """
         other = copy.copy(self)
         other.options, other.runtime = options or self.options, runtime or self.runtime
@@ -195,7 +195,7 @@ class Engine:
     def analyse_scale(
         self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[EstimateKeywords]
     ) -> ScaleAnalysis:
-        """As ``estimate`` of one image; returns the detections and the evidence behind the record, too."""
+        """Estimate the scale of one image; return the record with its detections and evidence."""
         engine, chosen = self._call(options, keywords)
         return analyse_image(image, checked_detector(engine.detector, chosen), chosen)
 
@@ -216,7 +216,7 @@ class Engine:
             The record; ``area_m2`` is None if there is no scale.
 
         Raises:
-            PromptError: neither or both prompts, or one that names nothing in the image.
+            PromptError: neither or both prompts are given, or the prompt is not in the image.
             ScaleMismatchError: the scale was estimated from another image.
             VehAnchorError: as ``estimate``.
         """
@@ -225,7 +225,7 @@ class Engine:
     def analyse_area(
         self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[AreaKeywords]
     ) -> AreaAnalysis:
-        """As ``measure_area``; returns the mask, the prompt and the analysis of the scale, too."""
+        """Measure as ``measure_area``; return the record with mask, prompt and analysis of the scale."""
         box, points = keywords.pop("box", None), keywords.pop("points", None)
         height = keywords.pop("object_height_m", None)
         known = keywords.pop("gsd_m_per_px", None), keywords.pop("scale", None)
@@ -269,7 +269,7 @@ class Engine:
         options: ScaleOptions | None = None,
         **keywords: Unpack[MeasureKeywords],
     ) -> DistanceAnalysis:
-        """As ``measure_distance``; returns the analysis of the scale, too."""
+        """Measure as ``measure_distance``; return the record with the analysis of the scale."""
         height = keywords.pop("object_height_m", None)
         known = keywords.pop("gsd_m_per_px", None), keywords.pop("scale", None)
         engine, chosen = self._call(options, keywords)
@@ -284,15 +284,14 @@ class Engine:
         options: ScaleOptions | None = None,
         **keywords: Unpack[FlightKeywords],
     ) -> FlightEstimate:
-        """Estimate the scales of many photographs of one flight by the evidence of all of them.
+        """Estimate the scales of the photographs of one flight from their common evidence.
 
         One photograph is held in memory at a time. The record holds the error of a photograph that cannot be read.
 
         Args:
             images: the photographs, in the order in which they were taken, each as in ``estimate``. An
                 ``InputPhotograph`` names one; the default name is its path or its number.
-            options: as in ``estimate``, without a frame and without lines of known length, which belong to one
-                photograph.
+            options: as in ``estimate``, without a frame and lines of known length, which belong to one photograph.
             **keywords: see ``FlightKeywords``.
 
         Returns:
@@ -308,7 +307,7 @@ class Engine:
         return analyse_flight(images, engine.detector, chosen, same_scale=same_scale, journal=journal)
 
     def _call(self, options: ScaleOptions | None, keywords: Mapping[str, object]) -> tuple[Engine, ScaleOptions]:
-        """This engine and its options, with what the keywords of a call change."""
+        """Apply the keywords of a call to the engine and its options."""
         own: dict[str, Any] = {name: keywords[name] for name in keywords if name in _OWN_KEYWORDS}
         models: dict[str, Any] = {name: own.pop(name) for name in ("detector", "segmenter") if name in own}
         engine = self.replace(**models, runtime=self.runtime.with_keywords(own)) if own or models else self
@@ -318,13 +317,13 @@ class Engine:
         return engine, chosen
 
     def _scale_input(self, known: tuple[Any, Any], options: ScaleOptions) -> ScaleInput:
-        """The scale that the caller gives, else the detector that finds it."""
+        """Take the caller's known scale, else the detector."""
         given = given_scale(*known, options)
         return checked_detector(self.detector, options) if given is None else given
 
 
 class _OnDemand(Generic[T]):
-    """A model that is loaded when it is first needed, by one thread."""
+    """Model that one thread loads on first use."""
 
     def __init__(self, load: Callable[[], T]) -> None:
         self._load, self._lock, self._model = load, threading.Lock(), None
@@ -364,5 +363,5 @@ def _opened(image: ImageSource, options: ScaleOptions) -> Iterator[Raster]:
 
 
 def _kept(image: ImageSource) -> ImageSource | None:
-    """The image for later pictures of it; None for a source that can be read only once."""
+    """Keep the image for later drawing; None for a source that can be read only once."""
     return image if can_be_read_again(image) else None

@@ -25,7 +25,7 @@ class EstimateKeywords(OptionKeywords, RuntimeKeywords, total=False):
 
     Attributes:
         detector: a bundled model's name, the path of an ONNX oriented-box model, or a loaded ``Detector``. A loaded
-            one keeps the threads, providers and precision that it was opened with.
+            one keeps its own threads, providers and precision.
     """
 
     detector: DetectorSource | None
@@ -64,9 +64,9 @@ class FlightKeywords(EstimateKeywords, total=False):
     """Keywords of a flight.
 
     Attributes:
-        same_scale: pool the evidence of all photographs: all have one scale, as those of a survey at one height.
-        journal: file that keeps the findings of each photograph, so that the same call resumes after an interruption;
-            removed at the end. It keeps photographs given as paths, and frames of ``sample_video``.
+        same_scale: all photographs have one scale, as in a survey at one height: pool their evidence.
+        journal: file with the result of each photograph, from which the same call resumes after an interruption;
+            removed at the end. It covers photographs given as paths, and frames of ``sample_video``.
     """
 
     same_scale: bool

@@ -45,7 +45,7 @@ def estimate_gsd(
 def analyse_scale(
     image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[EstimateKeywords]
 ) -> ScaleAnalysis:
-    """As ``estimate_gsd`` with the evidence; see ``Engine.analyse_scale``."""
+    """Estimate the scale of one image, with its evidence; see ``Engine.analyse_scale``."""
     return Engine().analyse_scale(image, options, **keywords)
 
 
@@ -59,7 +59,7 @@ def measure_area(
 def analyse_area(
     image: ImageSource, options: ScaleOptions | None = None, **keywords: Unpack[AreaKeywords]
 ) -> AreaAnalysis:
-    """As ``measure_area`` with the mask; see ``Engine.analyse_area``."""
+    """Measure the area of an object, with its mask; see ``Engine.analyse_area``."""
     return Engine().analyse_area(image, options, **keywords)
 
 
@@ -79,7 +79,7 @@ def analyse_distance(
     options: ScaleOptions | None = None,
     **keywords: Unpack[MeasureKeywords],
 ) -> DistanceAnalysis:
-    """As ``measure_distance`` with the analysis of the scale; see ``Engine.analyse_distance``."""
+    """Measure the length of a line, with the analysis of the scale; see ``Engine.analyse_distance``."""
     return Engine().analyse_distance(image, path, options, **keywords)
 
 

@@ -1,1 +1,1 @@
-"""Results as files of other programs."""
+"""Export of results to files of other programs."""

@@ -1,7 +1,7 @@
-"""A layer as a GeoPackage 1.3, written with SQLite of the standard library.
+"""GeoPackage 1.3 files, written with SQLite of the standard library.
 
-A library would replace these hundred lines by a second GDAL beside rasterio's (pyogrio, fiona), in an extra, and pixels
-without a reference system would need its work-arounds. The format is fixed; the test of QGIS reads it back with GDAL.
+A library (pyogrio, fiona) would add a second GDAL beside rasterio's and need work-arounds for pixels without a
+reference system. The format is stable; the QGIS test reads the files with GDAL.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _WKB_KINDS = {"LineString": 2, "Polygon": 3, "MultiPolygon": 6}
 _COLUMN_TYPES = {bool: "BOOLEAN", str: "TEXT"}  # all others are DOUBLE
 
 _GPKG_ID, _GPKG_VERSION = 0x47504B47, 10300  # "GPKG", version 1.3
-_UNDEFINED_SRS = -1  # of the standard: Cartesian, of no known place
-_WGS84 = (  # which every GeoPackage names
+_UNDEFINED_SRS = -1  # of the standard: undefined Cartesian
+_WGS84 = (  # required in every GeoPackage
     'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],'
     'UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]'
 )
@@ -42,7 +42,7 @@ CREATE TABLE gpkg_geometry_columns (table_name TEXT NOT NULL PRIMARY KEY, column
 
 
 def write_geopackage(path: Path, layer: Layer, ground: Ground | None) -> None:
-    """Write a layer in the file's reference system, or in pixels without one."""
+    """Write a layer in the reference system of the image, or in pixels without one."""
     systems: list[tuple[str, int, str, int, str]] = [
         ("Undefined Cartesian", _UNDEFINED_SRS, "NONE", _UNDEFINED_SRS, "undefined"),
         ("Undefined geographic", 0, "NONE", 0, "undefined"),
@@ -53,9 +53,9 @@ def write_geopackage(path: Path, layer: Layer, ground: Ground | None) -> None:
     if ground is not None:
         geometries = [moved(geometry, lambda points: on_ground(points, ground)) for geometry in geometries]
         code = ground.crs.to_epsg()
-        srs = code or 100_000  # numbers from there are the writer's own
+        srs = code or 100_000  # custom numbers begin here
         named = (f"EPSG:{code}", srs, "EPSG") if code else ("the image's own", srs, "NONE")
-        systems.append((*named, srs, ground.crs.to_wkt()))  # in the place of WGS 84 if it is that
+        systems.append((*named, srs, ground.crs.to_wkt()))  # replaces the row of WGS 84 if it is the same
     places = np.concatenate([np.empty((0, 2)), *(ring for geometry in geometries for ring in rings(geometry))])
     extent = [*places.min(axis=0).tolist(), *places.max(axis=0).tolist()] if len(places) else [None] * 4
     columns = "".join(f", {name} {_COLUMN_TYPES.get(kind, 'DOUBLE')}" for name, kind in layer.columns.items())

@@ -1,6 +1,6 @@
-"""A copy of an image as a GeoTIFF in local metres: programs of maps measure in it by the estimated scale.
+"""GeoTIFF copy of an image in local metres: GIS programs measure in it with the estimated scale.
 
-Where on Earth it lies nobody knows. The copy's system is a plane of its own, the upper left corner at 0, 0, x to the
+The position on Earth is unknown. The reference system is a local plane with the upper left corner at 0, 0, x to the
 right and y upwards.
 """
 
@@ -22,10 +22,10 @@ _TILE_PX = 512
 
 
 def check_copy_path(path: str | Path) -> Path:
-    """Make sure that a copy can be written there, before the work.
+    """Check, before the work, that a copy can be written to a path.
 
     Raises:
-        OutputError: the suffix is another, or the folder does not exist.
+        OutputError: the suffix is not that of a TIFF, or the folder does not exist.
         MissingExtraError: rasterio is not installed.
     """
     target = Path(path)
@@ -38,18 +38,18 @@ def check_copy_path(path: str | Path) -> Path:
 
 
 def write_metric_copy(path: str | Path, raster: Raster, gsd_m_per_px: float) -> Path:
-    """Write an image in full size, 8-bit RGB and upright, with the size of its pixels.
+    """Write an image in full size, 8-bit RGB and upright, with its pixel size.
 
     Args:
         path: ``.tif`` or ``.tiff``.
-        raster: the image; it is read by rows of tiles, so that its size does not matter.
+        raster: the image, read by rows of tiles.
         gsd_m_per_px: the side of a pixel, metres.
 
     Returns:
         The path.
 
     Raises:
-        OutputError: see ``check_copy_path``; or the file system refuses.
+        OutputError: as ``check_copy_path``, or the file cannot be written.
         MissingExtraError: rasterio is not installed.
         ImageError: the image cannot be read.
     """
@@ -89,5 +89,5 @@ def _import_rasterio() -> Any:
         import rasterio
         import rasterio.errors
     except ImportError as error:
-        raise MissingExtraError("a GeoTIFF is written by rasterio: pip install 'vehanchor[geo]'") from error
+        raise MissingExtraError("writing a GeoTIFF needs rasterio: pip install 'vehanchor[geo]'") from error
     return rasterio

@@ -1,4 +1,4 @@
-"""Features of one kind, and their places in pixels or on the ground."""
+"""Layers: features of one kind, in pixels or on the ground."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Layer(NamedTuple):
-    """The features of one file.
+    """Features of one file.
 
     Attributes:
         name: name of the table.
@@ -33,7 +33,7 @@ class Layer(NamedTuple):
 
 
 def rings(geometry: dict[str, Any]) -> list[NDArray[np.float64]]:
-    """Give all rings or lines of a geometry, each ``[n, 2]``."""
+    """List all rings or lines of a geometry, each ``[n, 2]``."""
     parts = geometry["coordinates"]
     if geometry["type"] == "LineString":
         parts = [parts]
@@ -43,7 +43,7 @@ def rings(geometry: dict[str, Any]) -> list[NDArray[np.float64]]:
 
 
 def moved(geometry: dict[str, Any], move: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> dict[str, Any]:
-    """Give the same geometry in other coordinates."""
+    """Convert a geometry to other coordinates."""
 
     def in_other(part: Any) -> Any:
         if isinstance(part[0][0], int | float):
@@ -54,7 +54,7 @@ def moved(geometry: dict[str, Any], move: Callable[[NDArray[np.float64]], NDArra
 
 
 def on_ground(points: NDArray[np.float64], ground: Ground) -> NDArray[np.float64]:
-    """Give places ``[n, 2]`` in pixels as coordinates of the file's reference system."""
+    """Convert points ``[n, 2]`` in pixels to the reference system of the image."""
     a, b, c, d, e, f = ground.transform[:6]
     x, y = points[:, 0], points[:, 1]
     return np.column_stack([a * x + b * y + c, d * x + e * y + f])

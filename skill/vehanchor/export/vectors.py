@@ -1,6 +1,6 @@
-"""Boxes, outlines and lines for other programs: GeoJSON and GeoPackage for maps, DOTA's text for training detectors.
+"""Vector files of boxes, outlines and lines: GeoJSON and GeoPackage for maps, DOTA's text for training detectors.
 
-Those of a georeferenced file are where they are on the ground; of any other image they are in its pixels, y down.
+Coordinates are on the ground for a georeferenced file, else in pixels of the image, y down.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ LINE_SUFFIXES = (".geojson", ".gpkg")  # DOTA has boxes only
 
 
 def check_boxes_path(path: str | Path, suffixes: tuple[str, ...] = BOX_SUFFIXES) -> Path:
-    """Make sure that boxes, or what else these suffixes are for, can be written there, before the work of finding them.
+    """Check, before the work, that a vector file can be written to a path.
 
     Raises:
-        OutputError: the suffix is none of ``suffixes``, or the folder does not exist.
+        OutputError: the suffix is not one of ``suffixes``, or the folder does not exist.
     """
     target = Path(path)
     if target.suffix.lower() not in suffixes:
@@ -43,18 +43,18 @@ def check_boxes_path(path: str | Path, suffixes: tuple[str, ...] = BOX_SUFFIXES)
 
 
 def write_boxes(path: str | Path, analysis: ScaleAnalysis) -> Path:
-    """Write the vehicles of an analysis in the form that the suffix says.
+    """Write the vehicles of an analysis; the suffix chooses the format.
 
     Args:
-        path: ``.geojson`` (degrees of WGS 84, as the format wants, for a georeferenced file), ``.gpkg`` (the file's own
-            coordinate system), or ``.txt``, DOTA's lines of four corners, class and difficulty, always in pixels.
-        analysis: of an image.
+        path: ``.geojson`` (for a georeferenced file in degrees of WGS 84, as the format requires), ``.gpkg`` (in the
+            file's own reference system), or ``.txt`` (DOTA's four corners, class and difficulty, always in pixels).
+        analysis: the analysis of an image.
 
     Returns:
         The path.
 
     Raises:
-        OutputError: see ``check_boxes_path``; or the file system refuses.
+        OutputError: as ``check_boxes_path``, or the file cannot be written.
     """
     columns = {"kept": bool, "score": float, "length_px": float}
     layer = Layer("vehicles", analysis.__geo_interface__["features"], columns, "Polygon", "vehicle")
@@ -62,17 +62,17 @@ def write_boxes(path: str | Path, analysis: ScaleAnalysis) -> Path:
 
 
 def write_measured(path: str | Path, analysis: AreaAnalysis | DistanceAnalysis) -> Path:
-    """Write the outline, or the line, that was measured, with its metres, in the form that the suffix says.
+    """Write the measured outline or line with its size; the suffix chooses the format.
 
     Args:
-        path: as in ``write_boxes``; DOTA's text has the smallest turned rectangle around an outline, and no lines.
-        analysis: what was measured.
+        path: as in ``write_boxes``; DOTA's text has the smallest rotated rectangle of an outline, and no lines.
+        analysis: the analysis of a measurement.
 
     Returns:
         The path.
 
     Raises:
-        OutputError: see ``check_boxes_path``; or the file system refuses.
+        OutputError: as ``check_boxes_path``, or the file cannot be written.
     """
     feature = analysis.__geo_interface__
     geometry = feature["geometry"]

@@ -1,5 +1,5 @@
-"""Many photographs of one flight: their evidence put together, because they share a scale or because they overlap.
+"""Scales of the photographs of one flight: pool evidence by a common scale or by overlaps.
 
-photographs -> each one's view -> one body of evidence (same scale), or
-photographs -> features -> pairs -> links -> relative scales of islands -> one body of evidence an island -> record
+same scale: photographs -> views -> pooled evidence -> record
+overlaps:   photographs -> features -> pairs -> links -> components -> pooled evidence of each component -> record
 """

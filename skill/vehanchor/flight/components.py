@@ -1,4 +1,4 @@
-"""Islands of a flight: photographs whose ratios of scales are known, and who hangs on whom."""
+"""Components of a flight: photographs with known ratios of their scales."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """Photographs that are tied to each other.
+    """Photographs that are linked to each other.
 
     Attributes:
         members: ``[n]`` indices of photographs.
-        log_scales: ``[n]`` natural logs of their metres per pixel, but for a constant.
-        log_sds: ``[n]`` standard deviations of these, seen from the reference.
-        reference: index, among the members, of the one in whose pixels evidence is put together.
-        ties: ``[n, n]`` sparse matrix, uncertainty of the ratio of two that overlap; None where all are of one scale.
+        log_scales: ``[n]`` natural logs of their metres per pixel, up to a constant.
+        log_sds: ``[n]`` standard deviations of the log ratio of each scale to the reference's.
+        reference: index, among the members, of the photograph in whose pixels the evidence is pooled.
+        ties: ``[n, n]`` sparse matrix, standard deviation of the log ratio of each link; None for one common scale.
         extra: evidence of rulers that only a flight has, in the reference's pixels.
-        layout: ``[n]`` centres in pixels of the reference, y down; None where nobody laid them out.
+        layout: ``[n]`` centres in pixels of the reference, y down; None if unknown.
     """
 
     members: NDArray[np.intp]
@@ -42,17 +42,17 @@ class Component:
 
     @property
     def offsets(self) -> NDArray[np.float64]:
-        """``[n]`` logs of how much larger a pixel of each is than one of the reference."""
+        """``[n]`` logs of each member's metres per pixel over the reference's."""
         return np.asarray(self.log_scales - self.log_scales[self.reference])
 
     def paths(self, sources: Sequence[int]) -> list[tuple[int, tuple[int, ...]] | None]:
-        """The least uncertain way from each member to the nearest of some sources.
+        """Find the path of least uncertainty from each member to its nearest source.
 
         Args:
             sources: indices among the members.
 
         Returns:
-            For each member the source and the members in between, from it to the source; None without a way.
+            For each member its source and the members in between, in order; None without a path.
         """
         if self.ties is None:
             return [(place if place in set(sources) else sources[0], ()) for place in range(len(self))]
@@ -75,7 +75,7 @@ class Component:
 
 
 def single_component(members: Sequence[int], reference: int) -> Component:
-    """Photographs of one scale.
+    """Make one component of photographs that have the same scale.
 
     Args:
         members: indices of photographs.

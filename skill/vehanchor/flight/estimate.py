@@ -1,4 +1,4 @@
-"""The scales of a flight: every photograph looked at once, then all of the evidence together."""
+"""Scales of a flight: search each photograph once, then pool the evidence."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.analysis.pipeline import analyse_view, checked_detector, networks_sha256, search_raster
-from vehanchor.batch.known_lengths import with_lines_of
+from vehanchor.analysis.pipeline import analyse_view, checked_detector, search_raster
+from vehanchor.detection.networks import networks_sha256
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
 from vehanchor.flight.components import single_component
 from vehanchor.flight.features import find_features
 from vehanchor.flight.inputs import InputPhotograph, check_many, named
 from vehanchor.flight.linking import link_photographs
-from vehanchor.flight.photograph import Look, Photograph, chief_member
+from vehanchor.flight.photograph import Look, Photograph, chief_member, look_codec
 from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
+from vehanchor.rulers.known_length_table import with_lines_of
 from vehanchor.rulers.measurement import with_tilt
 from vehanchor.storage.journal import Journal, Key
-from vehanchor.storage.stored import from_json, to_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from vehanchor.batch.known_lengths import KnownLengthTable
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
     from vehanchor.flight.features import Features
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.records import FlightEstimate
+    from vehanchor.rulers.known_length_table import KnownLengthTable
 
 
 def analyse_flight(
@@ -54,8 +54,8 @@ def analyse_flight(
         detector: finds the vehicles; photographs are reported to the progress of its runtime.
         options: of the method.
         same_scale: pool the evidence of all photographs.
-        journal: file that keeps what was found.
-        lines: of known length in single photographs, which are paths or addresses; see ``read_known_lengths``.
+        journal: file that keeps the result of each photograph.
+        lines: lines of known length by path or address of the photograph; see ``read_known_lengths``.
 
     Raises:
         VehAnchorError: as ``Engine.flight``.
@@ -65,22 +65,22 @@ def analyse_flight(
     checked_detector(detector, options)
     taken = list(named(images)) if isinstance(images, Sequence) else named(images)
     kept = None if journal is None else open_journal(Path(journal), detector, options, lines or {})
-    looks = search_flight(taken, detector, options, featured=not same_scale, journal=kept, lines=lines or {})
-    record = conclude(looks, detector.card, same_scale=same_scale)
+    results = search_flight(taken, detector, options, featured=not same_scale, journal=kept, lines=lines or {})
+    record = conclude(results, detector.card, same_scale=same_scale)
     if kept is not None:
         kept.remove()
     return record
 
 
-def conclude(looks: Sequence[Photograph | Failure], card: DetectorCard, *, same_scale: bool) -> FlightEstimate:
-    """Conclude from photographs that were looked at, with their features unless they are of one scale."""
-    places = [place for place, look in enumerate(looks) if isinstance(look, Photograph)]
-    members = [look for look in looks if isinstance(look, Photograph)]
+def conclude(results: Sequence[Photograph | Failure], card: DetectorCard, *, same_scale: bool) -> FlightEstimate:
+    """Make the record of searched photographs; without ``same_scale`` they need features."""
+    places = [place for place, result in enumerate(results) if isinstance(result, Photograph)]
+    members = [result for result in results if isinstance(result, Photograph)]
     if same_scale:
-        return conclude_flight(looks, [single_component(places, chief_member(members))], card, same_scale=True)
+        return conclude_flight(results, [single_component(places, chief_member(members))], card, same_scale=True)
     linked = link_photographs(members, [each.features for each in members if each.features is not None])
     components = [replace(component, members=np.asarray(places)[component.members]) for component in linked.components]
-    return conclude_flight(looks, components, card, same_scale=False, links=linked.links)
+    return conclude_flight(results, components, card, same_scale=False, links=linked.links)
 
 
 def search_flight(
@@ -92,22 +92,22 @@ def search_flight(
     journal: Journal[Look] | None = None,
     lines: KnownLengthTable | None = None,
 ) -> list[Photograph | Failure]:
-    """Look at every photograph, one after the other.
+    """Search the photographs one by one.
 
     Args:
         taken: the photographs, one held at a time.
-        detector: finds the vehicles. The progress of its runtime gets (photographs done, photographs in all); the
-            length of a video is unknown, and both numbers are the same.
-        options: every choice of the method.
-        featured: whether features are wanted, by which photographs find those that overlap.
-        journal: what was found before; takes what is found now, at once.
-        lines: of known length in single photographs.
+        detector: finds the vehicles. The progress of its runtime gets (photographs done, photographs in all); both
+            numbers are the same for a video, whose length is unknown.
+        options: all options of the method.
+        featured: whether to find the features that link overlapping photographs.
+        journal: earlier results; each new result is added at once.
+        lines: lines of known length by photograph.
 
     Returns:
-        Each photograph with what it says by itself, or why it cannot be used.
+        Each photograph with its own analysis, or its error.
 
     Raises:
-        ImageError: there is none, or none that can be used.
+        ImageError: no photograph is given, or none can be used.
     """
     tell, silent = detector.runtime.tell, detector.under(replace(detector.runtime, progress=None))
     found: list[Photograph | Failure] = []
@@ -119,13 +119,13 @@ def search_flight(
         known = journal.get(key) if journal is not None and key is not None else None
         try:
             own = with_lines_of(options, lines, image) if lines and isinstance(image, str | os.PathLike) else options
-            look, features = _look(each, silent, own, known, featured=featured)
+            result, features = _search(each, silent, own, known, featured=featured)
         except VehAnchorError as error:
             found.append(Failure(name, error))
             continue
         if known is None and journal is not None and key is not None and key == journal_key(each):
-            journal.add(key, look)
-        found.append(Photograph.of(name, look, detector.card, own, features))
+            journal.add(key, result)
+        found.append(Photograph.of(name, result, detector.card, own, features))
     tell(len(found), len(found))
     if not found:
         raise ImageError("no photograph given: name at least one")
@@ -135,7 +135,7 @@ def search_flight(
     return found
 
 
-def _look(
+def _search(
     taken: InputPhotograph,
     detector: Detector,
     options: ScaleOptions,
@@ -143,11 +143,11 @@ def _look(
     *,
     featured: bool,
 ) -> tuple[Look, Features | None]:
-    """Look at one photograph; where that is known already, only at its features, which are quickly found again."""
+    """Search one photograph and find its features; a known photograph needs its features only."""
     if known is not None and not featured:
         return known, None
     reading = options.reading
-    bgr = reading.bgr and taken.film is None  # a film's frames are RGB here, whatever the caller's arrays are
+    bgr = reading.bgr and taken.film is None  # frames of a video are always RGB
     with open_raster(taken.image, bands=reading.bands, limits=reading.limits, bgr=bgr) as raster:
         features = find_features(raster) if featured else None
         if known is not None:
@@ -157,28 +157,28 @@ def _look(
 
 
 def check_options(options: ScaleOptions) -> None:
-    """Refuse options that belong to one image.
+    """Check that no option belongs to a single image.
 
     Raises:
         InvalidParameterError: a frame, or a line of known length.
     """
     if options.frame.size is not None:
-        raise InvalidParameterError("a frame belongs to one image: a flight has none")
+        raise InvalidParameterError("a frame belongs to one image: leave it out for a flight")
     if options.rulers.known_lengths:
         raise InvalidParameterError("a line of known length belongs to one image: estimate that image by itself")
 
 
 def journal_key(taken: InputPhotograph) -> Key | None:
-    """Key of a photograph in the journal: its name and its file as it is now; None without a file."""
+    """Make the journal key of a photograph from its name and the state of its file; None without a file."""
     file = taken.image if taken.film is None else taken.film
     return (taken.name, *Source.of(file)) if isinstance(file, str | os.PathLike) else None
 
 
 def open_journal(path: Path, detector: Detector, options: ScaleOptions, lines: KnownLengthTable) -> Journal[Look]:
-    """Open the findings of an interrupted run.
+    """Open the journal of a flight.
 
     Raises:
-        InvalidParameterError: they are those of other options, or the file is no journal.
+        InvalidParameterError: the journal has results of other options, or the file is no journal.
         OutputError: it cannot be read or written.
     """
     choices = asdict(options)
@@ -188,4 +188,5 @@ def open_journal(path: Path, detector: Detector, options: ScaleOptions, lines: K
     networks = networks_sha256(detector.card)
     settings = {"vehanchor": version("vehanchor"), "networks_sha256": networks, "flight": 1, **choices}
     remedy = "move the file away, or name another"
-    return Journal(path, settings, dump=to_json, load=from_json, sole=True, remedy=remedy)
+    codec = look_codec()
+    return Journal(path, settings, dump=codec.dump, load=codec.load, sole=True, remedy=remedy)

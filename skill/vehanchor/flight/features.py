@@ -1,4 +1,4 @@
-"""Features of a photograph, by which overlapping photographs find each other: SIFT on a reduced copy."""
+"""Features that link overlapping photographs: SIFT on a reduced copy."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster
 
-_LONG_SIDE_PX = 1100  # of the reduced copy: 12 Mpx are seen at a quarter
+_LONG_SIDE_PX = 1100  # of the reduced copy: a quarter of the side for 12 Mpx
 _MOST_FEATURES = 1200
 _ROWS_A_READ = 256  # of the reduced copy
-_CONTRAST = 0.02  # half of SIFT's own: fields and water have little
+_CONTRAST = 0.02  # half of SIFT's default: fields and water have little contrast
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Points that can be found again in another photograph of the same ground.
+    """Points of a photograph that can be matched in another photograph of the same ground.
 
     Attributes:
         points: ``[n, 2]`` x, y in pixels of the photograph, the strongest first.
         descriptors: ``[n, 128]`` uint8, RootSIFT: root of the share of each bin, times 255.
-        pixel: how many pixels of the photograph one of the reduced copy is: as exact as points are.
+        pixel: pixels of the photograph per pixel of the reduced copy, the accuracy of the points.
     """
 
     points: NDArray[np.float64]
@@ -45,7 +45,7 @@ def find_features(raster: Raster) -> Features:
     """Find the strongest features of an image.
 
     Args:
-        raster: the image; only strips of it are held.
+        raster: the image; one strip of it is held in memory at a time.
 
     Returns:
         At most 1,200.

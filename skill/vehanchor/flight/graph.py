@@ -1,13 +1,13 @@
-"""The graph of a flight: log scales of photographs from ratios of overlapping ones and from each one's own evidence.
+"""Graph of a flight: log scales of photographs from ratios of overlapping ones and from each one's own evidence.
 
     minimise  sum over links rho((x_i + g_i p_ij - x_j - g_j p_ji - r_ij) / s_ij)  +  sum rho((x_i - u_i) / t_i)
               +  sum (g_i / t)^2
 
-where x_i is the log scale at a photograph's centre and g_i how it changes from there: a camera that looks a few degrees
-aside sees one edge larger than the other, and two photographs overlap at their edges (at p_ij). The loss rho is that of
-Geman and McClure, whose pull goes to nothing far out. It is reached from the square by degrees (graduated
-non-convexity), each step a sparse least-squares problem, so that no lucky start is needed. How far apart ratios really
-are from each other, relief and tilt included, is measured on the flight itself.
+x_i is the log scale at the centre of a photograph and g_i its gradient. The gradient is needed because a tilt of a few
+degrees changes the scale from edge to edge, and photographs overlap at their edges (at p_ij). rho is the Geman-McClure
+loss, which ignores outliers. Graduated non-convexity goes from the square loss to rho; each step is a sparse
+least-squares problem, so that the result does not depend on a start. The flight's own residuals give the real spread of
+the ratios, with relief and tilt.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_REACH = 3.0  # standard deviations: what is much further out pulls no more
+_REACH = 3.0  # standard deviations, scale of the robust loss
 _DROP_SDS, _DROP_LOG = 4.0, 0.12  # a link that is off by more than both is dropped
 _ANNEAL, _STEPS = 1.4, 40
 _MOST_INFLATION = 8.0
-_GRADIENT_SD = 0.05  # log of scale from the centre to the edge: two to five degrees off straight down
-_LOOSE_SD = 3.0  # of a photograph without evidence: no problem is singular
+_GRADIENT_SD = 0.05  # log of scale from the centre to the edge: a tilt of two to five degrees
+_LOOSE_SD = 3.0  # of a photograph without evidence: keeps the problem regular
 _MAD_PER_SD = 0.6745
 
 
 class Link(NamedTuple):
-    """Two photographs whose ratio of scales was measured.
+    """Measured ratio of the scales of two photographs.
 
     Attributes:
         first: index of one.
         second: index of the other.
         log_ratio: log scale of the first less that of the second.
         log_sd: its standard deviation.
-        first_at: where the overlap lies in the first, x, y from its centre; 1 is half of the longer side.
-        second_at: where it lies in the second.
+        first_at: middle of the overlap in the first, x, y from its centre; 1 is half of the longer side.
+        second_at: middle of the overlap in the second.
     """
 
     first: int
@@ -56,7 +56,7 @@ class Link(NamedTuple):
 
 
 class Unary(NamedTuple):
-    """A photograph's own evidence.
+    """Own evidence of a photograph.
 
     Attributes:
         log_scale: natural log of metres per pixel.
@@ -69,13 +69,13 @@ class Unary(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Subgraph:
-    """Photographs that are tied to each other.
+    """Photographs that are linked to each other.
 
     Attributes:
         members: ``[m]`` indices, ascending.
-        log_scales: ``[m]`` natural logs of metres per pixel; without evidence but for a constant.
-        covariance: ``[m, m]`` of these.
-        ties: ``[m, m]`` sparse, standard deviations of the links that were used.
+        log_scales: ``[m]`` natural logs of metres per pixel; without evidence up to a constant.
+        covariance: ``[m, m]`` covariance of the log scales.
+        ties: ``[m, m]`` sparse, standard deviations of the links in use.
     """
 
     members: NDArray[np.intp]
@@ -84,7 +84,7 @@ class Subgraph:
     ties: Any
 
     def sds_from(self, reference: int) -> NDArray[np.float64]:
-        """``[m]`` standard deviations of the members' log scales less that of one of them."""
+        """Compute ``[m]`` standard deviations of the members' log scales relative to the reference."""
         own = np.diag(self.covariance)
         variance = own + own[reference] - 2 * self.covariance[reference]
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
@@ -94,10 +94,10 @@ class Solution(NamedTuple):
     """Scales of a flight.
 
     Attributes:
-        components: the largest first; of equals that with the lower first index.
-        residuals: ``[l]`` of the links: what each says less what was found.
-        used: ``[l]`` bool, which of them were used.
-        inflation: how much further apart ratios are than each of them says of itself, at least 1.
+        components: the largest first, then by the first index.
+        residuals: ``[l]`` measured less fitted log ratio of each link.
+        used: ``[l]`` bool, links in use.
+        inflation: spread of the ratios over their own standard deviations, at least 1.
     """
 
     components: tuple[Subgraph, ...]
@@ -110,12 +110,12 @@ def solve(n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> Sol
     """Find the scales that agree with most of the links and the evidence.
 
     Args:
-        n: photographs.
-        links: ratios.
-        unaries: ``[n]`` each photograph's own evidence; None without any.
+        n: number of photographs.
+        links: measured ratios.
+        unaries: ``[n]`` own evidence of each photograph; None without any.
 
     Returns:
-        Components tied by links that agree, each with its scales; what the others are off by.
+        Components of links that agree, each with its scales, and the residuals of all links.
     """
     declared_sds = np.array([link.log_sd for link in links], dtype=np.float64)
     problem = _Problem(n, links, unaries)
@@ -140,7 +140,7 @@ def solve(n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> Sol
 
 
 class _Problem:
-    """A robust sparse least-squares problem: unknown are ``[n]`` log scales, then ``[n, 2]`` their gradients."""
+    """Robust sparse least-squares problem; unknowns are ``[n]`` log scales, then ``[n, 2]`` gradients."""
 
     def __init__(self, n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> None:
         self._n, self._n_links = n, len(links)
@@ -161,11 +161,11 @@ class _Problem:
 
     @property
     def residuals(self) -> NDArray[np.float64]:
-        """``[l]`` of the links: what each says less what was found."""
+        """``[l]`` measured less fitted log ratio of each link."""
         return np.asarray((self._target - self._matrix @ self._found)[: self._n_links])
 
     def anneal(self, link_sds: NDArray[np.float64]) -> None:
-        """Solve, from the square loss by degrees to the robust one."""
+        """Solve, in steps from the square loss to the robust loss."""
         sds = np.concatenate([link_sds, self._own_sds])
         self._solve(np.ones(len(sds)), sds)
         if not len(sds):
@@ -178,7 +178,7 @@ class _Problem:
             mu = max(1.0, mu / _ANNEAL)
 
     def information(self, members: NDArray[np.intp], link_sds: NDArray[np.float64]) -> NDArray[np.float64]:
-        """``[3 m, 3 m]`` inverse covariance of the members' unknowns."""
+        """Compute ``[3 m, 3 m]``, the inverse covariance of the members' unknowns."""
         sds = np.concatenate([link_sds, self._own_sds])
         which = np.r_[members, self._n + 2 * members, self._n + 2 * members + 1]
         own = self._matrix.tocsc()[:, which]
@@ -197,7 +197,7 @@ class _Problem:
 
 
 def _equations(n: int, links: Sequence[Link], known: Sequence[int]) -> Any:
-    """Sparse ``[links + known, 3 n]``: what each link and each photograph's own evidence should say."""
+    """Make the sparse design matrix ``[links + known, 3 n]`` of links and own evidence."""
     rows, columns, values = [], [], []
     for row, link in enumerate(links):
         for sign, place, at in ((1.0, link.first, link.first_at), (-1.0, link.second, link.second_at)):
@@ -211,7 +211,7 @@ def _equations(n: int, links: Sequence[Link], known: Sequence[int]) -> Any:
 
 
 def _at_an_end(n: int, links: Sequence[Link]) -> NDArray[np.bool_]:
-    """``[l]`` links to a photograph that has no other: they agree with whatever is left, and tell nothing of errors."""
+    """Find ``[l]`` links to a photograph without another link: they always fit, so they tell nothing of errors."""
     ends = np.array([(link.first, link.second) for link in links], dtype=np.intp).reshape(-1, 2)
     degree = np.bincount(ends.ravel(), minlength=n)
     return np.asarray((degree[ends[:, 0]] == 1) | (degree[ends[:, 1]] == 1))
@@ -231,5 +231,5 @@ def _components(n: int, links: Sequence[Link], sds: NDArray[np.float64], problem
 
 
 def contradiction(residual: float) -> str:
-    """Tell what a dropped link contradicts, as a clause."""
-    return f"the ratio is {math.exp(abs(residual)):.2g} times off what the other overlaps and rulers say"
+    """Explain why a link was dropped, as a clause."""
+    return f"the ratio is {math.exp(abs(residual)):.2g} times off the ratio by the other overlaps and rulers"

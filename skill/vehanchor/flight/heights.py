@@ -1,8 +1,8 @@
-"""Heights above the sea as a ruler: how high the ground lies below photographs of known scale, it lies below others.
+"""Heights above sea level as a ruler: the ground below photographs of known scale serves unlinked photographs.
 
-A camera of focal length ``f`` pixels whose pixels are ``s`` metres wide is ``s f`` metres above the ground. What is
-left of its height above the sea is the ground's, and photographs of the same flight that nothing ties to the first, on
-which nothing else is found, were taken above much the same ground.
+A camera with focal length ``f`` pixels and ``s`` metres per pixel is ``s f`` metres above the ground. Its height above
+sea level less ``s f`` is the height of the ground. A component of the same flight without other evidence is assumed to
+lie at the same height.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vehanchor.imagery.metadata.lens import lens
-from vehanchor.rulers.camera import GROUND_LOG_SD
 from vehanchor.rulers.lognormal import lognormal_evidence, on_grid
 from vehanchor.rulers.positions import Positions
+from vehanchor.scale.height import GROUND_LOG_SD
 from vehanchor.scale.lengths import Z95
 
 if TYPE_CHECKING:
@@ -27,20 +27,20 @@ if TYPE_CHECKING:
     from vehanchor.records import GsdEstimate
     from vehanchor.rulers.evidence import Evidence
 
-_ALTITUDE_SD_M = 3.0  # of one receiver between two places
+_ALTITUDE_SD_M = 3.0  # of the difference of two altitudes from one receiver
 _CHANCE_WRONG = 0.05
 _LEAST_HEIGHT_M = 5.0
-_MOST_RATIO = 3.0  # of the heights of two photographs: beyond it is another place, or another zero of heights
+_MOST_RATIO = 3.0  # of the heights of two photographs: beyond it, the place or the zero of altitude differs
 
 
 class Ground(NamedTuple):
-    """The ground below photographs of known scale.
+    """Ground below photographs of known scale.
 
     Attributes:
-        sea_m: its height above the sea, as their receiver counts it.
-        above_m: how high they were taken above it.
-        log_sd: standard deviation of the log of that, by their scale.
-        n: photographs.
+        sea_m: its height above sea level by the photographs' receiver, metres.
+        above_m: height of the cameras above it, metres.
+        log_sd: standard deviation of the log of ``above_m``, from the scale.
+        n: number of photographs.
     """
 
     sea_m: float
@@ -50,7 +50,7 @@ class Ground(NamedTuple):
 
 
 class _Stood(NamedTuple):
-    """Where a camera stood: metres above the sea, and its focal length in pixels of the image with its spread."""
+    """Camera altitude above sea level, metres, and focal length, pixels of the image, with its spread."""
 
     sea_m: float
     focal_px: float
@@ -58,7 +58,7 @@ class _Stood(NamedTuple):
 
 
 def _stood(photograph: Photograph) -> _Stood | None:
-    """None if the metadata lack height or lens, or if the camera was tilted."""
+    """Read altitude and focal length; None if the metadata lack one of them, or for a tilted camera."""
     image = photograph.view.image
     camera = image.camera
     if camera is None or camera.altitude_m is None or photograph.analysis.estimate.tilt is not None:
@@ -68,15 +68,15 @@ def _stood(photograph: Photograph) -> _Stood | None:
 
 
 def ground_below(members: Sequence[Photograph], offsets: NDArray[np.float64], pooled: GsdEstimate) -> Ground | None:
-    """How high the ground lies below photographs whose scale may be used.
+    """Compute the height of the ground below photographs with a usable scale.
 
     Args:
-        members: of one island.
-        offsets: ``[n]`` log of how much larger a pixel of each is than one of the pixels that the scale is in.
-        pooled: what all of them say together.
+        members: photographs of one component.
+        offsets: ``[n]`` logs of each member's metres per pixel over the reference's.
+        pooled: estimate of the reference's scale from all members.
 
     Returns:
-        None without such a scale, or where no metadata tell heights and lenses.
+        None without a usable scale, or if no metadata have altitude and focal length.
     """
     low, high = pooled.gsd_ci95_low_m_per_px, pooled.gsd_ci95_high_m_per_px
     if pooled.status != "ok" or pooled.gsd_m_per_px is None or not low or not high:
@@ -93,15 +93,15 @@ def ground_below(members: Sequence[Photograph], offsets: NDArray[np.float64], po
 def heights_evidence(
     grounds: Sequence[Ground], members: Sequence[Photograph], offsets: NDArray[np.float64]
 ) -> tuple[Evidence, ...]:
-    """Evidence for an island on which nothing else is found, in the pixels of its reference.
+    """Make evidence for a component without other evidence, in the pixels of its reference.
 
     Args:
-        grounds: below other islands of the flight.
-        members: of this one.
+        grounds: ground below other components of the flight.
+        members: photographs of this component.
         offsets: as in ``ground_below``.
 
     Returns:
-        One, or none where nothing tells it.
+        At most one piece of evidence.
     """
     stood = [(each, offset) for member, offset in zip(members, offsets, strict=True) if (each := _stood(member))]
     if not grounds or not stood:
@@ -117,8 +117,8 @@ def heights_evidence(
     gsd = math.exp(float(np.median(logs)))
     if not on_grid(gsd):
         return ()
-    share = source.above_m / middle  # of the height that is the other's
-    lens_sd = stood[0][0].focal_log_sd * abs(1 - share)  # it cancels where both are as high
+    share = source.above_m / middle  # error of the other component's height, relative to this one's
+    lens_sd = stood[0][0].focal_log_sd * abs(1 - share)  # cancels if both heights are equal
     log_sd = math.hypot(GROUND_LOG_SD, _ALTITUDE_SD_M / middle, source.log_sd * share, lens_sd)
-    said = f"Heights above the sea, with the ground as it lies below {sources} photographs of known scale, say {{}}."
+    said = f"Altitudes above sea level, with the ground below {sources} photographs of known scale, give {{}}."
     return (lognormal_evidence(Positions.kind, gsd, log_sd, _CHANCE_WRONG, said, n=len(stood)),)

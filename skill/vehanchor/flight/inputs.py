@@ -1,4 +1,4 @@
-"""Photographs of a flight before they are looked at, and their names."""
+"""Input photographs of a flight and their names."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 
 class InputPhotograph(NamedTuple):
-    """A photograph of a flight before it is looked at.
+    """Input photograph of a flight.
 
     Attributes:
-        name: in the record.
+        name: name in the record.
         image: as in ``estimate_gsd``.
-        film: path of the video that it is a frame of, by which a journal knows it again; None for none.
+        film: path of the video, if it is a frame of one: its key in a journal; None otherwise.
     """
 
     name: str
@@ -29,10 +29,10 @@ class InputPhotograph(NamedTuple):
 
 
 def check_many(images: Any) -> None:
-    """Refuse one photograph where many are expected: its characters, bytes or rows are no photographs.
+    """Check that several photographs are given, and not one whose characters, bytes or rows would be taken for many.
 
     Raises:
-        InvalidParameterError: the images are a path, bytes, an array, or no collection at all.
+        InvalidParameterError: the images are a path, bytes, an array, or no collection.
     """
     one = isinstance(images, str | bytes | os.PathLike | InputPhotograph) or hasattr(images, "__array__")
     if one or not isinstance(images, Iterable):
@@ -43,16 +43,16 @@ def check_many(images: Any) -> None:
 
 
 def named(images: Iterable[ImageSource | InputPhotograph]) -> Iterator[InputPhotograph]:
-    """Name photographs: a path by itself, anything else by its number from 1.
+    """Name photographs: paths by themselves, others by their number from 1.
 
     Args:
-        images: the photographs; held one at a time.
+        images: the photographs; one is held in memory at a time.
 
     Yields:
         Each with its name.
 
     Raises:
-        InvalidParameterError: two are of one name.
+        InvalidParameterError: two have the same name.
     """
     seen: set[str] = set()
     for number, image in enumerate(images, start=1):

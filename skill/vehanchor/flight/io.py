@@ -1,4 +1,4 @@
-"""A flight's record as a file, and the scale of one photograph from it."""
+"""Files of flight records."""
 
 from __future__ import annotations
 
@@ -20,54 +20,54 @@ _MAX_BYTES = 1 << 30
 
 
 def check_record_path(path: Path) -> Path:
-    """Make sure, before the work, that a record can be written there.
+    """Check, before the work, that a record can be written to a path.
 
     Raises:
-        OutputError: another suffix than .json, no such folder, or a folder of that name.
+        OutputError: the suffix is not .json, the folder does not exist, or the path is a folder.
     """
     if path.suffix.lower() != ".json":
         raise OutputError(f"cannot write a flight as {str(path)!r}: use the suffix .json")
     if not path.parent.is_dir():
-        raise OutputError(f"there is no folder {str(path.parent)!r} to write {path.name!r} into: make it first")
+        raise OutputError(f"there is no folder {str(path.parent)!r} for {path.name!r}: create it first")
     if path.is_dir():
         raise OutputError(f"{str(path)!r} is a folder: name a file")
     return path
 
 
 def write_record(path: Path, record: FlightEstimate) -> None:
-    """Write a flight's record.
+    """Write the record of a flight.
 
     Raises:
-        OutputError: the disk refuses.
+        OutputError: the file cannot be written.
     """
     with whole_file(path) as partial:
         partial.write_text(record.model_dump_json(indent=1) + "\n", encoding="utf-8")
 
 
 def read_record(path: str | os.PathLike[str]) -> FlightEstimate:
-    """Read what ``vehanchor flight --out`` wrote.
+    """Read a file of ``vehanchor flight --out``.
 
     Raises:
-        InvalidParameterError: there is no such file, or it is no flight's record.
+        InvalidParameterError: the file does not exist, or is not the record of a flight.
     """
     file = Path(path)
     try:
         if file.stat().st_size > _MAX_BYTES:
-            raise InvalidParameterError(f"{str(path)!r} is too large for a flight's record")
+            raise InvalidParameterError(f"{str(path)!r} is too large for the record of a flight")
         return FlightEstimate.model_validate_json(file.read_bytes())
     except OSError as error:
         raise InvalidParameterError(f"cannot read the flight {str(path)!r}: {error.strerror or error}") from None
     except ValidationError:
         raise InvalidParameterError(
-            f"{str(path)!r} is no record of a flight of this version: make one with 'vehanchor flight --out'"
+            f"{str(path)!r} is not a flight record of this version: make one with 'vehanchor flight --out'"
         ) from None
 
 
 def photograph_in(record: FlightEstimate, image: str | os.PathLike[str]) -> FlightPhotograph:
-    """Find a photograph in a flight's record: by the file, else by its name where only one is called so.
+    """Find a photograph in a flight record by its file, or by a name that is unique.
 
     Raises:
-        InvalidParameterError: it is not there, or has no scale.
+        InvalidParameterError: the photograph is not in the record, or has no scale.
     """
     wanted = Path(image)
     same = [each for each in record.photographs if Path(each.photograph).absolute() == wanted.absolute()]

@@ -1,4 +1,4 @@
-"""Where the photographs of an island lie beside each other: their centres in the pixels of one of them."""
+"""Layout of a component: centres of its photographs in the pixels of one of them."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 
 class Seam(NamedTuple):
-    """Two photographs of an island that overlap.
+    """Two overlapping photographs of a component.
 
     Attributes:
         first: index of one among the members.
         second: index of the other.
-        turn: ``[2, 3]`` similarity from pixels of the first to pixels of the second.
-        weight: how sure it is: points that were found in both.
+        turn: ``[2, 3]`` similarity transform from pixels of the first to pixels of the second.
+        weight: number of matched points.
     """
 
     first: int
@@ -33,16 +33,16 @@ class Seam(NamedTuple):
 def lay_out(
     centres: NDArray[np.float64], offsets: NDArray[np.float64], reference: int, seams: Sequence[Seam]
 ) -> NDArray[np.complex128]:
-    """Lay photographs out, those that overlap where they overlap.
+    """Lay out the photographs of a component by their overlaps.
 
     Args:
-        centres: ``[m, 2]`` x, y of each one's centre in its own pixels.
-        offsets: ``[m]`` log of how much larger a pixel of each is than one of the reference.
-        reference: index of the photograph in whose pixels, and turned as it, the answer is.
-        seams: they tie all members together.
+        centres: ``[m, 2]`` x, y of each centre in the photograph's own pixels.
+        offsets: ``[m]`` logs of each member's metres per pixel over the reference's.
+        reference: index of the photograph that sets pixel size and orientation of the layout.
+        seams: overlaps that link all members.
 
     Returns:
-        ``[m]`` centres, x to the right as real and y down as imaginary part, that of the reference at 0.
+        ``[m]`` centres, x to the right as real and y down as imaginary part; the reference is at 0.
     """
     m = len(centres)
     if not seams:
@@ -52,7 +52,7 @@ def lay_out(
     weight = np.array([seam.weight for seam in seams], dtype=np.float64)
     factor = np.array([seam.turn[0, 0] + 1j * seam.turn[1, 0] for seam in seams])
     shift = np.array([seam.turn[0, 2] + 1j * seam.turn[1, 2] for seam in seams])
-    # a_first = a_second * turn, with the turns alone; lengths are known better from the graph of scales
+    # a_first = a_second * turn, rotations only: the graph of scales gives better lengths
     unit = factor / np.abs(factor)
     headings = _tied(m, first, second, np.ones(len(seams)), unit, np.zeros(len(seams)), weight, reference, 1.0)
     headings /= np.maximum(np.abs(headings), 1e-9)
@@ -73,7 +73,7 @@ def _tied(
     reference: int,
     fixed: float,
 ) -> NDArray[np.complex128]:
-    """Least squares of ``of_first * v[first] - of_second * v[second] = target`` with the reference's value fixed."""
+    """Solve ``of_first * v[first] - of_second * v[second] = target`` by least squares; the reference is fixed."""
     rows = np.arange(len(first))
     held = 1e6 * float(weight.sum())
     values = np.concatenate([of_first.astype(np.complex128), -of_second.astype(np.complex128), [1.0]])

@@ -1,4 +1,4 @@
-"""Tying photographs together: which overlap, what that says of their scales, and which islands they make."""
+"""Linking of photographs: overlaps, ratios of scales, and the components that they form."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ if TYPE_CHECKING:
     from vehanchor.flight.matching import Match
     from vehanchor.flight.photograph import Photograph
 
-_LEAST_UNARY_SD = 0.06  # of a photograph's own evidence: what is common to a flight is not in it
+_LEAST_UNARY_SD = 0.06  # of a photograph's own evidence, without errors common to the flight
 
 
 class LinkedFlight(NamedTuple):
-    """A flight tied together.
+    """Components and overlaps of a flight.
 
     Attributes:
-        components: with indices among the photographs, the largest first.
-        links: every overlap.
+        components: with indices of photographs, the largest first.
+        links: all overlaps.
     """
 
     components: tuple[Component, ...]
@@ -48,14 +48,14 @@ def link_photographs(
     photographs: Sequence[Photograph],
     features: Sequence[Features],
 ) -> LinkedFlight:
-    """Tie photographs together by what they overlap.
+    """Link photographs by their overlaps.
 
     Args:
         photographs: in the order in which they were taken.
-        features: of each.
+        features: of each photograph.
 
     Returns:
-        Islands and overlaps.
+        Components and overlaps.
     """
     rulers = photographs[0].view.options.rulers
     places = places_of([each.view.image for each in photographs]) if uses(rulers, Positions.kind) else None
@@ -101,7 +101,7 @@ def _from_centre(photograph: Photograph, at: NDArray[np.float64]) -> tuple[float
 
 
 def _unary(photograph: Photograph) -> Unary | None:
-    """A photograph's own evidence, without what all photographs of a flight have in common."""
+    """Compute a photograph's own evidence, without errors common to the flight."""
     estimate = photograph.analysis.estimate
     low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
     if estimate.gsd_m_per_px is None or not low or not high:

@@ -1,4 +1,4 @@
-"""Two photographs that overlap: where a point of one lies in the other, and the ratio of their scales."""
+"""Matching of two overlapping photographs: similarity transform and ratio of scales."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ if TYPE_CHECKING:
     from vehanchor.flight.features import Features
 
 _LEAST_INLIERS, _LEAST_INLIER_SHARE = 14, 0.12
-_SECOND_BEST = 0.9  # a feature's best match is this much nearer than its second
-_TOLERANCE_PX = 4.0  # of the reduced copies: relief and lens move points that much
+_SECOND_BEST = 0.9  # highest ratio of the distances to the best and the second-best match
+_TOLERANCE_PX = 4.0  # of the reduced copies: displacement by relief and lens
 _CONFIDENCE, _TRIALS = 0.999, 2000
 _WIDEST_RATIO = 6.0
-_LOG_SD = 0.01  # relief, lens, a camera that does not look straight down
-_SHAPE_SHARE = 0.25  # of the difference between the scales along and across: one of the two is tilted
+_LOG_SD = 0.01  # relief, lens, slight tilt
+_SHAPE_SHARE = 0.25  # of the difference between the scales along and across, a sign of tilt
 
 
 class Match(NamedTuple):
-    """Two overlapping photographs.
+    """Match of two overlapping photographs.
 
     Attributes:
         log_ratio: natural log of the metres per pixel of the first over those of the second.
         log_sd: its standard deviation.
-        n: points of the ground that were found in both.
-        turn: ``[2, 3]`` similarity from pixels of the first to pixels of the second.
-        first_at: ``[2]`` middle of those points in the first, pixels.
-        second_at: ``[2]`` in the second.
+        n: number of matched points.
+        turn: ``[2, 3]`` similarity transform from pixels of the first to pixels of the second.
+        first_at: ``[2]`` middle of the matched points in the first, pixels.
+        second_at: ``[2]`` middle of the matched points in the second, pixels.
     """
 
     log_ratio: float
@@ -43,14 +43,14 @@ class Match(NamedTuple):
 
 
 def match(first: Features, second: Features) -> Match | None:
-    """Find the similarity between two photographs.
+    """Find the similarity transform between two photographs.
 
     Args:
         first: features of one.
         second: features of the other.
 
     Returns:
-        The match; None where too few points agree on one.
+        The match; None if too few points agree.
     """
     pairs = _nearest(first.descriptors, second.descriptors)
     if len(pairs) < _LEAST_INLIERS:
@@ -75,11 +75,11 @@ def match(first: Features, second: Features) -> Match | None:
 
 
 def _nearest(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> NDArray[np.intp]:
-    """``[m, 2]`` pairs, each the other's best, and clearly better than the second best."""
+    """Find ``[m, 2]`` pairs of mutual best matches that pass the ratio test."""
     if len(first) < 2 or len(second) < 2:
         return np.zeros((0, 2), np.intp)
     here, there = first.astype(np.float32), second.astype(np.float32)
-    closeness = here @ there.T  # RootSIFT: all of one length
+    closeness = here @ there.T  # RootSIFT descriptors have unit length
     best, rows = closeness.argmax(axis=1), np.arange(len(here))
     mutual = closeness.argmax(axis=0)[best] == rows
     length, nearest = 255.0**2, closeness[rows, best]
@@ -91,7 +91,7 @@ def _nearest(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> NDArray[np.
 
 
 def _spread(here: NDArray[np.float64], there: NDArray[np.float64], turn: NDArray[np.float64]) -> float:
-    """Standard deviation of the log of the ratio: of the points, of the shape of what they cover, and of relief."""
+    """Compute the standard deviation of the log ratio: by scatter of the points, their shape, and relief."""
     off = here @ turn[:, :2].T + turn[:, 2] - there
     radius = math.sqrt(float(((there - there.mean(axis=0)) ** 2).sum(axis=1).mean()))
     by_points = math.sqrt(float((off**2).sum(axis=1).mean())) / (radius * math.sqrt(2 * len(here)))

@@ -1,7 +1,7 @@
-"""Which photographs may overlap: candidates, so that a thousand photographs are not half a million pairs.
+"""Candidate pairs of overlapping photographs: their number grows linearly with the number of photographs.
 
-Three witnesses name candidates: features that fall into the same cells of a hash, neighbours by position, and
-neighbours in the order in which the photographs were taken. Each names a bounded number a photograph.
+Candidates come from features in the same cells of a hash, from neighbours by position, and from neighbours in the order
+of exposure. Each source gives a bounded number of candidates per photograph.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ if TYPE_CHECKING:
 
     from vehanchor.flight.features import Features
 
-_VOTERS = 200  # features a photograph that vote
+_VOTERS = 200  # voting features per photograph
 _DIMENSIONS, _BITS, _TABLES = 24, 18, 6
-_MOST_IN_CELL = 24  # a cell with more says nothing: grass, gravel
+_MOST_IN_CELL = 24  # a fuller cell tells nothing: grass, gravel
 _BY_LOOK, _BY_PLACE, _BY_ORDER = 8, 6, 2
 _LEAST_VOTES = 3
 _SEED = 20261121
 
 
 def candidate_pairs(features: Sequence[Features], places: NDArray[np.float64] | None = None) -> list[tuple[int, int]]:
-    """Name the pairs that are worth matching.
+    """List the pairs of photographs to match.
 
     Args:
         features: of each photograph, in the order in which they were taken.
-        places: ``[n, 2]`` metres east and north, NaN where it is not known; None where it is known of none.
+        places: ``[n, 2]`` metres east and north, NaN for unknown positions; None if all are unknown.
 
     Returns:
-        Pairs of indices, the lower first, sorted; their number grows as that of the photographs.
+        Sorted pairs of indices, the lower first.
     """
     n = len(features)
     pairs = {(first, first + step) for step in range(1, _BY_ORDER + 1) for first in range(n - step)}
-    pairs |= _by_look(features)
+    pairs |= _by_appearance(features)
     if places is not None:
         pairs |= _by_place(places)
     return sorted(pairs)
 
 
-def _by_look(features: Sequence[Features]) -> set[tuple[int, int]]:
-    """Pairs whose features share cells most often."""
+def _by_appearance(features: Sequence[Features]) -> set[tuple[int, int]]:
+    """Find the pairs whose features share cells most often."""
     n = len(features)
     owners = np.concatenate([np.full(min(len(each), _VOTERS), place) for place, each in enumerate(features)])
     if n < 2 or len(owners) < 2:
@@ -75,10 +75,10 @@ def _by_look(features: Sequence[Features]) -> set[tuple[int, int]]:
 
 
 def _sharing(cells: NDArray[np.int64], owners: NDArray[np.intp], n: int) -> NDArray[np.int64]:
-    """Keys ``first * n + second`` of all pairs of photographs with features in one cell, as often as they share one."""
+    """List keys ``first * n + second`` of pairs of photographs, one for each cell that they share."""
     order = np.lexsort((owners, cells))
     cells, owners = cells[order], owners[order]
-    fresh = np.r_[True, (cells[1:] != cells[:-1]) | (owners[1:] != owners[:-1])]  # each photograph once a cell
+    fresh = np.r_[True, (cells[1:] != cells[:-1]) | (owners[1:] != owners[:-1])]  # each photograph once per cell
     cells, owners = cells[fresh], owners[fresh]
     starts = np.flatnonzero(np.r_[True, cells[1:] != cells[:-1]])
     sizes = np.diff(np.r_[starts, len(cells)])

@@ -1,4 +1,4 @@
-"""One photograph of a flight: what is kept of it when its pixels are gone."""
+"""Results kept of each photograph of a flight; its pixels are not kept."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.analysis.pipeline import analyse_view
+from vehanchor.analysis.stored import stored_classes
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.rulers.evidence import View
 from vehanchor.rulers.measurement import with_tilt
-from vehanchor.storage.stored import stored
+from vehanchor.storage.codec import Codec
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,16 +27,15 @@ if TYPE_CHECKING:
     from vehanchor.tilt.camera_tilt import CameraTilt
 
 
-@stored("photograph_findings")
 @dataclass(frozen=True, eq=False)
 class Look:
-    """The findings in one photograph, as a journal keeps them.
+    """Search result and evidence of one photograph, as the journal keeps them.
 
     Attributes:
-        image: facts of the file.
+        image: facts of the image.
         detections: result of the search, in pixels of the image.
         resolved: share of the pixels' resolution at which there is detail around its vehicles.
-        others: evidence of the rulers beside vehicles, measured along the tilt; None if they have not measured.
+        others: evidence of the rulers beside vehicles, with the tilt; None if they have not measured.
         prior: the scene-scale prior; None without one.
         tilt: of the camera; None at nadir.
     """
@@ -49,18 +49,23 @@ class Look:
 
     @classmethod
     def of(cls, view: View, analysis: ScaleAnalysis) -> Look:
-        """Keep what an analysis was made from."""
+        """Take the intermediate results of an analysis."""
         return cls(view.image, view.detections, analysis.resolved, analysis.others, view.prior, view.tilt)
+
+
+def look_codec() -> Codec:
+    """Codec of ``Look`` for journals."""
+    return Codec({**stored_classes(), "photograph_findings": Look})
 
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """A photograph with its own analysis.
+    """Photograph with its own analysis.
 
     Attributes:
         name: as the caller named it.
-        view: all that rulers saw, without its pixels.
-        analysis: their result.
+        view: input of the rulers, without pixels.
+        analysis: result of the rulers.
         features: for overlaps with other photographs; None if they are not needed.
     """
 
@@ -76,23 +81,23 @@ class Photograph:
 
     @classmethod
     def of(
-        cls, name: str, look: Look, card: DetectorCard, options: ScaleOptions, features: Features | None = None
+        cls, name: str, kept: Look, card: DetectorCard, options: ScaleOptions, features: Features | None = None
     ) -> Photograph:
-        """Analyse what was found in a photograph."""
+        """Analyse the search result of a photograph."""
         view = View(
-            look.image,
-            look.detections,
+            kept.image,
+            kept.detections,
             card,
             options,
-            lambda _centres, _scale: look.resolved,
-            prior=look.prior,
-            tilt=look.tilt,
+            lambda _centres, _scale: kept.resolved,
+            prior=kept.prior,
+            tilt=kept.tilt,
         )
-        if look.others is None:
+        if kept.others is None:
             view = with_tilt(view)
-        return cls(name, view, analyse_view(view, look.others or ()), features)
+        return cls(name, view, analyse_view(view, kept.others or ()), features)
 
 
 def chief_member(members: Sequence[Photograph]) -> int:
-    """Index of the photograph with the most vehicles, the first of equals: it measures best in its pixels."""
+    """Find the index of the photograph with the most vehicles; the first of equals."""
     return int(np.argmax([member.analysis.estimate.n_vehicles for member in members]))

@@ -1,15 +1,14 @@
-"""Many photographs as one body of evidence: boxes and densities brought to the pixels of one of them.
+"""Pooling: boxes and densities of many photographs, converted to the pixels of one of them.
 
-Where the ratios of the scales are known, a box of one photograph is as good as a box of another: all of them vote for
-one scale. What the photographs of one flight get wrong they get wrong alike, though: ten pictures of the same fields
-say less of the ground than ten places do.
+If the ratios of the scales are known, the boxes of all photographs vote for one scale. Errors of photographs of one
+flight are correlated, so that n densities of a ruler count as fewer than n.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from vehanchor.analysis.pipeline import conclude
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.scene_scale import SceneScalePrior
+from vehanchor.imagery.raster import RasterNote
 from vehanchor.records import Notice
 from vehanchor.rulers.evidence import Evidence, View
 from vehanchor.rulers.measurement import expected_scale, measure_all
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
 
 _LEAST = 1e-12
+Remark = TypeVar("Remark", Notice, RasterNote)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +43,7 @@ class _PooledPrior(SceneScalePrior):
     """Scene-scale prior of many photographs, in the pixels of one.
 
     Attributes:
-        pooled: ``[g]`` their density.
+        pooled: ``[g]`` density of all photographs.
     """
 
     pooled: NDArray[np.float64]
@@ -56,16 +57,16 @@ class _PooledPrior(SceneScalePrior):
 def pool(
     members: Sequence[Photograph], log_scales: ArrayLike, reference: int, extra: Iterable[Evidence] = ()
 ) -> ScaleAnalysis:
-    """Put the evidence of photographs together whose ratios of scales are known.
+    """Pool the evidence of photographs with known ratios of scales.
 
     Args:
         members: the photographs, at least one.
-        log_scales: ``[n]`` natural logs of their metres per pixel, but for a constant.
-        reference: index of the member in whose pixels the answer is.
-        extra: evidence of rulers that only a flight has, in those pixels.
+        log_scales: ``[n]`` natural logs of their metres per pixel, up to a constant.
+        reference: index of the member that sets the pixels of the result.
+        extra: evidence of rulers that only a flight has, in the reference's pixels.
 
     Returns:
-        The analysis, as if all had been seen in that photograph.
+        The analysis, as if all evidence were from the reference.
     """
     added = tuple(extra)
     if len(members) == 1 and not added:
@@ -74,9 +75,9 @@ def pool(
     offsets = logs - logs[reference]
     chief, resolved = members[reference].view, _resolved(members)
     others = (*_pooled_others(members, offsets), *added)
-    view = View(  # its boxes are rectified already: it has no tilt
+    view = View(  # no tilt: the boxes are rectified
         _facts(members, reference),
-        pooled_sighting([member.measured for member in members], offsets),
+        pooled_detections([member.measured for member in members], offsets),
         chief.card,
         chief.options,
         lambda _centres, _scale: resolved,
@@ -92,15 +93,15 @@ def pool(
     return replace(pooled, estimate=pooled.estimate.model_copy(update={"tilt": tilt, "scale": scale}))
 
 
-def pooled_sighting(detections: Sequence[Detections], offsets: ArrayLike) -> Detections:
-    """Put boxes together: those whose look is known first, best first, as a sighting has them.
+def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> Detections:
+    """Pool boxes in the order of ``Detections``: boxes with a known appearance first, then by score.
 
     Args:
         detections: of the photographs.
-        offsets: ``[n]`` log of how much larger a pixel of each is than one of the pixels that the answer is in.
+        offsets: ``[n]`` logs of each photograph's metres per pixel over the reference's.
 
     Returns:
-        Boxes in those pixels; their places mean nothing any more.
+        Boxes with sizes in pixels of the reference; their positions have no meaning.
     """
     factors = np.exp(np.asarray(offsets, dtype=np.float64))
     scores = np.concatenate([each.scores for each in detections])
@@ -115,8 +116,8 @@ def pooled_sighting(detections: Sequence[Detections], offsets: ArrayLike) -> Det
         (np.ones(len(each.boxes)) if each.scales is None else each.scales) / k
         for each, k in zip(detections, factors, strict=True)
     ]
-    looks = [each.fleet for each in detections if each.fleet is not None]
-    place = (np.cumsum(known) - 1)[order[: int(known.sum())]]  # among those whose look is known
+    fleets = [each.fleet for each in detections if each.fleet is not None]
+    place = (np.cumsum(known) - 1)[order[: int(known.sum())]]  # among boxes with a known appearance
     named = all(each.classes is not None for each in detections)
     classes = np.concatenate(
         [each.classes for each in detections if each.classes is not None] or [np.zeros(0, np.intp)]
@@ -127,18 +128,18 @@ def pooled_sighting(detections: Sequence[Detections], offsets: ArrayLike) -> Det
         sum(each.n_tiles for each in detections),
         sum(each.n_capped_tiles for each in detections),
         np.concatenate(scales)[order] if scaled else None,
-        FleetAppearance(*(np.concatenate(part)[place] for part in zip(*looks, strict=True))) if looks else None,
+        FleetAppearance(*(np.concatenate(part)[place] for part in zip(*fleets, strict=True))) if fleets else None,
         classes[order] if named else None,
         Objects.joined(),
     )
 
 
 def combined_density(densities: Sequence[NDArray[np.float64]], gain: float) -> NDArray[np.float64]:
-    """Multiply densities of one ruler in many photographs, which err alike.
+    """Multiply densities of one ruler in many photographs, with correlated errors.
 
     Args:
         densities: ``[g]`` probabilities each.
-        gain: n of them are worth n ** gain: 0 where they say the same thing, 1 where they are independent.
+        gain: n densities count as n ** gain: 0 for a common error, 1 for independent errors.
 
     Returns:
         ``[g]`` probabilities.
@@ -150,7 +151,7 @@ def combined_density(densities: Sequence[NDArray[np.float64]], gain: float) -> N
 
 
 def shifted(density: NDArray[np.float64], offset: float) -> NDArray[np.float64]:
-    """A density of one photograph's log scale as one of another's, whose own is less by ``offset``."""
+    """Shift a density of log scale down by ``offset``, to the pixels of another photograph."""
     if offset == 0:
         return density
     moved = np.interp(GRID + offset, GRID, density)
@@ -158,7 +159,7 @@ def shifted(density: NDArray[np.float64], offset: float) -> NDArray[np.float64]:
 
 
 def _resolved(members: Sequence[Photograph]) -> float:
-    """Share of the resolution with detail: the median photograph's, each counted by its vehicles."""
+    """Compute the median share of resolution with detail, weighted by the photographs' numbers of vehicles."""
     counts = np.array([member.analysis.estimate.n_vehicles for member in members], dtype=np.float64)
     if not counts.any():
         return 1.0
@@ -168,7 +169,7 @@ def _resolved(members: Sequence[Photograph]) -> float:
 
 
 def _pooled_prior(views: Sequence[View], offsets: NDArray[np.float64]) -> SceneScalePrior | None:
-    """Scene-scale prior of the photographs that were taken at nadir."""
+    """Pool the scene-scale priors of the photographs taken at nadir."""
     priors = [
         (view.prior, float(offset))
         for view, offset in zip(views, offsets, strict=True)
@@ -182,7 +183,7 @@ def _pooled_prior(views: Sequence[View], offsets: NDArray[np.float64]) -> SceneS
 
 
 def _pooled_others(members: Sequence[Photograph], offsets: NDArray[np.float64]) -> list[Evidence]:
-    """The other rulers, each ruler's photographs put together."""
+    """Pool the evidence of each other ruler over the photographs."""
     kinds = dict.fromkeys(other.kind for member in members for other in member.analysis.others)
     pooled = []
     for kind in kinds:
@@ -213,14 +214,14 @@ def _pooled_evidence(kind: str, found: Sequence[tuple[Evidence, float]]) -> Evid
 
 
 def _facts(members: Sequence[Photograph], reference: int) -> ImageFacts:
-    """Facts of the reference, with the notices of all."""
+    """Take the facts of the reference, with the notices of all photographs."""
     notices = _distinct(notice for member in members for notice in member.view.image.notices)
     return members[reference].view.image._replace(notices=notices)
 
 
-def _distinct(notices: Iterable[Notice]) -> tuple[Notice, ...]:
-    """One notice of each kind, the first: a hundred photographs of one camera say the same a hundred times."""
-    first: dict[str, Notice] = {}
+def _distinct(notices: Iterable[Remark]) -> tuple[Remark, ...]:
+    """Keep the first remark of each code: photographs of one camera have the same remarks."""
+    first: dict[str, Remark] = {}
     for notice in notices:
         first.setdefault(notice.code, notice)
     return tuple(first.values())

@@ -1,4 +1,4 @@
-"""One photograph's record with the scale that its whole flight gives it."""
+"""Record of one photograph with the scale of its flight."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ if TYPE_CHECKING:
 
 
 def estimate_in_flight(flight: FlightEstimate, photograph: FlightPhotograph) -> GsdEstimate:
-    """Put the scale of the flight into what a photograph says by itself.
+    """Replace a photograph's own scale by the scale of the flight.
 
     Args:
-        flight: of which the photograph is one.
-        photograph: one that could be read.
+        flight: the flight of the photograph.
+        photograph: a photograph with a record of its own.
 
     Returns:
-        Its own record; scale, interval, confidence, reason and rulers are those of its island, in its pixels.
+        Its own record, with scale, interval, confidence, reason and rulers of its component, in its pixels.
 
     Raises:
-        ValueError: the photograph could not be read, and has no record.
+        ValueError: the photograph could not be read and has no record.
     """
     if photograph.own is None or photograph.component is None:
         raise ValueError(f"{photograph.photograph} could not be read: it has no record")

@@ -1,4 +1,4 @@
-"""From the photographs of a flight to its record."""
+"""Record of a flight."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ if TYPE_CHECKING:
     from vehanchor.flight.photograph import Photograph
     from vehanchor.records import FlightLink, GsdEstimate, Status
 
-_MOST_ANCHORS = 3  # of a photograph, that are named
+_MOST_RULERS = 3  # listed per photograph
 
 
 @dataclass(frozen=True)
 class Failure:
-    """A photograph that cannot be used.
+    """Photograph that cannot be used.
 
     Attributes:
         name: as the caller named it.
-        error: why.
+        error: the reason.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Failure:
 
 
 class _Support(NamedTuple):
-    """One ruler seen in one member of an island."""
+    """Ruler that was measured in a member of a component."""
 
     ruler: str
     member: int
@@ -56,34 +56,34 @@ class _Support(NamedTuple):
 
 
 def conclude_flight(
-    looks: Sequence[Photograph | Failure],
+    results: Sequence[Photograph | Failure],
     components: Sequence[Component],
     card: DetectorCard,
     *,
     same_scale: bool,
     links: Sequence[FlightLink] = (),
 ) -> FlightEstimate:
-    """Conclude from photographs in islands.
+    """Make the record of a flight from its components.
 
     Args:
-        looks: the photographs; those that can be used are each in one island.
+        results: the photographs; each usable one belongs to one component.
         components: the largest first.
         card: of the detector.
-        same_scale: whether the caller said that all are of one scale.
+        same_scale: whether the caller stated one scale for all photographs.
         links: overlaps.
 
     Returns:
         The record.
     """
-    positions = _positions(looks)
+    positions = _positions(results)
     photographs: dict[int, FlightPhotograph] = {
-        place: _failed(each) for place, each in enumerate(looks) if isinstance(each, Failure)
+        place: _failed(each) for place, each in enumerate(results) if isinstance(each, Failure)
     }
-    pooled_islands = []
-    for number, (component, pooled) in enumerate(_pooled(looks, components)):
-        members = _members(looks, component)
+    pooled_components = []
+    for number, (component, pooled) in enumerate(_pooled(results, components)):
+        members = _members(results, component)
         estimate = pooled.estimate
-        pooled_islands.append(
+        pooled_components.append(
             FlightComponent(
                 number=number,
                 n_photographs=len(component),
@@ -91,12 +91,12 @@ def conclude_flight(
                 pooled=estimate,
             )
         )
-        anchors = _anchors(members, component, pooled)
+        rulers = _supporting_rulers(members, component, pooled)
         for place, at in enumerate(component.members):
-            found = _photograph(members[place], component, place, number, estimate, anchors[place])
+            found = _photograph(members[place], component, place, number, estimate, rulers[place])
             photographs[int(at)] = found.model_copy(update=_place(component, place, estimate, positions.get(int(at))))
-    ordered = tuple(photographs[place] for place in range(len(looks)))
-    whole = pooled_islands[0].pooled if same_scale else None
+    ordered = tuple(photographs[place] for place in range(len(results)))
+    whole = pooled_components[0].pooled if same_scale else None
     return FlightEstimate(
         status=_status(ordered),
         same_scale=same_scale,
@@ -104,9 +104,9 @@ def conclude_flight(
         gsd_ci95_low_m_per_px=whole.gsd_ci95_low_m_per_px if whole else None,
         gsd_ci95_high_m_per_px=whole.gsd_ci95_high_m_per_px if whole else None,
         confidence=min(each.confidence for each in ordered if each.confidence is not None),
-        n_vehicles=sum(each.pooled.n_vehicles for each in pooled_islands),
+        n_vehicles=sum(each.pooled.n_vehicles for each in pooled_components),
         photographs=ordered,
-        components=tuple(pooled_islands),
+        components=tuple(pooled_components),
         links=tuple(links),
         model=card.name,
         model_sha256=card.sha256,
@@ -114,17 +114,17 @@ def conclude_flight(
     )
 
 
-def _members(looks: Sequence[Photograph | Failure], component: Component) -> list[Photograph]:
-    return [look for place in component.members if not isinstance(look := looks[place], Failure)]
+def _members(results: Sequence[Photograph | Failure], component: Component) -> list[Photograph]:
+    return [result for place in component.members if not isinstance(result := results[place], Failure)]
 
 
 def _pooled(
-    looks: Sequence[Photograph | Failure], components: Sequence[Component]
+    results: Sequence[Photograph | Failure], components: Sequence[Component]
 ) -> list[tuple[Component, ScaleAnalysis]]:
-    """Each island with what all of its evidence says; one without any hangs on the ground below the others."""
+    """Pool each component; one without evidence takes the height of the ground below the others."""
     found, grounds = [], []
     for component in components:
-        members = _members(looks, component)
+        members = _members(results, component)
         pooled = pool(members, component.log_scales, component.reference, component.extra)
         found.append((component, pooled))
         if uses(members[0].view.options.rulers, Positions.kind):
@@ -132,7 +132,7 @@ def _pooled(
     known = [ground for ground in grounds if ground is not None]
     for place, (component, pooled) in enumerate(found if known else ()):
         if pooled.estimate.gsd_m_per_px is None:
-            members = _members(looks, component)
+            members = _members(results, component)
             by_height = replace(
                 component, extra=(*component.extra, *heights_evidence(known, members, component.offsets))
             )
@@ -140,12 +140,12 @@ def _pooled(
     return found
 
 
-def _positions(looks: Sequence[Photograph | Failure]) -> dict[int, tuple[float, float]]:
-    """Places by metadata, metres, of those photographs that have one."""
-    usable = [(place, look) for place, look in enumerate(looks) if not isinstance(look, Failure)]
+def _positions(results: Sequence[Photograph | Failure]) -> dict[int, tuple[float, float]]:
+    """Read positions from metadata, metres, by index of the photograph."""
+    usable = [(place, result) for place, result in enumerate(results) if not isinstance(result, Failure)]
     if not usable or not uses(usable[0][1].view.options.rulers, Positions.kind):
         return {}
-    places = places_of([look.view.image for _, look in usable])
+    places = places_of([result.view.image for _, result in usable])
     if places is None:
         return {}
     return {
@@ -158,7 +158,7 @@ def _positions(looks: Sequence[Photograph | Failure]) -> dict[int, tuple[float, 
 def _place(
     component: Component, place: int, pooled: GsdEstimate, position: tuple[float, float] | None
 ) -> dict[str, float | str]:
-    """Where a photograph was taken, as fields of its record; nothing where nobody knows."""
+    """Make the position fields of a photograph's record; empty if the position is unknown."""
     if position is not None:
         return {"east_m": position[0], "north_m": position[1], "placed_by": "positions"}
     if component.layout is None or pooled.gsd_m_per_px is None or len(component) < 2:
@@ -193,9 +193,9 @@ def _photograph(
     place: int,
     number: int,
     pooled: GsdEstimate,
-    anchors: tuple[FlightRuler, ...],
+    rulers: tuple[FlightRuler, ...],
 ) -> FlightPhotograph:
-    """The island's scale, carried over to one of its photographs."""
+    """Convert the scale of a component to one of its photographs."""
     gsd = low = high = None
     status, confidence = pooled.status, pooled.confidence
     if pooled.gsd_m_per_px is not None:
@@ -216,7 +216,7 @@ def _photograph(
         gsd_ci95_high_m_per_px=high,
         confidence=confidence,
         component=number,
-        supported_by=anchors,
+        supported_by=rulers,
         scale=_given_back(photograph, gsd, low, high, confidence),
         east_m=None,
         north_m=None,
@@ -251,10 +251,10 @@ def _status(photographs: Sequence[FlightPhotograph]) -> Status:
     return "ok" if all(status == "ok" for status in said) else "low_confidence"
 
 
-def _anchors(
+def _supporting_rulers(
     members: Sequence[Photograph], component: Component, pooled: ScaleAnalysis
 ) -> list[tuple[FlightRuler, ...]]:
-    """For each member what it hangs on: its own rulers, those of the nearest that has some, and the strongest."""
+    """List each member's supporting rulers: its own, those of the nearest member with rulers, and the strongest."""
     supports = _supports(members, component, pooled)
     for ruler in (each for each in component.extra if each.gsd_m_per_px is not None):
         supports += [_Support(ruler.kind, place, 0.0) for place in range(len(members))]
@@ -274,14 +274,14 @@ def _anchors(
                 continue
             for support in by_member[way[0]]:
                 through = tuple(members[each].name for each in way[1])
-                anchor = FlightRuler(ruler=support.ruler, photograph=members[way[0]].name, through=through)
-                chosen.setdefault((support.ruler, way[0]), anchor)
-        named.append(tuple(chosen.values())[:_MOST_ANCHORS])
+                supporting = FlightRuler(ruler=support.ruler, photograph=members[way[0]].name, through=through)
+                chosen.setdefault((support.ruler, way[0]), supporting)
+        named.append(tuple(chosen.values())[:_MOST_RULERS])
     return named
 
 
 def _supports(members: Sequence[Photograph], component: Component, pooled: ScaleAnalysis) -> list[_Support]:
-    """The rulers that bear the island's scale, and in which of its photographs they were seen."""
+    """List the rulers that support the component's scale, with the photograph of each."""
     supports = []
     lengths = pooled.vehicles.fleet.lengths
     for place, member in enumerate(members):

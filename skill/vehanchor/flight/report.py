@@ -1,4 +1,4 @@
-"""A flight as one HTML page that needs nothing else: the track, the islands, every photograph, what was dropped."""
+"""Report of a flight: one self-contained HTML page with track, components, photographs and dropped overlaps."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import OutputError
+from vehanchor.flight.track import draw_tracks
 from vehanchor.imagery.names import under_one_folder
-from vehanchor.pictures.track import draw_tracks
 from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
@@ -31,15 +31,15 @@ td { overflow-wrap: anywhere } .bad { color: #b34700 }
 
 
 def check_report_path(path: Path) -> Path:
-    """Make sure, before the work, that a page can be written there.
+    """Check, before the work, that a page can be written to a path.
 
     Raises:
-        OutputError: another suffix than .html, no such folder, or a folder of that name.
+        OutputError: the suffix is not .html, the folder does not exist, or the path is a folder.
     """
     if path.suffix.lower() not in (".html", ".htm"):
         raise OutputError(f"cannot write a report as {str(path)!r}: use the suffix .html")
     if not path.parent.is_dir() or path.is_dir():
-        raise OutputError(f"cannot write {str(path)!r}: name a file in a folder that is there")
+        raise OutputError(f"cannot write {str(path)!r}: name a file in a folder that exists")
     return path
 
 
@@ -47,29 +47,29 @@ def write_report(path: Path, record: FlightEstimate) -> None:
     """Write the page.
 
     Raises:
-        OutputError: the disk refuses.
+        OutputError: the file cannot be written.
     """
     with whole_file(path) as partial:
         partial.write_text(report_page(record), encoding="utf-8", errors="backslashreplace")
 
 
 def report_page(record: FlightEstimate) -> str:
-    """Make the page, without scripts and without anything from elsewhere."""
+    """Make the page, without scripts and external resources."""
     dropped = [link for link in record.links if link.dropped]
     folder, names = under_one_folder([each.photograph for each in record.photographs])
     sections = [
         f"<h1>Flight of {len(record.photographs)} photographs</h1>",
         f"<p>{escape(_summary(record))}</p>",
         *([f"<p>In {escape(folder)}.</p>"] if folder else []),
-        draw_tracks(record) or "<p>No photograph has a place, so there is no track to draw.</p>",
+        draw_tracks(record) or "<p>No track: no photograph has a position.</p>",
     ]
     if record.warnings:
         sections.append("<h2>Warnings</h2>" + _list(f"{each.code}: {each.message}" for each in record.warnings))
     if dropped:
         named = (f"{each.first} and {each.second}: {each.dropped}" for each in dropped)
-        sections.append(f"<h2>Overlaps that were dropped</h2>{_list(named)}")
+        sections.append(f"<h2>Dropped overlaps</h2>{_list(named)}")
     short = {each.photograph: name for each, name in zip(record.photographs, names, strict=True)}
-    sections.append(_islands(record, short))
+    sections.append(_components(record, short))
     sections.append(_photographs(record.photographs, short))
     sections.append(f"<p>Detector {escape(record.model)}, {escape(record.model_sha256[:12])}.</p>")
     body = "\n".join(sections)
@@ -81,16 +81,16 @@ def report_page(record: FlightEstimate) -> str:
 
 def _summary(record: FlightEstimate) -> str:
     said = (
-        "All are of one scale, as the caller said"
+        "One scale for all photographs, as stated by the caller"
         if record.same_scale
-        else (f"{len(record.components)} islands" if len(record.components) > 1 else "All are tied together")
+        else (f"{len(record.components)} components" if len(record.components) > 1 else "All photographs are linked")
     )
     if record.same_scale and record.gsd_m_per_px is not None:
         said += f": {_scale(record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px)}"
     return f"{said}. {record.n_vehicles} vehicles, confidence {record.confidence:.2f}, {record.status}."
 
 
-def _islands(record: FlightEstimate, short: Mapping[str, str]) -> str:
+def _components(record: FlightEstimate, short: Mapping[str, str]) -> str:
     rows = []
     for component in record.components:
         pooled = component.pooled
@@ -106,8 +106,8 @@ def _islands(record: FlightEstimate, short: Mapping[str, str]) -> str:
                 pooled.status,
             )
         )
-    heads = ("island", "photographs", "measured in the pixels of", "its scale", "rulers", "status")
-    return f"<h2>Islands</h2>{_table(heads, rows)}"
+    heads = ("component", "photographs", "reference", "scale of the reference", "rulers", "status")
+    return f"<h2>Components</h2>{_table(heads, rows)}"
 
 
 def _photographs(photographs: Sequence[FlightPhotograph], short: Mapping[str, str]) -> str:
@@ -117,20 +117,20 @@ def _photographs(photographs: Sequence[FlightPhotograph], short: Mapping[str, st
             _scale(each.gsd_m_per_px, each.gsd_ci95_low_m_per_px, each.gsd_ci95_high_m_per_px),
             "-" if each.confidence is None else f"{each.confidence:.2f}",
             "-" if each.component is None else str(each.component),
-            "; ".join(_anchor(anchor, each) for anchor in each.supported_by) or "-",
+            "; ".join(_ruler(ruler, each) for ruler in each.supported_by) or "-",
             each.status if each.error is None else f"{each.error_code}: {each.error}",
         )
         for each in photographs
     ]
-    heads = ("photograph", "scale", "confidence", "island", "hangs on", "status")
+    heads = ("photograph", "scale", "confidence", "component", "supported by", "status")
     return f"<h2>Photographs</h2>{_table(heads, rows)}"
 
 
-def _anchor(anchor: FlightRuler, of: FlightPhotograph) -> str:
-    if anchor.photograph == of.photograph:
-        return f"its own {anchor.ruler}"
-    through = f" through {', '.join(Path(each).name for each in anchor.through)}" if anchor.through else ""
-    return f"{anchor.ruler} of {Path(anchor.photograph).name}{through}"
+def _ruler(ruler: FlightRuler, of: FlightPhotograph) -> str:
+    if ruler.photograph == of.photograph:
+        return f"its own {ruler.ruler}"
+    through = f" through {', '.join(Path(each).name for each in ruler.through)}" if ruler.through else ""
+    return f"{ruler.ruler} of {Path(ruler.photograph).name}{through}"
 
 
 def _scale(gsd: float | None, low: float | None, high: float | None) -> str:

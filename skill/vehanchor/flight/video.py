@@ -1,4 +1,4 @@
-"""Photographs out of a video: one every few seconds, the sharpest of those around."""
+"""Frames of a video as photographs: the sharpest frame of each interval."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm"})
-_TRIALS = 5  # frames that are held against each other for one photograph
+_TRIALS = 5  # frames compared for one photograph
 _SHARPNESS_SIDE_PX = 640
 
 
 def is_video(path: str) -> bool:
-    """Whether a file's name is that of a video."""
+    """Tell whether a file name has a video suffix."""
     return Path(path).suffix.lower() in VIDEO_SUFFIXES
 
 
 def sample_video(path: str, every_s: float) -> Iterator[InputPhotograph]:
-    """Take a photograph every few seconds.
+    """Sample a video at regular intervals.
 
-    Of each stretch of time five frames are looked at and the sharpest is kept; one frame is held at a time.
+    The sharpest of five frames of each interval is kept. One frame is held in memory at a time.
 
     Args:
-        path: of the video.
+        path: path of the video.
         every_s: seconds from one photograph to the next.
 
     Yields:
-        Photographs, named by the video and their second.
+        Photographs, named by the video and their time in seconds.
 
     Raises:
-        ImageNotFoundError: there is no such file.
-        ImageDecodeError: it is no video that can be read.
-        InvalidParameterError: the seconds are no number above zero.
+        ImageNotFoundError: the file does not exist.
+        ImageDecodeError: the video cannot be read.
+        InvalidParameterError: the seconds are not a number above zero.
     """
     step_s = Limits(above=0).check("every", every_s)
     if not Path(path).is_file():
@@ -72,13 +72,13 @@ def sample_video(path: str, every_s: float) -> Iterator[InputPhotograph]:
         if best is not None:
             yield _taken(path, best, rate)
         if number == 0:
-            raise ImageDecodeError(f"the video {path!r} holds no frame that can be read")
+            raise ImageDecodeError(f"the video {path!r} has no readable frame")
     finally:
         film.release()
 
 
 def sharpness(frame: NDArray[np.uint8]) -> float:
-    """Variance of the Laplacian, on a copy small enough that noise does not count.
+    """Compute the variance of the Laplacian on a reduced copy, to suppress noise.
 
     Args:
         frame: ``[h, w, 3]``.
@@ -92,5 +92,5 @@ def sharpness(frame: NDArray[np.uint8]) -> float:
 
 def _taken(path: str, best: tuple[float, int, NDArray[np.uint8]], rate: float) -> InputPhotograph:
     _, number, frame = best
-    digits = max(2, math.ceil(math.log10(max(rate, 1.0))))  # no two frames of one name
+    digits = max(2, math.ceil(math.log10(max(rate, 1.0))))  # unique names
     return InputPhotograph(f"{path} at {number / rate:.{digits}f} s", np.ascontiguousarray(frame[:, :, ::-1]), path)

@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.imagery.identity import image_id
-from vehanchor.records import Notice
-from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from vehanchor.imagery.metadata.camera import CameraMetadata
-    from vehanchor.imagery.raster import Raster
+    from vehanchor.imagery.raster import Raster, RasterNote
 
 
-@stored("image_facts")
 class ImageFacts(NamedTuple):
     """Size, own scale and metadata of an image.
 
@@ -29,7 +26,7 @@ class ImageFacts(NamedTuple):
     width_px: int
     height_px: int
     georeference_gsd_m_per_px: float | None = None
-    notices: tuple[Notice, ...] = ()
+    notices: tuple[RasterNote, ...] = ()
     camera: CameraMetadata | None = None
     image_id: str = ""
 
@@ -40,12 +37,7 @@ def image_facts(raster: Raster) -> ImageFacts:
         raster.width_px,
         raster.height_px,
         raster.georeference_gsd_m_per_px,
-        image_notices(raster),
+        raster.warnings,
         raster.camera,
         image_id(raster),
     )
-
-
-def image_notices(raster: Raster) -> tuple[Notice, ...]:
-    """Convert the warnings from reading an image to notices."""
-    return tuple(Notice(code=note.code, message=note.message) for note in raster.warnings)

@@ -1,7 +1,7 @@
-"""Area of one object: an image and a box or points in, square metres out.
+"""Area of one object in a box or at points.
 
-Raster + prompt -> mask -> pixels x GSD^2 -> record. The scale comes from the vehicles of the whole image, or from the
-caller. No language model is ever asked for an area.
+Raster + prompt -> mask -> pixels x GSD^2 -> record. The scale comes from the whole image, or from the caller. No
+language model takes part in the measurement.
 """
 
 from __future__ import annotations
@@ -55,25 +55,25 @@ def analyse_objects(
     *,
     object_height_m: float | None = None,
 ) -> tuple[AreaAnalysis, ...]:
-    """Measure several objects of an open image: one search serves them all.
+    """Measure several objects of an open image with one search.
 
     Args:
         raster: the image.
-        prompts: what ``read_prompt`` gave, in the caller's coordinates.
+        prompts: results of ``read_prompt``, in the caller's coordinates.
         segmenter: finds the objects.
         scale: the known scale, or the detector that finds it.
-        options: every choice of the method of scale.
-        object_height_m: above the ground, of all of them.
+        options: all options of the scale estimate.
+        object_height_m: height of all objects above the ground.
 
     Returns:
-        For each prompt the record, the mask, the prompt in the image's pixels and the scale's analysis.
+        For each prompt the record, the mask, the prompt in pixels of the image and the analysis of the scale.
 
     Raises:
         VehAnchorError: as ``Engine.measure_area``.
     """
     options.frame.check(raster.width_px, raster.height_px)
     prompts = [prompt_in_image(each, options.frame, raster.width_px, raster.height_px) for each in prompts]
-    # The masks first: they are the quicker of the two to find out that a prompt cannot be read.
+    # Masks first: they are faster than the search, and an invalid prompt fails early.
     limits = options.reading.limits
     masks = segmenter.segment_all(raster, prompts, limits=limits)
     found = resolve_scale(raster, scale, options, object_height_m=object_height_m)
@@ -98,13 +98,13 @@ def _conclude(
     options: ScaleOptions,
     scale: ResolvedScale,
 ) -> AreaMeasurement:
-    """Mask and scale to record."""
+    """Make the record from mask and scale."""
     mask, left, top = found.mask, found.window.x_px, found.window.y_px
     bounds, circle = mask_bounds(mask), inscribed_circle(mask)
     n_px = int(mask.sum())
     gsd, estimate = scale.gsd_m_per_px, scale.estimate
     outline_px, (length_px, width_px) = perimeter(mask), rotated_extents(mask)
-    measured = scale.gsd_over(mask, left, top)  # an empty mask has no size, rather than a size of zero
+    measured = scale.gsd_over(mask, left, top)  # an empty mask has no size, not a size of zero
     size = _Size()
     if measured is not None and circle is not None:
         size = _size(n_px, outline_px, circle.diameter, measured, scale.log_sd, card.mask_area_log_sd)
@@ -156,7 +156,7 @@ class _Size(NamedTuple):
 def _size(
     n_px: int, outline_px: float, diameter_px: float, gsd: float, scale_log_sd: float, mask_log_sd: float
 ) -> _Size:
-    """``A = N_px * GSD^2`` (paper, section III-G), and the largest circle inside."""
+    """Compute ``A = N_px * GSD^2`` (paper, section III-G) and the largest circle inside."""
     area, diameter = n_px * gsd**2, diameter_px * gsd
     diameter_log_sd = _diameter_log_sd(mask_log_sd, n_px, outline_px, diameter_px)
     return _Size(
@@ -178,10 +178,10 @@ def _interval(value: float, log_sd: float) -> Interval:
 
 
 def _diameter_log_sd(area_log_sd: float, area_px: float, perimeter_px: float, diameter_px: float) -> float:
-    """What the mask's uncertainty means for the circle inside it.
+    """Propagate the mask's uncertainty to the diameter of its inscribed circle.
 
-    An outline that is off by d everywhere changes the area by d times the perimeter, and the diameter by 2 d: for a
-    disc half of the area's relative error, for a narrow strip all of it.
+    An offset d of the outline changes the area by d times the perimeter and the diameter by 2 d. The relative error of
+    the diameter is half of the area's for a disc, and equal to it for a narrow strip.
     """
     return max(area_log_sd / 2, 2 * area_log_sd * area_px / (perimeter_px * diameter_px))
 

@@ -1,6 +1,6 @@
-"""Distance on the ground: an image and two points or a path in, metres out.
+"""Distance on the ground between two points or along a path.
 
-Raster + path -> pixels x GSD -> record. The scale comes from the vehicles of the whole image, or from the caller.
+Raster + path -> pixels x GSD -> record. The scale comes from the whole image, or from the caller.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ MIN_PATH_PX = 2.0
 """Shortest path, pixels of the full image."""
 
 MAX_PATH_POINTS = 1000
-_POINT_SD = 1.0  # how well a place is hit, in the finest step of the caller's coordinates, as for lines of known length
+_POINT_SD = 1.0  # of a point, in the finest step of the caller's coordinates, as for lines of known length
 
 
 def read_path(path: Sequence[Place]) -> tuple[Place, ...]:
-    """Take a path as the caller gave it, checked for itself.
+    """Read and check a path of the caller.
 
     Raises:
-        PromptError: fewer than two points, or one that is no two finite numbers.
+        PromptError: fewer than two points, or one that is not two finite numbers.
     """
     places = []
     for each in places_of(path):
@@ -61,14 +61,14 @@ def analyse_paths(
     *,
     object_height_m: float | None = None,
 ) -> tuple[DistanceAnalysis, ...]:
-    """Measure several paths in an open image: one search serves them all.
+    """Measure several paths in an open image with one search.
 
     Args:
         raster: the image.
-        paths: what ``read_path`` gave, in the caller's coordinates.
+        paths: results of ``read_path``, in the caller's coordinates.
         scale: the known scale, or the detector that finds it.
-        options: every choice of the method of scale.
-        object_height_m: above the ground, of all of them.
+        options: all options of the scale estimate.
+        object_height_m: height of all paths above the ground.
 
     Raises:
         VehAnchorError: as ``Engine.measure_distance``.
@@ -105,19 +105,19 @@ def _length(places: Sequence[Place]) -> float:
 
 
 def _length_sd(places: Sequence[Place], unit_px: tuple[float, float]) -> float:
-    """Standard deviation of a path's length, pixels, where each point is hit no better than a step of coordinates."""
+    """Compute the standard deviation of a path's length, pixels, from an error of one step of coordinates per point."""
     at = np.array(places)
     legs = np.diff(at, axis=0)
     reach = np.hypot(legs[:, 0], legs[:, 1])[:, None]
     along = np.divide(legs, reach, out=np.zeros_like(legs), where=reach > 0)
-    gradient = np.zeros_like(at)  # of the length by each point: a point on a straight line adds nothing
+    gradient = np.zeros_like(at)  # of the length by each point; 0 for a point on a straight line
     gradient[:-1] -= along
     gradient[1:] += along
     return float(np.hypot.reduce((gradient * unit_px * _POINT_SD).ravel()))
 
 
 def _conclude(places: Sequence[Place], coordinates: CoordinateFrame, scale: ResolvedScale) -> DistanceMeasurement:
-    """Path and scale to record."""
+    """Make the record from path and scale."""
     length_px, gsd, estimate = _length(places), scale.gsd_m_per_px, scale.estimate
     distance, low, high = scale.length_m(places), None, None
     if distance is not None:

@@ -1,4 +1,4 @@
-"""The scale that a measurement rests on: estimated now, given as a number, or estimated before and given back."""
+"""Resolve a measurement's scale: estimate, number, or earlier result."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-from vehanchor.analysis.pipeline import analyse_raster, georeference_notice
+from vehanchor.analysis.pipeline import analyse_raster, georeference_notice, image_notices
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
-from vehanchor.imagery.facts import ImageFacts, image_notices
+from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens
 from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT_M
 from vehanchor.records import KnownScale
 from vehanchor.records.known_scale import known_scale
-from vehanchor.rulers.camera import height_log_sd
-from vehanchor.rulers.given_height import HEIGHT_LOG_SD
+from vehanchor.scale.height import GIVEN_HEIGHT_LOG_SD, height_log_sd
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
@@ -37,11 +36,11 @@ if TYPE_CHECKING:
     from vehanchor.records import GsdEstimate, Notice, ScaleSource, Status
 
 ScaleInput: TypeAlias = Detector | float | KnownScale
-"""What finds the scale, or what it is."""
+"""The detector that finds the scale, or the known scale."""
 
 
 class CameraAbove(NamedTuple):
-    """Data for the height of the camera: a lens, which gives it with the scale of the ground, or a stated height.
+    """Data for the height of the camera: a stated height, or a lens that gives the height from the scale.
 
     Attributes:
         lens: field of view; None if unknown.
@@ -56,16 +55,16 @@ class CameraAbove(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ResolvedScale:
-    """A scale and how far it may be used.
+    """Scale of a measurement and its confidence.
 
     Attributes:
-        gsd_m_per_px: metres per pixel of the full image; None without an anchor.
-        log_sd: standard deviation of its log; 0 for a number that the caller gave.
-        confidence: 0..1; None for a number that the caller gave.
-        source: where it comes from.
-        analysis: of the vehicles behind it; None where none was searched.
-        notices: doubts about the image and the scale.
-        plane: the ground plane of a tilted camera, whose scale holds at the image's centre; None if one scale holds.
+        gsd_m_per_px: metres per pixel of the full image; None without a scale.
+        log_sd: standard deviation of its log; 0 for a number from the caller.
+        confidence: 0..1; None for a number from the caller.
+        source: source of the scale.
+        analysis: the analysis behind it; None without a search.
+        notices: warnings about the image and the scale.
+        plane: ground plane of a tilted camera, with the scale of the image's centre; None if one scale holds.
         known: the scale of the ground, to give back; None for a number, and without a scale.
     """
 
@@ -79,12 +78,12 @@ class ResolvedScale:
     known: KnownScale | None = None
 
     def gsd_over(self, mask: NDArray[np.bool_], left: int, top: int) -> float | None:
-        """Metres per pixel over a mask: root of the mean area that its pixels show; None without a scale or a mask.
+        """Compute metres per pixel over a mask, the root of the mean pixel area; None without a scale or a mask.
 
         Args:
             mask: ``[h, w]`` bool.
-            left: column of the image at which it begins.
-            top: row at which it begins.
+            left: first column of the mask in the image.
+            top: first row of the mask in the image.
         """
         n_px = int(mask.sum())
         if self.gsd_m_per_px is None or not n_px:
@@ -92,7 +91,7 @@ class ResolvedScale:
         return self.gsd_m_per_px if self.plane is None else math.sqrt(self.plane.area(mask, left, top) / n_px)
 
     def length_m(self, places: Sequence[tuple[float, float]]) -> float | None:
-        """Length of a path through places of the image, metres; None without a scale."""
+        """Compute the length of a path in the image, metres; None without a scale."""
         if self.gsd_m_per_px is None:
             return None
         if self.plane is None:
@@ -101,12 +100,12 @@ class ResolvedScale:
 
     @property
     def estimate(self) -> GsdEstimate | None:
-        """The record of the scale; None where none was estimated now."""
+        """Record of the scale; None unless it was estimated now."""
         return None if self.analysis is None else self.analysis.estimate
 
     @property
     def status(self) -> Status:
-        """Whether it may be used."""
+        """Status of the scale."""
         if self.gsd_m_per_px is None:
             return "no_scale"
         doubtful = self.confidence is not None and self.confidence < FALLBACK_CONFIDENCE
@@ -116,23 +115,23 @@ class ResolvedScale:
 def given_scale(
     gsd_m_per_px: float | None, scale: KnownScale | GsdEstimate | Mapping[str, Any] | None, options: ScaleOptions
 ) -> float | KnownScale | None:
-    """Check the scale that a caller gives, before the work; None if the image must be searched for it.
+    """Check a known scale of the caller before the work; None if it must be estimated.
 
     Args:
-        gsd_m_per_px: a number that the caller knows.
+        gsd_m_per_px: a number from the caller.
         scale: an earlier estimate of the same image, or its ``scale``.
         options: of the method.
 
     Raises:
-        InvalidParameterError: both are given, or one beside lines of known length, or one has no meaning.
+        InvalidParameterError: both are given, one is given with lines of known length, or one is invalid.
     """
     known = [name for name, value in (("gsd_m_per_px", gsd_m_per_px), ("scale", scale)) if value is not None]
     if len(known) > 1:
-        raise InvalidParameterError("give gsd_m_per_px or scale, not both: each is the scale")
+        raise InvalidParameterError("give gsd_m_per_px or scale, not both")
     if known and options.rulers.known_lengths:
         raise InvalidParameterError(
-            f"give {known[0]} or lines of known length, not both: a scale that is given is not measured again. Leave "
-            f"{known[0]} out to have it measured with the lines"
+            f"give {known[0]} or lines of known length, not both: a given scale is not measured again. To measure with "
+            f"the lines, leave out {known[0]}"
         )
     if scale is not None:
         return known_scale(scale)
@@ -148,21 +147,21 @@ def resolve_scale(
     *,
     object_height_m: float | None = None,
 ) -> ResolvedScale:
-    """Find the scale of an open image, by searching it only where nobody knows its scale.
+    """Resolve the scale of an open image; the image is searched only if its scale is unknown.
 
     Args:
         raster: the image.
-        scale: what finds the scale of the ground, or is it.
-        options: every choice of the method.
-        object_height_m: how high above the ground lies what is to be measured; None for on it.
+        scale: the known scale, or the detector that finds it.
+        options: all options of the method.
+        object_height_m: height of the measured object above the ground; None for the ground.
 
     Returns:
-        The scale of the ground, or of the level that lies so high above it.
+        The scale at the height of the object.
 
     Raises:
-        InvalidParameterError: the height has no meaning, or nobody knows how high the camera was.
+        InvalidParameterError: the height is invalid, or the camera's height is unknown.
         ScaleMismatchError: the scale was measured on another image.
-        TooObliqueError: the horizon is in sight, or nearly so; the object lies above the camera.
+        TooObliqueError: the horizon is in sight, or nearly so; or the object is higher than the camera.
         VehAnchorError: as ``Engine.estimate``.
     """
     camera = None if object_height_m is None else camera_above(raster, options, object_height_m)
@@ -179,7 +178,7 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
         return ResolvedScale(
             found.gsd_m_per_px, log_sd, found.confidence, "estimated", analysis, found.warnings, plane, found.scale
         )
-    told = image_notices(raster)
+    told = image_notices(raster.warnings)
     own = raster.georeference_gsd_m_per_px
     if isinstance(scale, KnownScale):
         seen = image_id(raster)
@@ -189,22 +188,22 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
                 "of this image, or leave scale out"
             )
         log_sd = _log_sd(scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)
-        notices = (*told, *georeference_notice(own, scale.gsd_m_per_px, "the one given back is"))
+        notices = (*told, *georeference_notice(own, scale.gsd_m_per_px, "the scale given back is"))
         plane = _given_plane(raster, scale) or _plane(raster, options, scale.gsd_m_per_px)
         return ResolvedScale(scale.gsd_m_per_px, log_sd, scale.confidence, "reused", None, notices, plane, scale)
-    notices = (*told, *georeference_notice(own, scale, "the one given is"))
+    notices = (*told, *georeference_notice(own, scale, "the given scale is"))
     return ResolvedScale(scale, 0.0, None, "given", None, notices, _plane(raster, options, scale))
 
 
 def _plane(raster: Raster, options: ScaleOptions, gsd_m_per_px: float | None) -> GroundPlane | None:
-    """The ground under a camera that looked aside, with this scale at the image's centre."""
+    """Make the ground plane of a tilted camera from the scale at the image's centre."""
     image = ImageFacts(raster.width_px, raster.height_px, camera=raster.camera)
     tilt = None if gsd_m_per_px is None else metadata_tilt(image, options)
     return None if tilt is None or gsd_m_per_px is None else tilt.plane(image, gsd_m_per_px)
 
 
 def _given_plane(raster: Raster, scale: KnownScale) -> GroundPlane | None:
-    """The ground as the estimate had it that is given back."""
+    """Make the ground plane of an earlier estimate."""
     if scale.plane is None:
         return None
     size, looked = (raster.width_px, raster.height_px), scale.plane
@@ -214,10 +213,10 @@ def _given_plane(raster: Raster, scale: KnownScale) -> GroundPlane | None:
 
 
 def camera_above(raster: Raster, options: ScaleOptions, object_height_m: float) -> CameraAbove:
-    """What there is to tell how high the camera was, before the work.
+    """Collect data for the camera's height before the work.
 
     Raises:
-        InvalidParameterError: the object's height has no meaning, or nothing tells the camera's.
+        InvalidParameterError: the object's height is invalid, or the camera's height is unknown.
     """
     OBJECT_HEIGHT_M.check("object_height_m", object_height_m)
     chosen, camera = options.rulers, raster.camera if options.rulers.metadata else None
@@ -227,18 +226,18 @@ def camera_above(raster: Raster, options: ScaleOptions, object_height_m: float) 
     height = chosen.height_m or (camera.height_m if camera is not None else None)
     if seen is None and height is None:
         raise InvalidParameterError(
-            "object_height_m needs the camera's height, which neither the file nor an option tells: give height_m, or "
+            "object_height_m needs the camera's height, which is in neither the file nor an option: give height_m, or "
             "measure on the ground"
         )
-    spread = HEIGHT_LOG_SD if chosen.height_m is not None else 0.0 if height is None else height_log_sd(height)
+    spread = GIVEN_HEIGHT_LOG_SD if chosen.height_m is not None else 0.0 if height is None else height_log_sd(height)
     return CameraAbove(seen, height, spread)
 
 
 def raised(found: ResolvedScale, object_height_m: float, camera: CameraAbove) -> ResolvedScale:
-    """The scale of a level above the ground: what stands up is nearer to the camera, and larger in the image.
+    """Convert the scale of the ground to a height above it, nearer to the camera.
 
     Raises:
-        TooObliqueError: it lies above the camera.
+        TooObliqueError: the object is higher than the camera.
     """
     if found.gsd_m_per_px is None or object_height_m == 0:
         return found
@@ -253,7 +252,7 @@ def raised(found: ResolvedScale, object_height_m: float, camera: CameraAbove) ->
             f"an object {object_height_m:g} m above the ground lies above the camera, which is {height:.0f} m up: give "
             "a lower height"
         )
-    if focal_px:  # scale less height over focal length: an error of the scale weighs more up there
+    if focal_px:  # scale less height over focal length: the relative error grows with height
         lens_log_sd = camera.lens.log_sd if camera.lens else 0.0
         log_sd = math.hypot(found.log_sd, share * lens_log_sd) / (1 - share)
     else:
@@ -271,6 +270,6 @@ def _log_sd(low: float | None, high: float | None) -> float:
 
 
 def interval_around(value: float, log_sd: float) -> tuple[float, float]:
-    """The 95 % interval of a quantity whose log is normal."""
+    """Compute the 95 % interval of a lognormal quantity."""
     reach = math.exp(Z95 * log_sd)
     return value / reach, value * reach

@@ -1,1 +1,1 @@
-"""ONNX sessions, and the models that ship with the library."""
+"""Model files, ONNX sessions, and the bundled models."""

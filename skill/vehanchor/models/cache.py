@@ -1,4 +1,4 @@
-"""Loaded models, kept for as long as their files stay what they were."""
+"""Cache of loaded models, valid while their files are unchanged."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 class _FileState(NamedTuple):
-    """What tells a file from the one that was there before."""
+    """Properties by which a changed file is detected."""
 
     path: Path
     size_bytes: int
@@ -28,17 +28,17 @@ class _FileState(NamedTuple):
 
 
 def file_cached(max_models: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Keep what a function loads from model files, until one of the files is another.
+    """Cache what a function loads from model files, until one of the files changes.
 
-    The files are told by absolute path, size, time and inode, those that keep a graph's weights included: a model that
-    was replaced is loaded anew, and a relative path after ``chdir`` is another file.
+    Files, including those with external weights, are identified by absolute path, size, time and inode. A replaced
+    model is therefore loaded again, and a relative path after ``chdir`` is another file.
 
     Args:
-        max_models: how many results are kept at most; the one unused for longest goes first.
+        max_models: maximum number of cached results; the least recently used is dropped first.
 
     Returns:
         A decorator for a function whose positional arguments, and whose keyword arguments that are ``os.PathLike``, are
-        ONNX files; all its other arguments must be hashable. What it raises is not kept.
+        ONNX files. All its other arguments must be hashable. Exceptions are not cached.
     """
 
     def decorate(load: Callable[P, T]) -> Callable[P, T]:
@@ -48,7 +48,7 @@ def file_cached(max_models: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
         @functools.wraps(load)
         def cached(*args: P.args, **kwargs: P.kwargs) -> T:
             named = {name: value for name, value in kwargs.items() if isinstance(value, os.PathLike)}
-            # Links are not resolved: weights lie beside the name that was given, not beside what it points to.
+            # Links are not resolved: external weights lie beside the given name, not beside the link's target.
             files = tuple(Path(str(file)).absolute() for file in (*args, *named.values()))
             key = files, tuple(named), frozenset((name, kwargs[name]) for name in kwargs if name not in named)
             states = tuple(state for file in files for state in _states(file))
@@ -70,7 +70,7 @@ def file_cached(max_models: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
 
 def _states(file: Path) -> list[_FileState]:
-    """Of a model's file and of the files of its weights; what is missing has none."""
+    """List the states of a model's file and of its external weights, without missing files."""
     state = _state(file)
     if state is None:
         return []
@@ -90,5 +90,5 @@ def _state(file: Path) -> _FileState | None:
 def _locations(state: _FileState) -> tuple[str, ...]:
     try:
         return external_locations(state.path.read_bytes())
-    except OSError:  # a folder, say: loading will tell
+    except OSError:  # for example a folder; loading reports it
         return ()

@@ -1,7 +1,7 @@
-"""An ONNX model as files: the graph, and the files beside it in which large exports keep their weights.
+"""Files of an ONNX model: the graph, and the external weights of large exports.
 
-Where the weights are is written in the graph itself, in every tensor that is not stored in it (``onnx.proto``:
-``TensorProto.external_data``). Only those fields are read here: the ``onnx`` package is none of our dependencies.
+The graph itself names the file of every tensor that is stored outside it (``onnx.proto``:
+``TensorProto.external_data``). This module reads only those fields, because the ``onnx`` package is not a dependency.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ _EXTERNAL_DATA, _ENTRY_KEY, _ENTRY_VALUE = 13, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class ModelFile:
-    """A model's file as it was read once, so that what is hashed is what is run.
+    """Model file that is read once, so that the hashed bytes are the ones that run.
 
     Attributes:
-        path: of the file.
-        content: its bytes.
-        weights: files beside it that keep its weights, in the order in which the graph names them; none as a rule.
+        path: path of the file.
+        content: bytes of the file.
+        weights: files of external weights, in the order of the graph; most models have none.
     """
 
     path: Path
@@ -49,10 +49,10 @@ class ModelFile:
 
 
 def check_model_file(path: Path) -> None:
-    """Make sure that there is a file to open.
+    """Check that a model file exists.
 
     Raises:
-        ModelNotFoundError: there is none.
+        ModelNotFoundError: there is no such file.
     """
     if not path.is_file():
         raise ModelNotFoundError(
@@ -61,10 +61,10 @@ def check_model_file(path: Path) -> None:
 
 
 def read_model(path: Path) -> ModelFile:
-    """Read a model's file and find the files of its weights.
+    """Read a model's file and find its external weights.
 
     Raises:
-        ModelNotFoundError: there is no such file, or one of its weights is missing.
+        ModelNotFoundError: the file, or one of its external weights, is missing.
         ModelContractError: the file cannot be read.
     """
     check_model_file(path)
@@ -80,7 +80,7 @@ def read_model(path: Path) -> ModelFile:
 
 
 def models_sha256(*models: ModelFile) -> str:
-    """SHA-256, as hexadecimal digits, of models one after the other, each followed by its files of weights."""
+    """Compute the SHA-256, in hexadecimal digits, of models in order, each followed by its external weights."""
     digest = hashlib.sha256()
     for model in models:
         digest.update(model.content)
@@ -92,8 +92,8 @@ def models_sha256(*models: ModelFile) -> str:
 
 
 def external_locations(content: bytes) -> tuple[str, ...]:
-    """The files that a graph keeps weights in, relative to its own folder, each once; none for what is no ONNX file."""
-    if b"location" not in content:  # the key of every such entry; spares nearly all models the walk
+    """List the files of a graph's external weights, relative to its folder, each once; empty for other files."""
+    if b"location" not in content:  # key of every such entry; most models have none and need no walk
         return ()
     found: dict[str, None] = {}
     queue = deque([(_MODEL, memoryview(content))])
@@ -110,7 +110,7 @@ def external_locations(content: bytes) -> tuple[str, ...]:
 
 
 def _counted_fields(message: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Numbers and bodies of a message's strings and sub-messages, up to its end or to where it is no protobuf."""
+    """Yield numbers and bodies of a message's strings and sub-messages, up to its end or the first invalid field."""
     position = 0
     try:
         while position < len(message):
@@ -126,12 +126,12 @@ def _counted_fields(message: memoryview) -> Iterator[tuple[int, memoryview]]:
                 position += 8 if wire == _EIGHT_BYTES else 4
             else:
                 return
-    except IndexError:  # cut off: whoever opens it will say so
+    except IndexError:  # truncated; opening the model reports it
         return
 
 
 def _varint(message: memoryview, position: int) -> tuple[int, int]:
-    """A number of seven bits a byte, the lowest first, and where it ends."""
+    """Read a number of seven bits per byte, lowest first; return it with the position after it."""
     value = shift = 0
     while True:
         byte = message[position]

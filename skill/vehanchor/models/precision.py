@@ -1,8 +1,8 @@
-"""The numbers that a bundled detector computes with, and whether this processor is quick with those of eight bits.
+"""Processor features that make eight-bit models fast.
 
-ONNX Runtime computes with eight bits everywhere, but it is quicker than with float32 only where the processor has dot
-products of bytes: VNNI on x86, the dot products of Armv8.2. Linux says so itself; all of Apple's own processors have
-them. Elsewhere nothing tells without a package for it.
+ONNX Runtime runs int8 models everywhere. They are faster than float32 only on processors with dot products of bytes:
+VNNI on x86, and the dot products of Armv8.2. Linux lists these features, and all of Apple's own processors have them.
+Other systems do not report them without an extra package.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from functools import cache
 from pathlib import Path
 
 _CPU_INFO = Path("/proc/cpuinfo")
-_FEATURES = frozenset({"avx512_vnni", "avx_vnni", "amx_int8", "asimddp"})  # as Linux names them
+_FEATURES = frozenset({"avx512_vnni", "avx_vnni", "amx_int8", "asimddp"})  # Linux's names
 
 
 def lists_byte_dot_products(cpu_info: str) -> bool:
-    """Whether what Linux says of its processors, ``/proc/cpuinfo``, names dot products of bytes."""
+    """Test whether the text of ``/proc/cpuinfo`` lists dot products of bytes."""
     for line in cpu_info.splitlines():
         name, _, listed = line.partition(":")
         if name.strip() in ("flags", "Features"):
@@ -26,7 +26,7 @@ def lists_byte_dot_products(cpu_info: str) -> bool:
 
 @cache
 def has_byte_dot_products() -> bool:
-    """Whether this processor has dot products of bytes, as far as the system tells."""
+    """Test whether this processor is known to have dot products of bytes."""
     system = platform.system()
     if system == "Darwin":
         return platform.machine() == "arm64"

@@ -1,6 +1,6 @@
-"""How models run: on which processors, with how many threads, and how a caller follows and ends a run.
+"""Runtime of models: execution providers, threads, progress and cancellation.
 
-This module does not import ONNX Runtime: ``import vehanchor`` stays fast.
+This module does not import ONNX Runtime, so that ``import vehanchor`` stays fast.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
 
 MAX_THREADS = 256
-"""Largest accepted number of threads: each takes a stack, and no machine has more cores for one of these models."""
+"""Largest accepted number of threads: each needs a stack, and no model here profits from more cores."""
 
 Progress: TypeAlias = Callable[[int, int], None]
 """Called with (done, total)."""
@@ -46,7 +46,7 @@ class Cancellation:
         return self._requested
 
     def cancel(self) -> None:
-        """End the model that runs now within a layer, and refuse to run another."""
+        """End the running model after its current layer, and prevent further runs."""
         with self._lock:
             self._requested = True
             if self._options is not None:
@@ -54,7 +54,7 @@ class Cancellation:
 
     @property
     def run_options(self) -> onnxruntime.RunOptions:
-        """The options that ONNX Runtime checks between layers."""
+        """Run options that ONNX Runtime checks between layers."""
         from onnxruntime import RunOptions
 
         with self._lock:
@@ -76,14 +76,14 @@ class RuntimeKeywords(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Runtime:
-    """How models are opened (the first three fields) and how one call runs (the last two).
+    """Settings for opening models (the first three fields) and for one call (the last two).
 
-    Two runtimes are equal if they open models alike.
+    Two runtimes are equal if they open models in the same way.
 
     Attributes:
         threads: CPU threads of each model; None leaves the number to ONNX Runtime.
         providers: execution providers in order of preference, by full name or as ``"cuda"``, ``"cpu"``. If ``cpu`` is
-            among them, a missing provider is skipped and the log says so. One name alone is accepted, too.
+            among them, a missing provider is skipped with a warning in the log. A single name is accepted, too.
         precision: number format of a bundled detector: ``float32``, ``int8``, or ``auto``, which is int8 where the
             processor is fast with it.
         progress: called with (done, total): tiles of an image, photographs of a flight. An exception that it raises
@@ -107,11 +107,11 @@ class Runtime:
 
     @property
     def idle(self) -> Runtime:
-        """The same runtime outside a call: models are opened and kept with it."""
+        """Runtime without progress and cancellation, with which models are opened and cached."""
         return self if self.progress is None and self.cancellation is None else self.during(Runtime())
 
     def during(self, call: Runtime) -> Runtime:
-        """The same runtime with the progress and the cancellation of a call."""
+        """Copy the runtime with the progress and the cancellation of a call."""
         return replace(self, progress=call.progress, cancellation=call.cancellation)
 
     def with_keywords(self, keywords: Mapping[str, Any]) -> Runtime:
@@ -155,7 +155,7 @@ class LoadedModel:
     runtime: Runtime = Runtime()
 
     def under(self, call: Runtime) -> Self:
-        """The same model for one call: its runs report to the call's progress and obey its cancellation."""
+        """Bind the model to one call: its runs report to the call's progress and obey its cancellation."""
         if call.progress is self.runtime.progress and call.cancellation is self.runtime.cancellation:
             return self
         bound = copy.copy(self)

@@ -1,7 +1,7 @@
-"""Opening an ONNX file with ONNX Runtime, every failure as an error of ours.
+"""ONNX Runtime sessions, with all failures as errors of this package.
 
-The official builds of ONNX Runtime report their use to its makers unless the environment says no before the first
-import. What a planner looks at is nobody's business: this module says no, unless the user has decided otherwise.
+The official builds of ONNX Runtime send telemetry unless an environment variable disables it before the first import.
+This module disables it, unless the user has set the variable.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_SHORT_NAMES = {  # what people say
+_SHORT_NAMES = {
     "cpu": "CPUExecutionProvider",
     "cuda": "CUDAExecutionProvider",
     "tensorrt": "TensorrtExecutionProvider",
@@ -37,11 +37,11 @@ _SHORT_NAMES = {  # what people say
     "directml": "DmlExecutionProvider",
     "rocm": "ROCMExecutionProvider",
 }
-_SMALL_BYTES = 32 << 20  # of a file: bundled ones and YOLO11n's have some 10 MB, encoders of SAM hundreds
-_AS_REQUESTED = 1  # ONNX Runtime's ``ArenaExtendStrategy``: an arena grows by what is asked for, not by powers of two
+_SMALL_BYTES = 32 << 20  # file size; bundled models and YOLO11n have about 10 MB, SAM's encoders hundreds
+_AS_REQUESTED = 1  # ONNX Runtime's ``ArenaExtendStrategy``: the arena grows by the requested size, not by powers of two
 _logger = logging.getLogger(__name__)
 
-_WANT_OF_MEMORY = re.compile("bad.?alloc|failed to allocate|out of memory", re.IGNORECASE)
+_OUT_OF_MEMORY = re.compile("bad.?alloc|failed to allocate|out of memory", re.IGNORECASE)
 
 
 def open_session(
@@ -50,23 +50,23 @@ def open_session(
     """Open a model.
 
     Args:
-        path: of the file.
-        content: the file's bytes where they are read already: then these are what is run, unless the graph keeps
-            weights in files beside it, which ONNX Runtime finds by the path alone.
+        path: path of the file.
+        content: bytes of the file, which are run instead of the file. For a graph with external weights the path is
+            used, because ONNX Runtime finds the weights by it.
         runtime: threads and execution providers; None for the defaults.
 
     Returns:
         The session.
 
     Raises:
-        ModelContractError: ONNX Runtime cannot load it.
-        ProviderUnavailableError: an execution provider is not installed, and the CPU was not named beside it.
+        ModelContractError: ONNX Runtime cannot load the model.
+        ProviderUnavailableError: an execution provider is not installed, and ``cpu`` is not among the providers.
         OutOfMemoryError: there is too little memory for it now.
     """
     chosen = runtime or Runtime()
     wanted = _installed(chosen.providers)
     options = onnxruntime.SessionOptions()
-    options.log_severity_level = 4  # fatal only: a broken file is reported by our own error
+    options.log_severity_level = 4  # fatal only; a broken file raises an error of this package
     if chosen.threads is not None:
         options.intra_op_num_threads = chosen.threads
         options.inter_op_num_threads = 1
@@ -74,24 +74,25 @@ def open_session(
     if isinstance(model, bytes) and len(model) <= _SMALL_BYTES:
         _share_arena()
         options.add_session_config_entry("session.use_env_allocators", "1")
-        options.enable_mem_pattern = False  # a block for each shape of input, and tiles have many
+        options.enable_mem_pattern = False  # keeps a block per input shape, and tiles have many shapes
     else:
-        options.enable_cpu_mem_arena = False  # it would keep what the largest run took, for good
+        options.enable_cpu_mem_arena = False  # never releases the memory of the largest run
     try:
         session = onnxruntime.InferenceSession(model, options, providers=wanted)
     except Exception as error:  # ONNX Runtime's own exception types are private
-        raise _as_ours(error, f"{path} is not an ONNX model that ONNX Runtime can load") from None
-    if wanted[0] not in session.get_providers():  # ONNX Runtime goes on with the CPU, and says nothing
-        _tell_once(f"{wanted[0]} cannot start here: models run on {session.get_providers()[0]}")
+        raise _converted(error, f"{path} is not an ONNX model that ONNX Runtime can load") from None
+    if wanted[0] not in session.get_providers():  # ONNX Runtime silently falls back to the CPU
+        _warn_once(f"{wanted[0]} cannot start here: models run on {session.get_providers()[0]}")
     return session
 
 
 @cache
 def _share_arena() -> None:
-    """Give the small models of this process one arena: each takes it in turn, and together they keep what one needs.
+    """Share one memory arena between the small models of this process.
 
-    Without any, runs ask the system for every layer's memory anew and leave twice as much behind; with one for each
-    model, as ONNX Runtime has it by default, all keep their own (``research/results/server.json``, ``arena``).
+    They then keep as much memory as the largest of them needs. Without an arena, runs allocate every layer's memory
+    again and leave twice as much behind. With one arena per model, ONNX Runtime's default, each model keeps its own
+    (``research/results/server.json``, ``arena``).
     """
     memory = onnxruntime.OrtMemoryInfo(
         "Cpu", onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, onnxruntime.OrtMemType.DEFAULT
@@ -99,15 +100,15 @@ def _share_arena() -> None:
     arena = onnxruntime.OrtArenaCfg({"arena_extend_strategy": _AS_REQUESTED})
     try:
         onnxruntime.create_and_register_allocator(memory, arena)
-    except RuntimeError:  # somebody else in this process has: then that one is shared
+    except RuntimeError:  # another library in this process has registered one, which is shared then
         _logger.debug("ONNX Runtime has a shared arena already")
 
 
 def _installed(providers: Sequence[str]) -> list[str]:
-    """Full names of those that this build of ONNX Runtime has.
+    """List the full names of the wanted providers that this build of ONNX Runtime has.
 
     Raises:
-        ProviderUnavailableError: one is missing, and the CPU is not named beside it.
+        ProviderUnavailableError: one is missing, and ``cpu`` is not among them.
     """
     available = onnxruntime.get_available_providers()
     wanted = [_SHORT_NAMES.get(name.strip().lower(), name.strip()) for name in providers]
@@ -115,16 +116,16 @@ def _installed(providers: Sequence[str]) -> list[str]:
     if missing and "CPUExecutionProvider" not in wanted:
         raise ProviderUnavailableError(
             f"ONNX Runtime has no {missing[0]} here; it has {', '.join(available)}. Install the matching onnxruntime "
-            "build, or name cpu beside it to fall back"
+            "build, or add cpu to the providers as a fallback"
         )
     if missing:
-        _tell_once(f"ONNX Runtime has no {', '.join(missing)} here: models run without")
+        _warn_once(f"ONNX Runtime has no {', '.join(missing)} here: models run without")
     return [name for name in wanted if name in available]
 
 
 @cache
-def _tell_once(text: str) -> None:
-    """Warn in the log: there are several models, and one warning is enough."""
+def _warn_once(text: str) -> None:
+    """Log a warning once, although several models cause it."""
     _logger.warning(text)
 
 
@@ -141,11 +142,11 @@ def run_session(
         session: the model.
         outputs: names of the outputs wanted; None for all.
         feeds: inputs by name.
-        runtime: its cancellation ends the run.
+        runtime: runtime of the call; its cancellation ends the run.
         described: subject and verb of the error message if the run fails.
 
     Returns:
-        The outputs, in their order.
+        The outputs, in the order of ``outputs``.
 
     Raises:
         ModelContractError: the model fails.
@@ -158,22 +159,22 @@ def run_session(
     except Exception as error:  # ONNX Runtime's own exception types are private
         if cancellation is not None and cancellation.requested:
             raise CancelledError("the call was cancelled") from error
-        raise _as_ours(error, described) from None
+        raise _converted(error, described) from None
     return results
 
 
-def _as_ours(error: Exception, described: str) -> VehAnchorError:
-    """What ONNX Runtime raises, as an error of ours."""
-    if isinstance(error, MemoryError) or _WANT_OF_MEMORY.search(str(error)):
-        return OutOfMemoryError(f"{described}: {error}. Try again when less is running, or with smaller tiles")
+def _converted(error: Exception, described: str) -> VehAnchorError:
+    """Convert an exception of ONNX Runtime to an error of this package."""
+    if isinstance(error, MemoryError) or _OUT_OF_MEMORY.search(str(error)):
+        return OutOfMemoryError(f"{described}: {error}. Try again when more memory is free, or use smaller tiles")
     return ModelContractError(f"{described}: {error}")
 
 
 def metadata_number(metadata: Mapping[str, str], key: str, default: float) -> float:
-    """A number that a model's file states under ``vehanchor.<key>``.
+    """Read a number from a model's metadata, key ``vehanchor.<key>``.
 
     Raises:
-        ModelContractError: it is not a finite number >= 0.
+        ModelContractError: the entry is not a finite number >= 0.
     """
     text = metadata.get(f"vehanchor.{key}")
     if text is None:

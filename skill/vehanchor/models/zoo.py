@@ -1,4 +1,4 @@
-"""Which models ship with VehAnchor and where they are."""
+"""Bundled models and their files."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from vehanchor.options.models import Precision
 
 DEFAULT_DETECTOR = "vehicles"
-_IN_EIGHT_BITS = "-int8"  # ends the name of a bundled detector's file of that precision
+_INT8_SUFFIX = "-int8"  # of the name of a bundled detector in int8
 _SEGMENTER = "segmenter-encoder.onnx", "segmenter-decoder.onnx"
-_FLEET = "fleet.onnx"  # of the default detector
-_VERIFIER = "verifier.onnx"  # of the default detector
-_VERIFIER_INT8 = "verifier-int8.onnx"  # of the same in eight bits
+_FLEET = "fleet.onnx"  # for the default detector
+_VERIFIER = "verifier.onnx"  # for the default detector in float32
+_VERIFIER_INT8 = "verifier-int8.onnx"  # for the default detector in int8
 _SCENE_SCALE = "scene-scale.onnx"
 _COURTS = "courts.onnx"
 _NO_DETECTORS = (*_SEGMENTER, _FLEET, _VERIFIER, _VERIFIER_INT8, _SCENE_SCALE, _COURTS)
@@ -24,75 +24,75 @@ _BUNDLED = Path(__file__).parent / "bundled"
 
 
 def bundled_models() -> dict[str, Path]:
-    """Names of the bundled detectors and their files."""
+    """List the bundled detectors: name to file."""
     files = sorted(_BUNDLED.glob("*.onnx"), key=lambda path: path.stem)
     return {path.stem: path for path in files if path.name not in _NO_DETECTORS}
 
 
 def fleet_beside(detector: Path) -> Path | None:
-    """The file of the network that tells fleets apart for a detector; None where it has none.
+    """Find the fleet network of a detector; None without one.
 
     Args:
-        detector: its file. The default detector's network is bundled with it; any other's lies beside it, as
-            ``mine.fleet.onnx`` beside ``mine.onnx``.
+        detector: file of the detector. The default detector's network is bundled; any other's lies beside it, for
+            example ``mine.fleet.onnx`` beside ``mine.onnx``.
     """
     return _beside(detector, (_FLEET, _FLEET), "fleet")
 
 
 def verifier_beside(detector: Path) -> Path | None:
-    """The file of the network that judges a detector's candidates once more; None where it has none.
+    """Find the verifier of a detector; None without one.
 
     Args:
-        detector: its file. The default detector's network is bundled with it; any other's lies beside it, as
-            ``mine.verifier.onnx`` beside ``mine.onnx``.
+        detector: file of the detector. The default detector's verifier is bundled; any other's lies beside it, for
+            example ``mine.verifier.onnx`` beside ``mine.onnx``.
     """
     return _beside(detector, (_VERIFIER, _VERIFIER_INT8), "verifier")
 
 
 def _beside(detector: Path, bundled: tuple[str, str], kind: str) -> Path | None:
-    """The file beside a detector; ``bundled`` are the default one's, and those of the same in eight bits."""
+    """Find a detector's auxiliary model; ``bundled`` names the default detector's in float32 and in int8."""
     path = detector.with_name(f"{detector.stem}.{kind}.onnx")
-    for name, ending in zip(bundled, ("", _IN_EIGHT_BITS), strict=True):
+    for name, ending in zip(bundled, ("", _INT8_SUFFIX), strict=True):
         if detector.resolve() == (_BUNDLED / f"{DEFAULT_DETECTOR}{ending}.onnx").resolve():
             path = _BUNDLED / name
     return path if path.is_file() else None
 
 
 def bundled_scene_scale() -> Path | None:
-    """The file of the network that tells a scene's scale; None where this installation has none."""
+    """Find the bundled scene-scale network; None if this installation has none."""
     path = _BUNDLED / _SCENE_SCALE
     return path if path.is_file() else None
 
 
 def bundled_courts() -> Path | None:
-    """The file of the network that looks for sports courts; None where this installation has none."""
+    """Find the bundled court network; None if this installation has none."""
     path = _BUNDLED / _COURTS
     return path if path.is_file() else None
 
 
 def bundled_segmenter() -> tuple[Path, Path] | None:
-    """Encoder and decoder of the bundled segmenter, None where this installation has none."""
+    """Find encoder and decoder of the bundled segmenter; None if this installation has none."""
     encoder, decoder = (_BUNDLED / name for name in _SEGMENTER)
     return (encoder, decoder) if encoder.is_file() and decoder.is_file() else None
 
 
 def resolve_model(model: str | Path | None = None, precision: Precision | None = None) -> Path:
-    """The file of a model given by its bundled name or by its path; the default detector for None.
+    """Find the file of a detector by its bundled name or by its path.
 
     Args:
-        model: name or path.
-        precision: of the numbers that it computes with: ``int8`` takes the file in eight bits that is bundled beside
-            the one named, ``auto`` does where the processor is quick with it; else it is the one named.
+        model: name or path; None for the default detector.
+        precision: ``int8`` takes the bundled int8 version of the named detector; ``auto`` does so if the processor is
+            fast with int8. Otherwise the named detector is used.
 
     Raises:
-        ModelNotFoundError: neither a bundled name nor a file; or none of that precision.
+        ModelNotFoundError: the model is neither a bundled name nor a file, or has no version of that precision.
     """
     bundled = bundled_models()
     name = DEFAULT_DETECTOR if model is None else str(model)
-    if precision == "int8" and not name.endswith(_IN_EIGHT_BITS) and name + _IN_EIGHT_BITS not in bundled:
-        raise ModelNotFoundError(f"no file of {name!r} in int8 is bundled: leave the precision to the file")
-    if precision == "int8" or (precision == "auto" and name + _IN_EIGHT_BITS in bundled and has_byte_dot_products()):
-        name = name.removesuffix(_IN_EIGHT_BITS) + _IN_EIGHT_BITS
+    if precision == "int8" and not name.endswith(_INT8_SUFFIX) and name + _INT8_SUFFIX not in bundled:
+        raise ModelNotFoundError(f"no int8 version of {name!r} is bundled: leave out the precision")
+    if precision == "int8" or (precision == "auto" and name + _INT8_SUFFIX in bundled and has_byte_dot_products()):
+        name = name.removesuffix(_INT8_SUFFIX) + _INT8_SUFFIX
     if name in bundled:
         return bundled[name]
     path = Path(name)
@@ -104,10 +104,10 @@ def resolve_model(model: str | Path | None = None, precision: Precision | None =
 
 
 def resolve_segmenter(files: tuple[str | Path, str | Path] | None = None) -> tuple[Path, Path]:
-    """Encoder and decoder of a segmenter given by their paths; the bundled one for None.
+    """Find encoder and decoder of a segmenter by their paths; None gives the bundled one.
 
     Raises:
-        ModelNotFoundError: a path is no file, or no segmenter is bundled.
+        ModelNotFoundError: a path is not a file, or no segmenter is bundled.
     """
     if files is None:
         bundled = bundled_segmenter()

@@ -1,4 +1,4 @@
-"""Options that callers choose, in small frozen groups."""
+"""Options of callers, in small frozen groups."""
 
 from __future__ import annotations
 

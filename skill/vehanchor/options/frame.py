@@ -1,4 +1,4 @@
-"""The resized copy of the image that the caller works in: the option group ``Frame``."""
+"""The option group ``Frame``: the caller's resized copy of the image."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from vehanchor.errors import FrameError, InvalidParameterError
 from vehanchor.options.option import Limits, Option, Words, check_fields, option
 
 Coordinates: TypeAlias = Literal["pixels", "fraction", "per_mille"]
-"""Units in which places in a picture are written."""
+"""Units of coordinates."""
 
 FRAME = Option("Size of your resized copy, pixels.", metavar="W H")
 FRAME_SIDE = Limits(1, 1_000_000, whole=True)
-_SHARES: dict[Coordinates, int] = {"fraction": 1, "per_mille": 1000}  # how far they reach along either side
+_SHARES: dict[Coordinates, int] = {"fraction": 1, "per_mille": 1000}  # largest value along either side
 
 
 @dataclass(frozen=True)
 class Frame:
-    """The resized copy of the image that the caller works in, and how places in it are written.
+    """The caller's resized copy of the image, and the units of its coordinates.
 
     Attributes:
-        width_px: its width; with the height, or neither.
-        height_px: its height.
-        coordinates: pixels of the image, or of that copy where one is named; fraction: 0 to 1 of either side;
-            per_mille: 0 to 1000 of either side.
+        width_px: width of the copy; with the height, or neither.
+        height_px: height of the copy.
+        coordinates: pixels: of the copy, or of the image without a copy; fraction: 0 to 1 of either side; per_mille:
+            0 to 1000 of either side.
 
     Raises:
-        InvalidParameterError: one without the other, or no whole number >= 1.
+        InvalidParameterError: only one side is given, or a side is not a whole number >= 1.
     """
 
     width_px: int | None = field(
@@ -51,30 +51,30 @@ class Frame:
 
     @property
     def size(self) -> tuple[int, int] | None:
-        """Width and height, pixels; None without a frame."""
+        """Width and height of the copy, pixels; None without a copy."""
         return None if self.width_px is None or self.height_px is None else (self.width_px, self.height_px)
 
     def extent(self, width_px: int, height_px: int) -> tuple[int, int]:
-        """How far coordinates reach to the right and down, in their own units.
+        """Give the largest coordinates to the right and down, in their own units.
 
         Args:
-            width_px: of the image.
-            height_px: of the image.
+            width_px: width of the image.
+            height_px: height of the image.
         """
         share = _SHARES.get(self.coordinates)
         return (share, share) if share else self.size or (width_px, height_px)
 
     def check(self, width_px: int, height_px: int) -> None:
-        """Refuse a frame whose aspect ratio is not the image's: it would be a crop, or another image.
+        """Check that the frame has the aspect ratio of the image, and is not a crop or another image.
 
         Raises:
-            FrameError: more than a pixel of rounding lies between them.
+            FrameError: the sides differ by more than a pixel of rounding.
         """
         if self.size is None:
             return
         width, height = self.size
         fitting = width * height_px / width_px
-        slack = 1.0 + height_px / width_px  # one pixel of rounding in either side
+        slack = 1.0 + height_px / width_px  # one pixel of rounding per side
         if abs(height - fitting) > slack:
             raise FrameError(
                 f"the frame is {width} x {height} px, the image {width_px} x {height_px} "

@@ -1,4 +1,4 @@
-"""Declarations of what measurements take beside the option groups: a known scale, and the height of an object."""
+"""Options of measurements beside the option groups: a known scale, and the height of an object."""
 
 from __future__ import annotations
 

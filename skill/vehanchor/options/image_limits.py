@@ -1,4 +1,4 @@
-"""Limits on what an image may cost, checked before it is decoded."""
+"""Limits on the cost of an image, checked before decoding."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from vehanchor.options.option import Limits, set_frozen
 
 _MIB = 1 << 20
 DECODED_BYTES_PER_PIXEL = 10
-"""Memory of 8-bit RGB while it is decoded, with a reserve."""
+"""Memory for decoding 8-bit RGB, with a reserve."""
 
 _COUNT = Limits(least=1, whole=True)
 
 
 @dataclass(frozen=True)
 class ImageLimits:
-    """Limits on what an image may cost, checked before it is decoded.
+    """Limits on the cost of an image, checked before decoding.
 
     Attributes:
         max_bytes: encoded size of a file that is read whole.
-        max_pixels: declared width x height of an image that is decoded whole. Larger TIFFs and sequential JPEGs are
-            read by windows, as JPEG 2000 always is.
+        max_pixels: declared width x height of an image that is decoded whole. Larger TIFFs and sequential JPEGs, and
+            all JPEG 2000, are read by windows.
         max_windowed_pixels: declared width x height of an image that is read by windows.
-        max_decoded_bytes: memory that decoding may take: width x height x bands x depth of an image that is decoded
-            whole, or of a strip or tile of one that is read by windows, and what the decoder holds beside it.
-        max_unpacked_bytes: disk that a JPEG may take while it is read by windows, three bytes a pixel.
+        max_decoded_bytes: memory for decoding: width x height x bands x depth of an image decoded whole, or of a strip
+            or tile of one read by windows, and the decoder's own memory.
+        max_unpacked_bytes: disk space for a JPEG that is read by windows, three bytes per pixel.
 
     Raises:
-        InvalidParameterError: one of them is no whole number >= 1.
+        InvalidParameterError: a limit is not a whole number >= 1.
     """
 
     max_bytes: int = 512 * _MIB

@@ -1,4 +1,4 @@
-"""The options as keywords of the verbs, for type checkers."""
+"""Keywords of the verbs, for type checkers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class OptionKeywords(TypedDict, total=False):
-    """The fields of all groups by their keywords; a test compares the types with those of the groups."""
+    """Keywords for the fields of all groups; a test compares their types."""
 
     min_score: float | None
     nms_iou: float

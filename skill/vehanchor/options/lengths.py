@@ -1,4 +1,4 @@
-"""How the lengths of the vehicles become one: the option group ``Lengths``."""
+"""The option group ``Lengths``: statistics of the vehicles' lengths."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vehanchor.scale.defaults import OUTLIER_ALPHA, Aggregation
 
 @dataclass(frozen=True)
 class Lengths:
-    """How the lengths of the vehicles become one.
+    """Statistics of the vehicles' lengths.
 
     Attributes:
         alpha: outlier filter, ``P_i <= alpha * median`` (paper, equation 2), alpha >= 1; None switches it off.
@@ -19,13 +19,13 @@ class Lengths:
             None for the model's own choice (``kde``, the paper's, for foreign models).
 
     Raises:
-        InvalidParameterError: alpha is no number >= 1, or the aggregation is unknown.
+        InvalidParameterError: alpha is not a number >= 1, or the aggregation is unknown.
     """
 
     aggregation: Aggregation | None = field(
         default=None,
         metadata=option(
-            "Statistic of the lengths; below 5 vehicles a KDE gives way to the median. Default: the model's, or kde.",
+            "Statistic of the lengths; a KDE becomes the median below 5 vehicles. Default: the model's, or kde.",
             Words(get_args(Aggregation)),
         ),
     )

@@ -1,4 +1,4 @@
-"""Named presets of the method: the option group ``Method``."""
+"""The option group ``Method``: named presets."""
 
 from __future__ import annotations
 
@@ -36,25 +36,25 @@ PRESETS: dict[str, dict[str, Any]] = {
         "focal_35mm": None,
     }
 }
-"""Options that each preset sets, by their keywords."""
+"""Options of each preset by keyword."""
 
 
 @dataclass(frozen=True)
 class Method:
-    """The method as a whole.
+    """Preset of the method.
 
     Attributes:
-        preset: ``paper`` sets every option as the paper has it, and gives its confidence C and its resolution guard;
-            None leaves all options as they are.
+        preset: ``paper`` sets every option to the paper's value, with the paper's confidence C and resolution guard;
+            None changes no option.
 
     Raises:
-        InvalidParameterError: there is no such preset.
+        InvalidParameterError: the preset is unknown.
     """
 
     preset: Preset | None = field(
         default=None,
         metadata=option(
-            "Named preset: paper gives the paper's method exactly, with its confidence and its resolution guard.",
+            "Named preset: paper is exactly the paper's method, with its confidence and its resolution guard.",
             Words(get_args(Preset)),
         ),
     )
@@ -67,9 +67,9 @@ def with_preset(preset: str, keywords: Mapping[str, Any], defaults: Mapping[str,
     """Add the options of a preset to those of the caller.
 
     Args:
-        preset: its name.
+        preset: name of the preset.
         keywords: options of the caller.
-        defaults: of all options.
+        defaults: defaults of all options.
 
     Raises:
         InvalidParameterError: the caller sets an option of the preset to another value.

@@ -1,4 +1,4 @@
-"""Declarations of which models run, and how; the command line and the server take them."""
+"""Options of models and their runtime, for the command line and the server."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Literal, TypeAlias, get_args
 from vehanchor.options.option import Option, Words
 
 Precision: TypeAlias = Literal["float32", "int8", "auto"]
-"""``auto`` is int8 if there is such a file and the processor is fast with it."""
+"""``auto`` is int8 if such a file exists and the processor is fast with it."""
 
 PRECISION_WORDS = Words(get_args(Precision))
 
@@ -22,12 +22,12 @@ CLASSES = Option(
 )
 THREADS = Option("CPU threads per model; the result is the same with any number. Default: all cores.", metavar="N")
 PROVIDERS = Option(
-    "Where models run, best first: cpu, cuda, tensorrt, coreml, openvino, directml, or an ONNX Runtime provider; "
+    "Execution providers, best first: cpu, cuda, tensorrt, coreml, openvino, directml, or an ONNX Runtime provider; "
     "repeatable. Default: cpu.",
     metavar="NAME",
     flag="provider",
 )
-CALIBRATION = Option("Take the reference length that 'vehanchor calibrate' measured.", metavar="FILE")
+CALIBRATION = Option("Use the reference length measured by 'vehanchor calibrate'.", metavar="FILE")
 SEGMENTER = Option(
     "ONNX files of a promptable segmenter: SAM, MobileSAM, SAM 2, SAM 3 tracker, EfficientSAM. Default: the bundled.",
     metavar="ENCODER DECODER",

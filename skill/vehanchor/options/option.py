@@ -1,7 +1,7 @@
-"""Declaration of an option: its help and the values that it takes, said once for all surfaces.
+"""Declaration of an option: help and valid values, declared once.
 
-A field of an option group carries its ``Option`` as metadata. Keywords, command-line options, tool arguments and server
-settings take help, type, limits and default from there.
+A field of an option group has its ``Option`` as metadata. Keywords, command-line options, tool arguments and server
+settings derive help, type, limits and default from it.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ _METADATA = "option"
 
 
 class Limits(NamedTuple):
-    """Numbers that an option takes.
+    """Valid numbers of an option.
 
     Attributes:
-        least: the least number; None for no such limit.
+        least: the smallest number; None for no such limit.
         most: the largest number; None for no such limit.
-        above: a number that every value exceeds; None for no such limit.
-        whole: whether only whole numbers are taken.
+        above: exclusive lower limit; None for no such limit.
+        whole: whether only whole numbers are valid.
     """
 
     least: float | None = None
@@ -33,14 +33,14 @@ class Limits(NamedTuple):
 
     @property
     def schema(self) -> dict[str, float]:
-        """The limits by the names that pydantic gives them: ``ge``, ``le`` and ``gt``."""
+        """Limits by pydantic's names ``ge``, ``le`` and ``gt``."""
         named = {"ge": self.least, "le": self.most, "gt": self.above}
         return {
             name: int(limit) if limit == int(limit) else limit for name, limit in named.items() if limit is not None
         }
 
     def __str__(self) -> str:
-        """Name the values, as ``a finite number > 0``."""
+        """Describe the values, as ``a finite number > 0``."""
         noun = "a whole number" if self.whole else "a finite number"
         if self.least is not None and self.most is not None:
             return f"{noun} from {self.least:.10g} to {self.most:.10g}"
@@ -48,10 +48,10 @@ class Limits(NamedTuple):
         return noun + "".join(f"{sign}{limit:.10g}" for sign, limit in named if limit is not None)
 
     def check(self, name: str, value: Any) -> float:
-        """Take any real number of these limits, also NumPy's, as Python's own.
+        """Check a number and convert it to Python's types, also from NumPy's.
 
         Raises:
-            InvalidParameterError: the value is a bool, is no finite number, or lies outside the limits.
+            InvalidParameterError: the value is a bool, is not a finite number, or is outside the limits.
         """
         if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
             raise InvalidParameterError(f"{name} is {value!r}: use {self}")
@@ -63,7 +63,7 @@ class Limits(NamedTuple):
 
 
 class Text(NamedTuple):
-    """Texts that an option takes.
+    """Valid texts of an option.
 
     Attributes:
         most: the largest number of characters.
@@ -73,14 +73,14 @@ class Text(NamedTuple):
 
     @property
     def schema(self) -> dict[str, float]:
-        """The limit by the name that pydantic gives it."""
+        """Limit by pydantic's name."""
         return {"max_length": self.most}
 
     def check(self, name: str, value: Any) -> str:
-        """Take a text.
+        """Check a text.
 
         Raises:
-            InvalidParameterError: the value is no text, or is too long.
+            InvalidParameterError: the value is not a text, or is too long.
         """
         if not isinstance(value, str):
             raise InvalidParameterError(f"{name} is {value!r}: give one name")
@@ -90,17 +90,17 @@ class Text(NamedTuple):
 
 
 class Words(NamedTuple):
-    """Words of which an option takes one."""
+    """Valid words of an option."""
 
     words: tuple[str, ...]
 
     @property
     def schema(self) -> dict[str, float]:
-        """Nothing: the type names the words."""
+        """Empty: the type lists the words."""
         return {}
 
     def check(self, name: str, value: Any) -> str:
-        """Take one of the words.
+        """Check a word.
 
         Raises:
             InvalidParameterError: the value is none of them.
@@ -115,11 +115,11 @@ class Flag(NamedTuple):
 
     @property
     def schema(self) -> dict[str, float]:
-        """Nothing: the type says all."""
+        """Empty: the type is enough."""
         return {}
 
     def check(self, name: str, value: Any) -> bool:
-        """Take True or False.
+        """Check that a value is True or False.
 
         Raises:
             InvalidParameterError: the value is neither.
@@ -133,11 +133,11 @@ class Option(NamedTuple):
     """Declaration of an option.
 
     Attributes:
-        help: one or two short sentences, for ``--help``, tools and settings alike.
-        takes: the values that it takes; None for an option that its group checks by itself.
+        help: one or two short sentences for ``--help``, tools and settings.
+        takes: valid values; None for an option that its group checks.
         metavar: placeholder of the value on the command line.
-        flag: its name on the command line; empty for the field's name without its unit.
-        keyword: its name as a keyword; empty for the field's name.
+        flag: name on the command line; empty for the field's name without its unit.
+        keyword: name as a keyword; empty for the field's name.
         cli: whether the command line offers it.
     """
 
@@ -158,38 +158,38 @@ def option(
     keyword: str = "",
     cli: bool = True,
 ) -> dict[str, Option]:
-    """Make the metadata of a dataclass field that is an option; see ``Option``."""
+    """Make the metadata of a dataclass field from the parts of an ``Option``."""
     return metadata_of(Option(help_text, takes, metavar, flag, keyword, cli))
 
 
 def metadata_of(declared: Option) -> dict[str, Option]:
-    """Make the metadata of a dataclass field that is this option."""
+    """Make the metadata of a dataclass field from its ``Option``."""
     return {_METADATA: declared}
 
 
 def option_of(field: Any) -> Option | None:
-    """Give the declaration of a dataclass field; None for a field that is no option."""
+    """Get the declaration of a dataclass field; None for a field that is not an option."""
     found: Option | None = field.metadata.get(_METADATA)
     return found
 
 
 def keyword_of(field: Any) -> str:
-    """Give the name that a field has as a keyword."""
+    """Get the keyword of a field."""
     declared = option_of(field)
     name: str = field.name
     return declared.keyword or name if declared is not None else name
 
 
 def set_frozen(group: Any, name: str, value: Any) -> None:
-    """Set a field of a frozen group while it is being made."""
+    """Set a field of a frozen group in its ``__post_init__``."""
     object.__setattr__(group, name, value)
 
 
 def check_fields(group: Any) -> None:
-    """Check the fields of a group by their declarations; None is taken where the field's type has it.
+    """Check the fields of a group by their declarations; None is valid if the field's type has it.
 
     Raises:
-        InvalidParameterError: a value is none that its option takes.
+        InvalidParameterError: a value is invalid.
     """
     for each in fields(group):
         declared, value = option_of(each), getattr(group, each.name)

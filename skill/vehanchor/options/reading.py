@@ -1,4 +1,4 @@
-"""How an image is read: the option group ``Reading``."""
+"""The option group ``Reading``: reading of images."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ _BAND = Limits(least=1, whole=True)
 
 @dataclass(frozen=True)
 class Reading:
-    """How an image is read.
+    """Options of reading an image.
 
     Attributes:
-        bands: three 1-based bands to take as red, green, blue; None takes the first three.
-        limits: what an image may cost, checked before decoding.
-        bgr: arrays have blue, green and red, as OpenCV reads them.
-        max_megapixels: in the place of the limits' pixels and of the memory that decoding them takes; None leaves them.
+        bands: three 1-based bands for red, green, blue; None takes the first three.
+        limits: limits on the cost of an image, checked before decoding.
+        bgr: arrays have the order blue, green, red, as in OpenCV.
+        max_megapixels: replaces the limits of pixels and of memory for decoding; None keeps them.
 
     Raises:
-        InvalidParameterError: a number has no meaning, or the bands are not three whole numbers >= 1.
+        InvalidParameterError: a number is invalid, or the bands are not three whole numbers >= 1.
     """
 
     bands: tuple[int, int, int] | None = field(
         default=None,
-        metadata=option("Bands to take as red, green and blue, from 1. Default: the first three.", metavar="R G B"),
+        metadata=option("Bands for red, green and blue, from 1. Default: the first three.", metavar="R G B"),
     )
     limits: ImageLimits = field(default_factory=ImageLimits)
     bgr: bool = field(
-        default=False, metadata=option("Arrays have blue, green and red, as OpenCV reads them.", Flag(), cli=False)
+        default=False, metadata=option("Arrays have the order blue, green, red, as in OpenCV.", Flag(), cli=False)
     )
     max_megapixels: float | None = field(
         default=None,

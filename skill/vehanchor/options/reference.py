@@ -1,4 +1,4 @@
-"""Where the reference length comes from: the option group ``Reference``."""
+"""The option group ``Reference``: source of the reference length."""
 
 from __future__ import annotations
 
@@ -16,17 +16,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Reference:
-    """Source of the reference length ``L_ref``: one of these or, without any, the appearance of the vehicles.
+    """Source of the reference length ``L_ref``: one of these or, by default, the appearance of the vehicles.
 
     Attributes:
         reference_length_m: the fleet's modal vehicle length, 2 to 20 metres.
-        region: take the model's reference length for a region (bundled: ``europe``,
-            ``northern_europe``, ``north_america``, ``south_america``, ``south_asia``).
-        calibration: take the reference length measured for this fleet and detector (see ``load_calibration``); the
-            path of its file is read at once.
+        region: use the model's reference length for a region (bundled: ``vehanchor.scale.defaults.REGIONS``).
+        calibration: use the reference length measured for this fleet and detector (see ``load_calibration``); a path
+            is read at once.
 
     Raises:
-        InvalidParameterError: two of them, or a length that is no number from 2 to 20.
+        InvalidParameterError: two are given, or the length is not a number from 2 to 20.
         CalibrationFileError: the calibration cannot be read.
     """
 
@@ -40,7 +39,7 @@ class Reference:
     )
     region: str | None = field(
         default=None,
-        metadata=option(f"Where the image was taken, if known: {', '.join(REGIONS)}.", Text(), metavar="NAME"),
+        metadata=option(f"Region of the image, if known: {', '.join(REGIONS)}.", Text(), metavar="NAME"),
     )
     calibration: Calibration | None = field(default=None, metadata=metadata_of(CALIBRATION))
 

@@ -1,4 +1,4 @@
-"""Which rulers are used, and what the caller knows of the scale: the option group ``Rulers``."""
+"""The option group ``Rulers``: rulers to use, and known facts about the scale."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from typing import Any, NamedTuple
 from vehanchor.errors import InvalidParameterError, KnownLengthError
 from vehanchor.options.option import Flag, Limits, check_fields, option, set_frozen
 
-_MIN_LINE_PX = 5.0  # a pixel off at each end of a shorter line is more than a quarter of it
+_MIN_LINE_PX = 5.0  # on a shorter line, an error of a pixel at each end exceeds a quarter
 LINE_LENGTH_M = Limits(above=0, most=100_000)
-"""Metres of a line of known length."""
+"""Limits for a line of known length, metres."""
 
 _COORDINATE = Limits()
-_HEIGHT_M = Limits(above=0, most=20_000)  # survey aircraft fly at 10 km; from higher up no car is seen
+_HEIGHT_M = Limits(above=0, most=20_000)  # survey aircraft fly at 10 km; cars are too small from higher up
 _FOCAL_MM = Limits(above=0, most=10_000)
 
 
 class KnownLength(NamedTuple):
-    """A straight line on the ground, and how long it is.
+    """Straight line on the ground with its known length.
 
     Attributes:
-        x1: of one end, pixels of the image, or of the frame where one is named.
-        y1: of that end.
-        x2: of the other end.
-        y2: of that end.
-        metres: between them.
+        x1: x of one end, pixels of the frame, or of the image without a frame.
+        y1: y of that end.
+        x2: x of the other end.
+        y2: y of that end.
+        metres: length of the line.
     """
 
     x1: float
@@ -38,10 +38,10 @@ class KnownLength(NamedTuple):
 
     @classmethod
     def from_text(cls, text: str) -> KnownLength:
-        """Read a line as a person writes it: five numbers with spaces or commas between them.
+        """Read a line from five numbers, separated by spaces or commas.
 
         Raises:
-            KnownLengthError: it is not that.
+            KnownLengthError: the text is not five numbers.
         """
         try:
             return cls(*(float(part) for part in text.replace(",", " ").split()))
@@ -50,25 +50,25 @@ class KnownLength(NamedTuple):
 
     @property
     def length_px(self) -> float:
-        """Pixels between the ends."""
+        """Length of the line in pixels."""
         return math.hypot(self.x2 - self.x1, self.y2 - self.y1)
 
 
 @dataclass(frozen=True)
 class Rulers:
-    """Rulers to use, and what the caller knows of the scale.
+    """Rulers to use, and known facts about the scale.
 
     Attributes:
-        rulers: kinds of the rulers to use; None for all. ``vehanchor.rulers.registry`` knows which exist.
-        metadata: read the camera's metadata in the file; False is the paper's case.
-        known_lengths: lines of known length, x1, y1, x2, y2 in pixels and metres.
-        height_m: of the camera above the ground, metres; a picture counts as taken straight down unless its metadata
-            or its courts say otherwise.
-        focal_35mm: focal length of a 35 mm camera with the same view, millimetres; None takes the file's.
+        rulers: kinds of the rulers to use; None for all. ``vehanchor.rulers.registry`` lists them.
+        metadata: use the camera's metadata in the file; False is the paper's case.
+        known_lengths: lines of known length: x1, y1, x2, y2 in pixels, and metres.
+        height_m: height of the camera above the ground, metres; the view is at nadir unless metadata or courts show a
+            tilt.
+        focal_35mm: 35 mm equivalent focal length, millimetres; None takes the file's.
 
     Raises:
-        KnownLengthError: what is given is no line.
-        InvalidParameterError: a number has no meaning, or the rulers are no list of names.
+        KnownLengthError: a known length is invalid.
+        InvalidParameterError: a number is invalid, or the rulers are not a list of names.
     """
 
     rulers: tuple[str, ...] | None = field(
@@ -107,14 +107,14 @@ class Rulers:
             set_frozen(self, "rulers", _ruler_names(self.rulers))
         set_frozen(self, "known_lengths", _lines(self.known_lengths))
         if self.focal_35mm is not None and self.height_m is None:
-            raise InvalidParameterError("focal_35mm needs height_m: give the height above the ground, too")
+            raise InvalidParameterError("focal_35mm needs height_m: also give the height above the ground")
         check_fields(self)
 
     def check_lengths(self) -> None:
-        """Refuse lines too short to measure by.
+        """Check that no line is too short.
 
         Raises:
-            KnownLengthError: one is shorter than five pixels.
+            KnownLengthError: a line is shorter than five pixels.
         """
         for line in self.known_lengths:
             if line.length_px < _MIN_LINE_PX:
@@ -123,14 +123,14 @@ class Rulers:
                 )
 
     def check(self, width_px: int, height_px: int) -> None:
-        """Refuse lines that leave the picture in which they were drawn, or are too short in it.
+        """Check that all lines are inside the image or frame, and long enough.
 
         Args:
-            width_px: of the image, or of the frame where one is named.
-            height_px: of that picture.
+            width_px: width of the frame, or of the image without a frame.
+            height_px: its height.
 
         Raises:
-            KnownLengthError: an end lies outside, or a line is shorter than five pixels.
+            KnownLengthError: an end is outside, or a line is shorter than five pixels.
         """
         self.check_lengths()
         for line in self.known_lengths:
@@ -160,6 +160,6 @@ def _lines(lines: Any) -> tuple[KnownLength, ...]:
             x1, y1, x2, y2, metres = (_COORDINATE.check("known_lengths", each) for each in line)
             LINE_LENGTH_M.check("the line's length in metres", metres)
         except (TypeError, ValueError) as error:
-            raise KnownLengthError(f"the known length {line!r} is no x1, y1, x2, y2, metres: {error}") from None
+            raise KnownLengthError(f"the known length {line!r} is not x1, y1, x2, y2, metres: {error}") from None
         checked.append(KnownLength(x1, y1, x2, y2, metres))
     return tuple(checked)

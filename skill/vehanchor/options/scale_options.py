@@ -1,4 +1,4 @@
-"""All option groups together, taken alike by all verbs, commands and the server."""
+"""All option groups in one object, for all verbs, commands and the server."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ScaleOptions:
-    """All groups; the defaults are the paper's, or the model's own where that is None.
+    """All option groups; a default is the paper's value, or None for the model's own.
 
     Attributes:
-        search: how the image is searched.
-        lengths: how lengths become one.
-        reference: where the reference length comes from.
+        search: search of the image.
+        lengths: statistics of the vehicles' lengths.
+        reference: source of the reference length.
         frame: the caller's resized copy.
-        reading: how the image is read.
-        rulers: what the scale is taken from.
-        method: a preset of all of them.
+        reading: reading of the image.
+        rulers: rulers to use, and known facts about the scale.
+        method: preset of all options.
     """
 
     search: Search = field(default_factory=Search)
@@ -46,14 +46,14 @@ class ScaleOptions:
             self.rulers.check_lengths()
 
     def in_pixels(self, width_px: int, height_px: int) -> ScaleOptions:
-        """The same choices with the lines of known length in pixels of the frame, or of the image where none is named.
+        """Convert the lines of known length to pixels of the frame, or of the image without a frame.
 
         Args:
-            width_px: of the image.
-            height_px: of the image.
+            width_px: width of the image.
+            height_px: height of the image.
 
         Raises:
-            KnownLengthError: a line is shorter than five pixels, or leaves the picture.
+            KnownLengthError: a line is shorter than five pixels, or ends outside the image.
         """
         picture = self.frame.size or (width_px, height_px)
         extent = self.frame.extent(width_px, height_px)
@@ -72,18 +72,18 @@ class ScaleOptions:
 
     @classmethod
     def of(cls, keywords: Mapping[str, Any]) -> ScaleOptions:
-        """Make the groups that hold the verbs' keywords (``OptionKeywords``).
+        """Make options from keywords (``OptionKeywords``).
 
         Raises:
-            InvalidParameterError: a value has no meaning, or there is no such option.
+            InvalidParameterError: a value is invalid, or an option does not exist.
         """
         return cls().with_keywords(keywords)
 
     def with_keywords(self, keywords: Mapping[str, Any]) -> ScaleOptions:
-        """Give the same options with other values of single fields (``OptionKeywords``).
+        """Copy the options with other values of single fields (``OptionKeywords``).
 
         Raises:
-            InvalidParameterError: a value is invalid, or there is no such option.
+            InvalidParameterError: a value is invalid, or an option does not exist.
         """
         preset = keywords.get("preset") or self.method.preset
         if preset is not None:
@@ -100,11 +100,11 @@ class ScaleOptions:
 
 
 class DeclaredOption(NamedTuple):
-    """An option of a group.
+    """Option of a group.
 
     Attributes:
-        keyword: its name as a keyword of the verbs.
-        field: the field of the group.
+        keyword: keyword of the verbs.
+        field: field of the group.
         group: the group.
         declared: its declaration; None for an option of the library alone.
     """
@@ -127,7 +127,7 @@ def declared_option(keyword: str) -> Option:
     """Find the declaration of an option by its keyword.
 
     Raises:
-        KeyError: there is no such option.
+        KeyError: the option does not exist.
     """
     found = next((each.declared for each in declared_options() if each.keyword == keyword), None)
     if found is None:

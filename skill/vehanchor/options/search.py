@@ -1,4 +1,4 @@
-"""How an image is searched, and when the search ends: the option group ``Search``."""
+"""The option group ``Search``: search of an image, and its end."""
 
 from __future__ import annotations
 
@@ -9,10 +9,7 @@ from vehanchor.options.option import Flag, Limits, Words, check_fields, option
 from vehanchor.scale.defaults import NMS_IOU
 
 Effort: TypeAlias = Literal["full", "auto", "fast"]
-"""How much of a large image is searched."""
-
-Stopped: TypeAlias = Literal["all_searched", "settled", "max_tiles", "max_seconds"]
-"""Why a search ended."""
+"""Extents of the search of a large image."""
 
 _SHARE, _COUNT = Limits(0, 1), Limits(least=1, whole=True)
 _TILES = Limits(1, 1_000_000_000, whole=True)
@@ -20,24 +17,24 @@ _TILES = Limits(1, 1_000_000_000, whole=True)
 
 @dataclass(frozen=True)
 class Search:
-    """How an image is searched for vehicles.
+    """Options of the search for vehicles.
 
     Attributes:
         min_score: lowest detection score, 0..1; None takes the model's (0.1, the paper's, for foreign models).
         nms_iou: IoU, 0..1, above which the weaker of two boxes is dropped.
-        search_scales: search reduced copies of the image, too, for vehicles longer than the model was trained on; None
+        search_scales: also search reduced copies of the image, for vehicles longer than the model was trained on; None
             takes the model's own choice (no, for foreign models).
-        verify: score candidates again by the model's verifier, if it has one.
-        tile_px: tile side; None is 1024, or the model's input where that is fixed.
+        verify: score candidates again with the model's verifier, if it has one.
+        tile_px: tile side; None is 1024, or the model's fixed input size.
         stride_px: step between tiles; None is three quarters of the tile.
-        effort: ``full`` visits every tile; ``auto`` and ``fast`` visit those where cars are likely first, and end when
-            more of them cannot narrow the interval (see ``vehanchor.detection.convergence``). Of images of less than 16
-            megapixels these two leave out only resolutions at which, by the ground, no car is of a size that counts.
-        max_tiles: end after so many tiles, those where cars are likely first; None for all.
-        max_seconds: the same after so many seconds. The only choice with which a result depends on the machine.
+        effort: ``full`` searches every tile; ``auto`` and ``fast`` search likely tiles first, and end when more tiles
+            would not narrow the interval (see ``vehanchor.detection.convergence``). In images below 16 megapixels they
+            skip only resolutions at which, by the scene-scale prior, no car has a valid size.
+        max_tiles: largest number of tiles, likely ones first; None for all.
+        max_seconds: largest time in seconds; None for no limit. With it, results depend on the machine.
 
     Raises:
-        InvalidParameterError: a number has no meaning, or the effort is not known.
+        InvalidParameterError: a number is invalid, or the effort is unknown.
     """
 
     min_score: float | None = field(

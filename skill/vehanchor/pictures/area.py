@@ -1,4 +1,4 @@
-"""The picture of a measured object: its mask and outline, the prompt, the vehicles behind the scale, a scale bar."""
+"""Picture of a measured object: mask, outline, prompt, vehicles and scale bar."""
 
 from __future__ import annotations
 
@@ -14,18 +14,17 @@ from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.options import ImageLimits
     from vehanchor.pictures.drawable import DrawableArea
     from vehanchor.records import AreaMeasurement
 
 PROMPT_RGB = (240, 228, 66)  # Okabe and Ito's yellow
-_BESIDE_RGB = (213, 94, 0)
+_OUTSIDE_RGB = (213, 94, 0)  # Okabe and Ito's vermilion, for points outside the object
 _TINT = 0.35
 _SUBPIXEL_BITS = 4
 
 
 def draw_area(image: NDArray[np.uint8], analysis: DrawableArea) -> NDArray[np.uint8]:
-    """Draw what a measurement rests on, under a caption with area, scale and confidence.
+    """Draw an area measurement with its evidence and a caption with area, scale and confidence.
 
     Args:
         image: ``[h, w, 3]`` RGB, the measured image or a reduced copy of it (see
@@ -42,17 +41,17 @@ def draw_area(image: NDArray[np.uint8], analysis: DrawableArea) -> NDArray[np.ui
     return finish(canvas, analysis, _size(record), f"; mask score {record.mask_score:.2f}{_low_mask(record)}")
 
 
-def full_mask(analysis: DrawableArea, limits: ImageLimits) -> NDArray[np.uint8]:
-    """The mask as large as the image: ``[h, w, 3]``, 255 on the object and 0 elsewhere.
+def full_mask(analysis: DrawableArea, max_pixels: int) -> NDArray[np.uint8]:
+    """Draw the mask in the size of the image: ``[h, w, 3]``, 255 on the object and 0 elsewhere.
 
     Raises:
-        OutputError: the image has more pixels than may be held at once.
+        OutputError: the image has more pixels than the limits allow.
     """
     record = analysis.measurement
     width, height = record.image_width_px, record.image_height_px
-    if width * height > limits.max_pixels:
+    if width * height > max_pixels:
         raise OutputError(
-            f"cannot write a mask of {width} x {height} px, the limit is {limits.max_pixels} pixels: take the outline "
+            f"cannot write a mask of {width} x {height} px, the limit is {max_pixels} pixels: take the outline "
             "from the record"
         )
     window, mask = analysis.segmentation.window, analysis.segmentation.mask
@@ -66,7 +65,7 @@ def _line_px(picture: NDArray[np.uint8]) -> int:
 
 
 def _draw_mask(picture: NDArray[np.uint8], analysis: DrawableArea, scale: NDArray[np.float64]) -> None:
-    """Tint the object and draw the line around it, from the mask itself: the record's outline is simplified."""
+    """Tint the object and draw its outline, both from the mask, because the record's outline is simplified."""
     mask, window = analysis.segmentation.mask, analysis.segmentation.window
     left, top = (round(at * factor) for at, factor in zip((window.x_px, window.y_px), scale, strict=True))
     right = round((window.x_px + window.width_px) * scale[0])
@@ -92,12 +91,12 @@ def _draw_prompt(picture: NDArray[np.uint8], analysis: DrawableArea, scale: NDAr
     prompt, line = analysis.prompt, _line_px(picture)
     fine = 1 << _SUBPIXEL_BITS
     if prompt.box is not None:
-        # Prompts count from the corner of the first pixel, OpenCV from its centre.
+        # The origin of prompts is the corner of the first pixel, OpenCV's is its centre.
         corners = np.rint((np.reshape(prompt.box, (2, 2)) * scale - 0.5) * fine).astype(int).tolist()
         cv2.rectangle(picture, corners[0], corners[1], PROMPT_RGB, 1, cv2.LINE_AA, _SUBPIXEL_BITS)
     for x, y, include in prompt.points:
         at = np.rint((np.array([x, y]) * scale - 0.5) * fine).astype(int).tolist()
-        colour = PROMPT_RGB if include else _BESIDE_RGB
+        colour = PROMPT_RGB if include else _OUTSIDE_RGB
         cv2.circle(picture, at, 3 * line * fine, (0, 0, 0), cv2.FILLED, cv2.LINE_AA, _SUBPIXEL_BITS)
         cv2.circle(picture, at, 2 * line * fine, colour, cv2.FILLED, cv2.LINE_AA, _SUBPIXEL_BITS)
 
@@ -111,6 +110,6 @@ def _size(record: AreaMeasurement) -> str:
 
 
 def _low_mask(record: AreaMeasurement) -> str:
-    """A word where it is the mask that is in doubt, rather than the scale."""
+    """Mark a low mask score if the scale itself is usable."""
     scale_is_good = record.confidence is None or record.confidence >= FALLBACK_CONFIDENCE
     return " - low" if record.status == "low_confidence" and scale_is_good else ""

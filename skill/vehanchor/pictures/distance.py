@@ -1,4 +1,4 @@
-"""The picture of a measured line: its length beside it, the vehicles behind the scale, a scale bar."""
+"""Picture of a measured line: length, vehicles and scale bar."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 def draw_distance(image: NDArray[np.uint8], analysis: DrawableDistance) -> NDArray[np.uint8]:
-    """Draw a measured line and what its length rests on, under a caption with length, scale and confidence.
+    """Draw a distance measurement with its evidence and a caption with length, scale and confidence.
 
-    The length stands beside the middle of the line, too, where it is one to use.
+    A usable length is also written beside the middle of the line.
 
     Args:
         image: ``[h, w, 3]`` RGB, the measured image or a reduced copy of it (see

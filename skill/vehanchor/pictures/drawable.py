@@ -1,4 +1,4 @@
-"""Protocols of the analyses that pictures draw, so that pictures import no analysis."""
+"""Protocols of the analyses that pictures draw; pictures import no analysis."""
 
 # ruff: noqa: D102 - the analyses document these attributes
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class DrawableScale(Protocol):
-    """A scale with its evidence; see ``vehanchor.analysis.scale.ScaleAnalysis``."""
+    """Scale with its evidence; see ``vehanchor.analysis.scale.ScaleAnalysis``."""
 
     @property
     def estimate(self) -> GsdEstimate: ...
@@ -38,7 +38,7 @@ class DrawableScale(Protocol):
 
 
 class DrawableMeasurement(Protocol):
-    """An area or a distance with its scale; see ``vehanchor.analysis.measured``."""
+    """Area or distance with its scale; see ``vehanchor.analysis.measured``."""
 
     @property
     def measurement(self) -> AreaMeasurement | DistanceMeasurement: ...
@@ -49,14 +49,14 @@ class DrawableMeasurement(Protocol):
 
 
 class DrawableDistance(DrawableMeasurement, Protocol):
-    """A distance with its scale."""
+    """Distance with its scale."""
 
     @property
     def measurement(self) -> DistanceMeasurement: ...
 
 
 class DrawableArea(DrawableMeasurement, Protocol):
-    """An area with its mask and scale."""
+    """Area with its mask and scale."""
 
     @property
     def measurement(self) -> AreaMeasurement: ...

@@ -1,4 +1,4 @@
-"""The picture to point in: an image, or a part of it, under a light grid that is numbered in the image's pixels."""
+"""Picture for pointing: an image, or a part of it, with a light grid labelled in the image's pixels."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster, Window
 
-_LINES = 11  # about so many along the longer side
-_LIGHT = 0.35  # how much of a line's white lies over the image
+_LINES = 11  # approximate number along the longer side
+_LIGHT = 0.35  # opacity of the white lines
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-_TEXT_SHARE = 95  # of the longer side, one of the capitals' heights
+_TEXT_SHARE = 95  # longer side over the height of capitals
 _MIN_TEXT_PX, _MAX_TEXT_PX = 8, 14
 
 
 class GridPicture(NamedTuple):
-    """A picture and where it lies in the image.
+    """Picture with its grid step.
 
     Attributes:
         rgb: ``[h, w, 3]``.
-        step_px: between two lines of the grid, pixels of the image.
+        step_px: distance of two grid lines, pixels of the image.
     """
 
     rgb: NDArray[np.uint8]
@@ -35,11 +35,11 @@ class GridPicture(NamedTuple):
 
 
 def draw_grid(raster: Raster, part: Window, long_side_px: int, *, lines: bool = True) -> GridPicture:
-    """Show a part of an image at a given size, never enlarged beyond four times.
+    """Draw a part of an image at a given size, enlarged at most four times.
 
     Args:
         raster: the image.
-        part: of it.
+        part: window of the image.
         long_side_px: longer side of the picture.
         lines: whether to draw the grid.
     """
@@ -71,13 +71,13 @@ def _draw_lines(rgb: NDArray[np.uint8], part: Window, step: int) -> None:
 
 
 def _round_step(pixels: float) -> int:
-    """The next of 1, 2, 5 times a power of ten."""
+    """Round up to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(max(1.0, pixels)))
     return int(next(m * power for m in (1, 2, 5, 10) if m * power >= pixels - 1e-9))
 
 
 def _multiples(step: int, start: int, length: int) -> range:
-    """Those inside, both edges left out."""
+    """List the multiples of a step inside a range, without its edges."""
     return range((start // step + 1) * step, start + length, step)
 
 
@@ -86,7 +86,7 @@ def _lighten(line: NDArray[np.uint8]) -> None:
 
 
 def _write(rgb: NDArray[np.uint8], text: str, origin: tuple[int, int], capital_px: int) -> None:
-    """White with a black rim: read on any ground."""
+    """Write white text with a black rim, which is legible on any background."""
     scale = capital_px / float(cv2.getTextSize("M", _FONT, 1.0, 1)[0][1])
     cover = np.zeros(rgb.shape[:2], np.uint8)
     cv2.putText(cover, text, origin, _FONT, scale, 255, 1, cv2.LINE_AA)

@@ -1,4 +1,4 @@
-"""Letters in pictures: how large, and so that they can be read on any ground."""
+"""Text in pictures: sizes, and letters that are legible on any background."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def text_px(picture_width_px: int) -> int:
-    """Height of capitals in a picture of some width."""
+    """Compute the height of capitals for a picture's width."""
     return int(np.clip(picture_width_px / 58, 11, 28))
 
 
 def font_scale(capital_px: float) -> float:
-    """OpenCV's scale for capitals of some height."""
+    """Compute OpenCV's font scale for a height of capitals."""
     return capital_px / float(cv2.getTextSize("M", FONT, 1.0, 1)[0][1])
 
 
 def stroke_px(capital_px: float) -> int:
-    """How thick the lines of such letters are."""
+    """Compute the stroke width for a height of capitals."""
     return max(1, round(capital_px / 10))
 
 
 def text_width(text: str, capital_px: float) -> int:
-    """How many pixels a text takes."""
+    """Compute the width of a text, pixels."""
     return int(cv2.getTextSize(text, FONT, font_scale(capital_px), stroke_px(capital_px))[0][0])
 
 
@@ -51,7 +51,7 @@ def write_on(picture: NDArray[np.uint8], text: str, at: tuple[int, int], capital
     letters = np.zeros(region.shape[:2], np.uint8)
     stroke = stroke_px(capital_px) + 1
     cv2.putText(letters, text, (left, baseline - top), FONT, font_scale(capital_px), 255, stroke, cv2.LINE_AA)
-    # OpenCV 5 takes a wider stroke for a bolder letter, not for a rim.
+    # In OpenCV 5 a wider stroke makes bolder letters, not a rim.
     around = cv2.dilate(letters, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * rim + 1, 2 * rim + 1)))
     for mask, level in ((around, 0.0), (letters, 255.0)):
         cover = mask[:, :, None] / 255.0

@@ -1,4 +1,4 @@
-"""What rulers beside vehicles were laid along: lines and outlines with their metres; a height stands in the middle."""
+"""Marks of rulers other than vehicles: lines and outlines, labelled in metres; a cross for a height."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Rgb: TypeAlias = tuple[int, int, int]
 MARK_RGB = (0, 190, 138)  # Okabe and Ito's bluish green, lighter
 _RIM_RGB = (22, 24, 28)
 _SUBPIXEL_BITS = 4
-_LETTERS = 0.8  # of the height of the caption's
+_LETTERS = 0.8  # height of capitals over that of the caption
 
 
 def draw_marks(
@@ -30,18 +30,18 @@ def draw_marks(
     scale: NDArray[np.float64],
     colour: Rgb = MARK_RGB,
 ) -> None:
-    """Draw the lines that rulers were laid along, with their labels beside the middle.
+    """Draw the marks of rulers, with labels beside their middle.
 
     Args:
         picture: ``[h, w, 3]`` RGB, drawn into.
         marks: in pixels of the image.
         scale: ``[2]`` pixels of the picture per image pixel, across and down.
-        colour: RGB, of the lines.
+        colour: RGB colour of the lines.
     """
     line = int(np.clip(round(max(picture.shape[:2]) / 500), 1, 3))
     labels = []
     for mark in marks:
-        # Marks count from the corner of the first pixel, OpenCV from its centre.
+        # The origin of marks is the corner of the first pixel, OpenCV's is its centre.
         points = np.asarray(mark.points, dtype=np.float64) * scale - 0.5
         fixed_point = np.rint(points * (1 << _SUBPIXEL_BITS)).astype(np.int32)
         for ink, thickness in ((_RIM_RGB, line + 2), (colour, line)):
@@ -57,21 +57,21 @@ def draw_marks(
 
 
 def _middle(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Halfway along an open line."""
+    """Compute the midpoint along an open line."""
     legs = np.hypot(*np.diff(points, axis=0).T) if len(points) > 1 else np.zeros(0)
     way = np.concatenate([[0.0], np.cumsum(legs)])
     return np.array([np.interp(way[-1] / 2, way, points[:, axis]) for axis in (0, 1)])
 
 
 def _draw_ends(picture: NDArray[np.uint8], points: NDArray[np.float64], line: int, colour: Rgb) -> None:
-    """Short strokes across the ends, as on a drawing with dimensions."""
+    """Draw short strokes across the ends, as in a dimensioned drawing."""
     for end, along in ((points[0], points[1] - points[0]), (points[-1], points[-1] - points[-2])):
         across = np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-9) * (3.0 + 2 * line)
         _draw_stroke(picture, end, across, line, colour)
 
 
 def _draw_cross(picture: NDArray[np.uint8], middle: NDArray[np.float64], line: int, colour: Rgb) -> None:
-    """A cross where a ruler holds that was laid along nothing."""
+    """Draw a cross for a ruler without a line."""
     reach = 6.0 + 3 * line
     for arm in ((reach, 0.0), (0.0, reach)):
         _draw_stroke(picture, middle, np.array(arm), line, colour)
@@ -84,14 +84,14 @@ def _draw_stroke(
     line: int,
     colour: Rgb,
 ) -> None:
-    """A short line around a point, ``half`` of it to either side."""
+    """Draw a short line centred on a point; ``half`` is its half-length vector."""
     stroke = np.rint(np.array([middle - half, middle + half]) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
     for ink, thickness in ((_RIM_RGB, line + 2), (colour, line)):
         cv2.polylines(picture, [stroke], False, ink, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
 def _write_label(picture: NDArray[np.uint8], label: str, middle: NDArray[np.float64]) -> None:
-    """Right of and above the middle of a line, moved inside the picture."""
+    """Write a label right of and above a line's middle, shifted into the picture."""
     height, width = picture.shape[:2]
     capital = max(9, round(_LETTERS * text_px(width)))
     left = int(np.clip(middle[0] + capital // 2, 2, max(2, width - text_width(label, capital) - 4)))

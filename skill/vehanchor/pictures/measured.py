@@ -1,4 +1,4 @@
-"""What pictures of measured things share: the vehicles behind the scale below, the bar and the caption above."""
+"""Common parts of pictures of measurements: vehicles, scale bar and caption."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ MEASURED_RGB = (204, 121, 167)  # Okabe and Ito's reddish purple, beside the veh
 
 
 class Canvas(NamedTuple):
-    """A picture to draw into.
+    """Picture to draw into.
 
     Attributes:
-        picture: ``[h, w, 3]`` RGB, a copy of the image fit for eyes.
+        picture: ``[h, w, 3]`` RGB, a copy of the image at display size.
         scale: ``[2]`` pixels of the picture per image pixel, across and down.
     """
 
@@ -43,12 +43,12 @@ class Canvas(NamedTuple):
 
 
 def open_canvas(image: NDArray[np.uint8], record: Measured, scale: DrawableScale | None) -> Canvas:
-    """Copy an image, with what the scale rests on drawn over it.
+    """Copy an image at display size and draw the evidence of its scale.
 
     Args:
         image: ``[h, w, 3]`` RGB, the measured image or a reduced copy of it.
-        record: of that image.
-        scale: the vehicles and other rulers; None where the scale was given.
+        record: measurement in that image.
+        scale: the vehicles and other rulers; None for a given scale.
     """
     picture = fit_for_eyes(image)
     factors = np.array([picture.shape[1] / record.image_width_px, picture.shape[0] / record.image_height_px])
@@ -59,22 +59,24 @@ def open_canvas(image: NDArray[np.uint8], record: Measured, scale: DrawableScale
 
 
 def finish(canvas: Canvas, analysis: DrawableMeasurement, size: str, doubt: str = "") -> NDArray[np.uint8]:
-    """Add the bar, where the scale holds all over, and the caption: size, scale, and first what speaks against them.
+    """Add the scale bar and the caption with size and scale; a reason against their use comes first.
+
+    An image with a tilt or an unusable scale gets no scale bar.
 
     Args:
-        canvas: with what was measured drawn into it.
-        analysis: of that.
-        size: what was measured, in words.
-        doubt: what else to know about it, behind the scale.
+        canvas: picture with the measured object.
+        analysis: analysis of the measurement.
+        size: the measured size, in words.
+        doubt: suffix of the line with the scale.
 
     Returns:
         ``[h', w', 3]`` RGB.
     """
     record, picture = analysis.measurement, with_margins(canvas.picture)
-    against = _against(record)
-    if record.gsd_m_per_px is not None and analysis.nadir and not against:
+    objection = _objection(record)
+    if record.gsd_m_per_px is not None and analysis.nadir and not objection:
         draw_scale_bar(picture, record.gsd_m_per_px / float(canvas.scale[0]))
-    lines: list[CaptionLine] = [[(None, f"not to be used: {against}")]] if against else []
+    lines: list[CaptionLine] = [[(None, f"do not use: {objection}")]] if objection else []
     lines.append([(MEASURED_RGB, size)])
     if record.gsd_m_per_px is not None:
         source = "given" if record.confidence is None else f"confidence {record.confidence:.2f}"
@@ -83,14 +85,14 @@ def finish(canvas: Canvas, analysis: DrawableMeasurement, size: str, doubt: str 
 
 
 def size_in_words(value: float | None, low: float | None, high: float | None, unit: str, pixels: str) -> str:
-    """A size with its interval, or its pixels where there is no scale."""
+    """Format a size with its interval; without a scale, its pixels."""
     if value is None:
         return f"{pixels}; no scale: nothing of known size found"
     return with_interval(value, low, high, unit)
 
 
-def _against(record: Measured) -> str:
-    """Why the scale is not to be used; empty where it is, and where there is none."""
+def _objection(record: Measured) -> str:
+    """Explain why the scale is not usable; empty for a usable scale and without one."""
     if record.confidence is None or record.gsd_m_per_px is None or record.confidence >= FALLBACK_CONFIDENCE:
         return ""
     reason = None if record.estimate is None else record.estimate.reason

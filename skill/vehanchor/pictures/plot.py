@@ -1,4 +1,4 @@
-"""The estimate as a plot: vehicle lengths, their mode, the guard, what every ruler says (extra ``plots``)."""
+"""Plot of an estimate: vehicle lengths, their mode, the guard, and the rulers' densities (extra ``plots``)."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _GUARD, _INK = "#D55E00", "#222222"
 _SIZE_IN, _DPI = (8.0, 4.6), 150
 _RULERS_IN = 2.8  # height of the rulers' densities
 _MAX_BINS = 60
-_SHOWN_LENGTHS = 2.0  # longest kept vehicles: the axis reaches no farther for outliers
+_SHOWN_LENGTHS = 2.0  # limit of the axis, in lengths of the longest kept vehicle
 _RULES = {"kde": "KDE", "weighted_kde": "weighted KDE", "median": "median", "mean": "mean"}
 
 
 def require_plots() -> type[Figure]:
-    """The one place that imports matplotlib, without its global state.
+    """Import matplotlib's ``Figure``, without global state.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -44,14 +44,14 @@ def require_plots() -> type[Figure]:
 
 
 def plot_scale(analysis: DrawableScale) -> Figure:
-    """Plot how vehicle lengths became a scale, and what all rulers say of it.
+    """Plot the vehicle lengths behind a scale, and the densities of all rulers.
 
     Args:
-        analysis: what to plot.
+        analysis: analysis of an image.
 
     Returns:
-        A matplotlib figure that belongs to no global state: the lengths where there are any, and below them the
-        densities of all rulers where vehicles are not the only one.
+        A matplotlib figure without global state. It shows the lengths if there are any. Below them it shows the
+        densities of all rulers if vehicles are not the only ruler.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -91,7 +91,7 @@ def _title(estimate: GsdEstimate) -> str:
 
 
 def _plot_lengths(figure: Figure, axes: Axes, analysis: DrawableScale) -> None:
-    """Draw the lengths, their density, the mode, the guard, and the interval of the vehicles' scale in pixels."""
+    """Plot the lengths, their density, the mode, the guard, and the interval of the vehicles' scale in pixels."""
     estimate, (gsd, mode) = analysis.estimate, _scale_and_mode(analysis)
     guard = analysis.guard_length_px
     lengths = analysis.detections.boxes[:, 2]
@@ -104,7 +104,7 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: DrawableScale) -> None:
         )
         ends += [low, high]
     longest_kept = float(lengths[analysis.kept].max())
-    shown = min(max(ends), max(_SHOWN_LENGTHS * longest_kept, guard, *ends[4:]))  # one lorry must not squeeze the cars
+    shown = min(max(ends), max(_SHOWN_LENGTHS * longest_kept, guard, *ends[4:]))  # keeps the cars wide beside a lorry
     pad = 0.04 * (shown - min(ends))
     left, right = max(0.0, min(ends) - pad), shown + pad
     axes.set_xlim(left, right)
@@ -122,7 +122,7 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: DrawableScale) -> None:
 
 
 def _scale_and_mode(analysis: DrawableScale) -> tuple[float, float]:
-    """The vehicles' own scale and ``P_mode``, where some were found."""
+    """Return the vehicles' own scale and ``P_mode``; there must be vehicles."""
     gsd, mode = analysis.vehicles.gsd_m_per_px, analysis.vehicles.mode_length_px
     assert gsd is not None
     assert mode is not None
@@ -130,7 +130,7 @@ def _scale_and_mode(analysis: DrawableScale) -> tuple[float, float]:
 
 
 def _vehicles_interval(analysis: DrawableScale) -> tuple[float, float] | None:
-    """The interval of the scale where it is the vehicles', else their own, metres per pixel."""
+    """Return the interval of the scale if it is the vehicles' scale, else the vehicles' own; metres per pixel."""
     estimate, own = analysis.estimate, analysis.vehicles
     low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
     if estimate.gsd_m_per_px != own.gsd_m_per_px:
@@ -152,7 +152,7 @@ def write_plot(path: str | Path, figure: Figure) -> Path:
 
 
 def _bin_edges(kept: NDArray[np.float64], shortest: float, longest: float) -> NDArray[np.float64]:
-    """Bins of one width: Freedman and Diaconis' for the kept, whole quarter pixels, centred on multiples."""
+    """Compute equal bins by Freedman and Diaconis' rule, in quarter pixels, centred on multiples of the width."""
     quartiles = np.percentile(kept, [25, 75])
     ideal = 2 * float(quartiles[1] - quartiles[0]) / np.cbrt(len(kept))
     width = max(0.25, round(4 * max(ideal, (longest - shortest) / _MAX_BINS, float(np.median(kept)) / 50)) / 4)
@@ -161,7 +161,7 @@ def _bin_edges(kept: NDArray[np.float64], shortest: float, longest: float) -> ND
 
 
 def _draw_lengths(axes: Axes, analysis: DrawableScale, right_px: float) -> None:
-    """Histogram of kept and dropped, and the density of the kept in the histogram's units."""
+    """Draw the histogram of kept and dropped lengths, and the density of the kept ones in the same units."""
     lengths = analysis.detections.boxes[:, 2]
     kept, dropped = lengths[analysis.kept], lengths[~analysis.kept]
     edges = _bin_edges(kept, float(lengths.min()), min(float(lengths.max()), right_px))

@@ -1,4 +1,4 @@
-"""What every ruler says, and what comes of it: densities over one axis of metres per pixel."""
+"""Plot of the rulers' densities and their product, over metres per pixel."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ if TYPE_CHECKING:
     from vehanchor.pictures.drawable import DrawableScale
 
 _INK = "#222222"
-_PAD = 1.25  # beyond the widest interval, as a factor
-_DRAWN = 0.004  # of the highest point: below it a curve is not drawn
+_PAD = 1.25  # factor beyond the widest interval
+_DRAWN = 0.004  # of the maximum; lower parts of a curve are not drawn
 
 
 def has_densities(analysis: DrawableScale) -> bool:
-    """Whether there is more than one thing to draw, or one other than vehicles."""
+    """Test whether any ruler other than vehicles has a density."""
     return set(ruler_densities((analysis.vehicles, *analysis.others))) not in (set(), {Vehicles.kind})
 
 
 def plot_rulers(axes: Axes, analysis: DrawableScale) -> None:
-    """Draw the densities of all rulers, each to its own height, the product of them, and the scale with its interval.
+    """Plot the densities of all rulers, each normalised to its maximum, their product, and the scale's interval.
 
     Args:
-        axes: of a matplotlib figure.
-        analysis: of an image.
+        axes: axes of a matplotlib figure.
+        analysis: analysis of an image.
     """
     evidence = (analysis.vehicles, *analysis.others)
     densities = ruler_densities(evidence)
@@ -42,8 +42,8 @@ def plot_rulers(axes: Axes, analysis: DrawableScale) -> None:
     scales = np.exp(GRID)
     for kind, density in densities.items():
         colour, name = ruler_class(kind).colour, ruler_class(kind).label
-        said = next(each.gsd_m_per_px for each in evidence if each.kind == kind)
-        label = f"{name} {said:.3g}{' (disagrees)' if kind in outvoted else ''}"
+        gsd = next(each.gsd_m_per_px for each in evidence if each.kind == kind)
+        label = f"{name} {gsd:.3g}{' (disagrees)' if kind in outvoted else ''}"
         curve = density / density.max()
         shown = np.where(curve > _DRAWN, curve, 0.0)
         axes.fill_between(scales, shown, color=colour, alpha=0.18, lw=0)
@@ -68,7 +68,7 @@ def plot_rulers(axes: Axes, analysis: DrawableScale) -> None:
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Round scales within two ends, from fine steps for a narrow axis to decades' 1, 2, 5 for a wide one."""
+    """Choose round scales between two ends: 1, 2 and 5 per decade on a wide axis, finer steps on a narrow one."""
     decades = 10.0 ** np.arange(-4, 2)
     for steps in ((1, 2, 5), (1, 1.5, 2, 3, 4, 5, 7), tuple(np.arange(1, 10, 0.5)), tuple(np.arange(1, 10, 0.1))):
         ticks = sorted(round(float(step * decade), 6) for decade in decades for step in steps)

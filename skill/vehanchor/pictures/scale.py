@@ -1,4 +1,4 @@
-"""The picture that says why: kept vehicles, dropped outliers and a scale bar over the image."""
+"""Picture of an estimate: kept vehicles, dropped outliers, other rulers and a scale bar over the image."""
 
 from __future__ import annotations
 
@@ -28,28 +28,27 @@ CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
 """Texts of one line, each with the colour of the swatch before it."""
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
-KEPT_RGB = (86, 180, 233)  # Okabe and Ito's sky blue and orange: told apart with every kind of colour blindness
+KEPT_RGB = (86, 180, 233)  # Okabe and Ito's sky blue and orange, distinct with every colour blindness
 DROPPED_RGB = (230, 159, 0)
-MIN_WIDTH_PX = 768  # smaller images are enlarged to it, so that text can be read
-MAX_SIDE_PX = 2048  # larger ones are reduced to it: the picture is for eyes
+MIN_WIDTH_PX = 768  # smaller images are enlarged, so that text is legible
+MAX_SIDE_PX = 2048  # larger images are reduced for display
 
-_MIN_CANVAS_PX = 480  # a picture still narrower (of a tall, thin image) gets margins: the caption needs the room
-_BAR_SHARE = 0.2  # of the picture's width, about what the scale bar takes
-_HALO_MIN_PX = 22.0  # shorter vehicles, as drawn, would drown in the dark line beneath the coloured one
+_MIN_CANVAS_PX = 480  # narrower pictures (of tall, thin images) get margins for the caption
+_BAR_SHARE = 0.2  # approximate length of the scale bar as a share of the picture's width
+_HALO_MIN_PX = 22.0  # least drawn length of vehicles for a dark line under the coloured one
 _SUBPIXEL_BITS = 4
 _PANEL_RGB = (22, 24, 28)
 _TEXT_RGB = (238, 238, 238)
 _JPEG_QUALITY = 92
-_ROWS_A_READ = 1024  # of the image, in strips as wide as it
+_ROWS_PER_READ = 1024  # rows of the image per strip
 
 
 def draw_overlay(image: NDArray[np.uint8], analysis: DrawableScale) -> NDArray[np.uint8]:
-    """Draw what an estimate rests on: kept vehicles in blue, outliers crossed in orange, other rulers in green, a bar.
+    """Draw the evidence of an estimate: kept vehicles in blue, outliers crossed in orange, other rulers in green.
 
-    The bar has a round length; rulers that were laid along something are drawn there. Small images are enlarged and
-    large ones reduced; a caption below gives scale, interval and confidence. A scale that is not to be used has no bar,
-    and the caption begins with why and what would help; nor has one of a camera that looked aside, which holds at the
-    centre only.
+    Small images are enlarged and large ones reduced. A caption below gives scale, interval and confidence. A usable
+    scale has a scale bar of round length, unless the camera was tilted: then the scale holds at the centre only. For an
+    unusable scale the caption begins with the reason and with advice.
 
     Args:
         image: ``[h, w, 3]`` RGB, the analysed image or a reduced copy of it (see ``read_reduced``).
@@ -70,22 +69,22 @@ def draw_overlay(image: NDArray[np.uint8], analysis: DrawableScale) -> NDArray[n
 
 
 def fit_for_eyes(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A copy to draw into, enlarged where the image is small and reduced where it is large."""
+    """Copy an image at display size: small ones are enlarged, large ones reduced."""
     height, width = image.shape[:2]
     factor = _picture_factor(width, height)
     size = max(1, round(width * factor)), max(1, round(height * factor))
     if size == (width, height):
-        return np.array(image)  # never the caller's own
+        return np.array(image)  # a copy, because it is drawn into
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
     return cv2.resize(image, size, interpolation=method).astype(np.uint8, copy=False)
 
 
 def read_reduced(raster: Raster, part: Window | None = None) -> NDArray[np.uint8]:
-    """An image or a part of it, reduced so that no side is above 4096 px, without holding it in full size.
+    """Read an image or a part of it in strips, reduced so that no side exceeds 4096 px.
 
     Args:
         raster: the image.
-        part: None for the whole.
+        part: window of the image; None for all of it.
 
     Returns:
         ``[h, w, 3]`` RGB, all of the part.
@@ -96,8 +95,8 @@ def read_reduced(raster: Raster, part: Window | None = None) -> NDArray[np.uint8
         return raster.read(part)
     width, height = max(1, round(part.width_px / step)), max(1, round(part.height_px / step))
     reduced = np.empty((height, width, 3), np.uint8)
-    for top in range(0, height, _ROWS_A_READ // step + 1):
-        bottom = min(height, top + _ROWS_A_READ // step + 1)
+    for top in range(0, height, _ROWS_PER_READ // step + 1):
+        bottom = min(height, top + _ROWS_PER_READ // step + 1)
         first, last = (round(row * part.height_px / height) for row in (top, bottom))
         strip = raster.read(Window(part.x_px, part.y_px + first, part.width_px, last - first))
         reduced[top:bottom] = cv2.resize(strip, (width, bottom - top), interpolation=cv2.INTER_AREA)
@@ -105,7 +104,7 @@ def read_reduced(raster: Raster, part: Window | None = None) -> NDArray[np.uint8
 
 
 def check_picture_path(path: str | Path) -> Path:
-    """Make sure that a picture can be written there, before the work of making it.
+    """Check that a picture can be written to a path, before it is drawn.
 
     Returns:
         The path.
@@ -126,10 +125,10 @@ def check_picture_path(path: str | Path) -> Path:
 
 
 def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> Path:
-    """Write a picture as PNG or JPEG, whichever the suffix says.
+    """Write a picture as PNG or JPEG, by the suffix.
 
     Args:
-        path: of the file, in a folder that exists.
+        path: path of the file, in an existing folder.
         picture: ``[h, w, 3]`` RGB.
 
     Returns:
@@ -143,13 +142,13 @@ def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> Path:
     quality = [] if suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
     _, encoded = cv2.imencode(suffix, np.ascontiguousarray(picture[:, :, ::-1]), quality)
     with whole_file(target) as partial:
-        # Encoded in memory: OpenCV's own writer fails silently, and cannot open every path that Python can.
+        # Encoded in memory: OpenCV's own writer fails silently and cannot open all paths.
         partial.write_bytes(encoded.tobytes())
     return target
 
 
 def _picture_factor(width_px: int, height_px: int) -> float:
-    """How much larger the picture is drawn than the image."""
+    """Compute the size of the picture over that of the image."""
     longest = max(width_px, height_px)
     if longest > MAX_SIDE_PX:
         return MAX_SIDE_PX / longest
@@ -157,11 +156,11 @@ def _picture_factor(width_px: int, height_px: int) -> float:
 
 
 def draw_vehicles(picture: NDArray[np.uint8], analysis: DrawableScale, scale: NDArray[np.float64]) -> None:
-    """Kept vehicles in blue, dropped outliers crossed in orange; ``scale`` is pixels of the picture per image pixel."""
+    """Draw kept vehicles in blue and outliers crossed in orange; ``scale`` is picture pixels per image pixel."""
     boxes = analysis.detections.boxes
     if not len(boxes):
         return
-    # Box coordinates count from the corner of the first pixel, OpenCV's from its centre.
+    # The origin of boxes is the corner of the first pixel, OpenCV's is its centre.
     corners = box_corners(boxes) * scale - 0.5
     fixed_point = np.rint(corners * (1 << _SUBPIXEL_BITS)).astype(np.int32)
     drawn_length = float(np.median(boxes[:, 2]) * scale.mean())
@@ -177,7 +176,7 @@ def draw_vehicles(picture: NDArray[np.uint8], analysis: DrawableScale, scale: ND
 
 
 def with_margins(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Room around a strip of an image for the scale bar and the caption."""
+    """Add margins to a narrow picture, for the scale bar and the caption."""
     across, down = _margins(picture.shape[1], picture.shape[0])
     if not across and not down:
         return picture
@@ -186,19 +185,19 @@ def with_margins(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _margins(width_px: int, height_px: int) -> tuple[int, int]:
-    """How many columns and rows a picture lacks."""
+    """Compute the missing columns and rows of a picture."""
     across = max(0, _MIN_CANVAS_PX - width_px)
     return across, max(0, 5 * text_px(width_px + across) - height_px)
 
 
 def _round_length(metres: float) -> float:
-    """The nearest of 1, 2, 5 times a power of ten, nearest by ratio."""
+    """Round to 1, 2 or 5 times a power of ten, nearest by ratio."""
     power = 10.0 ** math.floor(math.log10(metres))
     return min((m * power for m in (1.0, 2.0, 5.0, 10.0)), key=lambda length: abs(math.log(length / metres)))
 
 
 def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
-    """A bar of round length at the lower left, white with a black rim, its length above it."""
+    """Draw a labelled bar of round length at the lower left, white with a black rim."""
     height, width = picture.shape[:2]
     metres = _round_length(_BAR_SHARE * width * m_per_px)
     capital = text_px(width)
@@ -218,13 +217,13 @@ def _headline(estimate: GsdEstimate) -> str:
 
 
 def with_interval(value: float, low: float | None, high: float | None, unit: str) -> str:
-    """A quantity in words, with its interval where it has one."""
+    """Format a quantity, with its interval if it has one."""
     interval = "" if low is None or high is None else f"  (95 %: {low:.4g} to {high:.4g})"
     return f"{value:.4g} {unit}{interval}"
 
 
 def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
-    """Scale, interval and confidence, or first why there is none to use; the legend of both colours."""
+    """Compose the caption: the reason against an unusable scale, scale, interval, confidence, and the legend."""
     estimate = analysis.estimate
     n_dropped = estimate.n_detections - estimate.n_vehicles
     legend = [(KEPT_RGB, f"{estimate.n_vehicles} vehicle{'s' * (estimate.n_vehicles != 1)}")]
@@ -236,22 +235,22 @@ def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
         lines = [[(None, scale)], [(None, f"confidence {estimate.confidence:.2f}")]]
     else:
         why, helps = ADVICE[estimate.reason]
-        lines = [[(None, f"no scale to use: {why}")], [(None, helps)]]
+        lines = [[(None, f"no usable scale: {why}")], [(None, helps)]]
         if estimate.gsd_m_per_px is not None:
             lines.append([(None, f"{scale}, confidence {estimate.confidence:.2f}")])
     if estimate.tilt is not None:
-        lines.append([(None, f"at the centre: the camera looked {estimate.tilt.tilt_deg:.0f} degrees aside")])
+        lines.append([(None, f"at the centre: the camera was tilted by {estimate.tilt.tilt_deg:.0f} degrees")])
     if estimate.n_detections:
         lines.append([*legend])
-    if said := _rulers_line(analysis):
-        lines.append(said)
+    if rulers := _rulers_line(analysis):
+        lines.append(rulers)
     return lines
 
 
 def _rulers_line(analysis: DrawableScale) -> CaptionLine:
-    """What each ruler says, behind a swatch where it was laid along something; nothing where vehicles are the only."""
-    heard = [ruler for ruler in analysis.estimate.rulers if ruler.sets_scale]
-    if [ruler.kind for ruler in heard] in ([], ["vehicles"]):
+    """List the rulers' scales, with a swatch for those with marks; empty if vehicles are the only ruler."""
+    rulers = [ruler for ruler in analysis.estimate.rulers if ruler.sets_scale]
+    if [ruler.kind for ruler in rulers] in ([], ["vehicles"]):
         return []
     marked = {other.kind for other in analysis.others if other.marks}
     return [
@@ -259,12 +258,12 @@ def _rulers_line(analysis: DrawableScale) -> CaptionLine:
             MARK_RGB if ruler.kind in marked else None,
             f"{ruler.label} {ruler.gsd_m_per_px:.3g} m/px{'' if ruler.agrees else ', disagrees'}",
         )
-        for ruler in heard
+        for ruler in rulers
     ]
 
 
 def caption_panel(width_px: int, lines: list[CaptionLine]) -> NDArray[np.uint8]:
-    """The panel below a picture: lines of texts, some behind a swatch of their colour; the first line is bold."""
+    """Draw the panel below a picture: lines of text with colour swatches; the first line is bold."""
     capital = float(text_px(width_px))
     while capital > 8 and max(_line_width(line, capital) for line in lines) > width_px - 2 * capital:
         capital -= 1

@@ -1,4 +1,4 @@
-"""Words for each reason why a scale is not to be used: what is wrong, and what would help."""
+"""Advice for each reason why a scale is not usable: the problem and a remedy."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ if TYPE_CHECKING:
 
 
 class Advice(NamedTuple):
-    """What to tell somebody whose scale is not to be used.
+    """Advice for a scale that is not usable.
 
     Attributes:
-        why: a clause without an end.
-        helps: what would help, a clause in the imperative.
+        why: the problem, a clause without a full stop.
+        helps: the remedy, a clause in the imperative.
     """
 
     why: str
@@ -23,17 +23,15 @@ class Advice(NamedTuple):
 
 
 ADVICE: Mapping[Reason, Advice] = {
-    "too_coarse": Advice(
-        "vehicles show too little detail to be measured well", "fly lower, or send the full-resolution image"
-    ),
-    "too_few": Advice("too little evidence", "take in more cars: from higher up, or over streets and car parks"),
+    "too_coarse": Advice("the vehicles have too little detail", "fly lower, or send the full-resolution image"),
+    "too_few": Advice("too little evidence", "include more cars: fly higher, or over streets and car parks"),
     "not_cars": Advice("the vehicles may not be cars", "look at the overlay, or give a known length or the height"),
     "disagree": Advice(
         "sizes or rulers contradict each other", "look at the overlay, or give a known length or the height"
     ),
     "lost": Advice(
-        "the ground is like nothing of known scale", "look where streets or houses are, or give the height above ground"
+        "the scene is unlike the training data", "photograph streets or houses, or give the height above ground"
     ),
-    "imprecise": Advice("what was measured by leaves the scale too open", "give a known length, or take in cars"),
+    "imprecise": Advice("the interval is too wide", "give a known length, or include cars"),
 }
-"""By the ``reason`` of a record."""
+"""Advice by the ``reason`` of a record."""

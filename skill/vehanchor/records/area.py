@@ -24,7 +24,7 @@ from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
 
 
 class FrameArea(Record):
-    """The object in the resized copy that the caller works in."""
+    """Object in the caller's resized copy."""
 
     width_px: int = Field(gt=0, description="Width of the caller's copy of the image, pixels.")
     height_px: int = Field(gt=0, description="Height of the caller's copy of the image, pixels.")
@@ -43,7 +43,7 @@ class AreaMeasurement(Record):
         description="mask_area_px times GSD squared, square metres, summed over the ground plane for a tilted camera; "
         "null without a scale."
     )
-    area_ci95_low_m2: float | None = Field(description="Lower end of its 95 % interval: scale and mask together.")
+    area_ci95_low_m2: float | None = Field(description="Lower end of its 95 % interval, from scale and mask.")
     area_ci95_high_m2: float | None = Field(description="Upper end of its 95 % interval.")
     confidence: MeasuredConfidence
     gsd_m_per_px: MeasuredGsd
@@ -51,12 +51,12 @@ class AreaMeasurement(Record):
     mode_length_px: float | None = Field(description="P_mode: modal vehicle length, pixels; null without an estimate.")
     scale_source: ScaleSourceField
     mask_area_px: int = Field(ge=0, description="N_px: pixels of the mask in the full image.")
-    mask_score: float = Field(ge=0, le=1, description="The segmenter's own estimate of the mask's overlap (IoU).")
+    mask_score: float = Field(ge=0, le=1, description="The segmenter's estimate of the mask's IoU.")
     perimeter_m: float | None = Field(description="Length of the mask's outline with its holes, metres.")
-    length_m: float | None = Field(description="Longer side of the smallest rotated rectangle around it, metres.")
+    length_m: float | None = Field(description="Longer side of the smallest rotated rectangle, metres.")
     width_m: float | None = Field(description="Shorter side of that rectangle, metres.")
     inscribed_diameter_m: float | None = Field(
-        description="Diameter of the largest circle inside the mask, metres: what a landing needs."
+        description="Diameter of the largest circle inside the mask, metres, as for a landing site."
     )
     inscribed_diameter_ci95_low_m: float | None = Field(description="Lower end of its 95 % interval.")
     inscribed_diameter_ci95_high_m: float | None = Field(description="Upper end of its 95 % interval.")
@@ -80,5 +80,5 @@ class AreaMeasurement(Record):
 
     @property
     def __geo_interface__(self) -> dict[str, Any]:
-        """The outline as a GeoJSON MultiPolygon, for shapely, geopandas and fiona; pixels, y down."""
+        """Outline as a GeoJSON MultiPolygon, for shapely, geopandas and fiona; pixels, y down."""
         return outline_geometry(self.model_dump(mode="json", include={"outline"})["outline"])

@@ -33,7 +33,7 @@ class DistanceMeasurement(Record):
         description="length_px times GSD, metres, along the ground plane for a tilted camera; null without a scale."
     )
     distance_ci95_low_m: float | None = Field(
-        description="Lower end of its 95 % interval: the scale, and a pixel at each point, together."
+        description="Lower end of its 95 % interval, from the scale and one pixel of error per point."
     )
     distance_ci95_high_m: float | None = Field(description="Upper end of its 95 % interval.")
     confidence: MeasuredConfidence
@@ -51,5 +51,5 @@ class DistanceMeasurement(Record):
 
     @property
     def __geo_interface__(self) -> dict[str, Any]:
-        """The path as a GeoJSON LineString, for shapely, geopandas and fiona; pixels, y down."""
+        """Path as a GeoJSON LineString, for shapely, geopandas and fiona; pixels, y down."""
         return line_geometry(self.model_dump(mode="json", include={"path"})["path"])

@@ -1,9 +1,8 @@
-"""Records as flat rows: the same columns for every record of a type, in data frames and batch tables alike.
+"""Records as flat rows of data frames and batch tables, with the same columns for every record of a type.
 
-A field of one value is a column of its name. The fields of a nested record are columns with the outer name before
-them, which is not repeated: ``tilt.tilt_deg`` is ``tilt_deg``, ``tilt.roll_deg`` is ``tilt_roll_deg``. Of the rulers,
-each kind has columns for its scale and its agreement. Codes of warnings are one column, separated by spaces. Other
-lists are counted.
+A field with one value is a column. A field of a nested record is a column with the outer name as prefix, unless its
+name has it already: ``tilt.tilt_deg`` is ``tilt_deg``, ``tilt.roll_deg`` is ``tilt_roll_deg``. Each kind of ruler has
+columns for its scale and its agreement. Codes of warnings are one column, separated by spaces. Other lists are counted.
 """
 
 from __future__ import annotations
@@ -24,14 +23,14 @@ _CODES = "warning_codes"
 
 
 def flat_columns(kind: type[BaseModel], *, without: Collection[str] = ()) -> dict[str, type]:
-    """Name the columns of a type of record, and the type of their values.
+    """List the columns of a type of record with the types of their values.
 
     Args:
         kind: the type of record.
         without: fields to leave out.
 
     Returns:
-        ``float``, ``int``, ``bool`` or ``str`` by column; every value may also be null.
+        ``float``, ``int``, ``bool`` or ``str`` by column; any value may be null.
     """
     found: dict[str, type] = {}
     for name, field in kind.model_fields.items():
@@ -43,7 +42,7 @@ def flat_columns(kind: type[BaseModel], *, without: Collection[str] = ()) -> dic
 
 
 def flat_row(record: BaseModel, *, without: Collection[str] = ()) -> dict[str, Any]:
-    """Give a record's values by column; see ``flat_columns``.
+    """Flatten a record to values by column; see ``flat_columns``.
 
     Args:
         record: any record.
@@ -84,7 +83,7 @@ def _joined(outer: str, inner: str) -> str:
 
 
 def _bare(field: FieldInfo) -> Any:
-    """The type of a field's values that are not null."""
+    """Give the type of a field's values without null."""
     kinds = [kind for kind in get_args(field.annotation) if kind is not type(None)]
     optional = type(None) in get_args(field.annotation)
     kind = field.annotation

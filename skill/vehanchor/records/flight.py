@@ -1,4 +1,4 @@
-"""The record of a flight: scales of many photographs by the evidence of all of them."""
+"""The record of a flight: scales of many photographs from their common evidence."""
 
 from __future__ import annotations
 
@@ -13,81 +13,77 @@ from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
 
 
 class FlightRuler(Record):
-    """A ruler that supports a photograph's scale, and the photographs that link it."""
+    """Ruler that supports a photograph's scale, and the photographs that link it."""
 
     ruler: str = Field(description="Kind of the ruler: vehicles, camera, positions, ...")
-    photograph: str = Field(description="The photograph in which it was measured; the photograph itself, or another.")
+    photograph: str = Field(description="The photograph where it was measured.")
     through: tuple[str, ...] = Field(
-        description="Photographs in between, each of which overlaps the next; empty for the photograph itself, for one "
-        "that overlaps it, and with same_scale."
+        description="Photographs in between, each overlapping the next; empty for a ruler of the photograph or its "
+        "neighbours, and with same_scale."
     )
 
 
 class FlightPhotograph(Record):
-    """One photograph of a flight: its scale by all evidence of the flight, and its own estimate."""
+    """Photograph of a flight: scale from all evidence of the flight, and its own estimate."""
 
     photograph: str = Field(description="The photograph, as the caller named it.")
     status: Status | Literal["error"] = Field(
-        description="ok: confidence >= 0.5. low_confidence: below 0.5. no_scale: no scale. error: it cannot be read."
+        description="ok: confidence >= 0.5. low_confidence: below 0.5. no_scale: no scale. error: unreadable."
     )
     gsd_m_per_px: float | None = Field(description="Metres per pixel of this photograph, by all evidence.")
     gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
     gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
-    confidence: float | None = Field(ge=0, le=1, description="Confidence in it; null for one that cannot be read.")
-    component: int | None = Field(
-        description="Number of the component it belongs to; null for one that cannot be read."
-    )
-    supported_by: tuple[FlightRuler, ...] = Field(description="Rulers that support its scale, the strongest first.")
+    confidence: float | None = Field(ge=0, le=1, description="Confidence in the scale; null if unreadable.")
+    component: int | None = Field(description="Number of its component; null if unreadable.")
+    supported_by: tuple[FlightRuler, ...] = Field(description="Rulers behind its scale, the strongest first.")
     scale: KnownScale | None = Field(
-        description="The scale to give back for measurements in this photograph; null without one."
+        description="The scale to give back for measurements in this photograph; null without a scale."
     )
-    east_m: float | None = Field(description="Place of its centre, metres east (by overlaps: to the right).")
+    east_m: float | None = Field(description="Position of its centre, metres east (overlaps: right).")
     north_m: float | None = Field(description="Metres north (overlaps: up).")
     placed_by: Literal["positions", "overlaps"] | None = Field(
-        description="positions: from its metadata, relative to the first photograph that has any. overlaps: relative "
-        "to the component's reference, and turned as it. Null: no place."
+        description="positions: from metadata, relative to the first known position. overlaps: relative to the "
+        "component's reference, in its orientation. Null: no position."
     )
     own: GsdEstimate | None = Field(description="The estimate from this photograph alone.")
-    error_code: str | None = Field(description="Stable code of why it cannot be read.")
-    error: str | None = Field(description="What was wrong and what to do.")
+    error_code: str | None = Field(description="Stable code of the error; null without an error.")
+    error: str | None = Field(description="The error and its remedy.")
 
 
 class FlightComponent(Record):
-    """Photographs that are linked by one scale or by overlaps, and share their evidence."""
+    """Photographs that are linked by a common scale or by overlaps, and share their evidence."""
 
-    number: int = Field(ge=0, description="Its number; the largest component is 0.")
-    n_photographs: int = Field(ge=1, description="Its photographs.")
-    reference: str = Field(description="The photograph in whose pixels the evidence is pooled.")
-    pooled: GsdEstimate = Field(
-        description="The estimate of that photograph's scale from all evidence of the component."
-    )
+    number: int = Field(ge=0, description="Its number, 0 for the largest component.")
+    n_photographs: int = Field(ge=1, description="Number of its photographs.")
+    reference: str = Field(description="The photograph whose pixels all evidence is converted to.")
+    pooled: GsdEstimate = Field(description="Scale of the reference from all evidence of the component.")
 
 
 class FlightLink(Record):
-    """Two photographs that overlap, and the ratio of their scales."""
+    """Overlap of two photographs, and the ratio of their scales."""
 
     first: str = Field(description="One photograph.")
-    second: str = Field(description="The other.")
-    ratio: float = Field(gt=0, description="Metres per pixel of the first over those of the second.")
+    second: str = Field(description="The other photograph.")
+    ratio: float = Field(gt=0, description="Metres per pixel of the first over the second.")
     ratio_log_sd: float = Field(ge=0, description="Standard deviation of its natural log.")
-    n_matches: int = Field(ge=0, description="Points on the ground that were found in both.")
-    dropped: str | None = Field(description="Why the link is not used; null for a link that is used.")
+    n_matches: int = Field(ge=0, description="Number of matched points.")
+    dropped: str | None = Field(description="Why the link is not used; null for a used link.")
 
 
 class FlightEstimate(Record):
-    """Scales of the photographs of one flight, by the evidence of all of them."""
+    """Scales of the photographs of one flight, from their common evidence."""
 
     status: Status = Field(
-        description="ok: every photograph that can be read has a scale with a confidence >= 0.5. low_confidence: not "
-        "all of them. no_scale: none has a scale."
+        description="ok: all readable photographs have a scale with confidence >= 0.5. low_confidence: only some. "
+        "no_scale: none has a scale."
     )
-    same_scale: bool = Field(description="Whether the caller said that all photographs are of one scale.")
-    gsd_m_per_px: float | None = Field(description="With same_scale the one scale, metres per pixel; else null.")
+    same_scale: bool = Field(description="Whether the caller stated one scale for all photographs.")
+    gsd_m_per_px: float | None = Field(description="With same_scale the common scale, metres per pixel; else null.")
     gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
     gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
-    confidence: float = Field(ge=0, le=1, description="Of that scale; else the least of the photographs'.")
-    n_vehicles: int = Field(ge=0, description="Vehicles that the scales were taken from.")
-    photographs: tuple[FlightPhotograph, ...] = Field(description="In the order in which they were given.")
+    confidence: float = Field(ge=0, le=1, description="Of that scale; else the lowest of all photographs.")
+    n_vehicles: int = Field(ge=0, description="Number of vehicles behind the scales.")
+    photographs: tuple[FlightPhotograph, ...] = Field(description="The photographs, in the order of the input.")
     components: tuple[FlightComponent, ...] = Field(description="The largest first; one with same_scale.")
     links: tuple[FlightLink, ...] = Field(description="Overlapping photographs; none with same_scale.")
     model: str = Field(description="Name of the detector.")

@@ -6,12 +6,11 @@ from typing import Literal
 
 from pydantic import Field
 
-from vehanchor.options.search import Stopped
 from vehanchor.records.known_scale import KnownScale
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
 from vehanchor.records.ruler_kinds import RulerKind
-from vehanchor.scale.defaults import Aggregation
+from vehanchor.scale.defaults import Aggregation, Stopped
 
 Status = Literal["ok", "low_confidence", "no_scale"]
 Reason = Literal["too_coarse", "too_few", "not_cars", "disagree", "lost", "imprecise"]
@@ -19,20 +18,18 @@ ReferenceSource = Literal["model", "appearance", "region", "given", "calibration
 
 
 class ConfidenceTerms(Record):
-    """The four terms of the confidence before weighting, each in 0..1 (paper, section III-D)."""
+    """Four terms of the confidence before weighting, each in 0..1 (paper, section III-D)."""
 
     sample: float = Field(ge=0, le=1, description="Sample sufficiency, weight 0.35: grows with the number of vehicles.")
     concentration: float = Field(
         ge=0, le=1, description="Weight 0.35: falls with the lengths' coefficient of variation; 0 below 5 vehicles."
     )
     quality: float = Field(ge=0, le=1, description="Weight 0.20: from the median detection score.")
-    plausibility: float = Field(
-        ge=0, le=1, description="Weight 0.10: 1 where the modal length lies in the range the model measures well."
-    )
+    plausibility: float = Field(ge=0, le=1, description="Weight 0.10: 1 if the modal length is in the model's range.")
 
 
 class FrameScale(Record):
-    """The scale in the resized copy that the caller works in."""
+    """Scale in the caller's resized copy."""
 
     width_px: int = Field(gt=0, description="Width of the caller's copy of the image, pixels.")
     height_px: int = Field(gt=0, description="Height of the caller's copy of the image, pixels.")
@@ -42,55 +39,51 @@ class FrameScale(Record):
 
 
 class SceneScaleEstimate(Record):
-    """The scale by the appearance of the scene: a prior, never enough to act on."""
+    """Scale from the appearance of the scene: a prior, not usable by itself."""
 
-    gsd_m_per_px: float = Field(gt=0, description="Metres per pixel of the full image: the middle of its interval.")
+    gsd_m_per_px: float = Field(gt=0, description="Metres per pixel of the full image, the middle of its interval.")
     gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its 95 % interval.")
     gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its 95 % interval.")
 
 
 class RulerScale(Record):
-    """The scale by one ruler, and its part in the estimate."""
+    """Scale from one ruler, and its part in the estimate."""
 
     kind: RulerKind = Field(description="Name of the ruler in options and tables.")
     label: str = Field(description="Name of the ruler in messages and pictures.")
-    sets_scale: bool = Field(description="Whether it can set the scale. A prior cannot: it weighs other rulers.")
-    gsd_m_per_px: float = Field(gt=0, description="Scale by this ruler alone, metres per pixel of the full image.")
+    sets_scale: bool = Field(description="Whether it can set the scale; a prior only weighs other rulers.")
+    gsd_m_per_px: float = Field(gt=0, description="Scale from this ruler alone, metres per pixel of the full image.")
     gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its own 95 % interval.")
     gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its own 95 % interval.")
     n: int = Field(ge=0, description="Number of things measured: vehicles, lines, tiles of the scene.")
     weight: float = Field(
         ge=0,
         le=1,
-        description="Its share of the precision among the rulers whose densities make the scale; 0 for the others and "
-        "for one that disagrees.",
+        description="Its share of the precision of the multiplied densities; 0 for other rulers and for one that "
+        "disagrees.",
     )
     agrees: bool = Field(description="Whether it agrees with the estimate.")
-    explanation: str | None = Field(
-        description="What it was measured on, in a sentence; null if the numbers say it all."
-    )
+    explanation: str | None = Field(description="Explanation of the measurement in a sentence; null if not needed.")
 
 
 class TiltEstimate(Record):
-    """A tilted camera: the scale varies over the image, and lengths and areas are measured on the ground plane."""
+    """Tilt of the camera: the scale varies over the image; lengths and areas are measured on the ground plane."""
 
     tilt_deg: float = Field(ge=0, le=90, description="Angle between the camera's axis and straight down.")
     tilt_ci95_low_deg: float = Field(ge=0, le=90, description="Lower end of its 95 % interval.")
     tilt_ci95_high_deg: float = Field(ge=0, le=90, description="Upper end of its 95 % interval.")
     roll_deg: float = Field(description="Direction of the tilt, clockwise from the image's upper side.")
     focal_length_px: float = Field(gt=0, description="Focal length, pixels of the full image.")
-    source: str = Field(
-        description="metadata, courts, vehicles, or several of them; and whether the focal length is unknown."
-    )
+    source: str = Field(description="Sources: metadata, courts, vehicles; and whether the focal length is unknown.")
     gsd_least_m_per_px: float | None = Field(description="Least metres per pixel in the image; null without a scale.")
     gsd_largest_m_per_px: float | None = Field(description="Largest metres per pixel in the image.")
 
 
 class GsdEstimate(Record):
-    """Metric scale of an aerial image: the paper's <GSD, C, N', P_mode>, and its evidence."""
+    """Metric scale of an aerial image: the paper's <GSD, C, N', P_mode> with its evidence."""
 
     status: Status = Field(
-        description="ok: confidence >= 0.5. low_confidence: below 0.5, fall back. no_scale: no ruler found, no scale."
+        description="ok: confidence >= 0.5. low_confidence: below 0.5. no_scale: no ruler found anything."
     )
     gsd_m_per_px: float | None = Field(
         description="Ground sampling distance, metres per pixel of the full image; null without a scale."
@@ -110,53 +103,49 @@ class GsdEstimate(Record):
     )
     reason: Reason | None = Field(
         description="Why the scale is not usable; null for a usable one. too_coarse: vehicles of too few pixels. "
-        "too_few: not enough of them. not_cars: they may be something else. disagree: sizes, or rulers. "
-        "lost: the scene is like none in the training data. imprecise: the interval is too wide."
+        "too_few: too few vehicles. not_cars: the vehicles may not be cars. disagree: sizes or rulers. lost: the scene "
+        "is unlike the training data. imprecise: the interval is too wide."
     )
     scene_scale: SceneScaleEstimate | None = Field(
-        description="The scale by the appearance of the scene, a prior; null if it was not computed."
+        description="Scale from the appearance of the scene, a prior; null if it was not computed."
     )
     leading_ruler: RulerKind | None = Field(description="The ruler with the largest weight; null without a scale.")
-    rulers: tuple[RulerScale, ...] = Field(description="All rulers that found something; none without a scale.")
+    rulers: tuple[RulerScale, ...] = Field(description="All rulers with evidence; empty without a scale.")
     n_detections: int = Field(ge=0, description="N: vehicles detected, before the outlier filter.")
     working_scale: float | None = Field(
-        description="Scale of the copy of the image where most of the kept vehicles were found: 1 (full resolution), "
-        "0.5, 0.25 or 0.125; null without vehicles. All lengths are in pixels of the full image whatever it is."
+        description="Scale of the image copy with most of the kept vehicles: 1 (full resolution), 0.5, 0.25 or 0.125; "
+        "null without vehicles. Lengths are always in pixels of the full image."
     )
-    tiles_searched: int = Field(ge=0, description="Tiles that were searched; 0 where no ruler needs the detector.")
-    tiles_total: int = Field(ge=0, description="Tiles that the image has, at all resolutions.")
+    tiles_searched: int = Field(ge=0, description="Tiles searched; 0 if no ruler needs the detector.")
+    tiles_total: int = Field(ge=0, description="Tiles of the image at all resolutions.")
     stopped_because: Stopped | None = Field(
-        description="Why the search ended. all_searched: no tile was left. settled: more tiles could not narrow the "
-        "interval, or no car can be found at their resolution. max_tiles, max_seconds: the limit. Null if no tile was "
-        "searched."
+        description="Why the search ended. all_searched: all tiles. settled: more tiles would not narrow the interval, "
+        "or cannot show cars at their resolution. max_tiles, max_seconds: the limit. Null without a search."
     )
-    aggregation: Aggregation = Field(description="How lengths became one: the mode, or the median below 5 vehicles.")
-    reference_length_m: float = Field(gt=0, description="L_ref: vehicle length that P_mode stands for, metres.")
+    aggregation: Aggregation = Field(description="Statistic of the lengths: the mode, or the median below 5 vehicles.")
+    reference_length_m: float = Field(gt=0, description="L_ref: vehicle length of P_mode, metres.")
     reference_source: ReferenceSource = Field(
-        description="Where L_ref is from. model: the detector's one number. appearance: the fleet's, "
-        "recognised by the appearance of the vehicles. region, given, calibration: from the caller or the operator."
+        description="Source of L_ref. model: the detector's default. appearance: the fleet, recognised by its "
+        "appearance. region, given, calibration: from the caller or the operator."
     )
     resolution_guard: bool = Field(
-        description="Whether the resolution guard capped the vehicles' confidence at 0.3: vehicles of too few pixels, "
-        "or of too little detail for their pixels (an enlarged image)."
+        description="Whether the resolution guard capped the vehicles' confidence at 0.3: vehicles of too few pixels "
+        "or too little detail (an enlarged image)."
     )
-    confidence_terms: ConfidenceTerms = Field(
-        description="The terms that the vehicles' confidence is the weighted sum of."
-    )
+    confidence_terms: ConfidenceTerms = Field(description="Terms of the vehicles' confidence, their weighted sum.")
     image_width_px: int = Field(gt=0, description="Width of the full image, pixels.")
     image_height_px: int = Field(gt=0, description="Height of the full image, pixels.")
     georeference_gsd_m_per_px: float | None = Field(
-        description="Scale that the file itself carries (geotransform), for comparison; never used for the estimate."
+        description="Scale in the file (geotransform), for comparison only."
     )
     tilt: TiltEstimate | None = Field(
-        description="Where the camera looked more than 10 degrees aside, by its metadata, courts and vehicles: "
-        "gsd_m_per_px is then that of the image's centre. Null where it looked down, or nobody knows."
+        description="Tilt of the camera above 10 degrees, from metadata, courts and vehicles; gsd_m_per_px is then the "
+        "scale of the image's centre. Null at nadir or for an unknown tilt."
     )
     frame: FrameScale | None = Field(description="The scale in the caller's resized copy; null without a frame.")
     scale: KnownScale | None = Field(
         default=None,
-        description="The scale to give back for measurements in this image, which then need no search; null without a "
-        "scale.",
+        description="The scale to give back for measurements in this image without a search; null without a scale.",
     )
     model: str = Field(description="Name of the detector.")
     model_sha256: str = Field(description="SHA-256 of the detector's file.")

@@ -1,4 +1,4 @@
-"""Records in the forms of other programs: data frames, HTML, GeoJSON geometries in the image's pixels."""
+"""Conversion of records for other programs: data frames, HTML, GeoJSON geometries in pixels of the image."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 _SHOWN_FLOAT_DIGITS = 4
-_FRAME_TYPES = {float: "float64", int: "Int64", bool: "boolean", str: "string"}  # each has a missing value
+_FRAME_TYPES = {float: "float64", int: "Int64", bool: "boolean", str: "string"}  # types with a missing value
 
 
 def as_box(box: Any) -> Any:
-    """Take a box from objects that have one, without importing what they are of; anything else is left as it is.
+    """Take the box of a shapely or supervision object, without importing either; return other values unchanged.
 
     Args:
-        box: a geometry of shapely, whose ``bounds`` are taken, or supervision's ``Detections`` of one object.
+        box: a geometry of shapely (its ``bounds``), or supervision's ``Detections`` of one object.
 
     Raises:
-        PromptError: detections of none or of several objects.
+        PromptError: the detections are not of exactly one object.
     """
     found = getattr(box, "xyxy", None)
     if found is not None:
@@ -35,10 +35,10 @@ def as_box(box: Any) -> Any:
 
 
 def places_of(path: Any) -> Any:
-    """Take the points of a line of shapely; anything else is left as it is.
+    """Take the points of a shapely line; return other values unchanged.
 
     Raises:
-        PromptError: a geometry that is no line.
+        PromptError: the geometry is not a line.
     """
     try:
         places = getattr(path, "coords", path)
@@ -50,7 +50,7 @@ def places_of(path: Any) -> Any:
 
 
 def as_frame(records: Sequence[BaseModel]) -> Any:
-    """Make a pandas table of records of one type, a record a row.
+    """Make a pandas table of records of one type, one row per record.
 
     Raises:
         MissingExtraError: pandas is not installed.
@@ -71,7 +71,7 @@ def as_frame(records: Sequence[BaseModel]) -> Any:
 
 
 def as_html(values: Mapping[str, Any]) -> str:
-    """Make the table that notebooks show: single values only, empty ones left out."""
+    """Make an HTML table for notebooks: single values only, without nulls."""
     rows = []
     for name, value in values.items():
         if value is None or isinstance(value, dict | list | tuple):

@@ -1,4 +1,4 @@
-"""The scale of an image in the few fields that a caller gives back."""
+"""Known scale of an image, which a caller gives back."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pydantic import Field, ValidationError
 from vehanchor.errors import InvalidParameterError
 from vehanchor.records.record import Record
 
-_WIDEST_M_PER_PX = 1e9  # every estimate lies below, and its square is finite
+_WIDEST_M_PER_PX = 1e9  # above every estimate, with a finite square
 
 
 class KnownPlane(Record, strict=True):
-    """Tilt of the camera, for a scale that is given back and holds at the image's centre."""
+    """Tilt of the camera, for a known scale of the image's centre."""
 
     tilt_deg: float = Field(gt=0, lt=90, description="Angle between the camera's axis and straight down.")
     roll_deg: float = Field(
@@ -23,15 +23,15 @@ class KnownPlane(Record, strict=True):
     focal_length_px: float = Field(gt=0, description="Focal length, pixels of the full image.")
 
 
-class KnownScale(Record, strict=True):  # it comes back from callers: true is no metre
-    """A scale to give back for the next measurement in the same image, which then needs no search."""
+class KnownScale(Record, strict=True):  # input from callers: true is not a number
+    """Scale to give back for the next measurement in the same image, without a search."""
 
     gsd_m_per_px: float = Field(gt=0, description="Metres per pixel of the full image.")
     gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its 95 % interval.")
     gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its 95 % interval.")
     confidence: float = Field(ge=0, le=1, description="Confidence in the scale.")
-    image_id: str = Field(max_length=64, description="Checksum of the image's pixels: it holds for no other image.")
-    model_id: str = Field(max_length=64, description="First digits of the checksum of the detector.")
+    image_id: str = Field(max_length=64, description="Checksum of the pixels; the scale is for this image only.")
+    model_id: str = Field(max_length=64, description="First digits of the detector's checksum.")
     plane: KnownPlane | None = Field(
         default=None,
         exclude_if=lambda plane: plane is None,
@@ -40,13 +40,13 @@ class KnownScale(Record, strict=True):  # it comes back from callers: true is no
 
 
 def known_scale(given: Any) -> KnownScale:
-    """Take a scale that a caller gives back.
+    """Read a scale that a caller gives back.
 
     Args:
-        given: a ``KnownScale``, a record that has one as its ``scale``, or either as a mapping.
+        given: a ``KnownScale``, a record with one as its ``scale``, or either as a mapping.
 
     Raises:
-        InvalidParameterError: it is none of these, has no scale, or is not what an estimate gave.
+        InvalidParameterError: the value is none of these, has no scale, or is not the scale of an estimate.
     """
     found = given
     if isinstance(given, Mapping):
@@ -54,7 +54,7 @@ def known_scale(given: Any) -> KnownScale:
     elif isinstance(given, Record) and "scale" in type(given).model_fields:
         found = getattr(given, "scale", None)
     if found is None:
-        raise InvalidParameterError("scale is a record without a scale: there is none in it to give back")
+        raise InvalidParameterError("scale is a record without a scale: give an estimate that has one")
     if isinstance(found, Mapping):
         try:
             found = KnownScale.model_validate(found)

@@ -7,11 +7,10 @@ from enum import StrEnum
 from pydantic import Field
 
 from vehanchor.records.record import Record
-from vehanchor.storage.stored import stored
 
 
 class NoticeCode(StrEnum):
-    """What a ``Notice`` is about."""
+    """Codes of notices."""
 
     # of the image
     PIXELS_STRETCHED = "pixels_stretched"
@@ -56,9 +55,8 @@ FLEET_DOUBTS = (
 """Doubts that the vehicles are cars; each caps the confidence below 0.5."""
 
 
-@stored("notice")
 class Notice(Record):
-    """A fact that a caller should know about a result that is valid all the same."""
+    """Warning about a valid result."""
 
     code: str = Field(description="Stable identifier of the warning.")
-    message: str = Field(description="What was noticed, with its value, and its meaning for the result.")
+    message: str = Field(description="The fact with its value, and its meaning for the result.")

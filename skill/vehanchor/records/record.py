@@ -9,13 +9,13 @@ from pydantic import BaseModel, ConfigDict, Field
 from vehanchor.records.interop import as_frame, as_html
 
 SCHEMA_VERSION: Literal[1] = 1
-"""Version of the names and meanings of all fields; it rises when a field is renamed, removed or redefined."""
+"""Version of all fields; it rises when a field is renamed, removed or redefined."""
 
-SchemaVersion = Annotated[Literal[1], Field(description="Version of this schema; other versions are refused.")]
+SchemaVersion = Annotated[Literal[1], Field(description="Version of this schema; others are refused.")]
 
 
 class Record(BaseModel):
-    """A frozen record: its numbers are finite or null, and their units are in the names."""
+    """Frozen record: numbers are finite or null; names have units."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -23,7 +23,7 @@ class Record(BaseModel):
         """Make a pandas table of one row.
 
         Returns:
-            A ``DataFrame`` whose columns depend on the type of the record alone; see ``vehanchor.records.flat``.
+            A ``DataFrame`` with the columns of the record's type; see ``vehanchor.records.flat``.
 
         Raises:
             MissingExtraError: pandas is not installed.
@@ -31,5 +31,5 @@ class Record(BaseModel):
         return as_frame([self])
 
     def _repr_html_(self) -> str:
-        """Show the single values in a notebook."""
+        """Make an HTML table of the single values for notebooks."""
         return as_html(self.model_dump(mode="json"))

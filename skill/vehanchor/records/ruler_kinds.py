@@ -1,4 +1,4 @@
-"""Kinds of rulers in records: any string, named one by one in the JSON schema and in the columns of tables."""
+"""Kinds of rulers in records: strings that the JSON schema and the columns of tables list."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pydantic import Field
 
 
 def ruler_kinds() -> tuple[str, ...]:
-    """Kinds of all rulers, from the registry; it is loaded late, because rulers are made of records."""
+    """List the kinds of all rulers; the registry is imported late, because rulers import records."""
     return cast("tuple[str, ...]", import_module("vehanchor.rulers.registry").ruler_kinds())
 
 

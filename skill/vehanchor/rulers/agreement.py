@@ -1,4 +1,4 @@
-"""Agreement of rulers, by one rule: a ruler agrees with a scale in its 95 % interval, or within a tenth of its own."""
+"""Agreement of rulers: a ruler agrees with a scale in its 95 % interval, or within a tenth of its own scale."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _CHECK = "Check which of them is wrong before using either."
 
 
 def agrees(ruler: Evidence, gsd_m_per_px: float) -> bool:
-    """Whether a ruler agrees with a scale."""
+    """Tell whether a ruler agrees with a scale."""
     if ruler.gsd_m_per_px is None or ruler.interval is None:
         return False
     in_interval = ruler.interval.low <= gsd_m_per_px <= ruler.interval.high
@@ -28,14 +28,14 @@ def agrees(ruler: Evidence, gsd_m_per_px: float) -> bool:
 
 
 def disagreements(evidence: Sequence[Evidence], outvoted: Collection[str] = ()) -> list[Notice]:
-    """Warn of outvoted rulers, and of every two others of which neither agrees with the other's scale.
+    """Warn of outvoted rulers, and of other pairs in which neither ruler agrees with the other's scale.
 
     Args:
-        evidence: of all rulers. One that found nothing and one that cannot set the scale disagree with none.
-        outvoted: kinds of the rulers that do not agree with the scale of all.
+        evidence: of all rulers. Rulers without evidence and priors never disagree.
+        outvoted: kinds of the rulers that disagree with the fused scale.
 
     Returns:
-        One notice for each outvoted ruler, one for each other pair.
+        One notice per outvoted ruler, and one per other pair.
     """
     found = [each for each in evidence if each.sets_scale]
     kept = [each for each in found if each.kind not in outvoted] or found

@@ -1,6 +1,6 @@
 """Camera metadata as a ruler: height above take-off, focal length and sensor.
 
-At the centre of a nadir image a pixel is ``height * pixel pitch / focal length`` wide.
+At the centre of a nadir image, the scale is ``height * pixel pitch / focal length``.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.evidence import Mark
 from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
 from vehanchor.rulers.ruler import Ruler
+from vehanchor.scale.height import height_log_sd
 from vehanchor.tilt.camera_tilt import NADIR_TOLERANCE_DEG, TILT_SD_DEG
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from vehanchor.rulers.evidence import View
     from vehanchor.rulers.lognormal import LognormalEvidence
 
-GROUND_LOG_SD = 0.12  # of a height above take-off: the ground below is not the ground of the take-off, 10 to 15 %
-_HEIGHT_SD_M = 2.0  # barometer and the height of the hand or roof it started from
 _MAX_HEIGHT_M = 20_000.0
 _UNKNOWN_PITCH_LOG_SD = 0.10
 _CHANCE_WRONG, _CHANCE_WRONG_PITCH_UNKNOWN = 0.05, 0.25
@@ -47,7 +46,7 @@ class Camera(Ruler):
     independent_of_vehicles = True
 
     def measure(self, view: View) -> LognormalEvidence:
-        """Measure by the camera's height and lens; no evidence if the file lacks one of them."""
+        """Measure by the camera's height and lens; without either, give no evidence."""
         camera = view.image.camera
         if camera is None or (camera.height_m is None and not camera.refused):
             return no_evidence(self.kind)
@@ -56,9 +55,9 @@ class Camera(Ruler):
         if not 0 < camera.height_m <= _MAX_HEIGHT_M:
             return self._unusable(f"{camera.height_tag} is {camera.height_m:g} m")
         if camera.digital_zoom > _MAX_DIGITAL_ZOOM:
-            return self._unusable(f"the picture was enlarged {camera.digital_zoom:g} times in the camera")
+            return self._unusable(f"the camera enlarged the photograph {camera.digital_zoom:g} times")
         if taken_ratio(view.image, camera) is None:
-            return no_evidence(self.kind, cropped(view.image, camera, "its camera's metadata are no ruler"))
+            return no_evidence(self.kind, cropped(view.image, camera, "the camera metadata are not usable"))
         tilt_deg = camera.off_nadir_deg if view.plane is None else view.plane.tilt_deg
         seen = lens(view.image, camera)
         if seen is None:
@@ -82,30 +81,25 @@ class Camera(Ruler):
         if not on_grid(gsd):
             return self._unusable(f"{height_m:g} m and {seen.source} would make {gsd:.3g} m/px")
         log_sd = math.hypot(height_log_sd(height_m), seen.log_sd)
-        said = f"The camera's metadata say {{}}: {height_m:g} m ({camera.height_tag}) and {seen.source}."
+        said = f"The camera metadata give {{}}: {height_m:g} m ({camera.height_tag}) and {seen.source}."
         if tilted and tilt_deg is not None:
             log_sd = math.hypot(log_sd, tilt_log_sd)
             notices = [_tilted(tilt_deg)]
-            said += " At the image's centre."
+            said += " This is the scale of the image's centre."
             return lognormal_evidence(self.kind, gsd, log_sd, _CHANCE_WRONG, said, notices=notices)
         if tilt_deg is not None:
             return lognormal_evidence(self.kind, gsd, log_sd, _CHANCE_WRONG, said)
         log_sd = math.hypot(log_sd, _UNKNOWN_PITCH_LOG_SD)
-        said += " They do not state the tilt: this holds at nadir."
+        said += " The tilt is not stated: this holds at nadir."
         return lognormal_evidence(self.kind, gsd, log_sd, _CHANCE_WRONG_PITCH_UNKNOWN, said)
 
     def _unusable(self, why: str) -> LognormalEvidence:
-        message = f"The camera's metadata are no ruler: {why}."
+        message = f"The camera metadata are not usable: {why}."
         return no_evidence(self.kind, Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
 
 
-def height_log_sd(height_m: float) -> float:
-    """Standard deviation of the log of a height above take-off."""
-    return math.hypot(GROUND_LOG_SD, _HEIGHT_SD_M / height_m)
-
-
 def coarsening(tilt_deg: float) -> tuple[float, float]:
-    """Ratio of the scale at the centre of a tilted view to that at nadir (``vehanchor.scale.plane``).
+    """Compute the ratio of the scale at the centre of a tilted view to the scale at nadir (``vehanchor.scale.plane``).
 
     Args:
         tilt_deg: angle between the camera's axis and straight down, below 90.
@@ -119,18 +113,19 @@ def coarsening(tilt_deg: float) -> tuple[float, float]:
 
 def _tilted(tilt_deg: float, *, unusable: bool = False) -> Notice:
     rest = (
-        "without a usable height and focal length, its metadata are no ruler."
+        "without height and focal length, its metadata are not usable."
         if unusable
-        else "scales differ over the image. The given scale is that of its centre; areas and distances are measured on "
-        "the ground plane."
+        else "the scale varies over the image. The given scale is that of the centre; areas and distances are measured "
+        "on the ground plane."
     )
     return Notice(code=NoticeCode.CAMERA_TILTED, message=f"The camera was tilted by {tilt_deg:.0f} degrees: {rest}")
 
 
 def cropped(image: ImageFacts, camera: CameraMetadata, means: str) -> Notice:
-    """Warn that the image is a crop of the picture as it was taken, and of the consequence."""
+    """Warn that the image is a crop of the photograph, and of the consequence."""
     return Notice(
         code=NoticeCode.CAMERA_CROPPED,
-        message=f"The picture was taken with {camera.taken_width_px} x {camera.taken_height_px} px and has "
-        f"{image.width_px} x {image.height_px}: it is a crop, and {means}. Give the original.",
+        message=f"The image is a crop: the photograph had {camera.taken_width_px} x "
+        f"{camera.taken_height_px} px, the image has {image.width_px} x {image.height_px}. Therefore {means}. Give the "
+        "original.",
     )

@@ -1,7 +1,7 @@
-"""The confidence a planner acts on: four terms with the paper's weights, and the resolution guard.
+"""Confidence: four terms with the paper's weights, and doubts about the fleet, which limit it.
 
-The paper gives the weights (section III-D); the terms' shapes are ours, fitted on the held-out tenth of the train split
-by ``research/training/detector/fit_confidence.py``.
+The weights are the paper's (section III-D). The shapes of the terms were fitted on the held-out tenth of the train
+split by ``research/training/detector/fit_confidence.py``.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ _RIVAL_SHARE = 0.35  # of the dominant group's weight in another group of length
 _ALIKE_LOG_SPREAD = 0.045  # 99 of 100 fleets of the train split have 0.047 and more; equal things in rows 0.03 to 0.06
 _ALIKE_LOG_ODDS = 0.7  # standard deviation; fleets of the train split have 0.76 and more, caravans in rows 0.4 to 0.7
 _UNLIKE_LOG_ODDS = -3.2  # mean; fleets of the train split have -2.9 and more, boats in rows -2.5 to -4.5
-_ALIKE_VEHICLES = 20  # from so many on the spread is known to a sixth
+_ALIKE_VEHICLES = 20  # least number of vehicles, with which the spread is known to a sixth
 _CLEAR_PERCENTILE = 90
-_CLEAR_OF_FEW = 0.32  # over their number: so much less clear are the clearest of a few, drawn from a fleet's cars
+_CLEAR_OF_FEW = 0.32  # divided by the number of vehicles: tolerance for the best scores of a few cars
 _WEIGHTS = ConfidenceTerms.model_construct(sample=0.35, concentration=0.35, quality=0.20, plausibility=0.10)  # paper
 
 _SAMPLE_SCALE = 12.0  # vehicles; 1 - exp(-n / 12): 5 give 0.34, 20 give 0.81
-_CV_FULL, _CV_NONE = 0.05, 0.25  # coefficient of variation: a clean fleet; lengths that say nothing
+_CV_FULL, _CV_NONE = 0.05, 0.25  # coefficient of variation of a clean fleet, and of uninformative lengths
 _SCORE_NONE, _SCORE_FULL = 0.55, 0.75  # median detection score
 _QUARTILES_PER_SD = 1.349  # of a normal distribution
 _FADE = 1.5  # factor outside the trained range over which plausibility falls to 0
@@ -41,19 +41,19 @@ def _ramp(value: float, zero_at: float, one_at: float) -> float:
 def confidence_terms(
     lengths: ArrayLike, scores: ArrayLike, mode_px: float, length_range_px: tuple[float, float]
 ) -> ConfidenceTerms:
-    """The four terms, each in [0, 1].
+    """Compute the four terms, each in [0, 1].
 
     * sample: ``1 - exp(-n / 12)``.
     * concentration: 1 at a coefficient of variation of 0.05, 0 at 0.25, linear between; 0 with fewer than 5 vehicles,
-      since one false alarm has no spread. Together with the sample term this keeps C below 0.5 for N' < 5.
+      because one false alarm has no spread. Together with the sample term this keeps C below 0.5 for N' < 5.
     * quality: median score, 0 at 0.55, 1 at 0.75.
     * plausibility: 1 while ``mode_px`` is in the model's range, falling to 0 over a factor of 1.5 outside it.
 
     Args:
-        lengths: ``[n]`` pixels of the kept vehicles.
-        scores: ``[n]`` their detection scores.
+        lengths: ``[n]`` lengths of the kept vehicles, pixels.
+        scores: ``[n]`` detection scores of the kept vehicles.
         mode_px: ``P_mode``.
-        length_range_px: shortest and longest vehicle the model measures well.
+        length_range_px: shortest and longest vehicle in the model's training data.
 
     Returns:
         The terms; all zero for no vehicles.
@@ -80,27 +80,27 @@ def fleet_doubts(
     clear_score: float,
     fleet_log_odds: ArrayLike | None = None,
 ) -> tuple[NoticeCode, ...]:
-    """What speaks against vehicles being cars, where a search over scales has given up their size as evidence.
+    """List the doubts that the vehicles are cars, after a search over scales, which does not use their size.
 
-    * ``lengths_disagree``: another group of lengths has 0.35 or more of the evidence of this one.
-    * ``lengths_alike``: 20 or more vehicles whose log lengths spread by less than 0.045 (interquartile range over
-      1.349): a yard of equal lorries, containers or roof units. Makes and models differ by 0.08.
-    * ``scores_unclear``: not a tenth of them reach the score that some cars of every fleet do, less 0.32 over their
-      number: of 5 cars none need be a very clear one (2nd percentile of random draws from 113 train images with 20
-      and more: 0.69 of 5, 0.72 of 12, 0.74 of 20, 0.75 of all; ``research/training/verifier/calibrate.py``).
-    * ``looks_alike``: 20 or more whose log odds (``vehanchor.detection.appearance``) with a spread below 0.7:
-      makes, models and paint differ more.
-    * ``looks_unlike_cars``: 20 or more whose mean log odds are below -3.2, where no fleet of cars was seen.
+    * ``lengths_disagree``: another group of lengths has at least 0.35 of the weight of this one.
+    * ``lengths_alike``: the log lengths of 20 or more vehicles spread by less than 0.045 (interquartile range over
+      1.349), as in a yard of equal lorries, containers or roof units. Makes and models of cars differ by 0.08.
+    * ``scores_unclear``: fewer than a tenth of the vehicles reach the clear score minus 0.32 over their number. The
+      2nd percentile of random draws from 113 train images with 20 and more cars is 0.69 for 5 cars, 0.72 for 12, 0.74
+      for 20 and 0.75 for all (``research/training/verifier/calibrate.py``).
+    * ``looks_alike``: the fleet log odds (``vehanchor.detection.appearance``) of 20 or more vehicles spread by less
+      than 0.7; makes, models and paint of cars differ more.
+    * ``looks_unlike_cars``: the mean fleet log odds of 20 or more vehicles are below -3.2, lower than in any fleet.
 
     Args:
-        lengths: ``[n]`` pixels of the kept vehicles.
-        scores: ``[n]`` their detection scores.
+        lengths: ``[n]`` lengths of the kept vehicles, pixels.
+        scores: ``[n]`` detection scores of the kept vehicles.
         rival_share: see ``vehanchor.scale.lengths.dominant_group``.
-        clear_score: score that the best tenth of a fleet reaches with this model; 0 where it is not known.
-        fleet_log_odds: ``[m]`` of those vehicles that were looked at; None where the model cannot tell.
+        clear_score: score that the best tenth of a fleet reaches with this model; 0 if unknown.
+        fleet_log_odds: ``[m]`` log odds of the vehicles with a chip; None without a fleet network.
 
     Returns:
-        The doubts, as codes of warnings; none for no vehicles.
+        The doubts as notice codes; empty without vehicles.
     """
     values, score = np.asarray(lengths, dtype=np.float64), np.asarray(scores, dtype=np.float64)
     if len(values) == 0:
@@ -113,22 +113,22 @@ def fleet_doubts(
         doubts.append(NoticeCode.LENGTHS_ALIKE)
     if np.percentile(score, _CLEAR_PERCENTILE) < clear_score - _CLEAR_OF_FEW / len(values):
         doubts.append(NoticeCode.SCORES_UNCLEAR)
-    look = np.asarray([] if fleet_log_odds is None else fleet_log_odds, dtype=np.float64)
-    if len(look) >= _ALIKE_VEHICLES:
-        if look.std() < _ALIKE_LOG_ODDS:
+    odds = np.asarray([] if fleet_log_odds is None else fleet_log_odds, dtype=np.float64)
+    if len(odds) >= _ALIKE_VEHICLES:
+        if odds.std() < _ALIKE_LOG_ODDS:
             doubts.append(NoticeCode.LOOKS_ALIKE)
-        if look.mean() < _UNLIKE_LOG_ODDS:
+        if odds.mean() < _UNLIKE_LOG_ODDS:
             doubts.append(NoticeCode.LOOKS_UNLIKE_CARS)
     return tuple(doubts)
 
 
 def composite(terms: ConfidenceTerms, *, guarded: bool, disputed: bool = False) -> float:
-    """Weighted sum of the terms (paper, equation 5).
+    """Compute the weighted sum of the terms (paper, equation 5).
 
     Args:
-        terms: as ``confidence_terms`` gives them.
-        guarded: whether the resolution guard holds: at most 0.3.
-        disputed: whether there are doubts that the vehicles are cars (``fleet_doubts``): at most 0.4.
+        terms: result of ``confidence_terms``.
+        guarded: whether the resolution guard applies; it limits C to 0.3.
+        disputed: whether there are doubts that the vehicles are cars (``fleet_doubts``); they limit C to 0.4.
 
     Returns:
         C in [0, 1].

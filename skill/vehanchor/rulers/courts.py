@@ -1,4 +1,4 @@
-"""Sports courts as a ruler: the rules give the length and width of tennis and basketball courts."""
+"""Sports courts as a ruler: the rules of tennis and basketball fix the size of a court."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 from vehanchor.courts.find import find_courts, propose_courts
 from vehanchor.courts.rectified import find_courts_on, rough_courts_on
 from vehanchor.errors import TooObliqueError
+from vehanchor.rulers.court_cue import court_cues
 from vehanchor.rulers.evidence import Mark
 from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.tilt.court_cue import court_cues
 from vehanchor.tilt.estimate import may_be_tilted
 from vehanchor.tilt.focal import focal_of
 from vehanchor.tilt.posterior import tilt_posterior
@@ -26,22 +26,22 @@ if TYPE_CHECKING:
     from vehanchor.courts.court import Court
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.imagery.raster import Raster
+    from vehanchor.rulers.court_cue import CourtCue
     from vehanchor.rulers.evidence import View
     from vehanchor.rulers.lognormal import LognormalEvidence
-    from vehanchor.tilt.court_cue import CourtCue
 
-_RULES_LOG_SD = 0.006  # lines 2.5 to 10 cm wide, courts laid out to a tape: half a per cent on the tennis tiles
-_UNKNOWN_RULES_LOG_SD = 0.012  # of a basketball court: FIBA's 28 m and the NBA's 28.65 m are told apart by little
+_RULES_LOG_SD = 0.006  # lines 2.5 to 10 cm wide, layout by tape: 0.5 % on the tennis tiles
+_UNKNOWN_RULES_LOG_SD = 0.012  # of a basketball court: FIBA's 28 m and the NBA's 28.65 m are hard to distinguish
 _CHANCE_WRONG = 0.02
-_LIKELY_COURT = 0.6  # share of a proposal from which tilted views are tried, too
-_TRIED_DEG = (12.0, 28.0, 42.0)  # a court's shape is found from ten degrees off
-_LEAST_TILT_DEG = 4.0  # of a guess that is tried: the image was searched at nadir already
+_LIKELY_COURT = 0.6  # lowest share of a proposal that is also tried in tilted views
+_TRIED_DEG = (12.0, 28.0, 42.0)  # the fit of a court converges from ten degrees off
+_LEAST_TILT_DEG = 4.0  # of a tried view: the image was searched at nadir before
 _MOST_TRIED = 3  # proposals
-_APART = 0.06  # of the log of the scale: beyond that from the median it is no such court
+_APART = 0.06  # of the log of the scale: further from the median, it is not such a court
 
 
 class Courts(Ruler):
-    """Courts that lie whole in the image."""
+    """Courts that are whole in the image."""
 
     kind = "courts"
     label = "sports courts"
@@ -52,7 +52,7 @@ class Courts(Ruler):
     independent_of_vehicles = True
 
     def find(self, view: View) -> tuple[Court, ...]:
-        """Find courts by their lines; none without the image's pixels."""
+        """Find courts by their lines; none without pixels."""
         if view.raster is None:
             return ()
         if view.plane is not None:
@@ -106,10 +106,10 @@ def evidence_of(courts: Sequence[Court]) -> LognormalEvidence:
     """Weigh courts by how well each was fitted.
 
     Args:
-        courts: of one image. Those with another scale than most are left out.
+        courts: of one image. Courts that differ from the median scale are left out.
 
     Returns:
-        The evidence, with the outlines and their sides as marks.
+        The evidence, with outlines and sides as marks.
     """
     courts = [court for court in courts if on_grid(court.gsd_m_per_px)]
     if not courts:
@@ -134,14 +134,14 @@ def evidence_of(courts: Sequence[Court]) -> LognormalEvidence:
 
 
 def _rectified(court: Court, plane: GroundPlane) -> Court:
-    """The court with the scale of the image's centre."""
+    """Convert a court to the scale of the image's centre."""
     x, y = plane.from_above(court.corners if court.shape is None else court.shape).T
     area_px = abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
     return replace(court, gsd_m_per_px=math.sqrt(court.length_m * court.width_m / area_px))
 
 
 def _marks(court: Court) -> list[Mark]:
-    """The outline, and a long and a short side with their metres."""
+    """Mark the outline, and a long and a short side with their lengths."""
     points = [(float(x), float(y)) for x, y in court.corners]
     sides = [(points[:2], court.length_m), (points[1:3], court.width_m)]
     return [
@@ -167,7 +167,7 @@ _GAMES = {
 
 
 def _named(courts: list[Court]) -> str:
-    """Subject and verb of a sentence."""
+    """Name courts as subject and verb of a sentence."""
     kinds = {court.kind for court in courts}
     if len(courts) == 1:
         return f"A {_GAMES[courts[0].kind]} says"

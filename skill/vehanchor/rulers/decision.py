@@ -1,7 +1,7 @@
 """Decide on a scale: from the evidence of all rulers to one value, interval, chance and reason.
 
-The densities of all rulers are multiplied into one posterior. If no ruler but vehicles sets a scale, the value is the
-paper's, ``L_ref / P_mode``, and the posterior judges it. Otherwise the value is the median of the strongest mode.
+The densities of all rulers are multiplied into one posterior. If only vehicles set a scale, the value is the paper's,
+``L_ref / P_mode``, and the posterior gives its chance. Otherwise the value is the median of the strongest mode.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ if TYPE_CHECKING:
     from vehanchor.rulers.evidence import Evidence
     from vehanchor.rulers.vehicles import VehicleEvidence
 
-_BASIN = 0.25  # of log scale on either side of the highest cell: what belongs to one mode
-_WINDOW = 0.2  # the same, of what makes one mode stronger than another
+_BASIN = 0.25  # of log scale on either side of the highest cell: extent of one mode
+_WINDOW = 0.2  # of log scale on either side: window to compare the strength of modes
 _WIDEST_OF_UNCALIBRATED = 3.0  # high over low of an interval if the votes are uncalibrated
-_LOST_WIDTH = 5.0  # high over low of a prior's interval: it has seen nothing like the scene
+_LOST_WIDTH = 5.0  # high over low of a prior's interval for a scene unlike its training data
 _PRIOR_REACH, _PRIOR_SUPPORT = 0.4, 0.1  # a prior supports a scale if it holds a tenth within +-40 %
 
 
@@ -51,10 +51,10 @@ class RulerShare(NamedTuple):
         gsd_m_per_px: its own scale.
         interval: its own 95 % interval.
         n: number of things measured.
-        weight: 0..1, its share of the precision among the densities multiplied into the scale; 0 for others, and for
-            one that disagrees. The weights add up to 1.
+        weight: 0..1, its share of the precision of the multiplied densities; 0 for other rulers and for one that
+            disagrees. The weights add up to 1.
         agrees: whether it agrees with the scale.
-        explanation: the measurement in a sentence; None if the numbers say it all.
+        explanation: the measurement in a sentence; None if not needed.
     """
 
     kind: str
@@ -67,7 +67,7 @@ class RulerShare(NamedTuple):
 
 
 class ScaleDecision(NamedTuple):
-    """A scale and how far it may be used.
+    """Scale and its confidence.
 
     Attributes:
         gsd_m_per_px: None without a scale.
@@ -75,8 +75,8 @@ class ScaleDecision(NamedTuple):
         p_within_20: chance of an error below a fifth; None without a scale, or if the votes are uncalibrated.
         confidence: the paper's C if vehicles alone set the scale, else ``p_within_20``; capped if the chance is below
             0.9 or the interval spans more than a factor of 2.
-        reason: why the scale is not to be used; None if it is.
-        source: kind of the ruler with the largest weight, of those that set the scale; None without a scale.
+        reason: why the scale is not usable; None if it is.
+        source: kind of the ruler with the largest weight that sets the scale; None without a scale.
         rulers: each ruler's part; none without a scale.
     """
 
@@ -90,7 +90,7 @@ class ScaleDecision(NamedTuple):
 
 
 class Posterior(NamedTuple):
-    """Value, interval and chance of all rulers, and the kinds whose densities make the value."""
+    """Value, interval and chance from all rulers, and the kinds of the multiplied densities."""
 
     gsd_m_per_px: float
     interval: Interval
@@ -106,7 +106,7 @@ def decide(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> ScaleDecisi
         others: evidence of the other rulers.
 
     Returns:
-        The decision. Vehicles alone with uncalibrated votes keep their own interval and confidence.
+        The decision. For vehicles alone with uncalibrated votes, it has their own interval and confidence.
     """
     evidence = (vehicles, *others)
     alone = not any(each.sets_scale and each.fusable_density is not None for each in others)
@@ -134,7 +134,7 @@ def convergence(vehicles: VehicleEvidence, priors: Sequence[Evidence]) -> Conver
         priors: evidence of rulers that cannot set the scale.
 
     Returns:
-        How wide the scale is, and whether it could be used.
+        Width of the interval, and whether the scale is usable.
     """
     if vehicles.mode_length_px is None:
         return Convergence(math.inf, 0.0, doubted=True)
@@ -149,14 +149,13 @@ def convergence(vehicles: VehicleEvidence, priors: Sequence[Evidence]) -> Conver
 
 
 def ruler_densities(evidence: Iterable[Evidence]) -> dict[str, NDArray[np.float64]]:
-    """Densities of rulers, ready to be multiplied (``vehanchor.scale.fusion.product``).
+    """Collect the densities to multiply (``vehanchor.scale.fusion.product``).
 
     Args:
         evidence: of all rulers of an image.
 
     Returns:
-        ``[g]`` probabilities on ``vehanchor.scale.fusion.GRID`` by the kind of the ruler, without those that found
-        nothing.
+        ``[g]`` probabilities on ``vehanchor.scale.fusion.GRID`` by kind of ruler, without rulers that found nothing.
     """
     found = ((each.kind, each.fusable_density) for each in evidence if each.gsd_m_per_px is not None)
     return {kind: density for kind, density in found if density is not None}
@@ -182,15 +181,15 @@ def fuse_rulers(evidence: Sequence[Evidence]) -> Posterior | None:
 
 
 def shares(evidence: Sequence[Evidence], gsd_m_per_px: float, multiplied: frozenset[str]) -> tuple[RulerShare, ...]:
-    """Compare each ruler with the scale of all.
+    """Compare each ruler with the fused scale.
 
     Args:
         evidence: of all rulers.
-        gsd_m_per_px: the scale.
-        multiplied: kinds whose densities make the scale.
+        gsd_m_per_px: the fused scale.
+        multiplied: kinds of the multiplied densities.
 
     Returns:
-        One for each ruler with a density, in their order.
+        One share for each ruler with a density, in their order.
     """
     densities = ruler_densities(evidence)
     found = [(each, each.gsd_m_per_px, each.interval) for each in evidence if each.kind in densities]
@@ -217,7 +216,7 @@ def shares(evidence: Sequence[Evidence], gsd_m_per_px: float, multiplied: frozen
 
 
 def _posterior_of_vehicles(vehicles: VehicleEvidence, priors: Sequence[Evidence]) -> Posterior | None:
-    """The paper's value, judged by the product of the vehicles' density and the priors'."""
+    """Take the paper's value, with a chance from the product of the vehicles' and the priors' densities."""
     gsd, interval = vehicles.gsd_m_per_px, vehicles.interval
     if gsd is None or interval is None:
         return None
@@ -242,7 +241,7 @@ def _fused_reason(evidence: Sequence[Evidence], rulers: Sequence[RulerShare]) ->
 
 
 def _vehicle_reason(vehicles: VehicleEvidence, priors: Sequence[Evidence]) -> Reason:
-    """The first of: too few pixels, a contradicting prior, no cars, a scene unlike any other, too few cars."""
+    """Choose the first of: too few pixels, a contradicting prior, not cars, an unknown scene, too few cars."""
     prior = next((each for each in priors if each.interval is not None), None)
     lost = prior is not None and prior.interval is not None and prior.interval.high > _LOST_WIDTH * prior.interval.low
     if vehicles.gsd_m_per_px is None:
@@ -263,10 +262,10 @@ def _supports(prior: Evidence, gsd_m_per_px: float) -> bool:
 
 
 def _not_all_wrong(densities: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Posterior given that not all rulers are wrong at once.
+    """Multiply densities, given that not all rulers are wrong at once.
 
-    A ruler that may be wrong has an outlier floor. If all of them are wrong, nothing is known: that lowers the chance,
-    but would stretch an interval over the whole grid.
+    A ruler that may be wrong has an outlier floor. The case that all are wrong lowers the chance; in the interval, it
+    would cover the whole grid.
     """
     logs = np.sum([np.log(np.maximum(density, 1e-300)) for density in densities], axis=0)
     all_wrong = sum(math.log(max(float(density.min()), 1e-300)) for density in densities)
@@ -275,7 +274,7 @@ def _not_all_wrong(densities: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 def _strongest(posterior: NDArray[np.float64]) -> float:
-    """Median of the mode that has most of the posterior, metres per pixel."""
+    """Compute the median of the strongest mode of the posterior, metres per pixel."""
     reach = round(_WINDOW / LOG_STEP)
     below = np.concatenate([np.zeros(reach + 1), np.cumsum(posterior), np.full(reach, posterior.sum())])
     middle = int(np.argmax(below[2 * reach + 1 :] - below[: len(posterior)]))
@@ -286,6 +285,6 @@ def _strongest(posterior: NDArray[np.float64]) -> float:
 
 
 def _precision(interval: Interval) -> float:
-    """Inverse of the square of a spread."""
+    """Compute the precision of an interval, the inverse square of its spread."""
     spread = math.log(interval.high / interval.low) / (2 * Z95)
     return 1.0 / max(spread, 1e-3) ** 2

@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from vehanchor.storage.stored import stored
-
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -35,21 +33,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """All that a ruler sees.
+    """Input of a ruler.
 
     Attributes:
         image: facts of the image.
         detections: result of the search.
         card: of the detector.
-        options: every choice of the method.
-        resolved_share: for centres ``[n, 2]`` in pixels and the scale at which they were found, the share of the
-            resolution at which there is detail (``vehanchor.imagery.detail``).
-        raster: the open image, for a ruler that reads pixels; None if only the results of a search are kept.
-        runtime: how a ruler's own model runs, as the detector does.
+        options: all options of the method.
+        resolved_share: function of centres ``[n, 2]`` in pixels and the scale where they were found; it gives the share
+            of the resolution at which there is detail (``vehanchor.imagery.detail``).
+        raster: the open image, for a ruler that reads pixels; None if only search results are kept.
+        runtime: runtime of a ruler's own model.
         prior: the scene-scale prior; None without one.
         tilt: of the camera; None for an image taken at nadir, or of unknown tilt.
-        found: by kind of ruler, what ``Ruler.find`` returned.
-        expected: ``[g]`` density of the scale by the rulers that do not depend on vehicles, in a tilted view; None
+        found: results of ``Ruler.find`` by kind of ruler.
+        expected: ``[g]`` density of the scale in a tilted view, from rulers that do not depend on vehicles; None
             without any.
     """
 
@@ -67,34 +65,33 @@ class View:
 
     @cached_property
     def plane(self) -> GroundPlane | None:
-        """Ground of a tilted view, one metre per pixel at the centre of the image; None at nadir."""
+        """Ground plane of a tilted view, with one metre per pixel at the image's centre; None at nadir."""
         return None if self.tilt is None else self.tilt.plane(self.image)
 
     def rectified(self, points: ArrayLike) -> NDArray[np.float64]:
         """Rectify points ``[n, 2]`` of the image to nadir and to the scale of its centre.
 
         Returns:
-            ``[n, 2]`` pixels; only differences count. At nadir the points themselves.
+            ``[n, 2]`` pixels with an arbitrary origin. At nadir the points themselves.
 
         Raises:
-            TooObliqueError: a point lies above the horizon, or just below it.
+            TooObliqueError: a point is above the horizon, or just below it.
         """
         places = np.asarray(points, dtype=np.float64)
         return places if self.plane is None else self.plane.from_above(places)
 
     def at_nadir(self) -> View:
-        """The same view as if the camera had looked straight down."""
+        """Copy the view without its tilt."""
         return replace(self, tilt=None)
 
 
-@stored("mark")
 class Mark(NamedTuple):
-    """A line that a ruler measured, or the place for which it holds.
+    """Measured line of a ruler, or a labelled place.
 
     Attributes:
-        points: its corners, x and y in pixels of the image; one alone is a place.
+        points: its corners, x and y in pixels of the image; a single point is a place.
         label: text beside its middle, as "60 m"; empty for none.
-        closed: whether the last corner is joined to the first.
+        closed: whether the last corner is connected to the first.
     """
 
     points: tuple[tuple[float, float], ...]
@@ -103,11 +100,10 @@ class Mark(NamedTuple):
 
     @classmethod
     def of_height(cls, image: ImageFacts, height_m: float) -> Mark:
-        """Height of the camera, in the middle of the image."""
+        """Mark the height of the camera in the middle of the image."""
         return cls(((image.width_px / 2, image.height_px / 2),), f"{height_m:.4g} m up")
 
 
-@stored("evidence")
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """Result of one ruler.
@@ -117,11 +113,11 @@ class Evidence:
         gsd_m_per_px: metres per pixel of the full image, at its centre in a tilted view; None if nothing was found.
         interval: the 95 % interval around it, metres per pixel; None if nothing was found.
         n: number of things measured.
-        confidence: in 0..1; 0 if nothing was found, and for a ruler that cannot set the scale.
-        notices: doubts and other remarks.
-        density: probabilities on ``vehanchor.scale.fusion.GRID``; None if there is nothing to multiply.
-        explanation: the measurement in a sentence; None if the numbers say it all.
-        marks: lines measured, for pictures.
+        confidence: in 0..1; 0 if nothing was found, and for a prior.
+        notices: warnings.
+        density: probabilities on ``vehanchor.scale.fusion.GRID``; None without any.
+        explanation: the measurement in a sentence; None if not needed.
+        marks: measured lines, for pictures.
     """
 
     kind: str
@@ -136,10 +132,10 @@ class Evidence:
 
     @property
     def fusable_density(self) -> NDArray[np.float64] | None:
-        """Density to multiply with those of other rulers; None for none."""
+        """Density to multiply with those of other rulers; None without any."""
         return self.density
 
     @property
     def sets_scale(self) -> bool:
-        """Whether it can set a scale by itself; a prior cannot."""
+        """Whether the ruler can set a scale by itself; a prior cannot."""
         return self.gsd_m_per_px is not None and self.confidence > 0

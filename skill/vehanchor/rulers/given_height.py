@@ -12,26 +12,26 @@ from vehanchor.rulers.camera import coarsening, cropped
 from vehanchor.rulers.evidence import Mark
 from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
 from vehanchor.rulers.ruler import Ruler
+from vehanchor.scale.height import GIVEN_HEIGHT_LOG_SD
 
 if TYPE_CHECKING:
     from vehanchor.imagery.metadata.lens import Lens
     from vehanchor.rulers.evidence import View
     from vehanchor.rulers.lognormal import LognormalEvidence
 
-HEIGHT_LOG_SD = 0.05  # of a given height: the caller knows the height above the ground itself
 _CHANCE_WRONG = 0.05
 _NO_LENS_OF_A_CROP = (
-    "no focal length of the whole picture holds for it: the given height is no ruler. If focal_35mm is that of the "
-    "crop, leave the metadata out"
+    "no focal length of the whole photograph holds for it, and the given height is not usable. If focal_35mm is that "
+    "of the crop, leave out the metadata"
 )
 _FOCAL_LENGTH_MISSING = Notice(
     code=NoticeCode.FOCAL_LENGTH_MISSING,
-    message="A height was given, but no focal length, and the file has none that holds for it: give focal_35mm, too.",
+    message="The given height is not usable: the file has no usable focal length. Also give focal_35mm.",
 )
 
 
 class GivenHeight(Ruler):
-    """The caller's height above the ground, with the caller's focal length or the file's."""
+    """Height above the ground from the caller, with a focal length from the caller or the file."""
 
     kind = "height"
     label = "given height"
@@ -58,16 +58,17 @@ class GivenHeight(Ruler):
             return no_evidence(self.kind, _FOCAL_LENGTH_MISSING)
         coarser, tilt_log_sd = coarsening(0.0 if view.plane is None else view.plane.tilt_deg)
         gsd = chosen.height_m / seen.pixels * coarser
-        said = f"The given height says {{}}: {chosen.height_m:g} m and {seen.source}."
-        said += " At the image's centre." if view.plane else ""
+        said = f"The given height gives {{}}: {chosen.height_m:g} m and {seen.source}."
+        said += " This is the scale of the image's centre." if view.plane else ""
         if not on_grid(gsd):
             return no_evidence(
                 self.kind,
                 Notice(
                     code=NoticeCode.CAMERA_UNUSABLE,
-                    message=f"The given height is no ruler: {chosen.height_m:g} m and {seen.source} would make "
+                    message=f"The given height is not usable: {chosen.height_m:g} m and {seen.source} would give "
                     f"{gsd:.3g} m/px.",
                 ),
             )
-        log_sd, marks = math.hypot(HEIGHT_LOG_SD, seen.log_sd, tilt_log_sd), [Mark.of_height(image, chosen.height_m)]
+        log_sd = math.hypot(GIVEN_HEIGHT_LOG_SD, seen.log_sd, tilt_log_sd)
+        marks = [Mark.of_height(image, chosen.height_m)]
         return lognormal_evidence(self.kind, gsd, log_sd, _CHANCE_WRONG, said, marks=marks)

@@ -1,4 +1,4 @@
-"""Known lengths as a ruler: lines on the ground that the caller has measured."""
+"""Known lengths as a ruler: lines on the ground with a length from the caller."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from vehanchor.rulers.lognormal import LognormalEvidence
     from vehanchor.scale.plane import GroundPlane
 
-_END_SD_PX = 1.0  # how well a person hits an end, in pixels of the picture in which it was drawn
-_LINE_LOG_SD = 0.01  # a line lies on ground that is neither flat nor level, and its metres are rounded
+_END_SD_PX = 1.0  # error of a drawn end, in pixels of the picture where it was drawn
+_LINE_LOG_SD = 0.01  # relief, slope, and rounding of the length
 _LINES_APART_SDS = 3.0
 _CHANCE_WRONG = 0.05
 
 
 class KnownLengths(Ruler):
-    """Lines that the caller has measured on the ground."""
+    """Lines of known length on the ground."""
 
     kind = "known_length"
     label = "known length"
@@ -36,10 +36,10 @@ class KnownLengths(Ruler):
     independent_of_vehicles = True
 
     def measure(self, view: View) -> LognormalEvidence:
-        """Average the lines, weighted by their numbers of pixels.
+        """Average the lines, weighted by their lengths in pixels.
 
         Raises:
-            KnownLengthError: a line makes an impossible scale.
+            KnownLengthError: a line gives an impossible scale.
         """
         lines = view.options.rulers.known_lengths
         if not lines:
@@ -52,7 +52,7 @@ class KnownLengths(Ruler):
             length_px, tilt_log_sd = _length_at_centre(*ends, view.plane)
             if not on_grid(line.metres / length_px):
                 raise KnownLengthError(
-                    f"a line of {line.metres:g} m over {length_px:.0f} px would make {line.metres / length_px:.3g} "
+                    f"a line of {line.metres:g} m over {length_px:.0f} px would give {line.metres / length_px:.3g} "
                     "m/px: give metres, and pixels of the image or of the frame that you name"
                 )
             logs.append(math.log(line.metres / length_px))
@@ -63,8 +63,8 @@ class KnownLengths(Ruler):
         log_sd = max(1.0, *off_sds) / math.sqrt(sum(weights))
         scales = sorted(math.exp(log) for log in logs)
         apart = max(off_sds) > _LINES_APART_SDS
-        said = f"The {len(lines)} given lines say {{}}." if len(lines) > 1 else "The given line says {}."
-        said += " At the image's centre." if view.plane else ""
+        said = f"The {len(lines)} given lines give {{}}." if len(lines) > 1 else "The given line gives {}."
+        said += " This is the scale of the image's centre." if view.plane else ""
         return lognormal_evidence(
             self.kind,
             math.exp(mean),
@@ -83,7 +83,7 @@ class KnownLengths(Ruler):
 def _length_at_centre(
     first: tuple[float, float], second: tuple[float, float], plane: GroundPlane | None
 ) -> tuple[float, float]:
-    """Length of a line in pixels of the image's centre at nadir, and the standard deviation of its log by the tilt."""
+    """Compute a line's length in pixels of the image's centre, and the standard deviation of its log by the tilt."""
     if plane is None:
         return math.dist(first, second), 0.0
     less = replace(plane, gsd_m_per_px=1.0, tilt_deg=plane.tilt_deg - TILT_SD_DEG)
@@ -94,6 +94,6 @@ def _length_at_centre(
 def _lines_disagree(finest: float, coarsest: float) -> Notice:
     return Notice(
         code=NoticeCode.KNOWN_LENGTHS_DISAGREE,
-        message=f"The given lines say from {finest:.4g} to {coarsest:.4g} m/px, further apart than pixels explain: one "
-        "of them is wrong, or the camera was tilted.",
+        message=f"The given lines disagree, from {finest:.4g} to {coarsest:.4g} m/px: a line is wrong, or the camera "
+        "was tilted.",
     )

@@ -11,7 +11,6 @@ import numpy as np
 from vehanchor.rulers.evidence import Evidence
 from vehanchor.scale.fusion import GRID, LOG_STEP, TOLERANCE, mass_within, with_outlier_floor
 from vehanchor.scale.lengths import Z95, Interval
-from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,14 +21,13 @@ if TYPE_CHECKING:
     from vehanchor.rulers.evidence import Mark
 
 
-@stored("lognormal_evidence")
 @dataclass(frozen=True, eq=False)
 class LognormalEvidence(Evidence):
-    """A scale with a spread of its own.
+    """Scale with its own spread.
 
     Attributes:
-        log_sd: standard deviation of the scale's log; None where the ruler found nothing.
-        chance_wrong: 0..1, chance that it measured something else altogether.
+        log_sd: standard deviation of the scale's log; None if the ruler found nothing.
+        chance_wrong: 0..1, chance of an outlier.
     """
 
     log_sd: float | None = None
@@ -37,11 +35,11 @@ class LognormalEvidence(Evidence):
 
 
 def lognormal(gsd_m_per_px: float, log_sd: float) -> NDArray[np.float64]:
-    """Spread one scale over the grid.
+    """Make a lognormal density on the grid.
 
     Args:
-        gsd_m_per_px: on the grid (see ``on_grid``).
-        log_sd: standard deviation of its log; one narrower than a cell is taken to be a cell.
+        gsd_m_per_px: its median, on the grid (see ``on_grid``).
+        log_sd: standard deviation of its log, at least one cell.
 
     Returns:
         ``[g]`` probabilities.
@@ -52,7 +50,7 @@ def lognormal(gsd_m_per_px: float, log_sd: float) -> NDArray[np.float64]:
 
 
 def on_grid(gsd_m_per_px: float) -> bool:
-    """Whether a scale is possible: 3 mm to 3 m per pixel."""
+    """Tell whether a scale is possible: 3 mm to 3 m per pixel."""
     return gsd_m_per_px > 0 and bool(GRID[0] <= math.log(gsd_m_per_px) <= GRID[-1])
 
 
@@ -67,17 +65,17 @@ def lognormal_evidence(
     notices: Sequence[Notice] = (),
     marks: Sequence[Mark] = (),
 ) -> LognormalEvidence:
-    """Make evidence of a scale and its standard deviation.
+    """Make evidence from a scale and its standard deviation.
 
     Args:
         kind: of the ruler.
         gsd_m_per_px: the scale.
         log_sd: standard deviation of its log.
-        chance_wrong: 0..1, chance that it measured something else altogether.
+        chance_wrong: 0..1, chance of an outlier.
         said: a sentence with the source and the measurement; ``{}`` in it stands for the scale.
         n: number of things measured.
-        notices: its doubts.
-        marks: lines measured, for pictures.
+        notices: warnings.
+        marks: measured lines, for pictures.
     """
     reach = math.exp(Z95 * log_sd)
     interval = Interval(gsd_m_per_px / reach, gsd_m_per_px * reach)

@@ -1,4 +1,4 @@
-"""Measure an image with all rulers: first those that do not depend on vehicles, then the others."""
+"""Measurement of an image with all rulers: first those that do not depend on vehicles, then the others."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def with_tilt(view: View) -> View:
-    """Let the rulers find things in an image, and estimate its tilt from them, the metadata and the vehicles.
+    """Find the rulers' objects in an image, and estimate its tilt from them, the metadata and the vehicles.
 
     Raises:
         TooObliqueError: the horizon is in sight, or the tilt is too uncertain to exclude that.
@@ -44,10 +44,10 @@ def measure_all(view: View, known: Sequence[Evidence] = ()) -> tuple[VehicleEvid
 
     Args:
         view: of the image, with its tilt.
-        known: evidence that is not measured again.
+        known: earlier evidence, which is not measured again.
 
     Returns:
-        The evidence of vehicles, empty if the caller leaves them out, and that of the other rulers.
+        The evidence of vehicles, empty if the caller excludes them, and the evidence of the other rulers.
     """
     kinds = {each.kind for each in known}
     rulers = [ruler for ruler in _of_images(view) if ruler.kind not in kinds]
@@ -81,13 +81,13 @@ def _of_images(view: View) -> list[Ruler]:
 
 
 def _measured(ruler: Ruler, view: View) -> Evidence:
-    """Evidence of a ruler; none on a tilted view if the ruler measures at nadir only."""
+    """Measure with one ruler; a ruler for nadir images gives no evidence in a tilted view."""
     if view.plane is None or ruler.uses_plane:
         return ruler.measure(view)
     if ruler.measure(view.at_nadir()).gsd_m_per_px is None:
         return no_evidence(ruler.kind)
     message = (
         f"The camera was tilted by {view.plane.tilt_deg:.0f} degrees: the ruler {ruler.label} is left out, because it "
-        "measures nadir images only."
+        "only measures nadir images."
     )
     return no_evidence(ruler.kind, Notice(code=NoticeCode.RULER_NEEDS_NADIR, message=message))

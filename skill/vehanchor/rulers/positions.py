@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 _EARTH_M = 6_371_009.0
 _LEAST = 2
-_POSITION_SD_M = 2.0  # of a small receiver, against its neighbour's moment
-_AIM_SHARE = 0.05  # of the picture's width: a camera three degrees off looks that far beside itself
+_POSITION_SD_M = 2.0  # of a small receiver, relative to the neighbouring photograph
+_AIM_SHARE = 0.05  # of the picture's width: offset of the centre by a tilt of three degrees
 _FLOOR_LOG_SD = 0.02  # relief, lens
-_LEAST_AGREEMENT = 0.9  # of the two constellations: below, they are not the same
+_LEAST_AGREEMENT = 0.9  # of layout and positions; below, they do not match
 _CHANCE_WRONG = 0.05
 _REACH, _STEPS = 3.0, 10
 
@@ -42,12 +42,12 @@ class Positions(Ruler):
     of_flights = True
 
     def measure(self, view: View) -> Evidence:  # noqa: ARG002
-        """Give no evidence: one image has no distance."""
+        """Give no evidence: a single image has no baseline."""
         return no_evidence(self.kind)
 
 
 class Baseline(NamedTuple):
-    """Scale of a constellation of photographs.
+    """Scale from the positions of photographs.
 
     Attributes:
         gsd_m_per_px: metres per pixel.
@@ -61,7 +61,7 @@ class Baseline(NamedTuple):
 
 
 def places_of(images: Sequence[ImageFacts]) -> NDArray[np.float64] | None:
-    """Read where photographs were taken.
+    """Read the positions of photographs.
 
     Args:
         images: their facts.
@@ -90,10 +90,10 @@ def baseline(layout: NDArray[np.complex128], places: NDArray[np.float64], width_
     Args:
         layout: ``[m]`` centres in pixels, y down (see ``vehanchor.flight.layout``).
         places: ``[m, 2]`` metres east and north, NaN for unknown ones.
-        width_px: of a photograph, in these pixels.
+        width_px: width of a photograph, in these pixels.
 
     Returns:
-        The scale; None for fewer than two places, or if the two constellations differ.
+        The scale; None for fewer than two positions, or if layout and positions differ.
     """
     known = np.isfinite(places).all(axis=1)
     seen, taken = layout[known], places[known, 0] - 1j * places[known, 1]
@@ -107,8 +107,8 @@ def baseline(layout: NDArray[np.complex128], places: NDArray[np.float64], width_
         if spread_px <= 0 or spread_m <= 0:
             return None
         product = complex(weight @ (np.conj(in_px) * in_m))
-        agreement = abs(product) / math.sqrt(spread_px * spread_m)
-        gsd = math.sqrt(spread_m / spread_px)  # neither of the two is exact: the line in the middle
+        agreement = min(1.0, abs(product) / math.sqrt(spread_px * spread_m))  # rounding can exceed 1
+        gsd = math.sqrt(spread_m / spread_px)  # both have errors: geometric mean of the two regressions
         off = np.abs(in_m - gsd * (product / max(abs(product), 1e-12)) * in_px)
         typical = max(
             float(np.median(off)) / 0.8326, 1e-6
@@ -124,8 +124,8 @@ def baseline(layout: NDArray[np.complex128], places: NDArray[np.float64], width_
 
 
 def positions_evidence(found: Baseline | None) -> tuple[Evidence, ...]:
-    """Evidence of a baseline; nothing for none."""
+    """Make the evidence of a baseline; empty without one."""
     if found is None or not on_grid(found.gsd_m_per_px):
         return ()
-    said = f"The positions of {found.n} overlapping photographs say {{}}."
+    said = f"The positions of {found.n} overlapping photographs give {{}}."
     return (lognormal_evidence(Positions.kind, found.gsd_m_per_px, found.log_sd, _CHANCE_WRONG, said, n=found.n),)

@@ -1,4 +1,4 @@
-"""The reference length ``L_ref``: metres that the modal vehicle length stands for, and where they are from."""
+"""The reference length ``L_ref``: the modal vehicle length in metres, and its source."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ if TYPE_CHECKING:
     from vehanchor.options import Reference
     from vehanchor.records import ReferenceSource
 
-_LEFT_IN_REGION = 0.85  # with it 95 of 100 intervals hold the truth on the held-out tenth of train; 86 with a half
+_LEFT_IN_REGION = 0.85  # 95 of 100 intervals hold the truth on the held-out tenth of train; 86 with 0.5
 
 
 class ReferenceLength(NamedTuple):
-    """``L_ref`` of one image.
+    """Reference length of one image.
 
     Attributes:
         length_m: metres.
-        sd_m: its standard deviation between the places that it serves, metres.
-        source: where it is from.
+        sd_m: its standard deviation between places, metres.
+        source: source of the length.
     """
 
     length_m: float
@@ -29,16 +29,16 @@ class ReferenceLength(NamedTuple):
     source: ReferenceSource
 
 
-def reference_length(card: DetectorCard, given: Reference, look: FleetAppearance | None) -> ReferenceLength:
-    """Choose the caller's reference length, else what the look of the vehicles says of their fleet, else the model's.
+def reference_length(card: DetectorCard, given: Reference, appearance: FleetAppearance | None) -> ReferenceLength:
+    """Choose the caller's reference length, else the fleet's by appearance, else the model's.
 
-    A caller who names the length has settled most of what differs between regions: half of it remains. One who names
-    the region has settled less, for a city is not its region.
+    A length from the caller removes half of the spread between regions. A region removes less, because a city differs
+    from its region.
 
     Args:
         card: of the model that found the vehicles.
-        given: what the caller knows.
-        look: what the vehicles look like; None without any.
+        given: source chosen by the caller.
+        appearance: appearance of the vehicles; None if unknown.
 
     Returns:
         The length, its spread and its source.
@@ -62,7 +62,7 @@ def reference_length(card: DetectorCard, given: Reference, look: FleetAppearance
         return ReferenceLength(
             card.region_lengths_m[given.region], _LEFT_IN_REGION * card.reference_length_sd_m, "region"
         )
-    if card.fleet_lengths is not None and look is not None:
+    if card.fleet_lengths is not None and appearance is not None:
         fleets = card.fleet_lengths
-        return ReferenceLength(fleets.reference_length(look.log_lengths), fleets.sd_m, "appearance")
+        return ReferenceLength(fleets.reference_length(appearance.log_lengths), fleets.sd_m, "appearance")
     return ReferenceLength(card.reference_length_m, card.reference_length_sd_m, "model")

@@ -1,4 +1,4 @@
-"""All rulers, one line each; every list of rulers in the library, the server and the page derives from here."""
+"""Registry of rulers, one line each; all lists of rulers in library, server and page derive from it."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ RULERS: dict[str, str] = {
     "courts": "vehanchor.rulers.courts:Courts",
     "positions": "vehanchor.rulers.positions:Positions",
 }
-"""Class of each ruler by its kind, as ``module:Class``; loaded when it is first used."""
+"""Class of each ruler by its kind, as ``module:Class``; imported on first use."""
 
 
 def ruler_kinds() -> tuple[str, ...]:
-    """Kinds of all rulers."""
+    """List the kinds of all rulers."""
     return tuple(RULERS)
 
 
 def ruler_class(kind: str) -> type[Ruler]:
-    """Class of a ruler.
+    """Import the class of a ruler.
 
     Raises:
-        KeyError: there is no such ruler.
+        KeyError: the ruler does not exist.
     """
     module, _, name = RULERS[kind].partition(":")
     found: type[Ruler] = getattr(import_module(module), name)
@@ -41,10 +41,10 @@ def ruler_class(kind: str) -> type[Ruler]:
 
 
 def check_rulers(options: Rulers) -> None:
-    """Refuse names of rulers that do not exist.
+    """Check that all named rulers exist.
 
     Raises:
-        InvalidParameterError: there is no such ruler.
+        InvalidParameterError: a ruler does not exist.
     """
     unknown = [name for name in options.rulers or () if name not in RULERS]
     if unknown:
@@ -52,7 +52,7 @@ def check_rulers(options: Rulers) -> None:
 
 
 def active_rulers(options: Rulers) -> tuple[Ruler, ...]:
-    """Rulers that the caller allows, in the order of the registry.
+    """List the rulers that the caller allows, in the order of the registry.
 
     Raises:
         InvalidParameterError: as ``check_rulers``.
@@ -63,15 +63,15 @@ def active_rulers(options: Rulers) -> tuple[Ruler, ...]:
 
 
 def uses(options: Rulers, kind: str) -> bool:
-    """Whether the caller allows a ruler."""
+    """Tell whether the caller allows a ruler."""
     return any(ruler.kind == kind for ruler in active_rulers(options))
 
 
 def needs_search(options: Rulers) -> bool:
-    """Whether the detector has to run."""
+    """Tell whether the detector must run."""
     return any(ruler.needs_search for ruler in active_rulers(options))
 
 
 def rulers_help() -> str:
-    """Help of the option that chooses rulers."""
+    """Make the help of the option ``rulers``."""
     return f"Rulers to use, with commas: {', '.join(RULERS)}. Default: all."

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.rulers.evidence import Evidence, View
@@ -13,9 +14,9 @@ if TYPE_CHECKING:
 
 
 class Ruler:
-    """One way to measure the scale of an image.
+    """Method to measure the scale of an image.
 
-    Subclasses declare what the rest of the library has to know of them, and define ``measure``.
+    Subclasses define ``measure``, and declare these attributes for the rest of the library.
 
     Attributes:
         kind: name in options and records.
@@ -25,12 +26,13 @@ class Ruler:
         colour: of its curve in plots, ``#rrggbb``.
         pooling_gain: n photographs of a flight count as n to this power: 0 if all have the same error, 1 if their
             errors are independent.
-        needs_search: it measures detections, so that the detector has to run.
+        needs_search: it measures detections, so that the detector must run.
         reads_metadata: it is left out if the caller forbids metadata.
-        uses_plane: it measures on ``View.plane``. If False, it gives no evidence on a tilted view.
-        independent_of_vehicles: it never looks at vehicles, so that its evidence may tell cars from parts of cars.
-        sets_scale: it can set the scale by itself. If False it is a prior: it only weighs what others say.
-        of_flights: it measures photographs of a flight together and never one image alone.
+        uses_plane: it measures on ``View.plane``. If False, it gives no evidence in a tilted view.
+        independent_of_vehicles: it does not use vehicles, so that its evidence can distinguish cars from parts of cars.
+        sets_scale: it can set the scale by itself. If False, it is a prior, which only weighs other rulers.
+        of_flights: it measures the photographs of a flight together, never a single image.
+        stored_classes: classes of its evidence by their names in journals; a name never changes.
     """
 
     kind: ClassVar[str]
@@ -45,26 +47,27 @@ class Ruler:
     independent_of_vehicles: ClassVar[bool] = False
     sets_scale: ClassVar[bool] = True
     of_flights: ClassVar[bool] = False
+    stored_classes: ClassVar[Mapping[str, type[Evidence]]] = MappingProxyType({})
 
     def find(self, view: View) -> tuple[Any, ...]:  # noqa: ARG002
-        """Find things in the image once, before the tilt is estimated; ``measure`` gets them in ``View.found``.
+        """Find objects in the image once, before the tilt is estimated; ``measure`` gets them in ``View.found``.
 
         Args:
-            view: of the image; its tilt is that of the metadata.
+            view: of the image, with the tilt from metadata.
         """
         return ()
 
     def tilt_cues(self, found: tuple[Any, ...], image: ImageFacts) -> Sequence[TiltCue]:  # noqa: ARG002
-        """Make tilt cues of what ``find`` returned.
+        """Make tilt cues from the results of ``find``.
 
         Args:
-            found: by ``find``.
+            found: results of ``find``.
             image: facts of the image.
         """
         return ()
 
     def measure(self, view: View) -> Evidence:
-        """Measure the scale; in a tilted view that of the image's centre.
+        """Measure the scale; in a tilted view, the scale of the image's centre.
 
         Args:
             view: of the image.
@@ -76,5 +79,5 @@ class Ruler:
 
     @classmethod
     def says(cls) -> str:
-        """Beginning of a sentence, as "the courts say"."""
+        """Begin a sentence, as "the courts say"."""
         return f"the {cls.label} {'say' if cls.plural else 'says'}"

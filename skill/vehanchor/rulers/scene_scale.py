@@ -16,19 +16,19 @@ if TYPE_CHECKING:
 
 
 class SceneScale(Ruler):
-    """The prior that every image taken at nadir has."""
+    """Prior for every image taken at nadir."""
 
     kind = "scene_scale"
     label = "scene-scale prior"
     help = "nothing; it is a prior and never sets the scale"
     colour = "#999999"
     pooling_gain = 0.5  # benchmarks/flights.py, train split
-    uses_plane = True  # it gives no evidence there: its network has seen no tilted views
+    uses_plane = True  # it gives no evidence in tilted views, which its training data lack
     independent_of_vehicles = True
     sets_scale = False
 
     def measure(self, view: View) -> Evidence:
-        """Take the median of the prior; no evidence without a prior, and in a tilted view."""
+        """Take the median of the prior; without a prior or in a tilted view, give no evidence."""
         if view.prior is None or view.plane is not None:
             return Evidence(self.kind, None, None, 0, 0.0, ())
         density = view.prior.density

@@ -1,4 +1,4 @@
-"""Vehicles as a ruler: select the fleet among the detections, take its modal length, its scale and its confidence."""
+"""Vehicles as a ruler: fleet among the detections, modal length, scale and confidence."""
 
 from __future__ import annotations
 
@@ -34,31 +34,31 @@ if TYPE_CHECKING:
     from vehanchor.scale.defaults import Aggregation
     from vehanchor.scale.lengths import Interval
 
-_LEAST_SCORE = 1e-3  # below it a detection is no evidence, but still one
+_LEAST_SCORE = 1e-3  # floor of the scores, so that a detection counts
 _MODE_REACH, _MODE_SHARE = 0.25, 0.3  # of log scale, and of the density
 _DOUBTS: dict[NoticeCode, str] = {
-    NoticeCode.LENGTHS_DISAGREE: "Vehicles of two sizes were found, and the evidence for the other size is not much "
-    "weaker than for the one that was used. One of them is not cars: the scale may be off by the ratio of the sizes.",
-    NoticeCode.LENGTHS_ALIKE: "The vehicles are all of one length, as no fleet of cars is: they may be equal lorries, "
-    "containers or roof units, and the scale off by the ratio of their length to a car's.",
-    NoticeCode.SCORES_UNCLEAR: "None of the vehicles is clearly a car: they may be things of similar shape at another "
+    NoticeCode.LENGTHS_DISAGREE: "Vehicles of two sizes were found, with nearly equal evidence. One group is not cars: "
+    "the scale may be wrong by the ratio of the sizes.",
+    NoticeCode.LENGTHS_ALIKE: "The vehicles have nearly equal lengths, unlike cars: they may be equal lorries, "
+    "containers or roof units, and the scale wrong by the ratio of their length to a car's.",
+    NoticeCode.SCORES_UNCLEAR: "None of the vehicles is clearly a car: they may be objects of similar shape at another "
     "scale.",
-    NoticeCode.LOOKS_ALIKE: "The vehicles look more alike than cars of different makes and paint do: they may be equal "
-    "caravans, lorries or containers, and the scale off by the ratio of their length to a car's.",
-    NoticeCode.LOOKS_UNLIKE_CARS: "The vehicles look like no fleet of cars that is known: they may be boats or other "
-    "things of a car's shape, and the scale off by the ratio of their length to a car's.",
+    NoticeCode.LOOKS_ALIKE: "The vehicles look more alike than cars of different makes and colours: they may be equal "
+    "caravans, lorries or containers, and the scale wrong by the ratio of their length to a car's.",
+    NoticeCode.LOOKS_UNLIKE_CARS: "The vehicles look unlike all known fleets of cars: they may be boats or other "
+    "objects of a car's shape, and the scale wrong by the ratio of their length to a car's.",
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Fleet:
-    """The vehicles that the scale is taken from.
+    """Vehicles behind the scale.
 
     Attributes:
-        detections: all that was found.
-        kept: ``[n]`` bool, which of its vehicles they are.
-        rival_share: evidence of the strongest group of other lengths over that of this one; 0 without any.
-        working_scale: the scale of the image at which most of them were found, by score; None for no vehicles.
+        detections: all detections.
+        kept: ``[n]`` bool, the detections of the fleet.
+        rival_share: evidence of the strongest group of other lengths over the fleet's; 0 without any.
+        working_scale: scale of the image copy with most of the fleet, by score; None without vehicles.
     """
 
     detections: Detections
@@ -68,12 +68,12 @@ class Fleet:
 
     @property
     def centres(self) -> NDArray[np.float64]:
-        """``[m, 2]`` x, y in pixels of the image."""
+        """``[m, 2]`` centres x, y in pixels of the image."""
         return np.asarray(self.detections.boxes[self.kept, :2])
 
     @property
     def lengths(self) -> NDArray[np.float64]:
-        """``[m]`` pixels of the image."""
+        """``[m]`` lengths in pixels of the image."""
         return np.asarray(self.detections.boxes[self.kept, 2])
 
     @property
@@ -82,24 +82,24 @@ class Fleet:
         return np.asarray(self.detections.scores[self.kept])
 
     @property
-    def look(self) -> FleetAppearance | None:
-        """What the look of those tells that were looked at; None without any."""
-        look = self.detections.fleet
-        if look is None or not self.kept[: len(look.log_odds)].any():
+    def appearance(self) -> FleetAppearance | None:
+        """Appearance of the embedded vehicles; None without any."""
+        fleet = self.detections.fleet
+        if fleet is None or not self.kept[: len(fleet.log_odds)].any():
             return None
-        return look.take(self.kept[: len(look.log_odds)])
+        return fleet.take(self.kept[: len(fleet.log_odds)])
 
 
 def select(detections: Detections, lengths: Lengths, expected: NDArray[np.float64] | None = None) -> Fleet:
-    """Select the fleet: the outlier filter; after a search over scales, within lengths that can belong to one fleet.
+    """Select the fleet with the outlier filter and, after a search over scales, by lengths that fit one fleet.
 
     Args:
         detections: vehicles in pixels of the image.
-        lengths: the filter's factor.
-        expected: ``[g]`` density of the scale that tells which group can be cars; None without any.
+        lengths: options with the filter's factor.
+        expected: ``[g]`` density of the scale to identify cars; None without any.
 
     Returns:
-        The fleet, empty where nothing was found.
+        The fleet, empty if nothing was found.
     """
     found = detections.boxes[:, 2]
     if detections.scales is None or len(found) == 0:
@@ -113,14 +113,14 @@ def select(detections: Detections, lengths: Lengths, expected: NDArray[np.float6
 
 
 def _expected_weights(lengths_px: NDArray[np.float64], density: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    """How likely each box is as long as a car by a density of the scale; 1 without one."""
+    """Weigh each box by its likelihood to be as long as a car, given a density of the scale; 1 without one."""
     if density is None:
         return np.ones(len(lengths_px))
     return np.asarray(np.interp(np.log(CAR_LENGTH_M / lengths_px), GRID, density / density.max()))
 
 
 def _working_scale(detections: Detections, kept: NDArray[np.bool_]) -> float | None:
-    """The scale at which most of the kept vehicles were found, by score; the finer of two equal ones."""
+    """Find the scale with most of the kept vehicles, by score; the finer of equals."""
     if not kept.any():
         return None
     if detections.scales is None:
@@ -131,19 +131,19 @@ def _working_scale(detections: Detections, kept: NDArray[np.bool_]) -> float | N
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class VehicleEvidence(Evidence):
-    """The paper's skill: the evidence of vehicles with all that it was concluded from.
+    """Evidence of vehicles, the paper's skill, with its intermediate results.
 
     Attributes:
         fleet: the vehicles.
-        reference: ``L_ref`` and where it is from.
-        mode_length_px: ``P_mode``; None for no vehicles.
-        aggregation: how lengths became one.
+        reference: ``L_ref`` and its source.
+        mode_length_px: ``P_mode``; None without vehicles.
+        aggregation: statistic of the lengths.
         terms: of the confidence.
         guard_length_px: ``P_thresh`` of the resolution guard.
-        guarded: whether the guard holds.
+        guarded: whether the guard caps the confidence.
         resolved: share of the pixels' resolution at which there is detail.
         sharpness: of the detector's votes, see ``vehanchor.scale.fusion.recalibrated``.
-        uncapped: whether the confidence stands as the paper has it, whatever the interval.
+        uncapped: whether the confidence is the paper's, for any interval.
     """
 
     fleet: Fleet
@@ -161,8 +161,8 @@ class VehicleEvidence(Evidence):
     def fusable_density(self) -> NDArray[np.float64] | None:
         """Vehicle density centred on the paper's GSD; lognormal if the votes are uncalibrated.
 
-        The confidence is the density's weight over an outlier floor if the votes are uncalibrated, if the guard holds,
-        and if the vehicles may not be cars: other rulers can then outvote any number of vehicles.
+        If the votes are uncalibrated, the guard caps the confidence, or the vehicles may not be cars, the confidence is
+        the density's weight over an outlier floor. Other rulers can then outvote any number of vehicles.
         """
         if self.gsd_m_per_px is None or self.interval is None:
             return None
@@ -196,12 +196,12 @@ class Vehicles(Ruler):
         card, plane = view.card, view.plane
         detections = view.detections if plane is None else rectified(view.detections, plane)
         fleet = select(detections, view.options.lengths, _expected(view))
-        reference = reference_length(card, view.options.reference, fleet.look)
+        reference = reference_length(card, view.options.reference, fleet.appearance)
         mode_px, aggregation, gsd, interval = _scale(fleet, card, view.options, reference)
         guard_px = guard_length(reference.length_m, card.min_length_px)
         resolved = view.resolved_share(fleet.centres, fleet.working_scale or 1.0)
-        seen_px = (mode_px or math.nan) * (fleet.working_scale or 1.0)  # as the model saw them
-        exact = view.options.method.preset == "paper"  # nothing that the paper does not have
+        seen_px = (mode_px or math.nan) * (fleet.working_scale or 1.0)  # in pixels of the copy that the model saw
+        exact = view.options.method.preset == "paper"  # only what the paper has
         unresolved = not exact and seen_px >= guard_px > seen_px * resolved
         guarded = seen_px < guard_px or unresolved
         doubts = _doubts(fleet, card)
@@ -236,17 +236,17 @@ class Vehicles(Ruler):
         )
 
     def not_measured(self, view: View) -> VehicleEvidence:
-        """Evidence for a caller who leaves vehicles out: none were looked for."""
+        """Make the evidence without vehicles, for a caller who excludes them."""
         return self.measure(replace(view, detections=NOT_SEARCHED, tilt=None))
 
 
 def _expected(view: View) -> NDArray[np.float64] | None:
-    """Density of the scale that tells cars from other things: the prior; in a tilted view that of other rulers."""
+    """Choose the density of the scale that identifies cars: the prior, or in a tilted view that of other rulers."""
     return view.expected if view.prior is None or view.plane is not None else view.prior.density
 
 
 def _recentred(density: NDArray[np.float64], gsd_m_per_px: float) -> NDArray[np.float64]:
-    """Move a density so that the mode around a scale has its median there; unchanged if there is no such mode."""
+    """Shift a density so that its mode around a scale has its median there; unchanged without such a mode."""
     near = np.where(np.abs(GRID - math.log(gsd_m_per_px)) <= _MODE_REACH, density, 0.0)
     if near.sum() < _MODE_SHARE:
         return density
@@ -258,7 +258,7 @@ def _recentred(density: NDArray[np.float64], gsd_m_per_px: float) -> NDArray[np.
 def _scale(
     fleet: Fleet, card: DetectorCard, options: ScaleOptions, reference: ReferenceLength
 ) -> tuple[float | None, Aggregation, float | None, Interval | None]:
-    """``P_mode``, its aggregation, the GSD and its interval; None without vehicles."""
+    """Compute ``P_mode``, its aggregation, the GSD and its interval; None without vehicles."""
     aggregation = options.lengths.aggregation or card.aggregation
     if not len(fleet.lengths):
         return None, aggregation, None, None
@@ -269,14 +269,14 @@ def _scale(
 
 
 def _density(detections: Detections, card: DetectorCard, reference: ReferenceLength) -> NDArray[np.float64] | None:
-    """Density of all boxes, those of other groups included; None if the votes are uncalibrated."""
+    """Compute the density of all boxes, other groups included; None if the votes are uncalibrated."""
     if card.votes is None:
         return None
     return vehicle_density(detections.boxes[:, 2], detections.scores, reference.length_m, reference.sd_m, card.votes)
 
 
 def _doubts(fleet: Fleet, card: DetectorCard) -> list[Notice]:
-    """Doubts that they are cars, after a search over scales: it accepts things of any size."""
+    """List doubts that the vehicles are cars, after a search over scales, which accepts objects of any size."""
     if fleet.detections.scales is None:
         return []
     doubts = fleet_doubts(
@@ -284,7 +284,7 @@ def _doubts(fleet: Fleet, card: DetectorCard) -> list[Notice]:
         fleet.scores,
         rival_share=fleet.rival_share,
         clear_score=card.clear_score,
-        fleet_log_odds=None if fleet.look is None else fleet.look.log_odds,
+        fleet_log_odds=None if fleet.appearance is None else fleet.appearance.log_odds,
     )
     return [Notice(code=doubt, message=_DOUBTS[doubt]) for doubt in doubts]
 
@@ -304,7 +304,7 @@ def _capped(detections: Detections) -> list[Notice]:
 def _detail_missing(seen_px: float, resolved: float, guard_px: float) -> Notice:
     return Notice(
         code=NoticeCode.DETAIL_MISSING,
-        message=f"The image has no detail finer than {1 / resolved:.2g} px, as after enlarging or blur: the "
-        f"vehicles' {seen_px:.1f} px hold no more than {seen_px * resolved:.1f} px would, and "
-        f"{guard_px:.1f} px are needed. Give the original image.",
+        message=f"The image has no detail finer than {1 / resolved:.2g} px, as after enlarging or blur: vehicles of "
+        f"{seen_px:.1f} px have the detail of {seen_px * resolved:.1f} px, and {guard_px:.1f} px are needed. Give the "
+        "original image.",
     )

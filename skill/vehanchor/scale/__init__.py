@@ -1,1 +1,1 @@
-"""From lengths in pixels to metres per pixel, its interval and its confidence."""
+"""Mathematics of the scale: lengths in pixels to metres per pixel, intervals and confidence."""

@@ -1,7 +1,7 @@
-"""The reference length of a region's own fleet, ``L_ref``: measured on images of known scale, kept in a small file.
+"""Fleet calibration: the reference length ``L_ref`` of a region's fleet, measured on images of known scale.
 
-The paper's calibration (section III-F): ``L_i = P_i * GSD_i`` over every vehicle, then the KDE mode of ``{L_i}``. The
-lengths ``P_i`` come from labels, or from a detector's own boxes where nobody has labelled anything.
+The paper's calibration (section III-F) computes ``L_i = P_i * GSD_i`` for every vehicle, and the KDE mode of ``{L_i}``.
+The lengths ``P_i`` come from labels or from a detector's boxes.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ from vehanchor.scale.lengths import (
     scott_bandwidth,
     vehicle_weights,
 )
-from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,9 +37,9 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 MIN_VEHICLES = 100
-"""Fewer are refused: lengths of one fleet spread by about 9 %, so the mode of 100 cars is known to 3 % (95 %)."""
+"""Least number of vehicles. Lengths of one fleet spread by about 9 %: the mode of 100 cars is known to 3 % (95 %)."""
 
-_BLOCK_M = 50.0  # cars within it (a car park, a street) are alike, so they are resampled together
+_BLOCK_M = 50.0  # cars in one block (a car park, a street) are similar, so they are resampled together
 _MIN_BLOCKS = 10  # with fewer, single vehicles are resampled
 _REPLICATES = 400
 _SEED = 20260
@@ -53,7 +52,7 @@ _VehicleLength = Annotated[float, Field(ge=LEAST_VEHICLE_M, le=LARGEST_VEHICLE_M
 
 
 class Calibration(BaseModel):
-    """A reference length, where it comes from and which detector it is for."""
+    """Reference length with its source and its detector."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -91,7 +90,7 @@ class Calibration(BaseModel):
         return self
 
     def check_detector(self, name: str, sha256: str) -> None:
-        """Refuse a detector that this calibration was not made for: it draws its boxes in another way.
+        """Refuse another detector than the calibration's: its boxes differ.
 
         Raises:
             CalibrationMismatchError: the checksums differ.
@@ -104,14 +103,13 @@ class Calibration(BaseModel):
 
 
 class SurveyedImage(NamedTuple):
-    """The vehicles of one image of known scale.
+    """Vehicles of an image of known scale.
 
     Attributes:
         boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)`` in pixels and radians.
-        gsd_m_per_px: the image's true ground sampling distance.
-        scores: ``[n]`` 0..1, of a detector whose estimates weigh its boxes (``weighted_kde``); None where each counts
-            alike, as labels do.
-        gsd_log_sd: standard deviation of the log of that scale; 0 for one that is taken to be exact.
+        gsd_m_per_px: true ground sampling distance of the image.
+        scores: ``[n]`` 0..1, scores of a detector with ``weighted_kde``; None for equal weights, as for labels.
+        gsd_log_sd: standard deviation of the log of that scale; 0 if the scale is exact.
     """
 
     boxes: NDArray[np.float64]
@@ -121,7 +119,7 @@ class SurveyedImage(NamedTuple):
 
 
 class ModalLength(NamedTuple):
-    """A modal vehicle length and how well it is known, metres.
+    """Modal vehicle length with its uncertainty, metres.
 
     Attributes:
         mode_m: KDE mode of the lengths, ``L_ref``.
@@ -137,13 +135,13 @@ class ModalLength(NamedTuple):
 
 
 def modal_length_m(images: Sequence[SurveyedImage]) -> ModalLength:
-    """KDE mode of ``L_i = P_i * GSD_i`` (paper, section III-F), with a bootstrap interval from a fixed seed.
+    """Compute the KDE mode of ``L_i = P_i * GSD_i`` (paper, section III-F) with a bootstrap interval from a fixed seed.
 
-    What is resampled are squares of 50 m on the ground with all cars in them, since neighbours are alike; single
-    vehicles where there are fewer than ten squares.
+    The bootstrap resamples squares of 50 m on the ground with all their cars, because neighbouring cars are similar.
+    With fewer than ten squares it resamples single vehicles.
 
     Args:
-        images: with at least one vehicle in all.
+        images: images with at least one vehicle in total.
 
     Returns:
         The mode, its 95 % interval and its standard deviation, metres.
@@ -161,7 +159,7 @@ def modal_length_m(images: Sequence[SurveyedImage]) -> ModalLength:
 
 
 def length_density(images: Sequence[SurveyedImage], at: ArrayLike) -> NDArray[np.float64]:
-    """The density that ``modal_length_m`` takes the mode of.
+    """Compute the density whose mode is ``modal_length_m``.
 
     Args:
         images: vehicles and true scales, at least two lengths among them.
@@ -180,7 +178,7 @@ def _metres(images: Sequence[SurveyedImage]) -> NDArray[np.float64]:
 
 
 def _weights(images: Sequence[SurveyedImage], lengths: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """What each vehicle counts for, and the factor on the bandwidth: as in the estimates this is to serve."""
+    """Choose each vehicle's weight and the factor on the bandwidth, as in estimates with this calibration."""
     scores = [image.scores for image in images if image.scores is not None]
     if len(scores) < len(images):
         return np.ones(len(lengths)), 1.0
@@ -188,7 +186,7 @@ def _weights(images: Sequence[SurveyedImage], lengths: NDArray[np.float64]) -> t
 
 
 def _blocks(images: Sequence[SurveyedImage]) -> NDArray[np.intp]:
-    """``[n]`` number of the square that each vehicle stands in, all images' squares counted on."""
+    """Number the squares of all images, and return each vehicle's number ``[n]``."""
     places = np.concatenate(
         [
             np.column_stack([np.full(len(image.boxes), index), image.boxes[:, :2] * image.gsd_m_per_px // _BLOCK_M])
@@ -202,7 +200,7 @@ def _blocks(images: Sequence[SurveyedImage]) -> NDArray[np.intp]:
 def _resampled_modes(
     metres: NDArray[np.float64], weights: NDArray[np.float64], smoothing: float, block: NDArray[np.intp]
 ) -> NDArray[np.float64]:
-    """Modes of resampled blocks; lengths are binned, so the cost does not grow with the vehicles."""
+    """Compute the modes of resampled blocks; lengths are binned, so that the cost is independent of their number."""
     from scipy.ndimage import gaussian_filter1d
     from scipy.sparse import coo_array
 
@@ -222,7 +220,7 @@ def _resampled_modes(
 
 
 def _with_vehicles(images: Sequence[SurveyedImage], source: str) -> list[SurveyedImage]:
-    """The images with a vehicle, where there are vehicles enough."""
+    """Select the images with vehicles; refuse too few vehicles."""
     with_vehicles = [image for image in images if len(image.boxes)]
     n_vehicles = sum(len(image.boxes) for image in with_vehicles)
     if n_vehicles < MIN_VEHICLES:
@@ -235,7 +233,7 @@ def _with_vehicles(images: Sequence[SurveyedImage], source: str) -> list[Surveye
 
 
 def _check_lengths(mode_m: float, spread_m: float) -> None:
-    """Refuse lengths that no fleet has."""
+    """Refuse implausible fleet lengths."""
     if not LEAST_VEHICLE_M <= mode_m <= LARGEST_VEHICLE_M or spread_m > mode_m:
         raise CalibrationRefusedError(
             f"the vehicles are {mode_m:.3g} m long (sd {spread_m:.3g} m), as no fleet is: {LEAST_VEHICLE_M:g} "
@@ -254,23 +252,23 @@ def calibrate(
 ) -> Calibration:
     """Measure a fleet's reference length.
 
-    What the images' scales may be off by counts in full, however many there are: photographs of one flight share their
-    take-off and their lens.
+    The scale errors of the images are treated as fully correlated: photographs of one flight share their take-off
+    height and their lens.
 
     Args:
         images: vehicles and true scales.
-        source: whose boxes they are.
-        region_sd_m: standard deviation of reference lengths between regions, metres; half of it remains in one.
+        source: origin of the boxes.
+        region_sd_m: standard deviation of reference lengths between regions, metres; half of it remains within one.
         min_length_px: shortest vehicle that the detector measures without bias; 0 for labels.
-        detector: name of the detector that the calibration is for; None for any.
-        detector_sha256: checksum of its file.
+        detector: name of the calibration's detector; None for any.
+        detector_sha256: checksum of the detector's file.
 
     Returns:
-        The record, to be kept with ``save_calibration`` or used as ``ScaleOptions(calibration=...)``.
+        The calibration, for ``ScaleOptions(calibration=...)``.
 
     Raises:
-        CalibrationRefusedError: fewer than 100 vehicles; or lengths that no vehicles have; or imagery so coarse that
-            their modal length is below the resolution guard (paper, equation 6), where lengths come out too short.
+        CalibrationRefusedError: there are fewer than 100 vehicles, the lengths are implausible, or the modal length is
+            below the resolution guard (paper, equation 6), where measured lengths are too short.
     """
     with_vehicles = _with_vehicles(images, source)
     length = modal_length_m(with_vehicles)
@@ -306,12 +304,12 @@ def calibrate(
 
 
 def _truth_log_sd(images: Sequence[SurveyedImage]) -> float:
-    """What the scale of the median vehicle may be off by."""
+    """Compute the median, over the vehicles, of the log standard deviation of their image's scale."""
     return float(np.median(np.repeat([i.gsd_log_sd for i in images], [len(i.boxes) for i in images])))
 
 
 def _widened(length: ModalLength, log_sd: float) -> tuple[float, float]:
-    """The interval's ends, moved away from the mode by an independent doubt."""
+    """Widen the interval by an independent error."""
     if log_sd == 0:
         return length.low_m, length.high_m
     down, up = math.log(length.mode_m / length.low_m), math.log(length.high_m / length.mode_m)
@@ -320,7 +318,7 @@ def _widened(length: ModalLength, log_sd: float) -> tuple[float, float]:
 
 
 def load_calibration(path: str | os.PathLike[str]) -> Calibration:
-    """Read what ``save_calibration`` (``vehanchor calibrate --out``) wrote.
+    """Read a calibration file of ``vehanchor calibrate --out``.
 
     Raises:
         CalibrationFileError: there is no such file, or it is not a calibration; the message names the field.
@@ -342,24 +340,14 @@ def load_calibration(path: str | os.PathLike[str]) -> Calibration:
 
 
 def as_calibration(calibration: Calibration | str | os.PathLike[str] | None) -> Calibration | None:
-    """A calibration given as such or as the path of its file; see ``load_calibration``.
+    """Resolve a calibration from an object or from the path of its file; see ``load_calibration``.
 
     Raises:
-        CalibrationFileError: the file is no calibration.
-        InvalidParameterError: it is neither.
+        CalibrationFileError: the file is not a calibration.
+        InvalidParameterError: the argument is neither a calibration nor a path.
     """
     if isinstance(calibration, (str, os.PathLike)):
         return load_calibration(calibration)
     if calibration is not None and not isinstance(calibration, Calibration):
         raise InvalidParameterError(f"calibration is a {type(calibration).__name__}: give a Calibration or a path")
     return calibration
-
-
-def save_calibration(path: str | os.PathLike[str], calibration: Calibration) -> None:
-    """Write a calibration as JSON.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
-    with whole_file(Path(path)) as partial:
-        partial.write_text(calibration.model_dump_json(indent=2) + "\n", encoding="utf-8")

@@ -1,8 +1,7 @@
-"""Densities over the log of the ground sampling distance: what rulers say, multiplied into one posterior.
+"""Densities over the log of the ground sampling distance, and their product, the posterior of all rulers.
 
-All densities lie on one grid (``GRID``: steps of half a per cent from 3 mm to 3 m a pixel) and are kept as
-probabilities of its cells. A ruler that may be wrong altogether is mixed with a flat floor before it is multiplied, so
-that one liar cannot veto the others.
+All densities are cell probabilities on one grid (``GRID``: steps of 0.5 % from 3 mm to 3 m per pixel). The density of a
+ruler that may be an outlier is mixed with a flat floor before the product, so that no single ruler can veto the others.
 """
 
 from __future__ import annotations
@@ -17,28 +16,28 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 LOG_STEP = 0.005
-TOLERANCE = 0.2  # relative error up to which a planner can use a scale
-USABLE_CHANCE = 0.9  # of an error below it: with less a scale is not to be used
+TOLERANCE = 0.2  # largest relative error with which a planner can use a scale
+USABLE_CHANCE = 0.9  # least probability of an error within the tolerance for a usable scale
 _LEAST_CHANCE = 1e-6
 _FINEST, _COARSEST = 0.003, 3.0  # metres per pixel
 GRID: NDArray[np.float64] = np.arange(np.log(_FINEST), np.log(_COARSEST), LOG_STEP)
 """``[g]`` natural logs of metres per pixel."""
 
-_SHARE_LEVELS = 24  # votes are binned by their weight, so that the cost does not grow with the vehicles
+_SHARE_LEVELS = 24  # votes are binned by their weight, so that the cost is independent of their number
 _KERNEL_REACH_SDS = 6.0
 _LEAST_SHARE, _MOST_SHARE = 1e-3, 0.995
 
 
 class Votes(NamedTuple):
-    """How the boxes of one detector vote, fitted by ``research/training/fusion/fit.py`` on images of known scale.
+    """Vote model of a detector, fitted by ``research/training/fusion/fit.py`` on images of known scale.
 
     Attributes:
         share_at_zero: log odds that a box of score 0 is a car.
-        share_slope: what a score of 1 adds to them.
-        log_sd: standard deviation of the log of a car's measured length: of the box and of makes and models together.
-        clutter_density: density of false alarms per unit of log length: over how wide a range they are spread.
-        trust: exponent on the votes together: boxes of one image err alike, so that n of them say less than n.
-        chance_wrong: weight of the flat density: that none of them are cars.
+        share_slope: increase of these log odds from score 0 to 1.
+        log_sd: standard deviation of the log of a car's measured length, from the box and from makes and models.
+        clutter_density: density of false alarms per unit of log length.
+        trust: exponent on the product of the votes, because the errors of boxes in one image are correlated.
+        chance_wrong: weight of the flat density: probability that no box is a car.
         sharpness: see ``recalibrated``.
     """
 
@@ -51,7 +50,7 @@ class Votes(NamedTuple):
     sharpness: float = 1.0
 
     def car_shares(self, scores: ArrayLike) -> NDArray[np.float64]:
-        """Chance that each box is a car, from its score."""
+        """Compute the probability that each box is a car from its score."""
         odds = self.share_at_zero + self.share_slope * np.asarray(scores, dtype=np.float64)
         return np.asarray(1.0 / (1.0 + np.exp(-odds)))
 
@@ -60,8 +59,8 @@ class Fused(NamedTuple):
     """Interval and chance of a scale by the posterior of all rulers.
 
     Attributes:
-        interval: holds the true scale in 95 of 100 images, and the scale itself.
-        p_within_20: chance that its error is below a fifth.
+        interval: 95 % interval, extended to contain the scale itself.
+        p_within_20: probability of an error below 20 %.
     """
 
     interval: Interval
@@ -69,7 +68,7 @@ class Fused(NamedTuple):
 
 
 def fuse(gsd_m_per_px: float, *densities: NDArray[np.float64], sharpness: float = 1.0) -> Fused:
-    """Judge a scale by the product of the rulers' densities.
+    """Compute interval and chance of a scale from the product of the rulers' densities.
 
     Args:
         gsd_m_per_px: the scale.
@@ -89,7 +88,7 @@ def fuse(gsd_m_per_px: float, *densities: NDArray[np.float64], sharpness: float 
 def recalibrated(chance: ArrayLike, sharpness: float) -> NDArray[np.float64]:
     """Scale log-odds around ``USABLE_CHANCE``.
 
-    A usable chance stays usable, whatever the factor.
+    A chance above that limit stays above it for any sharpness.
 
     Args:
         chance: ``[...]`` 0..1, mass of a density within the tolerance.
@@ -102,7 +101,7 @@ def recalibrated(chance: ArrayLike, sharpness: float) -> NDArray[np.float64]:
 
 
 def flat() -> NDArray[np.float64]:
-    """Return the density that says nothing: ``[g]`` equal probabilities."""
+    """Return the flat density: ``[g]`` equal probabilities."""
     return np.full(len(GRID), 1.0 / len(GRID))
 
 
@@ -140,7 +139,7 @@ def product(*densities: NDArray[np.float64]) -> NDArray[np.float64]:
     """Multiply densities of independent rulers.
 
     Args:
-        *densities: ``[g]`` probabilities each, none of them all zero where the others are not.
+        *densities: ``[g]`` probabilities each, positive together in at least one cell.
 
     Returns:
         ``[g]`` probabilities.
@@ -152,21 +151,21 @@ def product(*densities: NDArray[np.float64]) -> NDArray[np.float64]:
 def vehicle_density(
     lengths_px: ArrayLike, scores: ArrayLike, reference_length_m: float, reference_sd_m: float, votes: Votes
 ) -> NDArray[np.float64]:
-    """Let every box vote for the scale at which it would be a car, or for none where it is no car.
+    """Compute the density of the scale from the votes of all boxes.
 
-    The likelihood of a scale g is the product over boxes of ``(1 - p) + p N(log length; log(L_ref / g), sd) / u``, with
-    p the chance that a box of its score is a car and u the density of clutter, to the power ``trust``. All levels of a
-    search are judged together; what the reference length itself may be off by, they share.
+    The likelihood of a scale g is the product over boxes of ``(1 - p) + p N(log length; log(L_ref / g), sd) / u``, to
+    the power ``trust``. Here p is the probability that a box of its score is a car, and u the density of clutter. The
+    boxes of all levels share the error of the reference length.
 
     Args:
         lengths_px: ``[n]`` pixels of the full image.
         scores: ``[n]`` detection scores.
         reference_length_m: ``L_ref``.
         reference_sd_m: its standard deviation between places, metres.
-        votes: of the detector.
+        votes: vote model of the detector.
 
     Returns:
-        ``[g]`` probabilities; the flat density for no boxes.
+        ``[g]`` probabilities; the flat density without boxes.
     """
     lengths = np.asarray(lengths_px, dtype=np.float64)
     if len(lengths) == 0:
@@ -182,7 +181,7 @@ def vehicle_density(
     for step in np.unique(level[inside]):
         chosen = inside & (level == step)
         share = float(shares[chosen].mean())
-        gain = np.log1p(share / (1 - share) * normal / votes.clutter_density)  # over a scale at which it is no car
+        gain = np.log1p(share / (1 - share) * normal / votes.clutter_density)  # relative to clutter
         counts = np.bincount(cells[chosen], minlength=len(GRID)).astype(np.float64)
         total += np.convolve(counts, gain)[reach : reach + len(GRID)]
     density = _normalised(np.exp(votes.trust * (total - total.max())))
@@ -190,11 +189,11 @@ def vehicle_density(
 
 
 def credible_interval(density: NDArray[np.float64], probability: float = 0.95) -> Interval:
-    """Take the central interval of a density: equal shares are left out on both sides.
+    """Compute the central interval of a density.
 
     Args:
         density: ``[g]`` probabilities.
-        probability: what lies inside.
+        probability: probability inside the interval.
 
     Returns:
         Metres per pixel, low and high.
@@ -206,12 +205,12 @@ def credible_interval(density: NDArray[np.float64], probability: float = 0.95) -
 
 
 def mass_within(density: NDArray[np.float64], gsd_m_per_px: float, tolerance: float) -> float:
-    """Sum the probability that a scale is right within a relative tolerance.
+    """Compute the probability that a scale is correct within a relative tolerance.
 
     Args:
         density: ``[g]`` probabilities of the true scale.
-        gsd_m_per_px: the scale that is given out.
-        tolerance: largest ``|given - true| / true``.
+        gsd_m_per_px: the estimated scale.
+        tolerance: largest ``|estimated - true| / true``.
 
     Returns:
         In 0..1.

@@ -1,4 +1,4 @@
-"""From vehicle lengths in pixels to metres per pixel: outlier filter, modal length, scale, interval."""
+"""Vehicle lengths in pixels to metres per pixel: outlier filter, modal length, scale and interval."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ import numpy as np
 from vehanchor.errors import InvalidParameterError
 from vehanchor.scale.defaults import OUTLIER_ALPHA
 from vehanchor.scale.thresholds import GUARD_GSD_M_PER_PX
-from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.scale.defaults import Aggregation
 
-MIN_KDE_VEHICLES = 5  # paper, section III-C: below it the median takes over
+MIN_KDE_VEHICLES = 5  # paper, section III-C: with fewer vehicles the median is used
 GROUP_LOG_REACH = 0.4  # a fleet lies within a factor of 1.5 of its modal length, as in the paper's outlier filter
 _GROUP_LOG_BANDWIDTH = 0.15  # more than the spread of a fleet (0.09) and of the measurement (0.05 to 0.1) together
 _GROUP_LOG_STEP = 0.01
@@ -29,16 +28,15 @@ _FLEET_LOG_SD = 0.40  # error of an estimate from one car, false alarms included
 Z95 = 1.959963984540054  # standard deviations to either end of a 95 % interval
 
 
-@stored("interval")
 class Interval(NamedTuple):
-    """A 95 % interval."""
+    """95 % interval."""
 
     low: float
     high: float
 
 
 class LengthGroup(NamedTuple):
-    """Lengths that can belong to one fleet, and what speaks against them.
+    """Lengths that can belong to one fleet, and the share of their strongest rival.
 
     Attributes:
         members: ``[n]`` bool.
@@ -50,19 +48,18 @@ class LengthGroup(NamedTuple):
 
 
 def dominant_group(lengths: ArrayLike, weights: ArrayLike) -> LengthGroup:
-    """Split lengths of any scale into the fleet that has most evidence and the rest.
+    """Split lengths of any scale into the fleet with the largest weight and the rest.
 
-    A search over scales finds things of car shape at every size. Cars of one image lie within a factor of 1.5 of their
-    modal length; so the strongest mode of the density of the log length (Gaussian kernel of 0.15, weighted) takes
-    all lengths within that factor, and the strongest mode of what is left is its rival.
+    A search over scales finds car-shaped objects of every size. Cars of one image lie within a factor of 1.5 of their
+    modal length. The dominant group is therefore all lengths within that factor of the strongest mode of the weighted
+    density of log length (Gaussian kernel, 0.15). The strongest mode of the remaining lengths is its rival.
 
     Args:
         lengths: ``[n]`` pixels, n >= 1.
         weights: ``[n]`` evidence that each is a car, non-negative, not all zero.
 
     Returns:
-        The members of the dominant group, and the rival's share. Of two equal groups that of the shorter lengths is
-        taken.
+        The members of the dominant group, and the rival's share. Of two equal groups the one with shorter lengths wins.
     """
     logs = np.log(np.asarray(lengths, dtype=np.float64))
     weight = _normalised(logs, weights)
@@ -84,11 +81,11 @@ def dominant_group(lengths: ArrayLike, weights: ArrayLike) -> LengthGroup:
 
 
 def inlier_mask(lengths: ArrayLike, alpha: float | None = OUTLIER_ALPHA) -> NDArray[np.bool_]:
-    """Keep ``P_i <= alpha * median(P)`` (paper, equation 2): one-sided, it drops long outliers.
+    """Keep ``P_i <= alpha * median(P)`` (paper, equation 2), which drops long outliers only.
 
     Args:
         lengths: ``[n]`` pixels.
-        alpha: factor; None keeps everything.
+        alpha: factor; None keeps all lengths.
 
     Returns:
         ``[n]`` bool.
@@ -100,7 +97,7 @@ def inlier_mask(lengths: ArrayLike, alpha: float | None = OUTLIER_ALPHA) -> NDAr
 
 
 def scott_bandwidth(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
-    """Scott's rule with the effective sample size, as ``scipy.stats.gaussian_kde``; 0 for no spread.
+    """Compute Scott's bandwidth with the effective sample size, as ``scipy.stats.gaussian_kde``; 0 without spread.
 
     Args:
         values: ``[n]``.
@@ -127,7 +124,7 @@ def _normalised(values: NDArray[np.float64], weights: ArrayLike | None) -> NDArr
 def kde_density(
     at: ArrayLike, lengths: ArrayLike, weights: ArrayLike | None = None, *, smoothing: float = 1.0
 ) -> NDArray[np.float64]:
-    """Gaussian kernel density of the lengths (paper, equation 3), equal to ``scipy.stats.gaussian_kde``.
+    """Compute the Gaussian kernel density of lengths (paper, equation 3), equal to ``scipy.stats.gaussian_kde``.
 
     Args:
         at: ``[g]`` points, pixels.
@@ -136,7 +133,7 @@ def kde_density(
         smoothing: factor on Scott's bandwidth.
 
     Returns:
-        ``[g]`` density per pixel; all zero where the lengths have no spread and the density is not defined.
+        ``[g]`` density per pixel; all zero if the lengths have no spread.
     """
     values, points = np.asarray(lengths, dtype=np.float64), np.asarray(at, dtype=np.float64)
     share = _normalised(values, weights)
@@ -158,9 +155,9 @@ def _mixture(
 
 
 def kde_mode(lengths: ArrayLike, weights: ArrayLike | None = None, *, smoothing: float = 1.0) -> float:
-    """Mode of the kernel density estimate, ``argmax f(x)`` (paper, equation 3), to better than 1e-3 px.
+    """Find the mode of the kernel density estimate, ``argmax f(x)`` (paper, equation 3), to better than 1e-3 px.
 
-    Found on a grid of a fifth of a bandwidth and refined by golden-section search between the neighbouring points.
+    The mode is searched on a grid of a fifth of a bandwidth and refined by golden-section search.
 
     Args:
         lengths: ``[n]`` pixels, n >= 1.
@@ -168,7 +165,7 @@ def kde_mode(lengths: ArrayLike, weights: ArrayLike | None = None, *, smoothing:
         smoothing: factor on Scott's bandwidth.
 
     Returns:
-        The modal length in pixels; the (weighted) mean where there is no spread.
+        The modal length in pixels; the (weighted) mean if there is no spread.
 
     Raises:
         InvalidParameterError: no lengths, or unusable weights.
@@ -195,9 +192,9 @@ def kde_mode(lengths: ArrayLike, weights: ArrayLike | None = None, *, smoothing:
 
 
 def vehicle_weights(lengths: ArrayLike, scores: ArrayLike) -> NDArray[np.float64]:
-    """``score^2 * length``: what a vehicle counts for in ``weighted_kde``.
+    """Compute the vehicles' weights for ``weighted_kde``: ``score^2 * length``.
 
-    Most false alarms score low, and most are short: roof windows, bushes, cars half hidden by a tree.
+    Most false alarms, such as roof windows and bushes, have low scores and short boxes, as have half-hidden cars.
 
     Args:
         lengths: ``[n]`` pixels.
@@ -213,7 +210,7 @@ def vehicle_weights(lengths: ArrayLike, scores: ArrayLike) -> NDArray[np.float64
 def modal_density(
     at: ArrayLike, lengths: ArrayLike, scores: ArrayLike, aggregation: Aggregation
 ) -> NDArray[np.float64]:
-    """The density that ``modal_length`` takes the peak of; the paper's for ``median`` and ``mean``.
+    """Compute the density whose mode is ``modal_length``; for ``median`` and ``mean`` the paper's density.
 
     Args:
         at: ``[g]`` points, pixels.
@@ -222,7 +219,7 @@ def modal_density(
         aggregation: see ``modal_length``.
 
     Returns:
-        ``[g]`` density per pixel; all zero where the lengths have no spread.
+        ``[g]`` density per pixel; all zero if the lengths have no spread.
     """
     if aggregation == "weighted_kde":
         return kde_density(at, lengths, vehicle_weights(lengths, scores), smoothing=WEIGHTED_SMOOTHING)
@@ -230,17 +227,17 @@ def modal_density(
 
 
 def modal_length(lengths: ArrayLike, scores: ArrayLike, aggregation: Aggregation = "kde") -> tuple[float, Aggregation]:
-    """One length for all vehicles, ``P_mode``.
+    """Compute the modal length of vehicles, ``P_mode``.
 
     Args:
         lengths: ``[n]`` pixels, n >= 1, outliers already removed.
         scores: ``[n]`` detection scores, for ``weighted_kde``.
-        aggregation: ``kde`` (the paper's); ``weighted_kde``, the mode with vehicles weighted by ``score^2 * length``
-            and twice the bandwidth, which false alarms and cars half hidden move less; ``median`` or ``mean``. Both
-            KDEs fall back to the median below 5 lengths.
+        aggregation: ``kde`` (the paper's), ``weighted_kde``, ``median`` or ``mean``. The weighted KDE uses the weights
+            ``score^2 * length`` and twice the bandwidth: false alarms and half-hidden cars move it less. Both KDEs fall
+            back to the median below 5 lengths.
 
     Returns:
-        Pixels, and the aggregation that was really used.
+        Length in pixels, and the aggregation that was used.
     """
     values = np.asarray(lengths, dtype=np.float64)
     if aggregation in ("kde", "weighted_kde") and len(values) < MIN_KDE_VEHICLES:
@@ -259,9 +256,9 @@ def modal_length(lengths: ArrayLike, scores: ArrayLike, aggregation: Aggregation
 def _bootstrap_log_sd(
     values: NDArray[np.float64], mode: float, weights: NDArray[np.float64], smoothing: float
 ) -> float:
-    """Standard deviation of the log of the KDE mode under resampling, from a fixed seed.
+    """Compute the standard deviation of the log of the KDE mode under resampling, from a fixed seed.
 
-    Resamples are drawn as multinomial counts over a fine histogram, so the cost does not grow with the vehicles.
+    Resamples are multinomial counts over a fine histogram, so that the cost is independent of the number of vehicles.
     """
     bandwidth = smoothing * scott_bandwidth(values, weights / weights.sum())
     low, high = float(values.min()), float(values.max())
@@ -280,15 +277,15 @@ def _bootstrap_log_sd(
 
 
 def statistical_log_sds(lengths: ArrayLike, mode_px: float, *, scores: ArrayLike | None = None) -> tuple[float, float]:
-    """Tell how far the log of the scale is off for want of vehicles: what more of them would narrow.
+    """Compute the part of the scale's uncertainty that more vehicles reduce.
 
     Args:
-        lengths: ``[n]`` pixels that ``mode_px`` was taken from, n >= 1.
+        lengths: ``[n]`` lengths behind ``mode_px``, pixels, n >= 1.
         mode_px: ``P_mode``.
-        scores: ``[n]`` detection scores where ``mode_px`` is of ``weighted_kde``, else None.
+        scores: ``[n]`` detection scores for ``weighted_kde``; else None.
 
     Returns:
-        Standard deviations of two independent causes: the mode under resampling, and the fleet's own spread.
+        Log standard deviations of two independent causes: the mode under resampling, and the fleet's own spread.
     """
     values = np.asarray(lengths, dtype=np.float64)
     weights, smoothing = np.ones(len(values)), 1.0
@@ -306,18 +303,18 @@ def gsd_interval(
     *,
     scores: ArrayLike | None = None,
 ) -> Interval:
-    """95 % interval of the GSD.
+    """Compute the 95 % interval of the GSD.
 
-    The log of the GSD is taken as normal with the variances of three independent causes added up: the mode under
-    resampling (bootstrap, fixed seed), the fleet's own spread over the number of cars (what is left when a handful of
-    cars happens to agree: a single car never gives a narrow interval), and the reference length between regions.
+    The log of the GSD is taken as normal. Its variance is the sum of three independent causes: the mode under
+    resampling (bootstrap, fixed seed), the fleet's own spread divided by the number of cars, and the reference length
+    between regions. The second term keeps the interval wide if a few cars agree by chance.
 
     Args:
-        lengths: ``[n]`` pixels that ``mode_px`` was taken from.
+        lengths: ``[n]`` lengths behind ``mode_px``, pixels.
         mode_px: ``P_mode``.
         reference_length_m: ``L_ref``.
-        reference_sd_m: its standard deviation between regions.
-        scores: ``[n]`` detection scores where ``mode_px`` is of ``weighted_kde``, else None.
+        reference_sd_m: standard deviation of the reference length between regions.
+        scores: ``[n]`` detection scores for ``weighted_kde``; else None.
 
     Returns:
         Metres per pixel, low and high.
@@ -330,11 +327,11 @@ def gsd_interval(
 
 
 def guard_length(reference_length_m: float, min_length_px: float = 0.0) -> float:
-    """``P_thresh`` of the resolution guard (paper, equation 6), raised where the model needs longer vehicles.
+    """Compute ``P_thresh`` of the resolution guard (paper, equation 6), at least the model's own limit.
 
     Args:
         reference_length_m: ``L_ref``.
-        min_length_px: the shortest length the model measures without bias.
+        min_length_px: shortest length that the model measures without bias.
 
     Returns:
         Pixels: ``max(L_ref / 0.3, min_length_px)``.

@@ -1,9 +1,9 @@
-"""The ground as a plane under a pinhole camera: a scale for every pixel instead of one for all.
+"""Ground plane under a pinhole camera: one scale for every pixel.
 
-With ``d = (x / f, y / f, 1)`` the ray of a pixel counted from the image's centre, ``n`` the unit vector straight down
-in the camera's frame and ``h`` the height above the ground, a pixel is ``sqrt(h^2 f^-2 (n d)^-3)`` metres wide and high
-at the mean, and its ray meets the ground at ``h d / (n d)``. The camera's roll turns the direction in which it looks
-aside within the image. Straight down is the special case: ``n = (0, 0, 1)`` and one scale, ``h / f``.
+Let ``d = (x / f, y / f, 1)`` be the ray of a pixel at (x, y) from the image's centre, ``n`` the unit vector straight
+down in the camera's frame, and ``h`` the height above the ground. The mean GSD of the pixel is
+``sqrt(h^2 f^-2 (n d)^-3)``, and its ray meets the ground at ``h d / (n d)``. The roll is the direction of the tilt in
+the image. At nadir ``n = (0, 0, 1)``, and the only scale is ``h / f``.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from vehanchor.errors import TooObliqueError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-LEAST_DESCENT = 0.174  # cosine of 80 degrees: nearer to the horizon a degree changes the scale by a sixth and more
-_ROWS = 512  # of a mask at once
+LEAST_DESCENT = 0.174  # cosine of 80 degrees; closer to the horizon one degree changes the scale by a sixth or more
+_ROWS = 512  # rows of a mask per block
 
 
 @dataclass(frozen=True)
 class GroundPlane:
-    """A plane under a camera, its scale that of the image's centre.
+    """Ground plane with the scale at the image's centre.
 
     Attributes:
-        gsd_m_per_px: metres per pixel at the centre: root of the area of ground that a pixel there shows.
+        gsd_m_per_px: GSD at the centre: square root of the ground area of a pixel there.
         tilt_deg: angle between the camera's axis and straight down, 0 to 90.
         focal_px: focal length, pixels of the image.
-        width_px: of the image.
-        height_px: of the image.
-        roll_deg: by which the direction in which it looks aside is turned clockwise from the image's upper side.
+        width_px: width of the image.
+        height_px: height of the image.
+        roll_deg: direction of the tilt in the image, clockwise from its upper side.
     """
 
     gsd_m_per_px: float
@@ -45,10 +45,10 @@ class GroundPlane:
 
     @property
     def down(self) -> NDArray[np.float64]:
-        """``[3]`` unit vector straight down: to the right, to the lower side, along the axis."""
+        """Unit vector ``[3]`` straight down: components to the right, to the lower side, and along the axis."""
         tilt, roll = math.radians(self.tilt_deg), math.radians(self.roll_deg)
-        aside = math.sin(tilt)
-        return np.array([-aside * math.sin(roll), aside * math.cos(roll), math.cos(tilt)])
+        sine = math.sin(tilt)
+        return np.array([-sine * math.sin(roll), sine * math.cos(roll), math.cos(tilt)])
 
     @property
     def height_m(self) -> float:
@@ -56,43 +56,43 @@ class GroundPlane:
         return self.gsd_m_per_px * self.focal_px * float(math.cos(math.radians(self.tilt_deg)) ** 1.5)
 
     def check(self) -> None:
-        """Refuse a plane that the image sees up to its horizon, or nearly so.
+        """Refuse a plane whose horizon is in the image or close to it.
 
         Raises:
-            TooObliqueError: the lowest ray of a corner comes down at less than ten degrees.
+            TooObliqueError: the ray of a corner descends at less than ten degrees.
         """
         if float(self._descents(self._corners).min()) < LEAST_DESCENT:
             raise TooObliqueError(
-                f"the camera looked {self.tilt_deg:.0f} degrees away from straight down: the horizon is in sight, or "
-                "nearly so, and no scale holds there. Crop the image to the ground that is near"
+                f"the camera was tilted by {self.tilt_deg:.0f} degrees: the horizon is in the image or close to it, "
+                "and no scale holds there. Crop the image to the near ground"
             )
 
     def ground(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Where pixels lie on the ground.
+        """Project pixels onto the ground.
 
         Args:
             points: ``[n, 2]`` x, y in pixels of the image.
 
         Returns:
-            ``[n, 3]`` metres, in the camera's frame: only differences mean anything.
+            ``[n, 3]`` metres from the camera, in the camera's frame.
 
         Raises:
-            TooObliqueError: one lies above the horizon, or just below it.
+            TooObliqueError: a point lies above the horizon, or close to it.
         """
         rays = self._rays(points)
         return np.asarray(self.height_m * rays / self._checked(rays @ self.down)[:, None])
 
     def from_above(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Where pixels would lie in a view from straight above, of the scale of the image's centre.
+        """Rectify pixels to a nadir view at the scale of the image's centre.
 
         Args:
             points: ``[n, 2]`` x, y in pixels of the image.
 
         Returns:
-            ``[n, 2]`` pixels from the image's centre; what lies to the right of it there stays to its right.
+            ``[n, 2]`` pixels from the image's centre; right stays right.
 
         Raises:
-            TooObliqueError: as ``ground``.
+            TooObliqueError: as in ``ground``.
         """
         centre = [[self.width_px / 2, self.height_px / 2]]
         from_centre = (self.ground(points) - self.ground(centre)) / self.gsd_m_per_px
@@ -102,40 +102,40 @@ class GroundPlane:
         return np.asarray(from_centre @ np.column_stack([right, np.cross(down, right)]))
 
     def gsd_at(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Metres per pixel at places of the image.
+        """Compute the GSD at points of the image.
 
         Args:
             points: ``[n, 2]`` x, y in pixels.
 
         Returns:
-            ``[n]`` root of the area of ground that a pixel there shows.
+            ``[n]`` metres per pixel: square root of the ground area of a pixel.
 
         Raises:
-            TooObliqueError: as ``ground``.
+            TooObliqueError: as in ``ground``.
         """
         descents = self._checked(self._rays(points) @ self.down)
         return np.asarray(self.height_m / self.focal_px * descents**-1.5)
 
     @property
     def gsd_range(self) -> tuple[float, float]:
-        """The least and the largest metres per pixel in the image; they are at corners.
+        """Smallest and largest GSD in the image, which occur at corners.
 
         Raises:
-            TooObliqueError: as ``ground``.
+            TooObliqueError: as in ``ground``.
         """
         found = self.gsd_at(self._corners)
         return float(found.min()), float(found.max())
 
     def area(self, mask: NDArray[np.bool_], left: int = 0, top: int = 0) -> float:
-        """Area of ground under a mask, square metres: the sum of what each of its pixels shows.
+        """Compute the ground area of a mask, square metres: the sum over its pixels.
 
         Args:
             mask: ``[h, w]`` bool.
-            left: column of the image at which it begins.
-            top: row at which it begins.
+            left: column of the image at which the mask begins.
+            top: row of the image at which the mask begins.
 
         Raises:
-            TooObliqueError: as ``ground``.
+            TooObliqueError: as in ``ground``.
         """
         total = 0.0
         for start in range(0, len(mask), _ROWS):
@@ -146,25 +146,25 @@ class GroundPlane:
         return total
 
     def length(self, first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
-        """Length of lines on the ground, metres.
+        """Compute the lengths of lines on the ground, metres.
 
         Args:
-            first: ``[n, 2]`` one end of each, pixels.
-            second: ``[n, 2]`` the other.
+            first: ``[n, 2]`` first end of each line, pixels.
+            second: ``[n, 2]`` second end of each line, pixels.
 
         Raises:
-            TooObliqueError: as ``ground``.
+            TooObliqueError: as in ``ground``.
         """
         return np.asarray(np.linalg.norm(self.ground(first) - self.ground(second), axis=1))
 
     def raised(self, height_m: float) -> GroundPlane:
-        """The parallel plane that lies higher: what stands on the ground is nearer to the camera, and larger.
+        """Create the parallel plane at a height above the ground, for example at a roof.
 
         Args:
-            height_m: above the ground; a roof's, say.
+            height_m: height above the ground, metres.
 
         Raises:
-            TooObliqueError: it lies above the camera.
+            TooObliqueError: the plane lies above the camera.
         """
         left = 1 - height_m / self.height_m
         if left <= 0:
@@ -187,14 +187,14 @@ class GroundPlane:
         return np.column_stack([(places - middle) / self.focal_px, np.ones(len(places))])
 
     def _descents(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Cosine of each ray's angle from straight down."""
+        """Compute the cosine of each ray's angle from straight down."""
         rays = self._rays(points)
         return np.asarray(rays @ self.down / np.linalg.norm(rays, axis=1))
 
     def _checked(self, descents: NDArray[np.float64]) -> NDArray[np.float64]:
         if len(descents) and float(descents.min()) < LEAST_DESCENT:
             raise TooObliqueError(
-                f"with a camera {self.tilt_deg:.0f} degrees away from straight down a place lies above the horizon, or "
-                "just below it, where no scale holds: crop the image to the ground that is near"
+                f"the camera was tilted by {self.tilt_deg:.0f} degrees, and a point lies above the horizon or close to "
+                "it, where no scale holds: crop the image to the near ground"
             )
         return descents

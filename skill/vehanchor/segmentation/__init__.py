@@ -1,1 +1,1 @@
-"""One object as a mask: prompt, segmenter, the SAM contracts, the mask's shape."""
+"""Segmentation of one object: prompt, segmenter, SAM contracts, and the mask's shape."""

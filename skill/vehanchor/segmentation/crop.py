@@ -1,4 +1,4 @@
-"""The part of the image that a model sees: where it lies, how it is read, and how a mask is put back into it."""
+"""Crop of the image for the segmenter: its window, its pixels, and the mask in it."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ if TYPE_CHECKING:
 
 _BOX_CONTEXT = 2.0  # side of the crop over the box's longer side
 _MIN_CROP_PX = 256
-_POINT_CROP_PX = 512  # where points alone say nothing about the object's size
-_ROWS_A_STRIP = 1024
-_ROOM = 0.25  # of the box's longer side: what must be around it in a crop that was laid around another prompt
-_MOST_WIDER = 1.25  # side of such a crop over that of the prompt's own
+_POINT_CROP_PX = 512  # for points, which do not show the object's size
+_ROWS_PER_STRIP = 1024
+_ROOM = 0.25  # of the box's longer side: least margin around it in another prompt's crop
+_MOST_WIDER = 1.25  # largest side of a shared crop over that of the prompt's own
 
 
 def crop_side(prompt: Prompt) -> int:
-    """The first side of a prompt's crop to try, pixels."""
+    """Compute the initial side of a prompt's crop, pixels."""
     x1, y1, x2, y2 = prompt.extent
     least = _POINT_CROP_PX if prompt.box is None else _MIN_CROP_PX
     return max(least, math.ceil(_BOX_CONTEXT * max(x2 - x1, y2 - y1)))
 
 
 def crop_window(prompt: Prompt, image_width_px: int, image_height_px: int, side_px: int) -> Window:
-    """The square around a prompt, pushed back into the image where it reaches over, and no larger than it.
+    """Place a square crop around a prompt, shifted and clipped to the image.
 
     Args:
         prompt: in pixels of the image.
         image_width_px: width of the image.
-        image_height_px: its height.
-        side_px: of the square.
+        image_height_px: height of the image.
+        side_px: side of the square.
 
     Returns:
         A window of the image.
@@ -52,17 +52,16 @@ def crop_window(prompt: Prompt, image_width_px: int, image_height_px: int, side_
 
 
 def shares_window(prompt: Prompt, window: Window, image_width_px: int, image_height_px: int) -> bool:
-    """Whether a crop laid around another prompt shows this one about as well as its own would.
+    """Test whether another prompt's crop can replace this prompt's own.
 
     Args:
         prompt: in pixels of the image.
-        window: the other's crop.
+        window: the other prompt's crop.
         image_width_px: width of the image.
-        image_height_px: its height.
+        image_height_px: height of the image.
 
     Returns:
-        True where the crop is about as large as the prompt's own, and holds it with room around it or to the image's
-        edge.
+        True if the crop is about as large as the prompt's own and contains it with a margin, up to the image's edge.
     """
     own = crop_window(prompt, image_width_px, image_height_px, crop_side(prompt))
     if not 1 <= max(window.width_px, window.height_px) / max(own.width_px, own.height_px) <= _MOST_WIDER:
@@ -79,35 +78,35 @@ def shares_window(prompt: Prompt, window: Window, image_width_px: int, image_hei
 
 
 def read_resized(raster: Raster, window: Window, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Read a window at another size, in strips: each side averaged where it shrinks, interpolated where it grows.
+    """Read a window at another size, in strips: averaged if it shrinks, interpolated if it grows.
 
     Args:
         raster: the image.
-        window: of the image.
+        window: window of the image.
         size: width and height of the result.
 
     Returns:
         ``[h, w, 3]`` uint8 RGB.
     """
     width, height = size
-    if window.height_px <= _ROWS_A_STRIP:
+    if window.height_px <= _ROWS_PER_STRIP:
         narrow = _resized(raster.read(window), width, window.height_px)
     else:
         narrow = np.empty((window.height_px, width, 3), np.uint8)
-        for top in range(0, window.height_px, _ROWS_A_STRIP):
-            rows = min(_ROWS_A_STRIP, window.height_px - top)
+        for top in range(0, window.height_px, _ROWS_PER_STRIP):
+            rows = min(_ROWS_PER_STRIP, window.height_px - top)
             strip = raster.read(Window(window.x_px, window.y_px + top, window.width_px, rows))
             narrow[top : top + rows] = _resized(strip, width, rows)
     return _resized(narrow, width, height)
 
 
 def place_mask(found: MaskLogits, width_px: int, height_px: int) -> NDArray[np.bool_]:
-    """The mask of a crop: logits between the grid's cells by bilinear interpolation, the object where they are > 0.
+    """Convert logits to the mask of a crop: bilinear interpolation, the object where they are > 0.
 
     Args:
         found: logits on the model's grid.
         width_px: width of the crop.
-        height_px: its height.
+        height_px: height of the crop.
 
     Returns:
         ``[h, w]`` bool.
@@ -116,8 +115,8 @@ def place_mask(found: MaskLogits, width_px: int, height_px: int) -> NDArray[np.b
     left, right, across = _between(width_px, found.cells_per_px[0], grid.shape[1])
     above, below, down = _between(height_px, found.cells_per_px[1], grid.shape[0])
     mask = np.empty((height_px, width_px), dtype=bool)
-    for top in range(0, height_px, _ROWS_A_STRIP):  # never the whole crop as floats
-        part = slice(top, min(height_px, top + _ROWS_A_STRIP))
+    for top in range(0, height_px, _ROWS_PER_STRIP):  # strips, to save memory
+        part = slice(top, min(height_px, top + _ROWS_PER_STRIP))
         share = down[part, None]
         lines = grid[above[part]] * (1 - share) + grid[below[part]] * share
         mask[part] = lines[:, left] * (1 - across) + lines[:, right] * across > 0
@@ -127,7 +126,7 @@ def place_mask(found: MaskLogits, width_px: int, height_px: int) -> NDArray[np.b
 def _between(
     side_px: int, cells_per_px: float, n_cells: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
-    """For every pixel's centre the cells whose centres lie before and behind it, and how far it is on the way."""
+    """Find the cells before and after every pixel's centre, and the interpolation weight of the second."""
     at = np.clip((np.arange(side_px) + 0.5) * cells_per_px - 0.5, 0, n_cells - 1)
     before = at.astype(np.intp)
     return before, np.minimum(before + 1, n_cells - 1), (at - before).astype(np.float32)

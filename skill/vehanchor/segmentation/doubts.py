@@ -1,4 +1,4 @@
-"""Doubts about a mask, to be known before its area is used."""
+"""Notices about doubtful masks."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
 
-SMALL_TARGET_PX = 15.0  # the bundled segmenter is measured on objects from this side up
-_OUTSIDE_SHARE = 0.10  # of the mask: a box drawn 5 % off a side leaves about as much outside
+SMALL_TARGET_PX = 15.0  # smallest side of the objects on which the bundled segmenter was evaluated
+_OUTSIDE_SHARE = 0.10  # of the mask; a box that is 5 % off on one side leaves about as much outside
 
 
 def mask_notices(
     raster: Raster, found: Segmentation, prompt: Prompt, card: SegmenterCard, width_px: float
 ) -> list[Notice]:
-    """What to know about a mask before its area is used."""
+    """List the doubts about a mask that concern its area."""
     pieces = mask_pieces(found.mask)
     if not len(pieces):
         return [
@@ -76,7 +76,7 @@ def mask_notices(
 
 
 def _share_outside(found: Segmentation, prompt: Prompt) -> float:
-    """Share of the mask's pixels whose centres lie outside the box; 0 without one."""
+    """Compute the share of the mask's pixels whose centres lie outside the box; 0 without a box."""
     if prompt.box is None:
         return 0.0
     x1, y1, x2, y2 = (

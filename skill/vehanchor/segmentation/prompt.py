@@ -1,4 +1,4 @@
-"""What to segment, as the caller says it: a box or points, in pixels, the first pixel spanning 0 to 1."""
+"""Prompt of the segmenter: a box or points, in pixels; the first pixel spans 0 to 1."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Box: TypeAlias = tuple[float, float, float, float]
 """x1, y1, x2, y2."""
 
 Point: TypeAlias = tuple[float, float] | tuple[float, float, bool]
-"""x, y and, optionally, whether the point is on the object (the default) or beside it."""
+"""x, y and, optionally, whether the point is on the object (the default) or outside it."""
 
 MIN_BOX_PX = 2.0
 """Smallest side of a box, pixels of the full image."""
@@ -28,7 +28,7 @@ MIN_BOX_PX = 2.0
 
 @dataclass(frozen=True)
 class Prompt:
-    """What to segment: a box or points, in pixels; the first pixel spans 0 to 1.
+    """Box or points that name the object, in pixels; the first pixel spans 0 to 1.
 
     Attributes:
         box: x1, y1, x2, y2.
@@ -40,7 +40,7 @@ class Prompt:
 
     @property
     def extent(self) -> Box:
-        """The box, or the smallest one around the points: x1, y1, x2, y2."""
+        """Box, or the smallest one around the points: x1, y1, x2, y2."""
         if self.box is not None:
             return self.box
         xs, ys = [x for x, _, _ in self.points], [y for _, y, _ in self.points]
@@ -48,24 +48,24 @@ class Prompt:
 
     @property
     def unambiguous(self) -> bool:
-        """Whether it tells a whole from its parts: a box, or more than one point."""
+        """Whether the prompt distinguishes a whole from its parts: a box, or more than one point."""
         return self.box is not None or len(self.points) > 1
 
     def moved(self, dx: float, dy: float) -> Prompt:
-        """The same prompt seen from another origin."""
+        """Translate the prompt."""
         box = self.box and (self.box[0] + dx, self.box[1] + dy, self.box[2] + dx, self.box[3] + dy)
         return Prompt(box, tuple((x + dx, y + dy, include) for x, y, include in self.points))
 
 
 def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
-    """One prompt as the caller gave it, checked for itself.
+    """Read the caller's prompt and check it without an image.
 
     Args:
-        box: around the object; either this or points. Also a geometry of shapely, or supervision's detection.
-        points: one on the object at least.
+        box: box around the object, also as a shapely geometry or a supervision detection; None with points.
+        points: points, at least one on the object; None with a box.
 
     Raises:
-        PromptError: neither or both, or what names nothing in any image.
+        PromptError: neither or both are given, or the prompt is invalid for every image.
     """
     given = () if points is None else tuple(_parts(points, "points", "one or more of x, y"))
     if (box is None) == (not given):
@@ -92,18 +92,18 @@ def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
 
 
 def prompt_in_image(given: Prompt, frame: Frame, width_px: int, height_px: int) -> Prompt:
-    """The prompt in pixels of the full image, checked against it.
+    """Convert a prompt to pixels of the full image and check it against the image.
 
-    What is outside by less than a pixel of the frame, as rounding can bring about, is pulled in.
+    Coordinates that lie outside by less than a pixel of the frame, due to rounding, are clipped.
 
     Args:
-        given: in the caller's coordinates.
-        frame: the caller's resized copy, and how it writes places.
-        width_px: of the full image.
-        height_px: of the full image.
+        given: prompt in the caller's coordinates.
+        frame: size of the caller's copy and unit of its coordinates.
+        width_px: width of the full image.
+        height_px: height of the full image.
 
     Raises:
-        PromptError: it is outside, or the box is too small.
+        PromptError: the prompt is outside the image, or the box is too small.
     """
     coordinates = CoordinateFrame(frame, width_px, height_px)
     if given.box is not None:

@@ -1,8 +1,8 @@
-"""Promptable segmentation: a box or points in, the object's mask out, in pixels of the image.
+"""Promptable segmentation: the mask of the object that a box or points name, in pixels of the image.
 
-The image is cropped around the prompt before the model sees it, so that memory does not grow with the image and small
-objects get all of the model's resolution: twice the box, at least 256 px. Points say nothing about size: their crop is
-512 px or twice what they span, and doubles while the mask runs into a side of it that is not the image's own.
+The model runs on a crop around the prompt: memory does not grow with the image, and small objects get the model's full
+resolution. The crop of a box has twice its longer side, at least 256 px. Points do not show the object's size: their
+crop has 512 px or twice their extent, and doubles while the mask touches an inner side of it.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.segmentation.contracts import Encoding
 
-MIN_MASK_SCORE = 0.7  # for foreign models: predicted IoU below which a mask is not to be trusted by itself
-MASK_AREA_LOG_SD = 0.1  # for foreign models: sd of log(mask area / true area)
+MIN_MASK_SCORE = 0.7  # default: lower predicted IoUs need a check of the outline
+MASK_AREA_LOG_SD = 0.1  # default: standard deviation of log(mask area / true area)
 
 
 @dataclass(frozen=True)
 class SegmenterCard:
-    """What a segmenter's files say of themselves.
+    """Model card of a segmenter.
 
     Attributes:
         name: the model's name.
-        sha256: of the encoder's file followed by the decoder's (``cat ENCODER DECODER | sha256sum``); weights kept
-            beside a file follow it.
-        contract: how it is fed and read: ``sam``, ``sam2``, ``transformers`` or ``efficient_sam``.
-        input_px: side of its input, pixels.
-        min_score: masks that it scores below are not to be trusted by themselves.
+        sha256: checksum of the encoder's file followed by the decoder's (``cat ENCODER DECODER | sha256sum``); external
+            weights follow their file.
+        contract: layout of inputs and outputs: ``sam``, ``sam2``, ``transformers`` or ``efficient_sam``.
+        input_px: side of the input, pixels.
+        min_score: masks with a lower score need a check of the outline.
         mask_area_log_sd: standard deviation of the log of mask area over true area.
-        licence: of the weights, as the file states it.
+        licence: licence of the weights, from the file.
     """
 
     name: str
@@ -63,12 +63,12 @@ class SegmenterCard:
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """An object's mask.
+    """Mask of an object.
 
     Attributes:
         mask: ``[h, w]`` bool, the pixels of ``window``; nothing outside it belongs to the object.
-        window: the part of the image that the model saw.
-        score: the model's own estimate of the mask's IoU, 0..1.
+        window: crop of the image on which the model ran.
+        score: IoU of the mask as predicted by the model, 0..1.
     """
 
     mask: NDArray[np.bool_]
@@ -77,7 +77,7 @@ class Segmentation:
 
 
 class Segmenter(LoadedModel):
-    """A promptable segmenter: encoder and decoder, of any contract that ``vehanchor.segmentation.contracts`` lists.
+    """Promptable segmenter: encoder and decoder, of any contract in ``vehanchor.segmentation.contracts``.
 
     Args:
         encoder_path: the image encoder's ONNX file.
@@ -86,7 +86,8 @@ class Segmenter(LoadedModel):
 
     Raises:
         ModelNotFoundError: there is no such file.
-        ModelContractError: the files are not a promptable segmenter of a known kind; the message lists what was found.
+        ModelContractError: the files are not a promptable segmenter of a known kind; the message lists their inputs and
+            outputs.
         ProviderUnavailableError: an execution provider is not installed.
     """
 
@@ -121,26 +122,26 @@ class Segmenter(LoadedModel):
         )
 
     def under(self, call: Runtime) -> Self:
-        """The same segmenter for one call; see ``LoadedModel.under``."""
+        """Bind the segmenter to one call; see ``LoadedModel.under``."""
         bound = super().under(call)
         bound._contract = self._contract.under(call)
         return bound
 
     def segment(self, raster: Raster, prompt: Prompt, *, limits: ImageLimits | None = None) -> Segmentation:
-        """Find the object that a prompt names.
+        """Segment the object that a prompt names.
 
         Args:
             raster: the image.
-            prompt: a box or points inside it, in its pixels.
+            prompt: box or points inside the image, in its pixels.
             limits: ``max_pixels`` bounds the crop; None for the defaults.
 
         Returns:
-            The mask with the window it lies in.
+            The mask with its window.
 
         Raises:
-            PromptError: a prompt that this model cannot read.
-            ImageTooLargeError: the crop has more pixels than the limits allow to hold.
-            ModelContractError: the model does not keep its contract.
+            PromptError: this model cannot read the prompt.
+            ImageTooLargeError: the crop has more pixels than the limits allow.
+            ModelContractError: the model violates its contract.
         """
         return self.segment_all(raster, [prompt], limits=limits)[0]
 
@@ -151,38 +152,38 @@ class Segmenter(LoadedModel):
         *,
         limits: ImageLimits | None = None,
     ) -> tuple[Segmentation, ...]:
-        """Find the objects that prompts name; neighbours of about one size share an encoding.
+        """Segment the objects that prompts name; neighbours of similar size share an encoding.
 
         Args:
             raster: the image.
-            prompts: as for ``segment``.
-            limits: as for ``segment``.
+            prompts: as in ``segment``.
+            limits: as in ``segment``.
 
         Returns:
-            For each prompt what ``segment`` gives, where another prompt's crop serves it as well: in that window.
+            The result of ``segment`` for each prompt, in the window of the shared crop where there is one.
 
         Raises:
-            VehAnchorError: as ``segment``.
+            VehAnchorError: as in ``segment``.
         """
         found: dict[int, Segmentation] = {}
         for first, prompt in enumerate(prompts):
             if first in found:
                 continue
             view = self._encode(raster, prompt, crop_side(prompt), limits)
-            found[first] = self._settled(raster, prompt, view, limits)
+            found[first] = self._segment_in(raster, prompt, view, limits)
             for k in range(first + 1, len(prompts)):
                 if k not in found and shares_window(prompts[k], view.window, raster.width_px, raster.height_px):
-                    found[k] = self._settled(raster, prompts[k], view, limits)
+                    found[k] = self._segment_in(raster, prompts[k], view, limits)
         return tuple(found[k] for k in range(len(prompts)))
 
-    def _settled(
+    def _segment_in(
         self,
         raster: Raster,
         prompt: Prompt,
         view: _View,
         limits: ImageLimits | None,
     ) -> Segmentation:
-        """The object in a view; of points alone, in larger ones while it runs into an inner side."""
+        """Segment the object in a view; for points, enlarge the view while the mask touches an inner side."""
         found = self._decode(view, prompt)
         side = crop_side(prompt)
         while prompt.box is None and _runs_into_inner_side(found, raster):
@@ -210,14 +211,14 @@ class Segmenter(LoadedModel):
 
 
 class _View(NamedTuple):
-    """A part of the image, encoded."""
+    """Encoded crop of the image."""
 
     window: Window
     encoding: Encoding
 
 
 def load_segmenter(encoder_path: Path, decoder_path: Path, runtime: Runtime | None = None) -> Segmenter:
-    """Open a segmenter once for each pair of files and each runtime; see ``Segmenter``."""
+    """Open a segmenter, or return the open one while its files are unchanged; see ``Segmenter``."""
     chosen = runtime or Runtime()
     return _loaded(encoder_path, decoder_path, runtime=chosen.idle).under(chosen)
 
@@ -237,6 +238,6 @@ def _check_window(window: Window, limits: ImageLimits) -> None:
 
 
 def _runs_into_inner_side(found: Segmentation, raster: Raster) -> bool:
-    """Whether the mask touches a side of its window beyond which the image goes on."""
+    """Test whether the mask touches a side of its window that is not an edge of the image."""
     outer = outer_sides(found.window, raster.width_px, raster.height_px)
     return touches_edge(found.mask, (not outer[0], not outer[1], not outer[2], not outer[3]))

@@ -1,8 +1,8 @@
-"""The shape of a mask: area, perimeter, extents, the largest circle inside, outline. Pure functions, in pixels.
+"""Shape of a mask: area, perimeter, extents, largest inscribed circle, outline. Pure functions, in pixels.
 
-A pixel is a unit square: the first one of an array spans 0 to 1 both ways, and a mask is the union of its squares. The
-area is the pixel sum, never a polygon's. What follows the squares' sides works on a lattice of half pixels, on which
-their corners, the middles of their sides and their centres all are points: outlines and distances are exact there.
+A pixel is a unit square: the first one of an array spans 0 to 1 in both directions, and a mask is the union of its
+squares. The area is the number of pixels, never a polygon's area. Outlines and distances are computed on a lattice of
+half pixels. Corners, side midpoints and centres of the squares are points of this lattice, so the results are exact.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MAX_OUTLINE_POINTS = 200
-PERIMETER_TOLERANCE_PX = 1.2  # steps of the pixel grid up to this size are no part of the object's outline
-_LATTICE_PX = 2_000_000  # larger masks (their bounding box) are reduced before the lattice of half pixels is made
-_EQUAL = 1e-6  # relative difference of distances that are equal but for rounding
+PERIMETER_TOLERANCE_PX = 1.2  # smaller steps are taken as the pixel grid, not as the object's outline
+_LATTICE_PX = 2_000_000  # masks with a larger bounding box are reduced before the half-pixel lattice is built
+_EQUAL = 1e-6  # relative rounding difference of equal distances
 _TOLERANCE_GROWTH = 1.6
-_RIM = 2  # free lattice points around a mask: OpenCV traces no contour at an array's edge. Even: corners stay even
+_RIM = 2  # empty lattice points around a mask, which OpenCV needs for contours; even, so that corners stay even
 
 
 @dataclass(frozen=True)
 class PixelBounds:
-    """The smallest box of whole pixels around a mask: its sides, in pixels from the array's corner."""
+    """Smallest box of whole pixels around a mask, in pixels from the array's corner."""
 
     x1: int
     y1: int
@@ -37,7 +37,7 @@ class PixelBounds:
 
 @dataclass(frozen=True)
 class Circle:
-    """A circle; pixels from the array's corner."""
+    """Circle, in pixels from the array's corner."""
 
     x: float
     y: float
@@ -46,14 +46,14 @@ class Circle:
 
 @dataclass(frozen=True, eq=False)
 class OutlinePart:
-    """One piece of an outline: ``[n, 2]`` x, y in pixels around it, and around each of its holes."""
+    """Outline of one piece: rings ``[n, 2]`` of x, y in pixels around the piece and around each hole."""
 
     exterior: NDArray[np.float64]
     holes: tuple[NDArray[np.float64], ...]
 
 
 def mask_bounds(mask: NDArray[np.bool_]) -> PixelBounds | None:
-    """The box of whole pixels around a mask ``[h, w]``; None for an empty one."""
+    """Find the bounding box of a mask ``[h, w]``; None for an empty one."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):
         return None
@@ -61,18 +61,18 @@ def mask_bounds(mask: NDArray[np.bool_]) -> PixelBounds | None:
 
 
 def touches_edge(mask: NDArray[np.bool_], sides: tuple[bool, bool, bool, bool] = (True, True, True, True)) -> bool:
-    """Whether a mask reaches one of the sides of its array.
+    """Test whether a mask touches a side of its array.
 
     Args:
         mask: ``[h, w]``.
-        sides: which of left, top, right and bottom count; ``imagery.windows.outer_sides`` tells those of the image.
+        sides: which of left, top, right and bottom count; ``imagery.raster.outer_sides`` gives the image's edges.
     """
     lines = mask[:, 0], mask[0], mask[:, -1], mask[-1]
     return any(counts and bool(line.any()) for counts, line in zip(sides, lines, strict=True))
 
 
 def mask_pieces(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Areas in pixels of a mask's separate pieces, the largest first; pixels that share a corner hang together."""
+    """Compute the areas in pixels of a mask's 8-connected pieces, the largest first."""
     bounds = mask_bounds(mask)
     if bounds is None:
         return np.zeros(0, dtype=np.int64)
@@ -81,36 +81,36 @@ def mask_pieces(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def perimeter(mask: NDArray[np.bool_]) -> float:
-    """Length of the outline of a mask ``[h, w]``, holes included, pixels.
+    """Compute the length of the outline of a mask ``[h, w]`` with its holes, pixels.
 
-    The sides of the pixels alone would be 4 / pi too long for a circle: they are first replaced by straight lines that
-    stay within 1.2 px of them (Douglas and Peucker). Exact for upright rectangles; within 1 % for straight sides of
-    any direction and circles of 50 px radius, 2 % at 15 px, 5 % at 5 px.
+    The sum of the pixels' sides would be 4 / pi too long for a circle. The outline is therefore simplified within 1.2
+    px (Douglas and Peucker). The result is exact for upright rectangles. It is within 1 % for straight sides in any
+    direction and for circles of 50 px radius, 2 % at 15 px, 5 % at 5 px.
     """
     traced = _traced(mask)
-    cell_px = traced[0].cell_px if traced else 1  # larger where a huge mask was reduced: its steps are larger too
+    cell_px = traced[0].cell_px if traced else 1  # above 1 for a reduced mask, whose steps are larger
     parts = _simplified(traced, PERIMETER_TOLERANCE_PX * cell_px)
     rings = [ring for part in parts for ring in (part.exterior, *part.holes)]
     return float(sum(np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1).sum() for ring in rings))
 
 
 def rotated_extents(mask: NDArray[np.bool_]) -> tuple[float, float]:
-    """Length and width of the smallest rotated rectangle (by area) around a mask ``[h, w]``, pixels, length first.
+    """Compute length and width of the smallest rotated rectangle (by area) around a mask ``[h, w]``, pixels.
 
-    Around the middles of the outer pixels' sides: exact for upright masks, and for slanted ones without the corners by
-    which a staircase overshoots the straight side it stands for. (0, 0) for an empty mask.
+    The rectangle encloses the midpoints of the outer pixels' sides. It is exact for upright masks; for slanted ones it
+    leaves out the corners of the pixel staircase. The result is (0, 0) for an empty mask.
     """
     bounds = mask_bounds(mask)
     if bounds is None:
         return 0.0, 0.0
     upright = bounds.x2 - bounds.x1, bounds.y2 - bounds.y1
-    if min(upright) == 1:  # a single line of pixels has no slant
+    if min(upright) == 1:  # a single row or column of pixels is upright
         return float(max(upright)), 1.0
     hull = cv2.convexHull(_side_middles(_cut(mask, bounds))).reshape(-1, 2).astype(np.float64) / 2
     sides = np.roll(hull, -1, axis=0) - hull
     along = sides / np.linalg.norm(sides, axis=1, keepdims=True)
     across = along[:, ::-1] * [-1.0, 1.0]
-    # A smallest rectangle has one of its sides along one of the hull's: try them all.
+    # The smallest rectangle shares the direction of one of the hull's sides.
     lengths, widths = (np.ptp(hull @ axes.T, axis=0) for axes in (along, across))
     best = int(np.argmin(lengths * widths))
     first, second = float(lengths[best]), float(widths[best])
@@ -118,10 +118,11 @@ def rotated_extents(mask: NDArray[np.bool_]) -> tuple[float, float]:
 
 
 def inscribed_circle(mask: NDArray[np.bool_]) -> Circle | None:
-    """The largest circle wholly inside a mask ``[h, w]``; nothing outside the array is inside. None for an empty mask.
+    """Find the largest circle inside a mask ``[h, w]`` and its array; None for an empty mask.
 
-    From the exact Euclidean distance to the nearest background square, with the centre on the lattice of half pixels.
-    Masks of more than two million pixels (bounding box) use whole pixels, and may miss up to one pixel of diameter.
+    The radius is the exact Euclidean distance to the nearest background square; the centre is on the half-pixel
+    lattice. Masks with a bounding box above two million pixels use whole pixels, with an error of up to one pixel in
+    diameter.
     """
     bounds = mask_bounds(mask)
     if bounds is None:
@@ -131,20 +132,20 @@ def inscribed_circle(mask: NDArray[np.bool_]) -> Circle | None:
     free = 1 - _closed_lattice(1 - inside) if fine else inside
     distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     largest = float(distance.max())
-    # OpenCV's last bit depends on where the array lies in memory: of equal circles, take the first.
+    # The last bit of OpenCV's result depends on the array's memory address: take the first of equal circles.
     row, column = np.unravel_index(int(np.argmax(distance >= largest * (1 - _EQUAL))), distance.shape)
     step, origin, diameter = (0.5, 0.0, largest) if fine else (1.0, 0.5, 2 * largest - 1)
-    x, y = (float(at) * step + origin - 1 for at in (column, row))  # the border of one pixel taken off again
+    x, y = (float(at) * step + origin - 1 for at in (column, row))  # without the padding of one pixel
     return Circle(bounds.x1 + x, bounds.y1 + y, diameter)
 
 
 def outline_parts(mask: NDArray[np.bool_], max_points: int = MAX_OUTLINE_POINTS) -> tuple[OutlinePart, ...]:
-    """The outline of a mask ``[h, w]`` along its pixels' sides, simplified to at most so many points in all.
+    """Trace the outline of a mask ``[h, w]`` along its pixels' sides, simplified to at most ``max_points`` points.
 
-    The tolerance starts at half a pixel and grows until the points suffice; what still does not fit (a scatter of tiny
-    pieces) is left out, smallest first. The largest piece comes first.
+    The tolerance starts at half a pixel and grows until the outline has few enough points. If many tiny pieces still
+    exceed the limit, the smallest are left out. The largest piece comes first.
     """
-    n_rings = max_points // 4  # no tolerance makes a ring vanish
+    n_rings = max_points // 4  # a ring keeps four points at any tolerance
     traced = [replace(part, holes=part.holes[:n_rings]) for part in _traced(mask)[:n_rings]]
     tolerance = 0.5
     parts = _simplified(traced, tolerance)
@@ -159,7 +160,7 @@ def _n_points(parts: tuple[OutlinePart, ...]) -> int:
 
 
 def _within(parts: tuple[OutlinePart, ...], max_points: int) -> tuple[OutlinePart, ...]:
-    """The parts in their order while there are points left for them, each with as many of its holes as go in."""
+    """Take parts in order, with as many of their holes as fit, up to ``max_points`` points."""
     kept, left = [], max_points
     for part in parts:
         left -= len(part.exterior)
@@ -179,7 +180,7 @@ def _cut(mask: NDArray[np.bool_], bounds: PixelBounds) -> NDArray[np.uint8]:
 
 
 def _closed_lattice(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """``[2h + 1, 2w + 1]``: 1 on the points of the half-pixel lattice that belong to a set square, rims included."""
+    """Build the half-pixel lattice ``[2h + 1, 2w + 1]``: 1 on all points of a set square, its border included."""
     height, width = cells.shape
     lattice = np.zeros((2 * height + 1, 2 * width + 1), np.uint8)
     for dy in range(3):
@@ -189,7 +190,7 @@ def _closed_lattice(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _side_middles(cells: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """``[n, 2]`` in half pixels: middles of the outer sides of each row's and column's first and last set pixel."""
+    """List the midpoints ``[n, 2]``, in half pixels, of the outer sides of each line's first and last set pixel."""
     points = []
     for table, swap in ((cells, False), (cells.T, True)):
         lines = np.flatnonzero(table.any(axis=1))
@@ -203,7 +204,7 @@ def _side_middles(cells: NDArray[np.uint8]) -> NDArray[np.int32]:
 
 @dataclass(frozen=True, eq=False)
 class _TracedPart:
-    """Every corner of one piece's rings, ``[n, 1, 2]`` in steps of half a cell from ``origin``."""
+    """Corners of one piece's rings, ``[n, 1, 2]`` in steps of half a cell from ``origin``."""
 
     exterior: NDArray[np.int32]
     holes: tuple[NDArray[np.int32], ...]
@@ -212,7 +213,7 @@ class _TracedPart:
 
 
 def _traced(mask: NDArray[np.bool_]) -> list[_TracedPart]:
-    """Outlines along the pixels' sides, the largest piece first and in it the largest hole."""
+    """Trace outlines along the pixels' sides; pieces and their holes by falling size."""
     bounds = mask_bounds(mask)
     if bounds is None:
         return []
@@ -244,7 +245,7 @@ def _traced(mask: NDArray[np.bool_]) -> list[_TracedPart]:
 
 
 def _with_corners(ring: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Put back the pixels' corners that a contour cut: of a slanted step, the one whose coordinates are both even."""
+    """Restore the pixel corners that a contour skips: in a slanted step, the one whose coordinates are both even."""
     ahead = np.roll(ring, -1, axis=0)
     slanted = (ring != ahead).all(axis=1)
     even = ring % 2 == 0
@@ -255,7 +256,7 @@ def _with_corners(ring: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def _simplified(traced: list[_TracedPart], tolerance_px: float) -> tuple[OutlinePart, ...]:
-    """By Douglas and Peucker; rings too small for it become their upright box."""
+    """Simplify rings (Douglas and Peucker); a ring with fewer than three points left becomes its upright box."""
 
     def ring(part: _TracedPart, points: NDArray[np.int32]) -> NDArray[np.float64]:
         simple = cv2.approxPolyDP(points, 2 * tolerance_px / part.cell_px, True).reshape(-1, 2)

@@ -1,1 +1,1 @@
-"""Files that are written whole, and journals of long runs."""
+"""Atomic files, and journals of long runs."""

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, whatever happens at whatever byte, and never over what is read."""
+"""Atomic files: written completely or not at all, and never over the input."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 
 def check_apart(path: Path, image: str) -> None:
-    """Make sure that what is to be written does not take the image's place.
+    """Check that an output does not replace the image.
 
     Raises:
-        InvalidParameterError: both are one file.
+        InvalidParameterError: both paths are the same file.
     """
     if path.resolve() == Path(image).resolve():
         raise InvalidParameterError(f"{str(path)!r} is the image itself: choose another name")
@@ -25,13 +25,13 @@ def check_apart(path: Path, image: str) -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """A file beside the one wanted, to be written in its stead; it takes its place once it is whole and on the disk.
+    """Write a temporary file beside the target; it replaces the target when it is complete and on the disk.
 
     Yields:
-        The path to write to. If the block raises, what was at ``path`` stays.
+        The path to write to. If the block raises, the target does not change.
 
     Raises:
-        OutputError: the disk refuses.
+        OutputError: the file cannot be written.
     """
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
@@ -48,7 +48,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def _sync_folder(path: Path) -> None:
-    """Have the new name on the disk, too, where a folder can be asked for that."""
+    """Flush the new name to the disk, if the system can sync a folder."""
     with suppress(OSError):
         folder = os.open(path.parent, os.O_RDONLY)
         try:

@@ -1,9 +1,9 @@
-"""Results of a long run, on disk as they come: an interrupted run goes on from there instead of starting anew.
+"""Journal of a long run: results on disk, from which an interrupted run resumes.
 
-A journal is a file of JSON lines that is only ever appended to. A line of settings says once what results depend on
-besides their source (version, model, options); each result follows as ``{"settings": ..., "key": ..., "value": ...}``,
-so that several settings may share a file. A last line that was cut off by a crash is dropped. A key tells the source
-as it was when the work began (``vehanchor.imagery.identity.Source``): a result of a replaced file is not found.
+A journal is an append-only file of JSON lines. A line of settings states what results depend on besides their source
+(version, model, options). Each result is a line ``{"settings": ..., "key": ..., "value": ...}``, so that several
+settings can share a file. A last line cut off by a crash is dropped. A key has the state of the source when the work
+began (``vehanchor.imagery.identity.Source``), so that results of a replaced file are not found.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ Key: TypeAlias = tuple[str | int, ...]
 Value = TypeVar("Value")
 _START = b'{"settings": '
 _VERSION = 2
-"""Of the lines; journals of another version are refused, or not seen, as those of other settings are."""
+"""Version of the lines; another version counts as other settings."""
 
 
 class Journal(Generic[Value]):
     """Results by key; safe for several threads.
 
     Args:
-        path: of the file, made with its folder; None keeps results in memory only.
-        settings: what all results depend on, as JSON can hold it (records too); those of others are not seen.
-        dump: a result as JSON can hold it.
-        load: the same back.
-        sole: refuse a file that holds results of other settings, instead of sharing it with them.
-        remedy: what the user can do about a file that cannot be used.
+        path: path of the file, created with its folder; None keeps results in memory only.
+        settings: JSON values or records that all results depend on; results of other settings are ignored.
+        dump: converts a result to JSON values.
+        load: converts JSON values to a result.
+        sole: refuse a file with results of other settings.
+        remedy: advice to the user for an unusable file.
 
     Raises:
-        InvalidParameterError: the file is no journal; or, with ``sole``, it is one of other settings.
+        InvalidParameterError: the file is not a journal; with ``sole``, it has other settings.
         OutputError: the file cannot be read or written.
     """
 
@@ -64,14 +64,14 @@ class Journal(Generic[Value]):
         self._settings = hashlib.sha256(json.dumps(self._facts, sort_keys=True).encode()).hexdigest()[:16]
         self._dump, self._load, self._sole, self._remedy = dump, load, sole, remedy
         self._offsets: dict[Key, int] = {}
-        self._declared = False  # whether the file says what our settings are
+        self._declared = False  # whether the file has the line of our settings
         self._memory = io.BytesIO()
         self._lock = threading.Lock()
         if path is not None:
             self._read(path)
 
     def _read(self, path: Path) -> None:
-        """Find the results of these settings; drop a last line that was cut off."""
+        """Index the results of these settings; drop an incomplete last line."""
         with self._opened("a+b") as file:
             file.seek(0)
             end = 0
@@ -83,11 +83,11 @@ class Journal(Generic[Value]):
                     self._take(json.loads(line), end)
                 except (ValueError, TypeError, KeyError):
                     raise InvalidParameterError(
-                        f"{str(path)!r}, line {number}, is no line of a journal: {self._remedy}"
+                        f"{str(path)!r}, line {number}, is not a line of a journal: {self._remedy}"
                     ) from None
                 except _OtherSettingsError as other:
                     raise InvalidParameterError(
-                        f"{str(path)!r} holds rows of an unfinished run with {other}: finish that run with its own "
+                        f"{str(path)!r} has results of an unfinished run with {other}: finish that run with its "
                         f"options, or {self._remedy}"
                     ) from None
                 end += len(line)
@@ -110,7 +110,7 @@ class Journal(Generic[Value]):
             return
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            with self.path.open(mode, buffering=0 if mode == "ab" else -1) as file:  # a line is written at once
+            with self.path.open(mode, buffering=0 if mode == "ab" else -1) as file:  # lines at once
                 yield file
         except OSError as error:
             raise OutputError(f"cannot keep results in {str(self.path)!r}: {error.strerror or error}") from None
@@ -122,10 +122,10 @@ class Journal(Generic[Value]):
         return len(self._offsets)
 
     def add(self, key: Key, value: Value) -> None:
-        """Keep a result; it is there after a crash of this process.
+        """Add a result; it survives a crash of this process.
 
         Raises:
-            OutputError: the disk refuses.
+            OutputError: the file cannot be written.
         """
         record = {"settings": self._settings, "key": key, "value": self._dump(value)}
         line = json.dumps(record, allow_nan=False).encode() + b"\n"
@@ -134,7 +134,7 @@ class Journal(Generic[Value]):
             start = file.seek(0, os.SEEK_END)
             if file.write(first + line) != len(first + line):
                 with suppress(OSError):
-                    file.truncate(start)  # the next line must not be appended to half of this one
+                    file.truncate(start)  # or the next line would follow an incomplete one
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             self._offsets[key] = file.tell() - len(line)  # another process may append, too
             self._declared = True
@@ -143,20 +143,20 @@ class Journal(Generic[Value]):
         return json.dumps({"settings": self._settings, "facts": self._facts}).encode() + b"\n"
 
     def get(self, key: Key) -> Value | None:
-        """The result of a key, if it is known.
+        """Get the result of a key; None if it is unknown.
 
         Raises:
             OutputError: the file can no longer be read.
-            InvalidParameterError: a result in it is none of this version.
+            InvalidParameterError: a result has another version.
         """
         return next(self.values([key])) if key in self._offsets else None
 
     def values(self, keys: Iterable[Key]) -> Iterator[Value]:
-        """The results of known keys, in the keys' order, read one at a time.
+        """Read the results of known keys one by one, in the order of the keys.
 
         Raises:
             OutputError: the file can no longer be read.
-            InvalidParameterError: a result in it is none of this version.
+            InvalidParameterError: a result has another version.
         """
         for key in keys:
             with self._lock, self._opened("rb") as file:
@@ -166,7 +166,7 @@ class Journal(Generic[Value]):
                 yield self._load(json.loads(line)["value"])
             except (ValueError, TypeError, KeyError) as error:
                 raise InvalidParameterError(
-                    f"{str(self.path)!r} holds a result of {key} that cannot be read ({error}): {self._remedy}"
+                    f"{str(self.path)!r} has an unreadable result of {key} ({error}): {self._remedy}"
                 ) from None
 
     def remove(self) -> None:
@@ -176,13 +176,13 @@ class Journal(Generic[Value]):
 
 
 class _OtherSettingsError(Exception):
-    """The settings of a journal differ; the message says in what."""
+    """Difference in the settings of a journal; the message names it."""
 
 
 def _plain(record: Any) -> Any:
     if isinstance(record, BaseModel):
         return record.model_dump(mode="json")
-    raise TypeError(f"{type(record).__name__} is no JSON")
+    raise TypeError(f"{type(record).__name__} is not JSON")
 
 
 def _difference(theirs: Any, ours: Mapping[str, Any]) -> str:

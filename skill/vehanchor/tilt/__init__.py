@@ -1,1 +1,1 @@
-"""Tilt: where the camera looked, and the ground plane."""
+"""Tilt of the camera and the ground plane that it implies."""

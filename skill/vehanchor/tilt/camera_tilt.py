@@ -8,7 +8,6 @@ from vehanchor.imagery.metadata.lens import taken_ratio
 from vehanchor.records import KnownPlane, TiltEstimate
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.storage.stored import stored
 from vehanchor.tilt.focal import focal_of
 
 if TYPE_CHECKING:
@@ -17,12 +16,11 @@ if TYPE_CHECKING:
     from vehanchor.records import GsdEstimate
 
 NADIR_TOLERANCE_DEG = 10.0  # an image with a smaller tilt counts as taken at nadir
-TILT_SD_DEG = 1.5  # of a gimbal's own angle, and of ground that is not quite level
+TILT_SD_DEG = 1.5  # of a gimbal's angle and of nearly level ground
 
 
-@stored("camera_tilt")
 class CameraTilt(NamedTuple):
-    """Tilt of a camera that did not look straight down.
+    """Tilt of a camera that was not at nadir.
 
     Attributes:
         tilt_deg: angle between its axis and straight down.
@@ -75,7 +73,7 @@ def metadata_tilt(image: ImageFacts, options: ScaleOptions) -> CameraTilt | None
         assumed, and the source says so.
 
     Raises:
-        TooObliqueError: the horizon is in sight, or nearly so.
+        TooObliqueError: the horizon is in the image or close to it.
     """
     camera = image.camera
     if camera is None or camera.off_nadir_deg is None or not options.rulers.metadata:

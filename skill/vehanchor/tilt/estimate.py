@@ -36,16 +36,16 @@ def estimate_tilt(
 
     Args:
         stated: tilt by the metadata; None for nadir, or without an angle.
-        cues: of rulers, such as courts in perspective.
-        image: its size and metadata.
+        cues: cues of rulers, such as courts in perspective.
+        image: size and metadata of the image.
         options: which metadata may be used.
         detections: vehicles in pixels of the image.
 
     Returns:
-        None for an image taken at nadir, and if vehicles are the only cue: they warn (``tilt_notice``).
+        None for an image taken at nadir, and if vehicles are the only cue: they give a notice (``tilt_notice``).
 
     Raises:
-        TooObliqueError: the horizon is in sight, or the tilt is too uncertain to exclude that.
+        TooObliqueError: the horizon is in the image, or the tilt is too uncertain to exclude that.
     """
     if stated is None and (_nadir_is_known(image, options) or not cues):
         return None
@@ -69,7 +69,7 @@ def estimate_tilt(
 
 
 def may_be_tilted(image: ImageFacts, options: ScaleOptions, detections: Detections) -> bool:
-    """Whether metadata, georeference and vehicles leave a tilt possible."""
+    """Test whether metadata, georeference and vehicles leave a tilt possible."""
     if _nadir_is_known(image, options):
         return False
     seen = _vehicle_posterior(image, options, detections)
@@ -130,7 +130,7 @@ def _camera(image: ImageFacts, options: ScaleOptions) -> CameraMetadata | None:
 
 
 def _nadir_is_known(image: ImageFacts, options: ScaleOptions) -> bool:
-    """Whether a georeference or the metadata settle the tilt."""
+    """Test whether a georeference or the metadata determine the tilt."""
     camera = _camera(image, options)
     return image.georeference_gsd_m_per_px is not None or (camera is not None and camera.off_nadir_deg is not None)
 
@@ -138,7 +138,7 @@ def _nadir_is_known(image: ImageFacts, options: ScaleOptions) -> bool:
 def _vehicle_posterior(
     image: ImageFacts, options: ScaleOptions, detections: Detections
 ) -> tuple[int, TiltPosterior] | None:
-    """Number of cars and the tilt that they show, just fine enough to tell whether there is one."""
+    """Compute the number of cars and a coarse posterior of the tilt from them."""
     cue = vehicle_cue(detections, image.width_px, image.height_px)
     found = None if cue is None else tilt_posterior([cue], focal_of(image, options), n_passes=2)
     return None if cue is None or found is None else (len(cue.sizes), found)

@@ -1,4 +1,4 @@
-"""Focal length as far as it is known before the tilt is estimated."""
+"""Prior of the focal length, before the tilt is estimated."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _USUAL_LOG_SD = 0.2  # 20 to 35 mm
 
 
 class Focal(NamedTuple):
-    """A focal length with its uncertainty.
+    """Focal length with its uncertainty.
 
     Attributes:
         pixels: of the image.
@@ -37,7 +37,7 @@ def focal_of(image: ImageFacts, options: ScaleOptions) -> Focal:
     """Take the focal length from the caller or the metadata; without either, assume that of most drones.
 
     Args:
-        image: its size and camera.
+        image: size and camera of the image.
         options: the caller's focal length, and whether the metadata may be used.
     """
     given, camera = options.rulers.focal_35mm, image.camera if options.rulers.metadata else None
@@ -50,5 +50,5 @@ def focal_of(image: ImageFacts, options: ScaleOptions) -> Focal:
 
 
 def usual_focal(width_px: int, height_px: int) -> Focal:
-    """Focal length of most drones' cameras, 26 mm +- 20 %."""
+    """Return the focal length of most drones' cameras, 26 mm +- 20 %."""
     return Focal(equivalent_lens(width_px, height_px, _USUAL_FOCAL_35MM).pixels, _USUAL_LOG_SD, known=False)

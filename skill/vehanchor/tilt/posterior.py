@@ -21,30 +21,30 @@ if TYPE_CHECKING:
 
     from vehanchor.tilt.focal import Focal
 
-_MOST_DEG = 64.0  # a camera with a larger tilt has the horizon in sight
+_MOST_DEG = 64.0  # images with a larger tilt show the horizon
 _STEP_DEG, _FINER = 3.0, 3  # of the grid, and the factor by which each later pass is finer
-_NEGLIGIBLE = 12.0  # nats below the best: less likely tilts are not refined
+_NEGLIGIBLE = 12.0  # nats below the maximum; less likely tilts are not refined
 _MOST_POINTS = 6000
-_LEVEL_SHARE, _LEVEL_SD_DEG = 0.7, 8.0  # of cameras whose horizon is level, and how level it is
-_NEAR_DEG = 10.0  # tilts further from the likeliest are another mode, not its spread
-_FOCAL_STEPS = np.linspace(-1.8, 1.8, 7)  # standard deviations of a focal length, at first
-_GROUND_SD_DEG = 0.7  # no ground is quite level: the ground beside a court may differ
+_LEVEL_SHARE, _LEVEL_SD_DEG = 0.7, 8.0  # share of cameras with a level horizon, and its standard deviation
+_NEAR_DEG = 10.0  # tilts farther from the maximum belong to another mode
+_FOCAL_STEPS = np.linspace(-1.8, 1.8, 7)  # standard deviations of the focal length in the first pass
+_GROUND_SD_DEG = 0.7  # slope of the ground, which may differ beside a court
 
 
 class TiltCue(Protocol):
-    """A cue of the tilt."""
+    """Cue of the tilt."""
 
     @property
     def kind(self) -> str:
         """Name in records."""
 
     def log_likelihoods(self, downs: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
-        """``[k]`` for unit vectors straight down ``[k, 3]`` in the camera's frame, under a focal length."""
+        """Compute ``[k]`` for unit vectors straight down ``[k, 3]`` in the camera's frame and a focal length."""
 
 
 @dataclass(frozen=True)
 class GimbalCue:
-    """The angle that the gimbal wrote.
+    """Angle of the gimbal, from the metadata.
 
     Attributes:
         tilt_deg: angle between the camera's axis and straight down.
@@ -60,7 +60,7 @@ class GimbalCue:
     kind: str = "metadata"
 
     def log_likelihoods(self, downs: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:  # noqa: ARG002
-        """As ``TiltCue``: a normal distribution of the angle between the two, with a floor."""
+        """Compute a normal log-likelihood of the angle between the two vectors, with a floor; see ``TiltCue``."""
         stated = downs_of(self.tilt_deg * _toward(self.roll_deg)[None])[0]
         apart = np.degrees(np.arccos(np.clip(downs @ stated, -1.0, 1.0)))
         peak = (1 - self.chance_wrong) / (2 * math.pi * self.sd_deg**2)
@@ -77,8 +77,8 @@ class TiltPosterior(NamedTuple):
         high_deg: upper end.
         roll_deg: direction of the tilt in the image, clockwise from its upper side.
         focal_px: focal length, pixels of the image.
-        tilts: ``[k, 2]`` degrees to the right and to the lower side, of the whole distribution.
-        chances: ``[k]`` of each.
+        tilts: ``[k, 2]`` tilts of the whole distribution, degrees to the right and to the lower side.
+        chances: ``[k]`` probability of each tilt.
     """
 
     tilt_deg: float
@@ -90,24 +90,24 @@ class TiltPosterior(NamedTuple):
     chances: NDArray[np.float64]
 
     def chance_above(self, tilt_deg: float) -> float:
-        """Chance, 0..1, that the tilt exceeds an angle."""
+        """Compute the probability that the tilt exceeds an angle."""
         return float(self.chances[np.hypot(*self.tilts.T) > tilt_deg].sum())
 
 
 def downs_of(tilts: ArrayLike) -> NDArray[np.float64]:
-    """Unit vectors straight down ``[k, 3]`` for tilts ``[k, 2]``, degrees."""
+    """Compute unit vectors straight down ``[k, 3]`` for tilts ``[k, 2]``, degrees."""
     vectors = np.radians(np.asarray(tilts, dtype=np.float64))
     angles = np.hypot(*vectors.T)
     return np.column_stack([np.sinc(angles / math.pi)[:, None] * vectors, np.cos(angles)])
 
 
 def tilt_posterior(cues: Sequence[TiltCue], focal: Focal, *, n_passes: int = 3) -> TiltPosterior | None:
-    """Multiply the likelihoods of the cues.
+    """Multiply the likelihoods of the cues and the prior.
 
     Args:
-        cues: at least one.
-        focal: the focal length without them.
-        n_passes: each after the first is three times as fine. Two suffice to tell whether there is a tilt.
+        cues: at least one cue.
+        focal: prior of the focal length.
+        n_passes: number of passes; each one is three times finer than the one before. Two passes can detect a tilt.
 
     Returns:
         None if no direction is possible for all cues.
@@ -159,13 +159,13 @@ def _summed_up(tilts: NDArray[np.float64], weights: NDArray[np.float64], focals:
 
 
 def _toward(roll_deg: float) -> NDArray[np.float64]:
-    """Direction in the image, right and down, of the ground straight below."""
+    """Compute the direction in the image, right and down, of the ground straight below."""
     roll = math.radians(roll_deg)
     return np.array([-math.sin(roll), math.cos(roll)])
 
 
 def _log_prior(tilts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Flat in the angle; most cameras keep the horizon level, so that the image's upper side is the far one."""
+    """Compute the log prior: flat in the angle, with a level horizon for most cameras."""
     angles = np.hypot(*tilts.T)
     rolls = np.degrees(np.arctan2(-tilts[:, 0], tilts[:, 1]))
     level = math.sqrt(2 * math.pi) * _LEVEL_SD_DEG

@@ -1,4 +1,4 @@
-"""Vehicles as they would measure on the image of a camera at nadir.
+"""Vehicles rectified to a camera at nadir.
 
 In a tilted view nearer cars are longer than farther ones, and cars that point away are foreshortened. A detector
 trained on nadir images still draws boxes with a car's proportions. On the ground plane a car that points away is
@@ -25,8 +25,8 @@ def rectified(detections: Detections, plane: GroundPlane) -> Detections:
     """Rectify the lengths and widths of vehicles to nadir and to the scale of the image's centre.
 
     Args:
-        detections: in pixels of the image; places and angles stay.
-        plane: the ground; its scale does not matter.
+        detections: in pixels of the image; positions and angles are kept.
+        plane: ground plane; its scale does not matter.
     """
     plane = replace(plane, gsd_m_per_px=1.0)
     boxes = detections.boxes

@@ -1,8 +1,8 @@
 """Vehicles as a tilt cue: in a tilted view nearer cars are larger.
 
-A pixel is ``(n d)^-1.5`` as wide and high, at the mean, as one straight below (``vehanchor.scale.plane``),
-so the root of a car's area in the image goes as ``(n d)^1.5``, whatever its direction. Foreshortening is no cue: a car
-that points away shows its end, too, which makes up for most of it.
+The mean size of a pixel on the ground is ``(n d)^-1.5`` times that of a pixel at nadir (``vehanchor.scale.plane``). The
+square root of a car's area in the image is therefore proportional to ``(n d)^1.5`` for any direction of the car.
+Foreshortening is not used: a car that points away also shows its end, which compensates most of it.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from vehanchor.detection.detections import Detections
 
 LEAST_CARS = 25
-_MOST_CARS = 250  # the most certain: more do not narrow the posterior
+_MOST_CARS = 250  # the most certain ones; more do not narrow the posterior
 _LEAST_SCORE = 0.5
-_LOG_SD = 0.11  # of the root of a box's area among cars of one fleet: length and width together
-_FREEDOM = 3.0  # of Student's distribution: a lorry must not tilt the ground
-_TRUST, _MOST_COUNTED = 0.5, 80  # those that stand side by side are alike, and a part of town has cars of its own
-_FACTOR = 4.0  # cars are at most so much larger or smaller than their median
+_LOG_SD = 0.11  # of the square root of box areas within one fleet
+_FREEDOM = 3.0  # degrees of freedom of Student's distribution, robust against lorries
+_TRUST, _MOST_COUNTED = 0.5, 80  # neighbouring cars are correlated, and so are the cars of a part of town
+_FACTOR = 4.0  # largest ratio of a car's length to the median, in either direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +48,9 @@ class VehicleCue:
         return _TRUST * min(1.0, _MOST_COUNTED / len(self.sizes))
 
     def log_likelihoods(self, downs: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
-        """``[k]``; minus infinity if a car would lie above the horizon."""
+        """Compute ``[k]``; minus infinity if a car would lie above the horizon."""
         rays = np.column_stack([self.places / focal_px, np.ones(len(self.places))]).astype(np.float32)
-        sizes = rays @ downs.T.astype(np.float32)  # [n, k], single: a thousandth of a nat, in half the time
+        sizes = rays @ downs.T.astype(np.float32)  # [n, k]; float32 errs by 0.001 nats and halves the time
         seen = (sizes >= LEAST_DESCENT * np.linalg.norm(rays, axis=1)[:, None]).all(axis=0)
         np.log(np.maximum(sizes, 1e-6, out=sizes), out=sizes)
         sizes *= -1.5
@@ -68,11 +68,11 @@ def vehicle_cue(detections: Detections, width_px: int, height_px: int) -> Vehicl
 
     Args:
         detections: vehicles in pixels of the image.
-        width_px: of the image.
-        height_px: of the image.
+        width_px: width of the image.
+        height_px: height of the image.
 
     Returns:
-        None for fewer than 25 certain cars that lie whole in the image.
+        None for fewer than 25 certain cars that lie completely in the image.
     """
     boxes = _whole_cars(detections, width_px, height_px)
     if len(boxes) < LEAST_CARS:
@@ -81,7 +81,7 @@ def vehicle_cue(detections: Detections, width_px: int, height_px: int) -> Vehicl
 
 
 def _whole_cars(detections: Detections, width_px: int, height_px: int) -> NDArray[np.float64]:
-    """``[n, 5]`` boxes of likely cars that the image's edge does not cut; the most certain first."""
+    """Select boxes ``[n, 5]`` of likely cars that lie completely in the image, the most certain first."""
     sure = detections.scores >= _LEAST_SCORE
     boxes, scores = detections.boxes[sure], detections.scores[sure]
     if not len(boxes):

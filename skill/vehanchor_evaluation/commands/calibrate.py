@@ -69,7 +69,7 @@ def calibrate_fleet(request: CalibrateRequest, chosen: ParsedOptions) -> None:
     only, because it includes the model's bias. Photographs with a height need no georeference. Fewer than 100 vehicles
     or too coarse imagery are refused.
     """
-    from vehanchor.scale.calibration import save_calibration
+    from vehanchor_evaluation.calibration_file import save_calibration
 
     _check_outputs(request.out, request.plot)
     boxes = request.boxes or (_Boxes.detector if request.dota is None else _Boxes.labels)

@@ -48,8 +48,8 @@ class ScaleRequest(KnownScaleRequest):
 
     def benchmark(self, chosen: ParsedOptions) -> ScaleBenchmark:
         """Survey the data, search the images and create trials; issues go to stderr."""
-        from vehanchor.batch.known_lengths import with_lines_of
         from vehanchor.options import Reference
+        from vehanchor.rulers.known_length_table import with_lines_of
         from vehanchor_evaluation.dota import SMALL_VEHICLE
         from vehanchor_evaluation.gsd import benchmark_scale, check_options, with_regions
 

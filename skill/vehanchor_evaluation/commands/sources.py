@@ -17,11 +17,11 @@ from vehanchor.cli.terminal import printable, tile_progress
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from vehanchor.batch.known_lengths import KnownLengthTable
     from vehanchor.cli.cli_options import ParsedOptions
     from vehanchor.detection.detector import Detector
     from vehanchor.engine import Engine
     from vehanchor.options import ScaleOptions
+    from vehanchor.rulers.known_length_table import KnownLengthTable
     from vehanchor_evaluation.known_scale import FileIssue, KnownScaleSet
     from vehanchor_evaluation.search import SearchedImage
 
@@ -119,7 +119,7 @@ class KnownScaleRequest:
         Raises:
             KnownLengthError: the table cannot be read, or has none of these images.
         """
-        from vehanchor.batch.known_lengths import lines_in
+        from vehanchor.rulers.known_length_table import lines_in
 
         return lines_in(self.known_lengths, images)
 

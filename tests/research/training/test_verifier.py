@@ -1,4 +1,4 @@
-"""The training code of the second look, where PyTorch is installed (extra ``train``)."""
+"""The training code of the verifier, where PyTorch is installed (extra ``train``)."""
 
 from __future__ import annotations
 
@@ -95,8 +95,8 @@ def test_the_combination_trusts_whoever_knows() -> None:
     rng = np.random.default_rng(0)
     telling = np.where(found.car, 1.5, -1.5) + rng.normal(0, 1, 60)
     combination = fitted(telling, found._replace(scores=np.full(60, 0.5) + rng.uniform(-0.1, 0.1, 60)))
-    assert combination.look > 0.5
+    assert combination.verifier > 0.5
     assert Weights(1.0, 0.0, 0.0).score([0.2, 0.9], [5.0, -5.0]).tolist() == pytest.approx([0.2, 0.9])
     same = settled(combination, telling, found)
-    assert same.detector / same.look == pytest.approx(combination.detector / combination.look)
+    assert same.detector / same.verifier == pytest.approx(combination.detector / combination.verifier)
     assert any("AUC" in line for line in report(found.car, found.sets, telling))

@@ -65,7 +65,7 @@ async def test_no_vehicle_is_a_result_not_an_error(server: MCPServer[object], im
     assert result.structured_content["gsd_m_per_px"] is None
     assert result.structured_content["confidence"] == 0
     assert text_of(result) == (
-        "No ruler was found, confidence 0: no metric scale; take in more cars: from higher up, or over "
+        "No ruler was found, confidence 0: no metric scale; include more cars: fly higher, or over "
         "streets and car parks, or use another ruler."
     )
 
@@ -75,7 +75,7 @@ async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCP
         result = await client.call_tool("estimate_gsd", by_path(images / "two.png"))
     assert result.structured_content is not None
     assert result.structured_content["status"] == "low_confidence"
-    assert "from 2 vehicles: do not rely on it (too little evidence); take in more cars" in text_of(result)
+    assert "from 2 vehicles: do not rely on it (too little evidence); include more cars" in text_of(result)
 
 
 async def test_arguments_reach_the_library(server: MCPServer[object], images: Path, detector_path: Path) -> None:
@@ -109,7 +109,7 @@ async def test_lines_of_known_length_are_read_in_the_callers_frame_and_held_agai
     async with Client(server) as client:
         heard = await client.call_tool("estimate_gsd", arguments)
         refused = await client.call_tool("estimate_gsd", {**arguments, "known_lengths": [{**line, "x2": 11}]})
-    assert "The given line says 1 m/px" in text_of(heard)  # 2 m/px of the frame, which is half as large
+    assert "The given line gives 1 m/px" in text_of(heard)  # 2 m/px of the frame, which is half as large
     assert heard.structured_content is not None
     assert "rulers_disagree" in [warning["code"] for warning in heard.structured_content["warnings"]]
     assert refused.is_error
@@ -126,7 +126,7 @@ async def test_a_height_is_a_ruler_and_makes_a_scale_without_vehicles(server: MC
     assert heard.structured_content["leading_ruler"] == "height"
     assert heard.structured_content["n_vehicles"] == 0
     assert "from given height: safe to use." in text_of(heard)
-    assert "The given height says" in text_of(heard)
+    assert "The given height gives" in text_of(heard)
     assert refused.is_error
     assert "height_m" in text_of(refused)
     assert impossible.is_error
@@ -165,7 +165,7 @@ def doubtful() -> GsdEstimate:
 
 def test_few_vehicles_are_too_little_evidence(doubtful: GsdEstimate) -> None:
     words = describe_estimate(doubtful)
-    assert "from 3 vehicles: do not rely on it (too little evidence); take in more cars" in words
+    assert "from 3 vehicles: do not rely on it (too little evidence); include more cars" in words
     assert words.endswith("or fall back to another ruler.")
 
 
@@ -175,7 +175,7 @@ def test_a_single_vehicle_is_counted_in_the_singular(doubtful: GsdEstimate) -> N
 
 def test_the_guard_is_told_as_what_it_means(doubtful: GsdEstimate) -> None:
     guarded = doubtful.model_copy(update={"reason": "too_coarse"})
-    assert "(vehicles show too little detail to be measured well); fly lower" in describe_estimate(guarded)
+    assert "(the vehicles have too little detail); fly lower" in describe_estimate(guarded)
 
 
 @pytest.mark.parametrize("reason", ["too_few", "not_cars", "disagree", "lost"])

@@ -301,3 +301,9 @@ def test_a_factory_reads_the_environment(monkeypatch: pytest.MonkeyPatch, settin
     monkeypatch.setenv("VEHANCHOR_DETECTOR", str(settings.detector))
     with pytest.raises(SettingsError, match="refusing to listen"):
         create_app()
+
+
+async def test_a_stream_without_an_end_is_refused(base: str) -> None:
+    async with httpx.AsyncClient() as client:
+        answer = await client.get(f"{base}/mcp", headers={"accept": "text/event-stream"})
+    assert (answer.status_code, answer.headers["allow"]) == (405, "POST")

@@ -95,7 +95,7 @@ def test_the_table_says_what_each_ruler_says_and_who_disagrees(run: Any) -> None
     assert "weight 100 %" in liar
     alone = _estimate(run, "none.png", "--rulers", "known_length", "--known-length", 0, 0, 500, 0, 100).stdout
     assert "known length 0.2 m/px, weight 100 %" in alone
-    assert "not looked for" in alone
+    assert "not searched" in alone
     assert "900 x 500 px = 180 x 100 m" in alone
     assert "weight" not in _estimate(run, "cars.png").stdout
 

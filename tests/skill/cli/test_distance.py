@@ -102,7 +102,7 @@ def test_help_shows_commands_in_panels() -> None:
 @pytest.mark.parametrize("command", ["estimate", "distance", "measure"])
 def test_the_options_that_people_need_first_come_first(command: str) -> None:
     _, out, _ = run(command, "--help")
-    first = out[out.index("What helps most") : out.index("─ Detector")]
+    first = out[out.index("Most useful options") : out.index("─ Detector")]
     needed = ("--region", "--known-length", "--height", "--frame")
     assert [option for option in needed if f"{option} " in first] == list(needed)
     assert first.count("│ --") == len(needed)

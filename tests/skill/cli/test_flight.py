@@ -101,7 +101,7 @@ def test_a_batch_of_one_scale_counts_what_an_earlier_run_found(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("vehanchor.flight.table.write_table", interrupted)
+        patch.setattr("vehanchor.batch.same_scale.write_table", interrupted)
         assert run("batch", ".", "--same-scale", "--output", "scales.csv").exit_code == 130
     assert written
     done = run("batch", ".", "--same-scale", "--output", "scales.csv")
@@ -112,7 +112,7 @@ def test_a_batch_of_one_scale_counts_what_an_earlier_run_found(
 
 def test_the_report_is_written_and_a_wrong_name_told_before_the_work(run: Any, tmp_path: Path) -> None:
     assert run("flight", ".", "--same-scale", "--report", "flight.html").exit_code == 0
-    assert "All are of one scale" in (tmp_path / "flight.html").read_text()
+    assert "One scale for all photographs" in (tmp_path / "flight.html").read_text()
     refused = run("flight", ".", "--report", "flight.pdf")
     assert refused.exit_code == 2
     assert "output_unwritable" in refused.stderr

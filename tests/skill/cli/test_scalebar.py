@@ -63,7 +63,7 @@ def test_of_a_camera_that_looked_aside_no_bar_holds(image: Path) -> None:
     scale.write_text(known.model_dump_json())
     code, told = run(image, "-o", out, "--scale", scale)
     assert code == 3
-    assert told.strip() == "no bar: the camera looked 35 degrees aside, and no one scale holds; nothing was written"
+    assert told.strip() == "no bar: the camera was tilted by 35 degrees, and the scale varies; nothing was written"
     assert not out.exists()
 
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from vehanchor.detection.convergence import ANYTIME_PIXELS, Convergence, next_check, settled, stop_rule
+from vehanchor.detection.convergence import ANYTIME_PIXELS, Convergence, has_converged, next_check, stop_rule
 from vehanchor.options import Search
 
 _LARGE = ANYTIME_PIXELS
@@ -20,7 +20,7 @@ def test_small_images_and_full_effort_never_end_early() -> None:
     for options, pixels in ((Search(), small), (Search(effort="fast"), small), (Search(effort="full"), 10**9)):
         rule = stop_rule(options, pixels, 500)
         assert not rule.anytime
-        assert not settled([_CLEAR] * 5, rule)
+        assert not has_converged([_CLEAR] * 5, rule)
     assert stop_rule(Search(max_tiles=3), 100, 5).anytime
     assert stop_rule(Search(max_seconds=3, effort="full"), 100, 5).anytime
 
@@ -40,13 +40,13 @@ def test_small_images_and_full_effort_never_end_early() -> None:
     ],
 )
 def test_two_checks_in_a_row_without_a_doubt_end_the_search(standings: list[Convergence], ends: bool) -> None:
-    assert settled(standings, stop_rule(Search(), _LARGE, 500)) is ends
+    assert has_converged(standings, stop_rule(Search(), _LARGE, 500)) is ends
 
 
 def test_fast_ends_sooner_and_after_a_twentieth_of_the_tiles_at_the_latest() -> None:
     rule = stop_rule(Search(effort="fast"), _LARGE, 2000)
-    assert settled([_WIDE], rule)
-    assert not settled([_DOUBTED], rule)
+    assert has_converged([_WIDE], rule)
+    assert not has_converged([_DOUBTED], rule)
     assert rule.max_tiles == 100
     assert stop_rule(Search(effort="fast", max_tiles=7), _LARGE, 2000).max_tiles == 7
     assert stop_rule(Search(effort="fast"), _LARGE, 40).max_tiles == 24

@@ -41,7 +41,7 @@ def test_the_grounds_word_moves_the_scores_of_the_bundled_detector(said: float, 
     detector = Detector(resolve_model(), runtime=Runtime(threads=1))
     with open_raster(scene.image) as raster:
         alone, told = (
-            search(raster, detector, Search(min_score=0.3, search_scales=False), scene=ground)
+            search(raster, detector, Search(min_score=0.3, search_scales=False), prior=ground)
             for ground in (None, _ground(said, 0.15))
         )
     assert len(alone.boxes) > 20

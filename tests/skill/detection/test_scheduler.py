@@ -45,7 +45,7 @@ def test_every_tile_is_taken_once_whatever_the_others_showed(side: int, at_once:
         assert len(batch) <= at_once
         taken += batch
         for tile in batch:
-            order.tell(tile, int(rng.integers(0, 9)))
+            order.report(tile, int(rng.integers(0, 9)))
     assert sorted(taken) == list(range(len(places)))
 
 
@@ -63,7 +63,7 @@ def test_cars_that_were_found_draw_the_search_to_their_neighbours() -> None:
     places = _places(1600, (1,))
     order = TileScheduler(places, np.full(len(places), 0.5), {1: 1.0})
     for tile in order.next_tiles(8):
-        order.tell(tile, 30 if places[tile].window.y_px < 800 else 0)
+        order.report(tile, 30 if places[tile].window.y_px < 800 else 0)
     following = [places[k].window.y_px for k in order.next_tiles(30)]
     assert np.mean(np.array(following) < 800) > 0.7
 

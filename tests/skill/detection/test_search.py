@@ -183,7 +183,7 @@ def test_resolutions_at_which_no_car_can_be_are_left_out_once_there_are_cars_els
     with open_raster(image) as raster:
         ground = None if gsd is None else _ground(gsd)
         told = searching.under(Runtime(progress=lambda *each: seen.append(each)))
-        found = search(raster, told, Search(effort=effort), scene=ground)
+        found = search(raster, told, Search(effort=effort), prior=ground)
     assert found.n_tiles == len(tiles)
     assert found.n_tiles_total == 4
     assert found.stopped_because == ("all_searched" if len(tiles) == 4 else "settled")

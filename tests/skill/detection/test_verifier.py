@@ -1,4 +1,4 @@
-"""The second look: chips of candidates with their surroundings, and two opinions made one score."""
+"""The verifier: chips of candidates with their surroundings, and the combined score."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_the_card_takes_the_scores_of_the_second_look() -> None:
     card = read_detector_card(Path("vehicles.onnx"), "a" * 64, own, verifier=look)
     assert (card.min_score, card.clear_score, card.verifier_sha256) == (0.5, 0.72, "b" * 64)
     assert read_detector_card(Path("vehicles.onnx"), "a" * 64, own).min_score == 0.4
-    with pytest.raises(ModelContractError, match=r"second look .* 'vehicles', and this is 'mine'"):
+    with pytest.raises(ModelContractError, match=r"verifier .* 'vehicles', and this is 'mine'"):
         read_detector_card(Path("mine.onnx"), "a" * 64, {"vehanchor.name": "mine"}, verifier=look)
 
 
@@ -101,10 +101,10 @@ def test_the_bundled_detector_has_one_and_it_is_no_detector() -> None:
     boxes = np.column_stack(
         [np.linspace(5, 195, 130), np.full(130, 99.0), np.full(130, 20.0), np.full(130, 9.0), np.zeros(130)]
     )
-    judged = look.judged(pixels, Objects(boxes, np.full(130, 0.6), np.zeros(130, np.intp)))
+    judged = look.scored(pixels, Objects(boxes, np.full(130, 0.6), np.zeros(130, np.intp)))
     assert len(judged) == 130
     assert judged.scores.max() < 0.6  # noise holds no cars
-    assert len(look.judged(pixels, Objects.joined())) == 0
+    assert len(look.scored(pixels, Objects.joined())) == 0
 
 
 def test_another_network_is_refused() -> None:

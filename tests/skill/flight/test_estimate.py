@@ -159,7 +159,7 @@ def test_arrays_of_opencv_are_read_as_they_are_and_films_frames_as_we_have_read_
     swapped = np.ascontiguousarray(picture[:, :, ::-1])
 
     def identity(taken: InputPhotograph, *, bgr: bool) -> str | None:
-        look, _ = flight_estimate._look(taken, detector, ScaleOptions(reading=Reading(bgr=bgr)), None, featured=False)
+        look, _ = flight_estimate._search(taken, detector, ScaleOptions(reading=Reading(bgr=bgr)), None, featured=False)
         return look.image.image_id
 
     whole = identity(InputPhotograph("a", picture), bgr=False)

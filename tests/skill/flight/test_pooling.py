@@ -8,7 +8,7 @@ from tests.analyses import made_card
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections
 from vehanchor.flight.photograph import Look, Photograph
-from vehanchor.flight.pooling import _pooled_evidence, combined_density, pool, pooled_sighting, shifted
+from vehanchor.flight.pooling import _pooled_evidence, combined_density, pool, pooled_detections, shifted
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
 from vehanchor.records import Notice
@@ -64,7 +64,7 @@ def test_looks_at_vehicles_stay_with_their_boxes() -> None:
     second = Detections(
         np.full((2, 5), 2.0), np.array([0.8, 0.4]), fleet=FleetAppearance(np.array([8.0, 4.0]), np.array([1.8, 1.4]))
     )
-    both = pooled_sighting([first, second], np.zeros(2))
+    both = pooled_detections([first, second], np.zeros(2))
     assert both.fleet is not None
     assert list(both.fleet.log_odds) == [9.0, 8.0, 5.0, 4.0]
     assert list(both.fleet.log_lengths) == [1.9, 1.8, 1.5, 1.4]
@@ -74,8 +74,8 @@ def test_looks_at_vehicles_stay_with_their_boxes() -> None:
 
 def test_boxes_found_in_a_reduced_copy_keep_their_length_in_it() -> None:
     seen = Detections(np.full((1, 5), 40.0), np.array([0.9]), scales=np.array([0.5]))
-    (pooled,) = pooled_sighting([seen], [np.log(2.0)]).boxes
-    scales = pooled_sighting([seen], [np.log(2.0)]).scales
+    (pooled,) = pooled_detections([seen], [np.log(2.0)]).boxes
+    scales = pooled_detections([seen], [np.log(2.0)]).scales
     assert scales is not None
     assert pooled[2] * scales[0] == pytest.approx(20.0)
 

@@ -14,8 +14,8 @@ from vehanchor.flight.components import single_component
 from vehanchor.flight.photograph import Look, Photograph
 from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.flight.report import check_report_path, report_page, write_report
+from vehanchor.flight.track import draw_tracks
 from vehanchor.options import ScaleOptions
-from vehanchor.pictures.track import draw_tracks
 from vehanchor.records import FlightEstimate, FlightLink
 
 FLEET = 30.0 * (1 + 0.05 * np.linspace(-1, 1, 9) ** 3)
@@ -66,8 +66,8 @@ def test_a_flight_without_places_has_no_track() -> None:
         Photograph.of("a", Look(facts_at(0, 0)._replace(camera=None), sighting_of(FLEET), 1.0), card, ScaleOptions())
     ]
     page = report_page(conclude_flight(looks, [single_component([0], 0)], card, same_scale=True))
-    assert "there is no track to draw" in page
-    assert "All are of one scale" in page
+    assert "No track: no photograph has a position" in page
+    assert "One scale for all photographs" in page
 
 
 @pytest.mark.parametrize("name", ["flight.txt", "nowhere/flight.html"])

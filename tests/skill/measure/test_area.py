@@ -17,7 +17,7 @@ from vehanchor.detection.detector import Detector
 from vehanchor.engine.verbs import analyse_area, estimate_gsd, measure_area
 from vehanchor.errors import FrameError, ImageDecodeError, InvalidParameterError, ModelNotFoundError, PromptError
 from vehanchor.models import zoo as model_zoo
-from vehanchor.options import ImageLimits, ScaleOptions
+from vehanchor.options import ScaleOptions
 from vehanchor.pictures.area import draw_area, full_mask
 from vehanchor.pictures.measured import MEASURED_RGB
 from vehanchor.records import AreaMeasurement
@@ -390,7 +390,7 @@ def test_the_overlay_shows_the_outline_where_the_object_is(
 
 def test_the_full_mask_is_as_large_as_the_image(segmenter: Segmenter) -> None:
     analysis = analyse_area(_place(), ScaleOptions(), box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)
-    mask = full_mask(analysis, ImageLimits())
+    mask = full_mask(analysis, 480_000)
     assert mask.shape == (600, 800, 3)
     assert (mask > 0).sum() == 3 * analysis.measurement.mask_area_px
     assert mask[330, 444].tolist() == [255, 255, 255]

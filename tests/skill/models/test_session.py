@@ -83,7 +83,7 @@ def test_providers_have_short_names_and_one_that_is_missing_gives_way_to_a_cpu_n
 ) -> None:
     path = write_detector(tmp_path / "m.onnx")
     assert open_session(path, runtime=Runtime(providers=["cpu"])).get_providers() == ["CPUExecutionProvider"]
-    with pytest.raises(ProviderUnavailableError, match=r"no DmlExecutionProvider.*name cpu beside it"):
+    with pytest.raises(ProviderUnavailableError, match=r"no DmlExecutionProvider.*add cpu to the providers"):
         open_session(path, runtime=Runtime(providers=["DirectML"]))
     for _ in range(2):
         assert open_session(path, runtime=Runtime(providers=["coreml", "cpu"])).get_providers() == [

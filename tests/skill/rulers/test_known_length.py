@@ -50,7 +50,7 @@ def test_several_lines_are_weighed_by_what_their_pixels_tell() -> None:
     assert both.n == 2
     assert both.notices == ()
     assert both.explanation is not None
-    assert both.explanation.startswith("The 2 given lines say 0.05")
+    assert both.explanation.startswith("The 2 given lines give 0.05")
 
 
 def test_lines_that_contradict_each_other_are_told_and_believed_less() -> None:

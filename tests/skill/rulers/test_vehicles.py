@@ -34,7 +34,7 @@ def test_the_fleet_is_what_the_outlier_filter_leaves() -> None:
     fleet = select(_view(_LENGTHS).detections, Lengths())
     assert fleet.kept.tolist() == [True] * 5 + [False]
     assert fleet.lengths.tolist() == _LENGTHS[:5]
-    assert (fleet.working_scale, fleet.look) == (1.0, None)
+    assert (fleet.working_scale, fleet.appearance) == (1.0, None)
 
 
 def test_vehicles_say_the_reference_length_over_their_modal_length() -> None:
@@ -75,9 +75,9 @@ def test_the_look_of_the_kept_vehicles_is_what_was_asked_of_them() -> None:
     view = _view(_LENGTHS)
     found = Detections(view.detections.boxes[::-1], view.detections.scores, fleet=FleetAppearance(odds, odds / 2))
     fleet = select(found, Lengths())
-    assert fleet.look is not None
-    assert fleet.look.log_odds.tolist() == [2.0, 3.0]  # the longest comes first and is dropped
-    assert fleet.look.log_lengths.tolist() == [1.0, 1.5]
+    assert fleet.appearance is not None
+    assert fleet.appearance.log_odds.tolist() == [2.0, 3.0]  # the longest comes first and is dropped
+    assert fleet.appearance.log_lengths.tolist() == [1.0, 1.5]
 
 
 def test_among_other_rulers_the_boxes_speak_around_the_papers_scale() -> None:

@@ -34,8 +34,8 @@ from vehanchor.scale.calibration import (
     length_density,
     load_calibration,
     modal_length_m,
-    save_calibration,
 )
+from vehanchor_evaluation.calibration_file import save_calibration
 from vehanchor_evaluation.dota import labelled_boxes
 from vehanchor_scenes import render_scene
 

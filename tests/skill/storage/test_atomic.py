@@ -18,8 +18,8 @@ from tests.skill.cut_off import CALIBRATION
 from vehanchor.errors import OutputError
 from vehanchor.pictures.plot import write_plot
 from vehanchor.pictures.scale import write_picture
-from vehanchor.scale.calibration import save_calibration
 from vehanchor.storage.atomic import whole_file
+from vehanchor_evaluation.calibration_file import save_calibration
 
 WRITERS: dict[str, Callable[[Path], Any]] = {
     "c.json": lambda path: save_calibration(path, CALIBRATION),

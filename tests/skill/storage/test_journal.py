@@ -89,7 +89,7 @@ def test_a_sole_journal_says_in_what_other_settings_differ(tmp_path: Path) -> No
 def test_a_file_that_is_no_journal_is_left_alone(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "x.journal"
     path.write_bytes(content)
-    with pytest.raises(InvalidParameterError, match="is no line of a journal: move the file away"):
+    with pytest.raises(InvalidParameterError, match="is not a line of a journal: move the file away"):
         _journal(path)
     assert path.read_bytes() == content
 
@@ -176,5 +176,5 @@ def test_a_result_that_cannot_be_read_any_more_is_told_with_the_remedy(tmp_path:
     path = tmp_path / "j.jsonl"
     _journal(path).add(("a",), 1)
     journal: Journal[Any] = Journal(path, {"model": "m"}, dump=int, load=load, remedy="start anew")
-    with pytest.raises(InvalidParameterError, match=r"cannot be read.*start anew"):
+    with pytest.raises(InvalidParameterError, match=r"unreadable.*start anew"):
         journal.get(("a",))

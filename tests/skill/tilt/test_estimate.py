@@ -14,7 +14,7 @@ from vehanchor.courts.court import Court
 from vehanchor.courts.template import TENNIS
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import TooObliqueError
-from vehanchor.flight.photograph import Look, Photograph
+from vehanchor.flight.photograph import Look, Photograph, look_codec
 from vehanchor.flight.pooling import pool
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
@@ -27,7 +27,6 @@ from vehanchor.rulers.given_height import GivenHeight
 from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.measurement import with_tilt
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.storage.stored import from_json, to_json
 from vehanchor.tilt.camera_tilt import CameraTilt, metadata_tilt
 from vehanchor.tilt.estimate import estimate_tilt
 from vehanchor_scenes import render_scene
@@ -148,7 +147,7 @@ def test_lines_and_heights_of_the_caller_are_measured_along_the_tilt() -> None:
         assert moved.interval is not None
         assert moved.interval.high / moved.interval.low > before.interval.high / before.interval.low
         assert moved.explanation is not None
-        assert moved.explanation.endswith("At the image's centre.")
+        assert moved.explanation.endswith("This is the scale of the image's centre.")
     record = analyse_detections(view).estimate
     assert record.gsd_m_per_px == pytest.approx(GSD, rel=0.1)  # the metadata have 30 degrees, and no roll
     assert [ruler.agrees for ruler in record.rulers] == [True, True]
@@ -173,7 +172,7 @@ def test_a_journal_keeps_the_tilt_and_what_was_measured_along_it(monkeypatch: py
     monkeypatch.setattr(Courts, "find", lambda *_: courts)
     view = with_tilt(_view(NOTHING))
     analysis = analyse_view(view)
-    kept = from_json(to_json(Look.of(view, analysis)))
+    kept = look_codec().load(look_codec().dump(Look.of(view, analysis)))
     again = Photograph.of("a", kept, view.card, view.options).analysis.estimate
     assert again == analysis.estimate
     assert again.tilt is not None

@@ -21,36 +21,36 @@ if TYPE_CHECKING:
     from vehanchor.batch.row import BatchRow
     from vehanchor.batch.worker import BatchJob, Task
 
-_worker: Worker | None = None  # of this process, where it is a worker
+_worker: Worker | None = None  # in a worker process
 
 
 def local_workers(n_tasks: int) -> int:
-    """One worker a CPU: with one thread each, they are faster together than one worker with all threads."""
+    """Choose one worker per CPU: single-threaded workers are faster than one worker with all threads."""
     return max(
         1, min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, n_tasks)
     )
 
 
 def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[BatchRow]:
-    """Make the rows of all tasks, as they get ready.
+    """Make the rows of all tasks in order of completion.
 
     Args:
-        job: what every worker has to know.
+        job: settings of the workers.
         tasks: the images.
-        workers: processes; 1 works in this one.
+        workers: number of processes; 1 uses this process.
 
     Yields:
-        A row for each task, in no particular order.
+        A row for each task, in order of completion.
 
     Raises:
-        WorkerDiedError: a process was killed, for want of memory as a rule.
+        WorkerDiedError: a process was killed, usually for lack of memory.
         ModelError: the model cannot be loaded.
     """
     if workers == 1:
         only = Worker(job)
         yield from map(only.row, tasks)
         return
-    context = multiprocessing.get_context("spawn")  # forking a process that runs threads can lock up
+    context = multiprocessing.get_context("spawn")  # a forked process with threads can deadlock
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_start, initargs=(job,))
     try:
         with closing(finished(pool, workers, _row, tasks)) as rows:
@@ -58,13 +58,13 @@ def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[B
                 yield future.result()
     except BrokenProcessPool:
         raise WorkerDiedError(
-            f"a worker process died, most often for want of memory: {workers} of them each held a model and an image. "
-            "The rows so far are kept; run the same command again with fewer --workers"
+            f"a worker process died, usually for lack of memory: each of {workers} held a model and an image. Finished "
+            "rows are kept; run the same command again with fewer --workers"
         ) from None
 
 
 def _start(job: BatchJob) -> None:
-    """Make this process a worker: it leaves Ctrl-C to its parent, and ends with it."""
+    """Make this process a worker; it ignores Ctrl-C and ends with its parent."""
     global _worker
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()

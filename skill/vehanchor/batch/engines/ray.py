@@ -1,4 +1,4 @@
-"""Workers as actors of a Ray cluster, or of a Ray that is started on this machine for the run."""
+"""Workers as actors of a Ray cluster, or of a local Ray that is started for the run."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from vehanchor.batch.worker import BatchJob
 
 _KNOCK_S = 10.0
-_BLOCK_FILES = 8  # rows come back a block at a time: what an interruption can cost each worker
+_BLOCK_FILES = 8  # rows per block, the most that each worker loses in an interruption
 
 
 def require_ray() -> Any:
-    """Ray with Ray Data.
+    """Import Ray with Ray Data.
 
     Raises:
-        MissingExtraError: it is not installed.
+        MissingExtraError: Ray is not installed.
     """
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a library has no business to report home
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no telemetry from a library
     try:
         import ray
         import ray.data
@@ -38,29 +38,29 @@ def require_ray() -> Any:
 
 
 class _Actor:
-    """One model; Ray Data calls it with blocks of tasks."""
+    """Actor with one model; Ray Data calls it with blocks of tasks."""
 
     def __init__(self) -> None:
         self._worker: Worker | None = None
 
     def __call__(self, batch: dict[str, Any], job: BatchJob) -> dict[str, Any]:
-        if self._worker is None:  # not in __init__: Ray warns of actors whose constructor has arguments
+        if self._worker is None:  # not in __init__: Ray warns of constructors with arguments
             self._worker = Worker.of_own_process(job)
         tasks = [Task(str(file), str(path)) for file, path in zip(batch["file"], batch["path"], strict=True)]
         return {"row": [row.model_dump_json() for row in self._worker.rows(tasks)]}
 
 
 def ray_rows(job: BatchJob, tasks: Sequence[Task], workers: int | None, address: str | None) -> Iterator[BatchRow]:
-    """Make the rows of all tasks, as their blocks get ready.
+    """Make the rows of all tasks in order of completion.
 
     Args:
-        job: what every worker knows; all machines have the same vehanchor and see the images under the same paths.
+        job: settings of the workers; all machines need the same vehanchor and the same image paths.
         tasks: the images.
-        workers: actors; None for one a CPU of the cluster.
-        address: of the cluster (``auto``, ``host:6379``, ``ray://host:10001``); None starts a Ray on this machine.
+        workers: number of actors; None for one per CPU of the cluster.
+        address: address of the cluster (``auto``, ``host:6379``, ``ray://host:10001``); None starts a local Ray.
 
     Yields:
-        A row for each task, in no particular order.
+        A row for each task, in order of completion.
 
     Raises:
         MissingExtraError: Ray is not installed.
@@ -76,7 +76,7 @@ def ray_rows(job: BatchJob, tasks: Sequence[Task], workers: int | None, address:
             override_num_blocks=max(n_workers, -(-len(tasks) // _BLOCK_FILES)),
         ).map_batches(
             _Actor,
-            batch_size=None,  # a block at a time
+            batch_size=None,  # whole blocks
             batch_format="numpy",
             compute=ray.data.ActorPoolStrategy(size=n_workers),
             num_cpus=job.runtime.threads,
@@ -88,13 +88,13 @@ def ray_rows(job: BatchJob, tasks: Sequence[Task], workers: int | None, address:
         except ray.exceptions.RayError as error:
             reason = str(error).strip().splitlines()[-1] if str(error).strip() else type(error).__name__
             raise WorkerDiedError(
-                f"Ray ended the run ({reason}). The rows so far are kept; run the same command again to go on"
+                f"Ray ended the run ({reason}). Finished rows are kept; run the same command again to resume"
             ) from None
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Ray logs to stderr what it starts and stops; this command's stderr is for the user."""
+    """Suppress Ray's log of starts and stops on stderr, which is for the user."""
     levels = {logger: logger.level for logger in map(logging.getLogger, ("ray", "ray.data"))}
     for logger in levels:
         logger.setLevel(logging.CRITICAL)
@@ -107,7 +107,7 @@ def _quiet() -> Iterator[None]:
 
 @contextmanager
 def _cluster(ray: Any, address: str | None) -> Iterator[None]:
-    """The Ray that this process is connected to, else the one at the address, else one of our own for the time."""
+    """Use the connected Ray, else the one at the address, else start a local one for the run."""
     if ray.is_initialized():
         yield
         return
@@ -131,7 +131,7 @@ def _cluster(ray: Any, address: str | None) -> Iterator[None]:
 
 
 def _knock(address: str | None) -> None:
-    """Find out at once that nobody listens: Ray itself tries for minutes."""
+    """Check at once that the address answers: Ray itself tries for minutes."""
     host, _, port = (address or "").removeprefix("ray://").rpartition(":")
     if host and port.isdigit():
         socket.create_connection((host.strip("[]"), int(port)), timeout=_KNOCK_S).close()

@@ -1,4 +1,4 @@
-"""The layouts in which detectors put out oriented boxes, one class each, told by the shapes of their outputs.
+"""Output layouts of oriented-box detectors, one class each, recognised by the shapes of the outputs.
 
 =============  ==============================  =========================================================================
 contract       output                          exported by
@@ -7,7 +7,7 @@ contract       output                          exported by
 ``end_to_end`` ``[1, n, 7]``                   Ultralytics with ``nms=True``, or YOLO26 OBB
 =============  ==============================  =========================================================================
 
-A new one is a file with a subclass of ``DetectorContract``, and a place in ``CONTRACTS``.
+To add one, write a file with a subclass of ``DetectorContract`` and add the class to ``CONTRACTS``.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ CONTRACTS: tuple[type[DetectorContract], ...] = (Raw, EndToEnd)
 
 
 def recognise_contract(shapes: Sequence[tuple[int, ...]], named_classes: Collection[int]) -> DetectorContract:
-    """The contract that a model keeps.
+    """Recognise the contract of a model.
 
     Args:
-        shapes: of its outputs for one image.
-        named_classes: indices of the classes that its metadata names; may be none.
+        shapes: shapes of its outputs for one image.
+        named_classes: indices of the classes that its metadata names; may be empty.
 
     Returns:
         The first of ``CONTRACTS`` that recognises the shapes.
 
     Raises:
-        ModelContractError: none does.
+        ModelContractError: no contract recognises the shapes.
     """
     for kind in CONTRACTS:
         contract = kind.recognise(shapes, named_classes)

@@ -1,4 +1,4 @@
-"""The base of all detector contracts: how outputs become boxes, and nothing else."""
+"""Base of all detector contracts: conversion of a model's outputs to boxes."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 
 class DetectorContract(ABC):
-    """One layout of a detector's outputs.
+    """Layout of a detector's outputs.
 
     Attributes:
         layout: the outputs' shapes, for messages.
-        n_classes: of the model; None where the layout does not tell.
+        n_classes: number of classes of the model; None if the layout does not show it.
     """
 
     layout: ClassVar[str]
@@ -28,26 +28,26 @@ class DetectorContract(ABC):
     @classmethod
     @abstractmethod
     def recognise(cls, shapes: Sequence[tuple[int, ...]], named_classes: Collection[int]) -> Self | None:
-        """The contract for a model with outputs of these shapes, None where they are of another layout.
+        """Create the contract for a model with outputs of these shapes; None for another layout.
 
         Args:
-            shapes: of the outputs for one image.
-            named_classes: indices of the classes that the metadata names; may be none.
+            shapes: shapes of the outputs for one image.
+            named_classes: indices of the classes that the metadata names; may be empty.
         """
 
     @abstractmethod
     def objects(
         self, outputs: Sequence[NDArray[Any]], min_score: float, classes: NDArray[np.intp] | None = None
     ) -> Objects:
-        """The objects in the outputs for one image, as the model puts them out: sides in any order, angles unbounded.
+        """Read the objects from the outputs for one image; sides may be in any order, angles unbounded.
 
         Args:
             outputs: in the order of the shapes.
-            min_score: objects below it are left out.
-            classes: each object gets the best of these, and the score of that; None stands for all.
+            min_score: objects with a lower score are left out.
+            classes: each object gets the best of these classes with its score; None for all classes.
         """
 
     def ran_out(self, outputs: Sequence[NDArray[Any]]) -> bool:
-        """Whether the outputs had no room left, so that objects may be missing."""
+        """Test whether the outputs are full, so that objects may be missing."""
         del outputs
         return False

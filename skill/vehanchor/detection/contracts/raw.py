@@ -1,4 +1,4 @@
-"""Contract ``raw``: one column for each place that may hold an object, a score for every class."""
+"""Contract ``raw``: one column per anchor, with a score for every class."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_FIRST_SCORE = 4  # below cx, cy, w, h
-_FEATURES = _FIRST_SCORE + 1  # and the angle, which is last
+_FIRST_SCORE = 4  # after cx, cy, w, h
+_FEATURES = _FIRST_SCORE + 1  # cx, cy, w, h and the angle, which is last
 _END_TO_END_WIDTH = 7
 
 
 class Raw(DetectorContract):
-    """``[1, 4+classes+1, anchors]``: a column is cx, cy, w, h, a score for each class, angle.
+    """Layout ``[1, 4+classes+1, anchors]``: a column is cx, cy, w, h, a score for each class, angle.
 
     Args:
         n_classes: number of scores in a column.
@@ -33,13 +33,13 @@ class Raw(DetectorContract):
 
     @classmethod
     def recognise(cls, shapes: Sequence[tuple[int, ...]], named_classes: Collection[int]) -> Raw | None:
-        """As for every contract: by the names in the metadata, else because there are more places than scores."""
+        """Recognise the layout by the class names in the metadata, else because anchors outnumber the scores."""
         shape = shapes[0]
         if len(shape) != 3:
             return None
         n_classes = shape[1] - _FEATURES
         if named_classes:
-            # A column has a score for every class from 0 on: other indices would be read from elsewhere in it.
+            # A column has one score for every class from 0 on; any other index would address another value.
             return cls(n_classes) if set(named_classes) == set(range(n_classes)) else None
         if n_classes >= 1 and shape[1] < shape[2] != _END_TO_END_WIDTH:
             return cls(n_classes)
@@ -48,7 +48,7 @@ class Raw(DetectorContract):
     def objects(
         self, outputs: Sequence[NDArray[Any]], min_score: float, classes: NDArray[np.intp] | None = None
     ) -> Objects:
-        """As for every contract."""
+        """Read the columns; see ``DetectorContract.objects``."""
         output = outputs[0][0]
         indices = np.arange(self.n_classes) if classes is None else classes
         scores = output[_FIRST_SCORE + indices]

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, NamedTuple
 from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES, find_metadata
 from vehanchor.imagery.metadata.exif import read_exif
 from vehanchor.imagery.metadata.xmp import read_xmp
-from vehanchor.storage.stored import stored
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -105,7 +104,6 @@ MAKERS: tuple[Maker, ...] = (
 """In order of precedence: the first maker with a value is used."""
 
 
-@stored("camera_metadata")
 @dataclass(frozen=True)
 class CameraMetadata:
     """Camera and its position; None for values that the file lacks.

@@ -1,14 +1,14 @@
-"""The promptable segmenters that users have as ONNX files, each told by the names of its inputs and outputs.
+"""Contracts of promptable segmenters in ONNX files, recognised by the names of their inputs and outputs.
 
-One class a file, all in ``CONTRACTS`` (registry.py): a new kind is one file and one place there.
+To add one, write a file with one class and add the class to ``CONTRACTS`` (registry.py).
 
-Coordinates. Here a crop's first pixel spans 0 to 1. All these graphs add half a pixel of the model's input to the
-coordinates they are given (SAM speaks of pixel indices), so each contract takes that half off.
+Coordinates: a crop's first pixel spans 0 to 1. All these graphs take pixel indices, as SAM does, and add half a pixel
+of the model's input. Each contract therefore subtracts that half.
 
-Which of several masks. A box, or two points and more, say what is meant: then a decoder that has a single-mask output
-(four masks, the first is it) gives that one, as SAM's own predictor does. One point alone may mean a part or the whole:
-then, and for decoders without that output (three masks), the mask that the model itself scores highest. SAM's padding
-point is always added, which makes decoders exported with ``--return-single-mask`` choose by the same rule.
+Choice of the mask: a box, or two and more points, is unambiguous. A decoder with a single-mask output (the first of
+four masks) then gives that one, as SAM's own predictor does. One point may mean a part or the whole. Then, and for
+decoders with three masks, the mask with the highest score is chosen. SAM's padding point is always added, so that
+decoders exported with ``--return-single-mask`` choose by the same rule.
 """
 
 from __future__ import annotations

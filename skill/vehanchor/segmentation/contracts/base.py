@@ -1,4 +1,4 @@
-"""What all promptable segmenters have in common: how they are fed, run and read."""
+"""Base of all segmenter contracts: inputs, runs and outputs."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ DTYPES: dict[str, type[np.generic]] = {
     "tensor(uint8)": np.uint8,
 }
 _MASK_PER_EMBEDDING = 4  # SAM's mask prompt is four times finer than its embedding
-_TOP_LEFT, _BOTTOM_RIGHT = 2, 3  # labels beside 1, inside, and 0, outside
-_SINGLE_AND_MULTI = 4  # masks of a decoder that puts out the single mask and the three of an ambiguous prompt
+_TOP_LEFT, _BOTTOM_RIGHT = 2, 3  # labels; 1 is a point on the object, 0 one outside it
+_SINGLE_AND_MULTI = 4  # number of masks from a decoder with a single-mask output and three for ambiguous prompts
 
 
 @dataclass(frozen=True, eq=False)
 class MaskLogits:
-    """The chosen mask as logits on a grid of its own.
+    """Chosen mask as logits on the model's grid.
 
     Attributes:
         logits: ``[gh, gw]`` float32, the object where > 0.
-        score: the model's own estimate of its IoU, 0..1.
+        score: IoU predicted by the model, 0..1.
         cells_per_px: columns and rows of the grid per pixel of the crop, from the common top left corner.
     """
 
@@ -53,11 +53,11 @@ class MaskLogits:
 
 @dataclass(frozen=True, eq=False)
 class Encoding:
-    """A crop as the encoder sees it: any number of prompts is read from it.
+    """Encoded crop, from which any number of prompts can be decoded.
 
     Attributes:
-        outputs: of the encoder, by name.
-        size: width and height of the picture that it was fed.
+        outputs: outputs of the encoder, by name.
+        size: width and height of the encoder's input picture.
         crop_size: width and height of the crop, pixels.
     """
 
@@ -67,27 +67,27 @@ class Encoding:
 
 
 class SamContract(LoadedModel, ABC):
-    """One kind of encoder and decoder; the subclasses know what it is fed and what comes back.
+    """Contract of an encoder and a decoder; subclasses define inputs and outputs.
 
-    A pair of files keeps a contract where the encoder has its one input and no other, and both have at least the other
-    names that the class lists.
+    A pair of files fulfils a contract if the encoder has exactly the listed inputs, and both files have at least the
+    other listed names.
 
     Attributes:
-        name: short, for the model's card.
-        described: for whoever brought a pair of files of no known kind.
+        name: short name, for the model card.
+        described: description for the error message about unknown files.
         encoder_inputs: all inputs of the encoder.
-        encoder_outputs: outputs that it must have.
-        decoder_inputs: inputs that the decoder must have.
-        decoder_outputs: outputs that it must have.
+        encoder_outputs: required outputs of the encoder.
+        decoder_inputs: required inputs of the decoder.
+        decoder_outputs: required outputs of the decoder.
         input_px: side of the model's input, pixels.
 
     Args:
         encoder: session of the image encoder.
         decoder: session of the prompt encoder and mask decoder.
-        input_px: the model's input size where its metadata names one.
+        input_px: input size from the model's metadata; None if they have none.
 
     Raises:
-        ModelContractError: the size of the model's input cannot be found out, or cannot be used.
+        ModelContractError: the size of the model's input is unknown, or not supported.
     """
 
     name: ClassVar[str]
@@ -106,7 +106,7 @@ class SamContract(LoadedModel, ABC):
         self._check_image_shape()
 
     def _found_input_px(self) -> int:
-        """The side of the model's square input, from the shapes of its graphs."""
+        """Derive the side of the model's square input from the shapes of its graphs."""
         shape = self._image.shape
         sides = [side for side in shape[-2:] if isinstance(side, int)] if len(shape) == 4 else []
         if len(shape) == 3:
@@ -120,12 +120,12 @@ class SamContract(LoadedModel, ABC):
             return prior * SAM_STRIDE_PX // _MASK_PER_EMBEDDING
         raise ModelContractError(
             f"the encoder's input {self._image.name!r} has shape {shape}, its embedding side {embedding} and the mask "
-            f"prompt side {prior}: the input's size cannot be told. Export with fixed shapes, or write the metadata "
+            f"prompt side {prior}: the input size is unknown. Export with fixed shapes, or write the metadata "
             "vehanchor.input_size_px"
         )
 
     def _embedding_side(self) -> int | None:
-        """Side of the coarsest embedding, from the encoder's or the decoder's declaration."""
+        """Read the side of the coarsest embedding from the encoder's or the decoder's shapes."""
         name = "image_embeddings"
         return fixed_side(self._encoder.get_outputs(), name) or fixed_side(self._decoder.get_inputs(), name)
 
@@ -142,7 +142,7 @@ class SamContract(LoadedModel, ABC):
 
     @abstractmethod
     def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
-        """Width and height that a crop of this size is resized to before ``encode``."""
+        """Compute the width and height to which a crop is resized before ``encode``."""
 
     def encode(
         self,
@@ -160,22 +160,22 @@ class SamContract(LoadedModel, ABC):
 
     @abstractmethod
     def _prepared(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """What the encoder is fed."""
+        """Convert the resized crop to the encoder's input."""
 
     @abstractmethod
     def decode(self, encoding: Encoding, prompt: Prompt) -> MaskLogits:
-        """Read one prompt.
+        """Decode the mask for one prompt.
 
         Args:
-            encoding: of the crop.
+            encoding: encoding of the crop.
             prompt: in pixels of the crop.
 
         Returns:
             The mask.
 
         Raises:
-            PromptError: a prompt that this model cannot read.
-            ModelContractError: the model runs, but what it puts out is no mask.
+            PromptError: this model cannot read the prompt.
+            ModelContractError: the outputs are not masks with scores.
         """
 
     def _run(
@@ -183,15 +183,15 @@ class SamContract(LoadedModel, ABC):
         session: onnxruntime.InferenceSession,
         feeds: Mapping[str, NDArray[Any]],
     ) -> dict[str, NDArray[Any]]:
-        """Run with what the graph asks for, in its types; outputs by name."""
-        asked = {item.name: feeds[item.name].astype(DTYPES[item.type]) for item in session.get_inputs()}
+        """Run a session on its inputs, converted to its types; return the outputs by name."""
+        inputs = {item.name: feeds[item.name].astype(DTYPES[item.type]) for item in session.get_inputs()}
         names = [output.name for output in session.get_outputs()]
-        shapes = ", ".join(f"{name} {list(value.shape)}" for name, value in asked.items())
-        results = run_session(session, names, asked, self.runtime, f"the {self.name} segmenter fails on {shapes}")
+        shapes = ", ".join(f"{name} {list(value.shape)}" for name, value in inputs.items())
+        results = run_session(session, names, inputs, self.runtime, f"the {self.name} segmenter fails on {shapes}")
         return dict(zip(names, (np.asarray(result) for result in results), strict=True))
 
     def _no_mask_prompt(self) -> dict[str, NDArray[Any]]:
-        """The inputs of a mask prompt, saying that there is none."""
+        """Build the inputs that mean "no mask prompt"."""
         shapes = {item.name: item.shape for item in self._decoder.get_inputs()}
         fallback = self.input_px * _MASK_PER_EMBEDDING // SAM_STRIDE_PX
         sides = [side if isinstance(side, int) else fallback for side in shapes.get("mask_input", [])[2:]]
@@ -201,7 +201,7 @@ class SamContract(LoadedModel, ABC):
         }
 
     def _chosen(self, masks: NDArray[Any], scores: NDArray[Any], prompt: Prompt) -> tuple[NDArray[np.float32], float]:
-        """One of ``[m, gh, gw]`` masks by the package's rule, and its score."""
+        """Choose one of the masks ``[m, gh, gw]`` by the package's rule; return it with its score."""
         grids = masks.reshape(-1, *masks.shape[-2:])
         flat = np.nan_to_num(scores.reshape(-1).astype(np.float64), nan=0.0)
         if len(grids) != len(flat) or len(grids) == 0 or min(grids.shape[1:]) < 1:
@@ -216,10 +216,10 @@ class SamContract(LoadedModel, ABC):
 
 
 class StretchedContract(SamContract):
-    """Models whose square input the crop is stretched to."""
+    """Contract of models for which the crop is stretched to a square."""
 
     def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
-        """The square, whatever the crop's shape."""
+        """Return the side of the square, for any shape of the crop."""
         del width_px, height_px
         return self.input_px, self.input_px
 
@@ -232,12 +232,12 @@ class StretchedContract(SamContract):
 
 
 def resized_side(side_px: int, scale: float) -> int:
-    """A side after scaling, rounded half up as SAM does, at least one pixel."""
+    """Scale a side and round it half up, as SAM does, to at least one pixel."""
     return max(1, int(side_px * scale + 0.5))
 
 
 def fixed_side(items: Sequence[Any], name: str) -> int | None:
-    """The last side of an input or output, where it is fixed."""
+    """Read the last side of an input or output; None if it is not fixed."""
     for item in items:
         if item.name == name and len(item.shape) == 4 and isinstance(item.shape[-1], int):
             return int(item.shape[-1])
@@ -247,7 +247,7 @@ def fixed_side(items: Sequence[Any], name: str) -> int | None:
 def cells_per_px(
     grid: NDArray[np.float32], covered: tuple[int, int], scale: tuple[float, float]
 ) -> tuple[float, float]:
-    """Cells of a grid that covers so many input pixels, per pixel of the crop."""
+    """Compute a grid's cells per pixel of the crop, from the input pixels that it covers."""
     rows, columns = grid.shape
     return columns / covered[0] * scale[0], rows / covered[1] * scale[1]
 
@@ -255,7 +255,7 @@ def cells_per_px(
 def corner_prompt(
     prompt: Prompt, scale: tuple[float, float], *, shift: float | tuple[float, float]
 ) -> tuple[list[tuple[float, float]], list[int]]:
-    """Points and labels as SAM takes them, in input pixels less ``shift``: a box's corners first, labelled 2 and 3."""
+    """Convert a prompt to SAM's points and labels, in input pixels minus ``shift``; box corners have labels 2 and 3."""
     across, down = shift if isinstance(shift, tuple) else (shift, shift)
 
     def place(x: float, y: float) -> tuple[float, float]:

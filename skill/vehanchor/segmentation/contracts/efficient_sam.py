@@ -1,4 +1,4 @@
-"""EfficientSAM's own export: it resizes in its graph, from any size.
+"""Contract of EfficientSAM's own export, which resizes any input in its graph.
 
 * Encoder: ``batched_images`` ``[b, 3, h, w]`` 0..1.
 * Decoder: ``image_embeddings, batched_point_coords, batched_point_labels, orig_im_size`` -> ``output_masks,
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 
     from vehanchor.segmentation.prompt import Prompt
 
-_MAX_POINTS = 6  # more are dropped without a word in its graph
+_MAX_POINTS = 6  # the graph silently drops further points
 _INPUT_PX = 1024
 
 
 class EfficientSam(SamContract):
-    """EfficientSAM."""
+    """Contract of EfficientSAM."""
 
     name = "efficient_sam"
     described = "EfficientSAM"
@@ -52,22 +52,22 @@ class EfficientSam(SamContract):
             )
 
     def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
-        """The crop reduced to the model's input, but never enlarged."""
+        """Compute the size of the crop reduced to the model's input, but never enlarged."""
         height, width = self._image.shape[2:]
         if isinstance(height, int) and isinstance(width, int):
             return width, height
-        scale = min(1.0, self.input_px / max(width_px, height_px))  # enlarging is left to its graph
+        scale = min(1.0, self.input_px / max(width_px, height_px))  # the graph enlarges small crops
         return resized_side(width_px, scale), resized_side(height_px, scale)
 
     def decode(self, encoding: Encoding, prompt: Prompt) -> MaskLogits:
-        """Decode; see ``SamContract.decode``. Points outside the object are refused, and more than six."""
+        """Decode up to six points on the object, or a box; see ``SamContract.decode``."""
         if not all(include for _, _, include in prompt.points):
-            raise PromptError("EfficientSAM knows no points outside the object: leave them out, or use another model")
+            raise PromptError("EfficientSAM reads no points outside the object: leave them out, or use another model")
         if len(prompt.points) > _MAX_POINTS:
-            raise PromptError(f"EfficientSAM reads {_MAX_POINTS} points at most, got {len(prompt.points)}")
+            raise PromptError(f"EfficientSAM reads at most {_MAX_POINTS} points, got {len(prompt.points)}")
         width, height = encoding.size
         scale = width / encoding.crop_size[0], height / encoding.crop_size[1]
-        # Its half pixel is one of its own input, added after it has scaled the coordinates to it.
+        # The graph scales the coordinates to its input and then adds half an input pixel.
         half = 0.5 / self.input_px
         coords, labels = corner_prompt(prompt, scale, shift=(half * width, half * height))
         outputs = self._run(

@@ -1,4 +1,4 @@
-"""The contracts that are known, and how a pair of files is told to keep one of them."""
+"""Registry of the contracts, and their recognition."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ if TYPE_CHECKING:
     from vehanchor.segmentation.contracts.base import SamContract
 
 CONTRACTS: tuple[type[SamContract], ...] = (Sam, Sam2, Transformers, EfficientSam)
-"""Every contract; a new one is one file and one place here."""
+"""All contracts."""
 
-_OPTIONAL_INPUTS = frozenset({"mask_input", "has_mask_input", "orig_im_size"})  # of decoders: these can be given
+_OPTIONAL_INPUTS = frozenset({"mask_input", "has_mask_input", "orig_im_size"})  # of decoders
 
 
 def recognise_contract(
     encoder: onnxruntime.InferenceSession, decoder: onnxruntime.InferenceSession, input_px: int | None = None
 ) -> SamContract:
-    """The contract that an encoder and a decoder keep, told by the names of their inputs and outputs.
+    """Recognise the contract of an encoder and a decoder by the names of their inputs and outputs.
 
     Args:
         encoder: session of the image encoder.
         decoder: session of the mask decoder.
-        input_px: side of the model's input where its metadata names one.
+        input_px: side of the model's input from its metadata; None if they have none.
 
     Returns:
         The contract, ready to run.
 
     Raises:
-        ModelContractError: the pair is none of the package's; or its shapes do not fit.
+        ModelContractError: no contract fits the names, or the shapes are not supported.
     """
     found = [_names(names()) for names in (encoder.get_inputs, encoder.get_outputs)]
     found += [_names(names()) for names in (decoder.get_inputs, decoder.get_outputs)]
     for kind in CONTRACTS:
         wanted = kind.encoder_inputs, kind.encoder_outputs, kind.decoder_inputs, kind.decoder_outputs
-        # What a decoder asks for beyond must be what we can give.
+        # Further inputs of the decoder must be among the optional ones.
         if found[0] == wanted[0] and all(names <= have for names, have in zip(wanted[1:], found[1:], strict=True)):
             extra = found[2] - wanted[2] - _OPTIONAL_INPUTS
             types = {item.type for session in (encoder, decoder) for item in session.get_inputs()}

@@ -1,4 +1,4 @@
-"""SAM and MobileSAM: Meta's export of the decoder, samexporter's of the encoder; and the bundled model.
+"""Contract of SAM, MobileSAM and the bundled model: Meta's export of the decoder, samexporter's of the encoder.
 
 * Encoder: ``input_image`` ``[h, w, 3]`` RGB 0..255, or ``[1, 3, s, s]`` normalised; long side s, padded right and
   below.
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
     from vehanchor.segmentation.prompt import Prompt
 
-_PADDING = -1  # label of a point that says nothing
+_PADDING = -1  # label of a padding point
 
 
 class Sam(SamContract):
-    """SAM and MobileSAM."""
+    """Contract of SAM and MobileSAM."""
 
     name = "sam"
     described = "SAM or MobileSAM (Meta's or samexporter's export)"
@@ -48,7 +48,7 @@ class Sam(SamContract):
         super()._check_image_shape()
 
     def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
-        """The crop's shape, its long side that of the model's input."""
+        """Scale the crop's size so that its long side fills the model's input."""
         scale = self.input_px / max(width_px, height_px)
         return resized_side(width_px, scale), resized_side(height_px, scale)
 
@@ -70,14 +70,14 @@ class Sam(SamContract):
         )
         masks, covered = outputs["masks"], (width, height)
         coarse = outputs.get("low_res_masks")
-        if coarse is not None and coarse.ndim == 4:  # exports with extra metrics give other things that name
-            # Exact, small, and free of the landscape shape that some traced exports freeze into "masks".
+        if coarse is not None and coarse.ndim == 4:  # exports with extra metrics use the name for other outputs
+            # Exact and small; some traced exports freeze a landscape shape into "masks".
             masks, covered = coarse, (self.input_px, self.input_px)
         grid, score = self._chosen(masks, outputs["iou_predictions"], prompt)
         return MaskLogits(grid, score, cells_per_px(grid, covered, scale))
 
     def _prepared(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """What the encoder is fed: the picture alone where it pads by itself, else padded with what it takes as 0."""
+        """Convert the picture to the encoder's input: unpadded if the graph pads, else padded with its zero."""
         height, width = image.shape[:2]
         pixels = image.astype(np.float32)
         below, right = self.input_px - height, self.input_px - width

@@ -1,4 +1,4 @@
-"""SAM 2 and 2.1 as samexporter writes them.
+"""Contract of SAM 2 and 2.1 in samexporter's layout.
 
 * Encoder: ``image`` ``[1, 3, s, s]``, normalised, stretched to the square.
 * Decoder: ``image_embed, high_res_feats_0, high_res_feats_1`` and SAM's other inputs -> ``masks, iou_predictions``.
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Sam2(StretchedContract):
-    """SAM 2 and 2.1."""
+    """Contract of SAM 2 and 2.1."""
 
     name = "sam2"
     described = "SAM 2 (samexporter's)"
@@ -41,9 +41,9 @@ class Sam2(StretchedContract):
         return fixed_side(self._encoder.get_outputs(), name) or fixed_side(self._decoder.get_inputs(), name)
 
     def decode(self, encoding: Encoding, prompt: Prompt) -> MaskLogits:
-        """Decode; see ``SamContract.decode``."""
+        """Decode without a padding point; see ``SamContract.decode``."""
         crop_size = encoding.crop_size
-        coords, labels = corner_prompt(prompt, self._scale(crop_size), shift=0.5)  # this graph pads by itself
+        coords, labels = corner_prompt(prompt, self._scale(crop_size), shift=0.5)  # this graph adds the padding point
         outputs = self._run(
             self._decoder,
             {

@@ -1,4 +1,4 @@
-"""SAM 2 and the SAM 3 tracker in the layout of transformers.js (onnx-community).
+"""Contract of SAM 2 and the SAM 3 tracker in the layout of transformers.js (onnx-community).
 
 * Encoder: ``pixel_values`` ``[b, 3, s, s]``, normalised, stretched to the square; SAM 3 (stride 14) with mean and sd
   0.5.
@@ -32,7 +32,7 @@ _SAM3_INPUT_PX = 1008
 
 
 class Transformers(StretchedContract):
-    """SAM 2 and the SAM 3 tracker in the layout of transformers.js."""
+    """Contract of SAM 2 and the SAM 3 tracker."""
 
     name = "transformers"
     described = "SAM 2 or SAM 3 tracker (onnx-community's)"
@@ -55,7 +55,7 @@ class Transformers(StretchedContract):
         return self.input_px == (_SAM3_INPUT_PX if side is None else side * _SAM3_STRIDE_PX)
 
     def decode(self, encoding: Encoding, prompt: Prompt) -> MaskLogits:
-        """Decode, boxes apart from points; see ``SamContract.decode``."""
+        """Decode with separate inputs for boxes and points; see ``SamContract.decode``."""
         crop_size = encoding.crop_size
         scale = self._scale(crop_size)
         coords, labels = corner_prompt(Prompt(points=prompt.points), scale, shift=0.5)

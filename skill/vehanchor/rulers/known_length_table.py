@@ -1,4 +1,4 @@
-"""Lines of known length for many images: a CSV with a line of it for each line on the ground."""
+"""Table of known lengths for many images: a CSV with one row per line on the ground."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from vehanchor.batch.files import where_it_is
 from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.sources.addresses import is_address
+from vehanchor.imagery.sources.files import where_it_is
 from vehanchor.options.rulers import KnownLength, Rulers
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from vehanchor.options import ScaleOptions
 
 KnownLengthTable: TypeAlias = "Mapping[str, tuple[KnownLength, ...]]"
-"""Lines by the absolute path, or the address, of the image that they lie in."""
+"""Lines by the absolute path or address of their image."""
 
 _COLUMNS = ("file", "x1", "y1", "x2", "y2", "metres")
 _MOST_BYTES = 64 << 20
@@ -29,13 +29,13 @@ def read_known_lengths(path: str | os.PathLike[str]) -> dict[str, tuple[KnownLen
     """Read a CSV with the columns ``file``, ``x1``, ``y1``, ``x2``, ``y2`` and ``metres``.
 
     Args:
-        path: of the table; an image may have several lines. Files are named relative to it, or by their addresses.
+        path: path of the table; an image may have several lines. Files are relative to the table, or addresses.
 
     Returns:
         The lines of each image, in pixels of the image.
 
     Raises:
-        KnownLengthError: the table cannot be read, or one of its lines is none; the message names which.
+        KnownLengthError: the table cannot be read, or a row is invalid; the message names the row.
     """
     table = Path(path)
     found: dict[str, tuple[KnownLength, ...]] = {}
@@ -47,8 +47,7 @@ def read_known_lengths(path: str | os.PathLike[str]) -> dict[str, tuple[KnownLen
             missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
             if missing:
                 raise KnownLengthError(
-                    f"{str(table)!r} has no column {', '.join(missing)}: the first line has to name "
-                    f"{','.join(_COLUMNS)}"
+                    f"{str(table)!r} has no column {', '.join(missing)}: the first line must be {','.join(_COLUMNS)}"
                 )
             for row in reader:
                 named = row["file"] or ""
@@ -62,11 +61,11 @@ def read_known_lengths(path: str | os.PathLike[str]) -> dict[str, tuple[KnownLen
 
 
 def lines_in(path: str | os.PathLike[str] | None, images: Iterable[str | os.PathLike[str]]) -> KnownLengthTable:
-    """Read a table as ``read_known_lengths`` does; nothing without one.
+    """Read a table of known lengths, and check that it names no other images; empty without a table.
 
     Args:
-        path: of the table.
-        images: those that are looked at. Lines of others are refused: a misspelt name would leave one out in silence.
+        path: path of the table.
+        images: the images to measure. Lines of other images are refused, because a name may be misspelt.
 
     Raises:
         KnownLengthError: the table cannot be read, or a line lies in another image.
@@ -77,15 +76,15 @@ def lines_in(path: str | os.PathLike[str] | None, images: Iterable[str | os.Path
     strangers = sorted(set(lines) - {where_it_is(image) for image in images})
     if strangers:
         raise KnownLengthError(
-            f"a line of known length lies in {strangers[0]!r}, which is none of the images"
-            + (f", and so are {len(strangers) - 1} more" if len(strangers) > 1 else "")
+            f"a line of known length is in {strangers[0]!r}, which is not one of the images"
+            + (f", nor are {len(strangers) - 1} others" if len(strangers) > 1 else "")
             + ": files are named relative to the table"
         )
     return lines
 
 
 def with_lines_of(options: ScaleOptions, lines: KnownLengthTable, image: str | os.PathLike[str]) -> ScaleOptions:
-    """The options with the lines of one image; themselves where it has none."""
+    """Add the lines of one image to the options."""
     own = lines.get(where_it_is(image)) if lines else None
     return options if own is None else replace(options, rulers=replace(options.rulers, known_lengths=own))
 

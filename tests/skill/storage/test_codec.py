@@ -9,18 +9,20 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from vehanchor.detection.detections import Detections, Objects
+from vehanchor.analysis.stored import stored_classes
+from vehanchor.detection.detections import Detections
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
-from vehanchor.flight.photograph import Look
+from vehanchor.flight.photograph import Look, look_codec
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.raster import RasterNote
 from vehanchor.options import ScaleOptions
-from vehanchor.records import Notice
 from vehanchor.rulers import registry
-from vehanchor.rulers.evidence import Evidence
+from vehanchor.rulers.evidence import Evidence, Mark
+from vehanchor.rulers.given_height import GivenHeight
 from vehanchor.rulers.vehicles import VehicleEvidence
 from vehanchor.scale.lengths import Interval
-from vehanchor.storage.stored import from_json, stored, to_json
+from vehanchor.storage.codec import Codec
 
 for _kind in registry.ruler_kinds():
     registry.ruler_class(_kind)
@@ -31,13 +33,13 @@ assert registry.__name__ in _RULERS
 def _look() -> Look:
     scene = SceneScalePrior((SceneLevel(2, 9, np.linspace(-4, -1, 7)),), SceneCalibration(-4.6, 0.1))
     found = Detections(np.random.default_rng(1).normal(size=(4, 5)), np.linspace(0.1, 0.9, 4))
-    facts = ImageFacts(10, 20, None, (Notice(code="a", message="b"),), CameraMetadata(make="x", height_m=3.0))
+    facts = ImageFacts(10, 20, None, (RasterNote("a", "b"),), CameraMetadata(make="x", height_m=3.0))
     return Look(facts, found, 0.7, prior=scene)
 
 
 def test_intermediate_results_come_back_exactly() -> None:
     before = _look()
-    after = from_json(json.loads(json.dumps(to_json(before))))
+    after = look_codec().load(json.loads(json.dumps(look_codec().dump(before))))
     assert isinstance(after, Look)
     assert after.image == before.image
     assert after.resolved == 0.7
@@ -59,28 +61,31 @@ def test_intermediate_results_come_back_exactly() -> None:
 )
 def test_a_journal_can_start_nothing(found: object) -> None:
     with pytest.raises(ValueError, match="stored"):
-        from_json(found)
+        look_codec().load(found)
 
 
 def test_a_class_without_a_stored_name_is_refused() -> None:
     with pytest.raises(TypeError, match="ScaleOptions has no stored name"):
-        to_json(ScaleOptions())
+        look_codec().dump(ScaleOptions())
 
 
 def test_a_stored_name_belongs_to_one_class() -> None:
-    with pytest.raises(ValueError, match="'mark' is taken by Mark"):
-        stored("mark")(Objects)
+    with pytest.raises(ValueError, match="one class each"):
+        Codec({"mark": Mark, "line": Mark})
 
 
 def test_a_class_may_be_renamed_and_its_journals_are_read() -> None:
-    @stored("tests.line")
     class OldName(NamedTuple):
         length: float
 
-    kept = json.dumps(to_json(OldName(2.5)))
+    class NewName(NamedTuple):
+        length: float
+
+    kept = json.dumps(Codec({"tests.line": OldName}).dump(OldName(2.5)))
     assert "OldName" not in kept
-    OldName.__qualname__ = "NewName"
-    assert from_json(json.loads(kept)) == OldName(2.5)
+    found = Codec({"tests.line": NewName}).load(json.loads(kept))
+    assert isinstance(found, NewName)
+    assert found == NewName(2.5)
 
 
 def test_all_evidence_of_the_rulers_can_be_stored() -> None:
@@ -91,7 +96,17 @@ def test_all_evidence_of_the_rulers_can_be_stored() -> None:
 
     made_by_rulers = [kind for kind in below(Evidence) if kind is not VehicleEvidence and kind.__module__ in _RULERS]
     assert len(made_by_rulers) >= 2
+    codec = Codec(stored_classes())
     for kind in made_by_rulers:
-        found = from_json(to_json(kind("height", 0.1, Interval(0.09, 0.11), 1, 0.9, ())))
+        found = codec.load(codec.dump(kind("height", 0.1, Interval(0.09, 0.11), 1, 0.9, ())))
         assert type(found) is kind
         assert found.interval == Interval(0.09, 0.11)
+
+
+def test_evidence_that_a_ruler_declares_can_be_stored(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Widths(Evidence):
+        """Evidence of a ruler's own."""
+
+    monkeypatch.setattr(GivenHeight, "stored_classes", {"tests.widths": Widths})
+    codec = Codec(stored_classes())
+    assert isinstance(codec.load(codec.dump(Widths("height", None, None, 0, 0.0, ()))), Widths)

@@ -1,4 +1,4 @@
-"""A batch of one scale: the table of ``vehanchor.batch`` with the scale of all in every row."""
+"""Batch of images with one common scale: the table of ``vehanchor.batch`` with that scale in every row."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vehanchor.batch.files import find_images
-from vehanchor.batch.known_lengths import lines_in
 from vehanchor.batch.row import BatchRow
 from vehanchor.batch.run import BatchSummary, journal_path
 from vehanchor.batch.table import check_table_path, write_table
@@ -15,6 +13,8 @@ from vehanchor.errors import OutputError
 from vehanchor.flight.estimate import check_options, conclude, journal_key, open_journal, search_flight
 from vehanchor.flight.inputs import named
 from vehanchor.flight.project import estimate_in_flight
+from vehanchor.imagery.sources.files import find_images
+from vehanchor.rulers.known_length_table import lines_in
 
 if TYPE_CHECKING:
     import os
@@ -34,17 +34,17 @@ def run_same_scale(
     known_lengths: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
 ) -> BatchSummary:
-    """Estimate the one scale of many images, and write a table with a row for each.
+    """Estimate the common scale of many images, and write a table with a row for each.
 
-    Until the table is complete, what was found is kept in ``<output>.journal``, as ``run_batch`` does.
+    Results are kept in ``<output>.journal`` until the table is complete, as by ``run_batch``.
 
     Args:
         inputs: directories, patterns and files.
         output: ``.parquet``, ``.csv`` or ``.jsonl``.
         detector: finds the vehicles; images are reported to the progress of its runtime.
-        options: every choice of the method, without a frame.
-        known_lengths: a CSV of lines of known length in single images; see ``read_known_lengths``.
-        overwrite: start anew; a complete table there is replaced once the new one is complete.
+        options: all options of the method, without a frame.
+        known_lengths: CSV with lines of known length by image; see ``read_known_lengths``.
+        overwrite: start again; an existing table is replaced when the new one is complete.
 
     Raises:
         VehAnchorError: as ``run_batch`` and ``Engine.flight``.
@@ -52,7 +52,7 @@ def run_same_scale(
     table = check_table_path(Path(output))
     journal = journal_path(table)
     if table.exists() and not journal.exists() and not overwrite:
-        raise OutputError(f"{str(table)!r} is there already and complete: name another file, or pass --overwrite")
+        raise OutputError(f"{str(table)!r} exists and is complete: name another file, or pass --overwrite")
     images = find_images(inputs, leave_out=(table, journal))
     lines = lines_in(known_lengths, images)
     if overwrite:
@@ -60,15 +60,15 @@ def run_same_scale(
     check_options(options)
     kept, photographs = open_journal(journal, detector, options, lines), list(named(images))
     n_resumed = sum(journal_key(each) in kept for each in photographs)
-    looks = search_flight(photographs, detector, options, journal=kept, lines=lines)
-    record = conclude(looks, detector.card, same_scale=True)
+    results = search_flight(photographs, detector, options, journal=kept, lines=lines)
+    record = conclude(results, detector.card, same_scale=True)
     write_table(table, (_row(record, each) for each in record.photographs))
     kept.remove()
     return BatchSummary(table, len(images), n_resumed, Counter(each.status for each in record.photographs))
 
 
 def _row(flight: FlightEstimate, photograph: FlightPhotograph) -> BatchRow:
-    """The photograph's own row with the scale of all in it."""
+    """Make the row of a photograph with the common scale."""
     if photograph.own is None:
         return BatchRow(file=photograph.photograph, error_code=photograph.error_code, error=photograph.error)
     return BatchRow(file=photograph.photograph, estimate=estimate_in_flight(flight, photograph))

@@ -1,4 +1,4 @@
-"""Courts as a tilt cue: only the true tilt makes a court as long, wide and square as its rules say."""
+"""Courts as a tilt cue: only the true tilt gives a court the length, width and right angles of its rules."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
     from vehanchor.courts.court import Court
 
-_LAID_OUT = 0.003  # of its length: how far a corner may lie from its place by the rules
-_UNKNOWN_RULES = 0.006  # of a basketball court: its rules are a guess
-_TRUST_PX = 1.5  # factor on the corners' own spread: pieces of one line err alike
+_CONSTRUCTION_SD = 0.003  # of a court's length: deviation of a corner from the rules
+_UNKNOWN_RULES_SD = 0.006  # for basketball courts, whose rules are a guess
+_TRUST_PX = 1.5  # factor on the corners' standard deviation, because errors along a line are correlated
 _LEAST_SD_PX = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class CourtCue:
-    """A court seen in perspective (a ``vehanchor.tilt.posterior.TiltCue``).
+    """Court in perspective (a ``vehanchor.tilt.posterior.TiltCue``).
 
     Attributes:
         corners: ``[4, 2]`` pixels from the image's centre; the first two bound a long side.
@@ -39,7 +39,7 @@ class CourtCue:
     kind: str = "courts"
 
     def log_likelihoods(self, downs: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
-        """``[k]``: by the distances, in pixels, between the corners seen and those by the rules."""
+        """Compute ``[k]`` from the distances, in pixels, between the observed corners and those of the rules."""
         rays = np.column_stack([self.corners / focal_px, np.ones(4)])
         descents = downs @ rays.T  # [k, 4]
         seen = (descents / np.linalg.norm(rays, axis=1) >= LEAST_DESCENT).all(axis=1)
@@ -58,9 +58,9 @@ def court_cues(courts: Sequence[Court], width_px: int, height_px: int) -> list[C
     """Make tilt cues of the courts that have enough pixels to show perspective.
 
     Args:
-        courts: of one image.
-        width_px: of the image.
-        height_px: of it.
+        courts: courts of one image.
+        width_px: width of the image.
+        height_px: height of the image.
     """
     found = []
     for court in courts:
@@ -68,8 +68,8 @@ def court_cues(courts: Sequence[Court], width_px: int, height_px: int) -> list[C
             continue
         across = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * [court.length_m / 2, court.width_m / 2]
         length_px = float(np.hypot(*(court.shape[1] - court.shape[0])))
-        laid_out = _LAID_OUT if court.kind == "tennis" else _UNKNOWN_RULES
-        sd = math.hypot(max(_TRUST_PX * court.shape_sd_px, _LEAST_SD_PX), laid_out * length_px)
+        relative_sd = _CONSTRUCTION_SD if court.kind == "tennis" else _UNKNOWN_RULES_SD
+        sd = math.hypot(max(_TRUST_PX * court.shape_sd_px, _LEAST_SD_PX), relative_sd * length_px)
         corners = court.shape - [width_px / 2, height_px / 2]
         found.append(CourtCue(corners, across[:, 0] + 1j * across[:, 1], sd))
     return found

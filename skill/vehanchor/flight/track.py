@@ -1,4 +1,4 @@
-"""The track of a flight as SVG: where its photographs were taken, their scale, and what anchors each of them."""
+"""Track of a flight as SVG: positions of the photographs, their scales, and the support of each scale."""
 
 from __future__ import annotations
 
@@ -26,22 +26,23 @@ _RINGS = {  # Okabe and Ito's colours, told apart with every kind of colour blin
 
 
 class _Panel(NamedTuple):
-    """Photographs in one frame of places."""
+    """Photographs in one coordinate frame."""
 
     title: str
     photographs: list[FlightPhotograph]
 
 
 def draw_tracks(record: FlightEstimate) -> str:
-    """Draw a panel for each frame of places: one for those by metadata, one for each island without.
+    """Draw a panel for each coordinate frame: one for positions by metadata, one for each component without them.
 
-    The disc's colour is the scale, its rim what the scale hangs on; lines are overlaps, dashed where they were dropped.
+    The colour of a disc is the scale, its rim the support of the scale. Lines are overlaps, dashed if they were
+    dropped.
 
     Args:
-        record: of a flight.
+        record: record of a flight.
 
     Returns:
-        SVG elements, one a panel; empty where no photograph has a place.
+        SVG elements, one per panel; empty if no photograph has a position.
     """
     scales = [each.gsd_m_per_px for each in record.photographs if each.gsd_m_per_px is not None]
     bounds = (min(scales), max(scales)) if scales else (1.0, 1.0)
@@ -89,11 +90,11 @@ def _draw(panel: _Panel, record: FlightEstimate, bounds: tuple[float, float]) ->
 
 def _disc(each: FlightPhotograph, at: tuple[float, float], bounds: tuple[float, float]) -> str:
     scale = "no scale" if each.gsd_m_per_px is None else f"{each.gsd_m_per_px:.4g} m/px"
-    told = f"{each.photograph}: {scale}, {each.status}, hangs on {_hangs_on(each)}"
+    tooltip = f"{each.photograph}: {scale}, {each.status}, hangs on {_hangs_on(each)}"
     fill = "none" if each.gsd_m_per_px is None else _colour(each.gsd_m_per_px, bounds)
     return (
         f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="{_RADIUS}" fill="{fill}" '
-        f'stroke="{_RINGS[_hangs_on(each)]}" stroke-width="3.5"><title>{escape(told)}</title></circle>'
+        f'stroke="{_RINGS[_hangs_on(each)]}" stroke-width="3.5"><title>{escape(tooltip)}</title></circle>'
     )
 
 
@@ -102,7 +103,7 @@ def _label(name: str, at: tuple[float, float]) -> str:
 
 
 def _short_names(stems: Sequence[str]) -> list[str]:
-    """The ends of names, without what all of them end with, and no more of them than tells them apart."""
+    """Shorten names to the shortest distinct ends, without their common suffix."""
     shared = 0
     while len(stems) > 1 and shared < min(map(len, stems)) and len({stem[-shared - 1] for stem in stems}) == 1:
         shared += 1
@@ -138,7 +139,7 @@ def _colour(gsd_m_per_px: float, bounds: tuple[float, float]) -> str:
 
 
 def _bar(px_per_m: float) -> str:
-    """A bar of round length at the lower right."""
+    """Draw a bar of round length at the lower right."""
     metres = 10.0 ** math.floor(math.log10(160 / px_per_m))
     metres *= next(step for step in (5, 2, 1) if step * metres * px_per_m <= 160)
     right, bottom = _WIDTH - 14, _HEIGHT + 6

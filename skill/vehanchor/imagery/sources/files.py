@@ -1,4 +1,4 @@
-"""Directories, patterns and files in, the list of images out."""
+"""List of the images in directories, patterns and files."""
 
 from __future__ import annotations
 
@@ -16,27 +16,26 @@ if TYPE_CHECKING:
 _SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
 SUFFIXES = frozenset(
     {".jpg", ".jpeg", ".png", ".webp", ".avif", ".bmp", ".tif", ".tiff", ".jp2", ".heic"}
-)  # what a directory is searched for
+)  # of images in directories
 
 
 def find_images(
     inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], *, leave_out: Iterable[Path] = ()
 ) -> list[str]:
-    """Every image once, in an order that depends on the names alone.
+    """List every image once, in an order that depends on the names alone.
 
     Args:
-        inputs: one or several: directories (searched with all below them, by suffix), patterns (``photos/*.jpg``,
-            ``**`` too), files, http(s) addresses, which nobody asks before they are read.
-            One file of several that does not exist stays in the list, if its name is that of an image: it becomes a
-            row with its error.
-        leave_out: files that are no images although a pattern finds them, such as the table to be written.
+        inputs: one or several: directories (searched recursively, by suffix), patterns (``photos/*.jpg``, also
+            ``**``), files, and http(s) addresses, which are not checked here. A missing file with an image suffix
+            stays in the list if other images exist: it becomes a row with an error.
+        leave_out: files that match a pattern but are not images, such as the table to write.
 
     Returns:
-        Paths as they were named: inputs in their order, what each holds sorted.
+        Paths as the caller named them: inputs in their order, files of each input sorted.
 
     Raises:
-        ImageNotFoundError: a directory or pattern holds no image, a directory does not exist, none of the images
-            does, or no input at all.
+        ImageNotFoundError: a directory or pattern has no image, a directory does not exist, no image exists, or no
+            input is given.
     """
     excluded = {str(path.resolve()) for path in leave_out}
     found: dict[str, None] = {}
@@ -44,7 +43,7 @@ def find_images(
     for name in [os.fspath(each) for each in named]:
         images = [path for path in _images(name) if where_it_is(path) not in excluded]
         if not images:
-            raise ImageNotFoundError(f"no image in {name!r}; a directory is searched for {', '.join(sorted(SUFFIXES))}")
+            raise ImageNotFoundError(f"no image in {name!r}: use the suffixes {', '.join(sorted(SUFFIXES))}")
         found.update(dict.fromkeys(images))
     if not found:
         raise ImageNotFoundError("no image given: name files, directories or patterns")
@@ -54,7 +53,7 @@ def find_images(
 
 
 def where_it_is(image: str | os.PathLike[str]) -> str:
-    """The one name of an image: its absolute path without links, or its address."""
+    """Give the unique name of an image: its absolute path without links, or its address."""
     return str(image) if is_address(str(image)) else str(Path(image).resolve())
 
 
@@ -65,7 +64,7 @@ def _images(name: str) -> list[str]:
     if path.is_dir():
         return sorted(str(file) for file in path.rglob("*") if file.suffix.lower() in SUFFIXES and file.is_file())
     if not path.exists() and glob.has_magic(name):
-        matches = glob.glob(name, recursive=True)  # noqa: PTH207 - a pattern may be absolute, which Path.glob refuses
+        matches = glob.glob(name, recursive=True)  # noqa: PTH207 - Path.glob refuses absolute patterns
         return sorted(file for file in matches if Path(file).is_file())
     if not path.exists() and (name.endswith(_SEPARATORS) or path.suffix.lower() not in SUFFIXES):
         raise ImageNotFoundError(f"there is no file or directory {name!r}")

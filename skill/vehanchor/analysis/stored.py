@@ -1,0 +1,42 @@
+"""Names under which journals store intermediate results; they outlive the names of classes and modules."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from vehanchor.detection.appearance import FleetAppearance
+from vehanchor.detection.detections import Detections, Objects
+from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
+from vehanchor.imagery.facts import ImageFacts
+from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.raster import RasterNote
+from vehanchor.records import Notice
+from vehanchor.rulers.evidence import Evidence, Mark
+from vehanchor.rulers.lognormal import LognormalEvidence
+from vehanchor.rulers.registry import ruler_class, ruler_kinds
+from vehanchor.scale.lengths import Interval
+from vehanchor.tilt.camera_tilt import CameraTilt
+
+_CLASSES: dict[str, type[Any]] = {
+    "camera_metadata": CameraMetadata,
+    "camera_tilt": CameraTilt,
+    "detections": Detections,
+    "evidence": Evidence,
+    "fleet_appearance": FleetAppearance,
+    "image_facts": ImageFacts,
+    "interval": Interval,
+    "lognormal_evidence": LognormalEvidence,
+    "mark": Mark,
+    "notice": Notice,
+    "objects": Objects,
+    "raster_note": RasterNote,
+    "scene_calibration": SceneCalibration,
+    "scene_level": SceneLevel,
+    "scene_scale_prior": SceneScalePrior,
+}
+
+
+def stored_classes() -> dict[str, type[Any]]:
+    """Classes of intermediate results by their stored names, with those that rulers declare."""
+    declared = {name: kind for each in ruler_kinds() for name, kind in ruler_class(each).stored_classes.items()}
+    return declared | _CLASSES

@@ -1,0 +1,87 @@
+"""Intermediate results as JSON and back, exactly: for the journals of flights and evaluations.
+
+Frozen dataclasses, named tuples and records, arrays, and JSON's own values. A codec stores a class under a name of its
+own, so that a class or module may be renamed. It makes only its own classes: a journal from elsewhere can import and
+start nothing.
+"""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import fields, is_dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydantic import BaseModel
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_KIND, _ARRAY = "=", "array"
+
+
+class Codec:
+    """Values of chosen classes to JSON and back.
+
+    Args:
+        classes: frozen dataclasses, named tuples and records by the names under which their values are stored. A name
+            never changes.
+
+    Raises:
+        ValueError: a class has two names, or its name is that of arrays.
+    """
+
+    def __init__(self, classes: Mapping[str, type[Any]]) -> None:
+        self._classes = dict(classes)
+        self._names = {kind: name for name, kind in classes.items()}
+        if len(self._names) < len(classes) or _ARRAY in classes:
+            raise ValueError(f"the stored names {', '.join(classes)} need one class each, and none is {_ARRAY!r}")
+
+    def dump(self, value: Any) -> Any:
+        """Turn a value into what JSON can hold.
+
+        Raises:
+            TypeError: the value holds something that has no stored name.
+        """
+        if value is None or (isinstance(value, bool | int | float | str) and type(value).__module__ == "builtins"):
+            return value
+        if isinstance(value, np.ndarray):
+            data = base64.b64encode(np.ascontiguousarray(value).tobytes()).decode("ascii")
+            return {_KIND: _ARRAY, "dtype": value.dtype.str, "shape": list(value.shape), "data": data}
+        if isinstance(value, np.generic):
+            return value.item()
+        name = self._names.get(type(value))
+        if name is not None:
+            return {_KIND: name, "fields": self._fields(value)}
+        if type(value) in (tuple, list):
+            return [self.dump(each) for each in value]
+        raise TypeError(f"{type(value).__name__} has no stored name: give it one in the codec")
+
+    def load(self, found: Any) -> Any:
+        """Turn the result of ``dump`` into the value; lists come back as tuples.
+
+        Raises:
+            ValueError: it names no stored class, or is no such value.
+        """
+        if isinstance(found, list):
+            return tuple(self.load(each) for each in found)
+        if not isinstance(found, dict):
+            return found
+        name, kind = found[_KIND], self._classes.get(found[_KIND])
+        if name == _ARRAY:
+            dtype = np.dtype(found["dtype"])
+            if dtype.hasobject:
+                raise ValueError(f"an array of {dtype} cannot be stored")
+            data = np.frombuffer(base64.b64decode(found["data"]), dtype=dtype)
+            return data.reshape(found["shape"]).copy()
+        if kind is None:
+            raise ValueError(f"{name!r} is the name of no stored class")
+        if issubclass(kind, BaseModel):
+            return kind.model_validate(found["fields"])
+        return kind(**{key: self.load(each) for key, each in found["fields"].items()})
+
+    def _fields(self, value: Any) -> dict[str, Any]:
+        if isinstance(value, BaseModel):
+            return value.model_dump(mode="json")
+        names = [each.name for each in fields(value)] if is_dataclass(value) else value._fields
+        return {name: self.dump(getattr(value, name)) for name in names}
