@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vehanchor_scenes.truth import VehicleKind
+from vehanchor_scenes.loads import LOADS
+from vehanchor_scenes.truth import FleetKind, VehicleKind
 
 # (mean length in m, standard deviation, share, bodies) before scaling to the requested mean. Mixture: mean 4.544 m,
 # standard deviation 8.7 % of it, mode 1.010 x the mean.
@@ -17,9 +18,22 @@ _CLASSES: tuple[tuple[float, float, float, tuple[str, ...]], ...] = (
     (4.80, 0.17, 0.24, ("sedan", "sedan", "estate", "suv")),
     (5.15, 0.18, 0.11, ("van", "pickup", "sedan", "van")),
 )
-_SHARES = np.array([entry[2] for entry in _CLASSES])
-_CLASSES_MEAN_M = float(np.dot(_SHARES, [entry[0] for entry in _CLASSES]))
-_CUMULATIVE = np.cumsum(_SHARES) / _SHARES.sum()
+# Cars of all continents and work vehicles: mean 4.58 m.
+_MIXED_CLASSES: tuple[tuple[float, float, float, tuple[str, ...]], ...] = (
+    (3.39, 0.02, 0.12, ("kei", "kei", "kei truck")),
+    (3.80, 0.13, 0.12, ("city", "hatchback")),
+    (4.25, 0.15, 0.18, ("hatchback", "sedan", "suv")),
+    (4.65, 0.15, 0.22, ("sedan", "estate", "suv", "minivan")),
+    (5.00, 0.17, 0.14, ("sedan", "van", "minivan", "suv", "single cab")),
+    (5.45, 0.18, 0.14, ("single cab", "crew cab", "crew cab", "van", "flatbed")),
+    (5.85, 0.12, 0.08, ("crew cab", "crew cab", "van")),
+)
+_FLEETS: dict[FleetKind, tuple[tuple[float, float, float, tuple[str, ...]], ...]] = {
+    "passenger": _CLASSES,
+    "mixed": _MIXED_CLASSES,
+}
+_OPEN_BEDS = ("kei truck", "single cab", "crew cab", "flatbed")
+_RACK_SHARE = 0.12  # of the closed vehicles of a mixed fleet
 _MAX_DEVIATION = 2.5
 
 _WIDTH_PER_LENGTH = 0.40
@@ -63,15 +77,18 @@ class VehicleModel:
 class Fleet:
     """Random source of vehicles; small ones have the given mean length."""
 
-    def __init__(self, mean_length_m: float, rng: np.random.Generator) -> None:
-        self.mean_length_m = mean_length_m
-        self._scale = mean_length_m / _CLASSES_MEAN_M
+    def __init__(self, mean_length_m: float, rng: np.random.Generator, kind: FleetKind = "passenger") -> None:
+        self.mean_length_m, self.kind = mean_length_m, kind
+        self._classes = _FLEETS[kind]
+        shares = np.array([entry[2] for entry in self._classes])
+        self._cumulative = np.cumsum(shares) / shares.sum()
+        self._scale = mean_length_m / float(np.dot(shares, [entry[0] for entry in self._classes]))
         self._rng = rng
 
     @property
     def max_length_m(self) -> float:
         """Length of the longest small vehicle."""
-        return (_CLASSES[-1][0] + _MAX_DEVIATION * _CLASSES[-1][1]) * self._scale
+        return (self._classes[-1][0] + _MAX_DEVIATION * self._classes[-1][1]) * self._scale
 
     @property
     def max_width_m(self) -> float:
@@ -92,13 +109,24 @@ class Fleet:
     def small(self) -> VehicleModel:
         """Draw a car or van."""
         rng = self._rng
-        mean, sd, _, bodies = _CLASSES[int(np.searchsorted(_CUMULATIVE, rng.random()))]
+        mean, sd, _, bodies = self._classes[int(np.searchsorted(self._cumulative, rng.random()))]
         deviation = _bounded(rng)
         length = (mean + sd * deviation) * self._scale
         typical = _WIDTH_FOLLOWS_LENGTH * length + (1 - _WIDTH_FOLLOWS_LENGTH) * self.mean_length_m
         spread = 1 + _WIDTH_SD * _bounded(rng)
         body = bodies[rng.integers(len(bodies))]
+        if self.kind == "mixed":
+            body = self._loaded(body)
         return VehicleModel("small-vehicle", body, length, _WIDTH_PER_LENGTH * typical * spread, self._paint(body))
+
+    def _loaded(self, body: str) -> str:
+        """Add a load to every open bed and to some roofs."""
+        rng = self._rng
+        if body in _OPEN_BEDS:
+            return f"{body}:{LOADS[rng.integers(len(LOADS) - 1)]} {rng.integers(8)}"
+        if rng.random() < _RACK_SHARE:
+            return f"{body}:rack {rng.integers(8)}"
+        return body
 
     def large(self, *bodies: str) -> VehicleModel:
         """Draw a truck, bus, articulated lorry or caravan, or one of the named bodies."""
@@ -110,6 +138,7 @@ class Fleet:
 
     def _paint(self, body: str) -> tuple[int, int, int]:
         rng = self._rng
+        body = body.partition(":")[0]
         index = int(np.searchsorted(_PAINT_CUMULATIVE, rng.random()))
         if (body in ("van", "caravan") and rng.random() < 0.75) or (
             body in ("truck", "semitrailer") and rng.random() < 0.5

@@ -67,7 +67,7 @@ def lay_out(rng: np.random.Generator, layout: Layout, width_m: float, height_m: 
     for block, block_rng in zip(blocks, rng.spawn(len(blocks)), strict=True):
         name = names[int(block_rng.choice(len(names), p=shares / shares.sum()))]
         if _in_reach(site.frame, block, width_m, height_m):
-            own_fleet = Fleet(fleet.mean_length_m, block_rng)
+            own_fleet = Fleet(fleet.mean_length_m, block_rng, fleet.kind)
             _fill(replace(site, rng=block_rng, fleet=own_fleet, kept_free=[]), block, name)
     for street in sorted(streets, key=lambda street: -street.depth):
         build_street(site, street, plan.streets, "marks")

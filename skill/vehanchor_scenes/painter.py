@@ -23,7 +23,10 @@ _F = NDArray[np.float32]
 _U8 = NDArray[np.uint8]
 
 _SHADE = (0.40, 0.44, 0.52)  # light of the sky relative to sun and sky; bluish
-_VEHICLE_SHADOW_HEIGHT_M = {"van": 1.7, "suv": 1.3, "truck": 2.9, "bus": 2.9, "semitrailer": 3.3, "caravan": 2.3}
+VEHICLE_SHADOW_HEIGHT_M = {
+    "van": 1.7, "suv": 1.3, "truck": 2.9, "bus": 2.9, "semitrailer": 3.3, "caravan": 2.3, "kei": 1.4, "minivan": 1.4,
+    "kei truck": 1.4, "single cab": 1.3, "crew cab": 1.4, "flatbed": 1.6,
+}  # fmt: skip
 
 # Amplitudes of fine, middle and coarse noise, and the coarse noise's contribution to red, green and blue.
 _TEXTURES: dict[Material, tuple[float, float, float, float, float, float]] = {
@@ -142,7 +145,7 @@ class Painter:
         for box in boxes:
             tile.fill(shadow, swept(box.points, self.sun.shadow(box.height)), 255)
         for vehicle in vehicles:
-            height = _VEHICLE_SHADOW_HEIGHT_M.get(vehicle.model.body, 1.15)
+            height = VEHICLE_SHADOW_HEIGHT_M.get(vehicle.model.body.partition(":")[0], 1.15)
             outline = vehicle_outline(vehicle)
             tile.fill(shadow, swept(outline, self.sun.shadow(height)), 255)
         _darken(tile.rgb, shadow)

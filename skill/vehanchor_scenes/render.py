@@ -15,7 +15,7 @@ from vehanchor_scenes.layout import lay_out
 from vehanchor_scenes.painter import Painter
 from vehanchor_scenes.raster import polygon_mask
 from vehanchor_scenes.sprites import Sun
-from vehanchor_scenes.truth import CATEGORIES, Category, Layout, Scene, SceneCourt, SceneObject, SceneVehicle
+from vehanchor_scenes.truth import CATEGORIES, Category, FleetKind, Layout, Scene, SceneCourt, SceneObject, SceneVehicle
 from vehanchor_scenes.world import PlacedCourt, PlacedVehicle, Target, World
 
 _TILE_PX = 1024
@@ -34,6 +34,7 @@ def render_scene(
     n_vehicles: int | None = None,
     mean_vehicle_length_m: float = 4.6,
     layout: Layout | None = None,
+    fleet_kind: FleetKind = "passenger",
 ) -> Scene:
     """Render an aerial scene of exactly known ground sampling distance.
 
@@ -51,6 +52,7 @@ def render_scene(
             None keeps them all.
         mean_vehicle_length_m: mean length of the fleet, 2 to 8.
         layout: ``urban``, ``parking``, ``countryside`` or ``sports``; None: the seed chooses from the first three.
+        fleet_kind: ``passenger``, or ``mixed``: also kei cars, pickups with loads, work vehicles and roof racks.
 
     Returns:
         The image and its ground truth.
@@ -58,11 +60,11 @@ def render_scene(
     Raises:
         InvalidParameterError: a parameter is out of range or NaN, or the layout is unknown.
     """
-    _check_all(gsd_m_per_px, width_px, height_px, seed, n_vehicles, mean_vehicle_length_m, layout)
+    _check_all(gsd_m_per_px, width_px, height_px, seed, n_vehicles, mean_vehicle_length_m, layout, fleet_kind)
     place_rng, thin_rng, paint_rng, camera_rng = np.random.default_rng(seed).spawn(4)
     chosen = cast("Layout", get_args(Layout)[int(place_rng.choice(3, p=(0.45, 0.3, 0.25)))])
     sun = Sun(float(place_rng.uniform(0, 2 * math.pi)), math.radians(place_rng.uniform(33, 64)))
-    fleet = Fleet(mean_vehicle_length_m, place_rng)
+    fleet = Fleet(mean_vehicle_length_m, place_rng, fleet_kind)
     width_m, height_m = width_px * gsd_m_per_px, height_px * gsd_m_per_px
     world = lay_out(place_rng, layout or chosen, width_m, height_m, fleet)
     x0, y0 = _view_corner(world, width_m, height_m, thin_rng)
@@ -74,17 +76,24 @@ def render_scene(
 
     hidden = crowns > 127
     masks, objects = _masks(world.targets, x0, y0, gsd_m_per_px, hidden)
-    recorded = (_record(placed, x0, y0, gsd_m_per_px, hidden) for placed in world.vehicles)
-    vehicles = tuple(vehicle for vehicle in recorded if vehicle is not None)
+    vehicles = tuple(each for v in world.vehicles if (each := _record(v, x0, y0, gsd_m_per_px, hidden)) is not None)
     courts = tuple(court for each in world.courts if (court := _court(each, x0, y0, gsd_m_per_px, hidden)) is not None)
     parameters: dict[str, float | int | str | None] = {
         "layout": layout or chosen,
         "n_vehicles": n_vehicles,
         "mean_vehicle_length_m": mean_vehicle_length_m,
+        **_drawn(sun, fleet_kind),
+    }
+    return Scene(image, float(gsd_m_per_px), vehicles, masks, objects, int(seed), parameters, courts)
+
+
+def _drawn(sun: Sun, fleet_kind: FleetKind) -> dict[str, float | str]:
+    """Collect the parameters that the seed determines, and the fleet unless it is the default."""
+    drawn: dict[str, float | str] = {
         "sun_elevation_deg": round(math.degrees(sun.elevation), 3),
         "shadow_azimuth_deg": round(math.degrees(sun.azimuth), 3),
     }
-    return Scene(image, float(gsd_m_per_px), vehicles, masks, objects, int(seed), parameters, courts)
+    return drawn if fleet_kind == "passenger" else {**drawn, "fleet_kind": fleet_kind}
 
 
 def _check_all(
@@ -95,6 +104,7 @@ def _check_all(
     n_vehicles: int | None,
     mean_vehicle_length_m: float,
     layout: Layout | None,
+    fleet_kind: FleetKind,
 ) -> None:
     _check("gsd_m_per_px", gsd_m_per_px, _MIN_GSD, _MAX_GSD)
     _check("width_px", width_px, _MIN_SIZE_PX, _MAX_SIZE_PX)
@@ -105,6 +115,8 @@ def _check_all(
         _check("n_vehicles", n_vehicles, 0, math.inf)
     if layout is not None and layout not in get_args(Layout):
         raise InvalidParameterError(f"layout must be one of {', '.join(get_args(Layout))}, or None, not {layout!r}")
+    if fleet_kind not in get_args(FleetKind):
+        raise InvalidParameterError(f"fleet_kind must be one of {', '.join(get_args(FleetKind))}, not {fleet_kind!r}")
 
 
 def _check(name: str, value: float, low: float, high: float) -> None:
@@ -242,7 +254,7 @@ def _record(placed: PlacedVehicle, x0: float, y0: float, gsd: float, hidden: NDA
     body = polygon_mask(corners - low, int(high[0] - low[0]), int(high[1] - low[1]))
     below = hidden[low[1] : high[1], low[0] : high[0]][body]
     covered = bool(below.size and below.mean() > _HIDDEN_SHARE)
-    return SceneVehicle(placed.model.kind, x, y, *size, angle, cut or covered)
+    return SceneVehicle(placed.model.kind, x, y, *size, angle, cut or covered, placed.model.body)
 
 
 def _court(placed: PlacedCourt, x0: float, y0: float, gsd: float, hidden: NDArray[np.bool_]) -> SceneCourt | None:

@@ -14,6 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vehanchor_scenes.loads import add_load
+
 CROWN_SPAN = 1.25
 VEHICLE_PAD = 0.03  # transparent margin on every side of a vehicle's sprite, as a share of the length
 
@@ -53,6 +55,8 @@ class _Car:
     bonnet: float = 0.86  # height of the leading edge, m
     boot: float = 1.0
     bed: bool = False
+    bed_front: float = 0.655
+    cabin_height: float = 1.45
 
 
 _BASE_HALF_WIDTH = 0.90  # of the greenhouse at its base; a share as in _Car
@@ -65,6 +69,12 @@ _CARS = {
     "suv": _Car(0.255, 0.385, 0.845, 0.94, 0.73, bonnet=1.0, boot=1.0),
     "van": _Car(0.10, 0.235, 0.985, 0.995, 0.84, bonnet=1.1, boot=1.2),
     "pickup": _Car(0.27, 0.395, 0.56, 0.63, 0.73, bonnet=1.0, bed=True),
+    "kei": _Car(0.085, 0.25, 0.93, 0.985, 0.82, bonnet=0.95, boot=1.3, cabin_height=1.75),
+    "kei truck": _Car(0.03, 0.15, 0.34, 0.40, 0.84, bonnet=1.1, bed=True, bed_front=0.425, cabin_height=1.75),
+    "single cab": _Car(0.27, 0.385, 0.475, 0.53, 0.74, bonnet=1.05, bed=True, bed_front=0.56, cabin_height=1.75),
+    "crew cab": _Car(0.235, 0.345, 0.60, 0.665, 0.75, bonnet=1.1, bed=True, bed_front=0.69, cabin_height=1.85),
+    "flatbed": _Car(0.15, 0.25, 0.355, 0.40, 0.80, bonnet=1.1, bed=True, bed_front=0.43, cabin_height=1.95),
+    "minivan": _Car(0.16, 0.32, 0.90, 0.97, 0.78, bonnet=1.0, boot=1.0, cabin_height=1.75),
 }
 
 
@@ -81,7 +91,7 @@ def vehicle_sprite(body: str, length: float, width: float, px_per_m: float, ligh
     """Draw a vehicle that points to +x.
 
     Args:
-        body: a body of the fleet.
+        body: a body of the fleet; after a colon its load (``crew cab:crates 3``; see ``loads``).
         length: in metres; the outline touches exactly +-length / 2.
         width: in metres; the outline touches exactly +-width / 2.
         px_per_m: resolution.
@@ -97,8 +107,14 @@ def vehicle_sprite(body: str, length: float, width: float, px_per_m: float, ligh
     u = ((np.arange(columns, dtype=np.float32) + 0.5) / columns - 0.5) * np.float32(length + 2 * pad)
     v = ((np.arange(rows, dtype=np.float32) + 0.5) / rows - 0.5) * np.float32(width + 2 * pad)
     grid_u, grid_v = cast("tuple[_F, _F]", np.meshgrid(u, v))
+    body, _, load = body.partition(":")
     if body in _CARS:
-        return _car(_CARS[body], body, grid_u, grid_v, length, width, px, light)
+        car = _CARS[body]
+        drawn = _car(car, body, grid_u, grid_v, length, width, px, light)
+        if load:
+            span = (car.bed_front, 0.965) if car.bed else (car.roof_front + 0.03, car.roof_rear - 0.03)
+            add_load(drawn, load, (length / 2 - grid_u) / length, grid_v / (width / 2), span)
+        return drawn
     return _heavy(body, grid_u, grid_v, length, width, px, light)
 
 
@@ -129,7 +145,7 @@ def _car(
     cabin = np.clip(np.minimum(rise, fall), 0, 1)
     lean = np.clip((_BASE_HALF_WIDTH - across) / (_BASE_HALF_WIDTH - car.roof_half_width), 0, 1)
     belt = car.bonnet + (car.boot - car.bonnet) * np.clip(t, 0, 1)
-    roof_height = 2.1 if body == "van" else 1.65 if body == "suv" else 1.45
+    roof_height = 2.1 if body == "van" else 1.65 if body == "suv" else car.cabin_height
     crown = 0.05 * (1 - np.clip(across, 0, 1) ** 2)
     edge = np.clip(inset / 0.22, 0, 1)
     height = belt * (0.55 + 0.45 * np.sqrt(edge)) + crown + (roof_height - belt) * np.minimum(cabin, lean)
@@ -142,7 +158,7 @@ def _car(
     # Windscreens reflect the sky: brighter towards the roof.
     grey = glass * (38 + 26 * np.clip(rise, 0, 1) * (t < 0.5) + 14 * (shade - 0.8))
     if car.bed:
-        bed = _band(t * length, 0.655 * length, 0.965 * length, px) * _soft(
+        bed = _band(t * length, car.bed_front * length, 0.965 * length, px) * _soft(
             ((0.80 - across) * half_width).astype(np.float32), px
         )
         paint *= 1 - 0.85 * bed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, cast, get_args
 
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from vehanchor.errors import InvalidParameterError
 
 VehicleKind = Literal["small-vehicle", "large-vehicle"]
+FleetKind = Literal["passenger", "mixed"]
+Load = Literal["empty", "crates", "tarpaulin", "planks", "rack"]
 Layout = Literal["urban", "parking", "countryside", "sports"]
 Category = Literal["swimming-pool", "building", "sports-court", "field", "parking-lot"]
 CourtKind = Literal["tennis", "basketball_fiba", "basketball_nba", "basketball_ncaa"]
@@ -41,6 +43,8 @@ class SceneVehicle:
     """Direction of the long axis towards the front, clockwise from +x (y points down)."""
     difficult: bool = False
     """Whether the image's edge cuts it, or a tree hides more than 40 % of it."""
+    body: str = field(default="", repr=False)
+    """Body; after a colon its load. Empty if unknown."""
 
     def corners(self) -> NDArray[np.float64]:
         """Compute the corners [4,2] in pixels: front left, front right, rear right, rear left."""

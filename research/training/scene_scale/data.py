@@ -26,10 +26,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TILE_PX = 160
-FINEST_M_PER_PX, COARSEST_M_PER_PX = 0.026, 1.1
+FINEST_M_PER_PX, COARSEST_M_PER_PX = 0.0135, 1.1
 _CAR_M = 4.6  # median length of Munich's and Minsk's cars
 _LEAST_CARS = 2  # of an image whose scale they give
 _CAR_SPREAD, _FLIGHT_SPREAD = 0.07, 0.12  # log standard deviation of these two kinds of label
+_HEIGHT_SPREAD = 0.03  # likewise, of a height above take-off
 _CHECK_ONLY = re.compile(r"harlem|DJI_\d+$")  # the latter are the photographs of tilt/, most of them oblique
 _FLIGHT_GSD = {"garfield": 0.047, "seneca": 0.058}  # m/px, from the GPS track: each pair within a fifth
 _DOWN_DEG = -85.0  # a camera's pitch from here on looks down
@@ -42,6 +43,7 @@ _FINEST_FLIGHT_SHARE = 0.6  # reduced copies are sharp to the pixel
 _SET_WEIGHT = {
     "cannes": 1.0, "ucm": 0.8, "ucm_more": 0.8, "empty": 0.4, "saopaulo": 1.0, "estonia": 1.0, "estonia_port": 0.7,
     "building": 1.0, "munich": 0.5, "minsk": 0.8, "garfield": 1.0, "seneca": 0.8, "scene": 1.0,
+    "chia": 1.5,
 }  # fmt: skip
 _TURNED_SHARE = 0.25  # of the crops by any angle, which softens them; the others in one of the eight symmetries
 _PHOTOMETRIC_SHARE = 0.5  # of the crops as the detector's, which blurs and sharpens; the others are retouched only
@@ -80,6 +82,7 @@ def sources(data: Path) -> list[Source]:
         *_segments(data),
         *_cars_as_rulers(data),
         *_photographs(data),
+        *chia_photographs(data),
     ]
     return list({source.path: source for source in out}.values())
 
@@ -105,6 +108,7 @@ def load_val_images(data: Path, *, without: Collection[str] = ()) -> list[Scaled
         if float(row["camera_pitch_deg"]) < _DOWN_DEG:
             width_m = float(row["height_above_takeoff_m"]) * _FULL_FRAME_MM / float(row["focal_length_35mm"])
             found.append(Source(data / "tilt" / row["file"], "tilt", width_m / _TILT_WIDTH_PX, 0.0, held_out=False))
+    found += chia_photographs(data, odd=False)
     return [_load(source) for source in found if source.set not in without]
 
 
@@ -177,6 +181,17 @@ def _photographs(data: Path) -> list[Source]:
         for number in (*range(0, first_held_out - 1, _EVERY_PHOTOGRAPH), *range(first_held_out + 1, len(files))):
             path = (data / "flights" / files[number]).resolve()
             out.append(Source(path, flight, gsd, _FLIGHT_SPREAD, held_out=number >= first_held_out))
+    return out
+
+
+def chia_photographs(data: Path, *, odd: bool = True) -> list[Source]:
+    """Photographs of ``chia/`` that look down, and crops of the same: odd numbers train, even ones check."""
+    out = []
+    for table in ("chia/table.csv", "chia/crops.csv"):
+        for row in _rows(data / table):
+            if row["gsd_m_per_px"] and (int(Path(row["file"]).stem.split("_")[1]) % 2 == 1) == odd:
+                path = (data / "chia" / row["file"]).resolve()
+                out.append(Source(path, "chia", float(row["gsd_m_per_px"]), _HEIGHT_SPREAD, held_out=False))
     return out
 
 

@@ -6,14 +6,17 @@ begins with the encoder's weights: what the detector has learned to tell from ca
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
+import onnx
 import torch
+from onnx import numpy_helper
 from torch import Tensor, nn
 from torch.nn import functional
 
 from research.training.detector.network import VehicleNet
-from research.training.scene_scale.bins import BINS
+from research.training.scene_scale.bins import BINS, EARLIER_BINS
 from research.training.warm_start import load_exported
 
 if TYPE_CHECKING:
@@ -48,7 +51,7 @@ class SceneScaleNet(nn.Module):
     out of the last one, which is things.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, bins: int = BINS) -> None:
         super().__init__()
         self.stem = _conv(3, _CHANNELS[0], stride=2)
         self.stages = nn.ModuleList(
@@ -65,11 +68,11 @@ class SceneScaleNet(nn.Module):
             nn.Dropout(0.1),
             nn.Linear(width, _HIDDEN),
             nn.ReLU(inplace=True),
-            nn.Linear(_HIDDEN, BINS),
+            nn.Linear(_HIDDEN, bins),
         )
 
     def forward(self, tiles: Tensor) -> Tensor:
-        """Log-probabilities ``[n, BINS]``."""
+        """Log-probabilities ``[n, bins]``."""
         seen = self.stem(tiles)
         pooled = []
         for stage in self.stages:
@@ -99,3 +102,27 @@ def begin_with_detector(network: SceneScaleNet, detector: Path, tiles: Tensor) -
     load_exported(whole, detector, tiles)
     mine = network.state_dict()
     network.load_state_dict({**mine, **{name: v for name, v in whole.state_dict().items() if name in mine}})
+
+
+def begin_with_exported(network: SceneScaleNet, path: Path, tiles: Tensor) -> None:
+    """Put the weights of an exported file of fewer, coarser bins into ``network``.
+
+    The file's first bin stands for all that is finer: its probability is spread evenly over the new bins.
+
+    Args:
+        network: of ``BINS`` bins.
+        path: ONNX file of ``research.training.scene_scale.export`` with ``EARLIER_BINS`` bins.
+        tiles: ``[n, 3, 160, 160]`` float in 0..1, to take the normalisations' statistics from.
+    """
+    earlier = SceneScaleNet(EARLIER_BINS)
+    load_exported(earlier, path, tiles)
+    stored = {item.name: torch.tensor(numpy_helper.to_array(item)) for item in onnx.load(path).graph.initializer}
+    norm = {name.rpartition(".")[2]: value for name, value in stored.items() if ".head.0." in name}
+    state = earlier.state_dict()
+    state.update({f"head.0.{name}": value for name, value in norm.items()})
+    added = BINS - EARLIER_BINS
+    weight, bias = state["head.4.weight"], state["head.4.bias"].clone()
+    bias[0] -= math.log(added + 1)
+    state["head.4.weight"] = torch.cat([weight[:1].repeat(added, 1), weight])
+    state["head.4.bias"] = torch.cat([bias[:1].repeat(added), bias])
+    network.load_state_dict(state)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from research.training.scene_scale.bins import BINS, FIRST_LOG_GSD, LOG_GSD, LOG_STEP, soft_target
+from research.training.scene_scale.bins import BINS, EARLIER_BINS, FIRST_LOG_GSD, LOG_GSD, LOG_STEP, soft_target
 from research.training.scene_scale.density import (
     GRID,
     MOST_TILES,
@@ -24,15 +24,18 @@ from research.training.scene_scale.density import (
     scene_density,
     tile_places,
 )
+from tests.conftest import ROOT
 
 torch = pytest.importorskip("torch")
 onnxruntime = pytest.importorskip("onnxruntime")
 
 from research.training.scene_scale.calibrate import fit, log_score, report  # noqa: E402 - PyTorch may be missing
 from research.training.scene_scale.cases import Case, load, save, see  # noqa: E402
+from research.training.scene_scale.compare import some_of_each, summary  # noqa: E402
 from research.training.scene_scale.data import (  # noqa: E402
     CropStream,
     ScaledImage,
+    chia_photographs,
     coarsest_m_per_px,
     draw_crop,
     featureless,
@@ -40,7 +43,7 @@ from research.training.scene_scale.data import (  # noqa: E402
     sources,
 )
 from research.training.scene_scale.export import export  # noqa: E402
-from research.training.scene_scale.network import SceneScaleNet  # noqa: E402
+from research.training.scene_scale.network import SceneScaleNet, begin_with_exported  # noqa: E402
 
 _THEIR_BINS = SceneBins(FIRST_LOG_GSD, LOG_STEP)
 _SHARP = SceneCalibration(floor=0.01)
@@ -220,3 +223,39 @@ def test_what_trains_is_of_no_val_split_and_not_for_evaluation_only(real_data: P
     for word in ("harlem", "drashti", "crossings", "minsk_", "ucas", "dota", "DJI_0010"):
         assert not [name for name in names if word in name]
     assert not {image.name for image in load_val_images(real_data, without={"building"})} & set(names)
+
+
+def test_finer_bins_begin_with_the_earlier_files_answers(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    bundled = ROOT / "skill" / "vehanchor" / "models" / "bundled" / "scene-scale.onnx"
+    tiles = torch.randint(0, 255, (6, 3, 160, 160), dtype=torch.uint8)
+    network = SceneScaleNet()
+    begin_with_exported(network, bundled, tiles.float() / 255)
+    with torch.no_grad():
+        found = np.exp(network.eval()(tiles.float() / 255).numpy())
+    session = onnxruntime.InferenceSession(bundled, providers=["CPUExecutionProvider"])
+    before = np.exp(session.run(["log_probs"], {"tiles": tiles.numpy()})[0])
+    added = BINS - EARLIER_BINS
+    np.testing.assert_allclose(found[:, added + 1 :], before[:, 1:], atol=1e-5)
+    np.testing.assert_allclose(found[:, : added + 1].sum(axis=1), before[:, 0], atol=1e-5)
+
+
+def test_numbers_of_chia_train_or_check_and_never_both(tmp_path: Path) -> None:
+    (tmp_path / "chia").mkdir()
+    rows = "".join(f"{{}}DJI_{k:04d}.jpg,0.0{k}\n" for k in (16, 17, 18, 19))
+    for table, folder in (("table.csv", ""), ("crops.csv", "crops/")):
+        text = "file,gsd_m_per_px\n" + rows.format(*[folder] * 4) + f"{folder}DJI_0021.jpg,\n"
+        (tmp_path / "chia" / table).write_text(text)
+    train, check = ([source.path.stem for source in chia_photographs(tmp_path, odd=odd)] for odd in (True, False))
+    assert train == ["DJI_0017", "DJI_0019"] * 2  # a photograph and its crop; an oblique one has no scale
+    assert check == ["DJI_0016", "DJI_0018"] * 2
+
+
+def test_a_comparison_takes_images_of_each_set_and_tells_error_from_interval() -> None:
+    images = [_image(name, 0.2) for name in ("cannes", "ucm") for _ in range(9)]
+    assert [image.set for image in some_of_each(images, 3)] == ["cannes"] * 3 + ["ucm"] * 3
+    rows = [("a", 0.1, error, holds, np.log(2.0)) for error, holds in ((0.1, True), (-0.2, True), (0.6, False))]
+    found = summary(rows)
+    assert found["median_abs_log_error"] == 0.2
+    assert found["within_1.5"] == found["interval_holds"] == 0.667
+    assert found["median_high_over_low"] == 2.0
