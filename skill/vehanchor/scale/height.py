@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-GIVEN_HEIGHT_LOG_SD = 0.05  # of a given height: the caller knows the height above the ground itself
-GROUND_LOG_SD = 0.12  # of a height above take-off: the ground below is not the ground of the take-off, 10 to 15 %
-_HEIGHT_SD_M = 2.0  # barometer and the height of the hand or roof it started from
+GIVEN_HEIGHT_LOG_SD = 0.05  # of a given height above the ground, not above take-off
+GROUND_LOG_SD = 0.12  # of a height above take-off: 10 to 15 % between the ground there and below
+_HEIGHT_SD_M = 2.0  # barometer, and take-off from a hand or roof
 
 
 def height_log_sd(height_m: float) -> float:
