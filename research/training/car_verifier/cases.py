@@ -142,7 +142,7 @@ def collected(data: Path) -> Cases:
     n_labels: dict[str, int] = {}
     for image in val_images(data):
         with open_raster(image.path) as raster:
-            scene = prior.look(raster)
+            scene = prior.predict(raster)
             found = search(raster, detector, Search(min_score=_LEAST_SCORE))
             width, height = raster.width_px, raster.height_px
         label, count = fitted(image, found.boxes, width, height)

@@ -164,7 +164,7 @@ def found(
         assert detector.verifier is not None
         boxes.append(seen.boxes / (factor, factor, factor, factor, 1))
         scores.append(seen.scores)
-        combined.append(detector.verifier.judged(scaled, seen).scores)
+        combined.append(detector.verifier.scored(scaled, seen).scores)
     return np.concatenate(boxes), np.concatenate(scores), np.concatenate(combined)
 
 

@@ -32,7 +32,7 @@ def compared(network: SceneScaleNetwork, images: Sequence[ScaledImage]) -> list[
     out = []
     for image in images:
         with open_raster(image.pixels) as raster:
-            density = network.look(raster).density
+            density = network.predict(raster).density
         below = np.cumsum(density) - 0.5 * density
         low, middle, high = np.exp(np.interp(_SHARES, below / density.sum(), GRID))
         truth = image.gsd_m_per_px
