@@ -102,7 +102,7 @@ def test_a_log_that_cannot_be_used_is_told(tmp_path: Path, detector: Path) -> No
         with pytest.raises(OutputError, match="cannot keep results"):
             _log(path, Detector(detector))
     (tmp_path / "notes.txt").write_text("not a log")
-    with pytest.raises(InvalidParameterError, match="no line of a journal"):
+    with pytest.raises(InvalidParameterError, match="is not a line of a journal"):
         _log(tmp_path / "notes.txt", Detector(detector))
 
 

@@ -26,7 +26,7 @@ from vehanchor_server.transport.viewer import Address
 WEB = httpx.Client(timeout=60, verify=False)  # one for all: each looks for certificates, which takes a second
 
 
-@pytest.fixture(scope="module", autouse=True)
+@pytest.fixture(scope="session", autouse=True)  # tests of other modules can run between those of this one
 def _web_is_closed() -> Iterator[None]:
     yield
     WEB.close()
