@@ -665,5 +665,5 @@ def answers(host: Host) -> list[dict[str, Any]]:
 def test_opened_by_itself_the_page_says_what_it_is_for(chromium: Any) -> None:
     tab = chromium.new_page()
     tab.set_content(page_html())
-    assert "opened by itself it has nothing to show" in tab.locator("#sentence").inner_text()
+    assert "It shows nothing on its own" in tab.locator("#sentence").inner_text()
     tab.close()

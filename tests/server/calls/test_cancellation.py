@@ -59,7 +59,7 @@ async def called(client: Client, tool: str, images: Path, computing: anyio.Event
     """Make a call; the event tells that its model runs."""
 
     async def on_progress(progress: float, total: float | None, message: str | None) -> None:
-        if message in ("looking for the object", "searched 0 of 9 tiles"):
+        if message in ("segmenting the object", "searched 0 of 9 tiles"):
             await anyio.sleep(COMPUTES_S)
             computing.set()
 
