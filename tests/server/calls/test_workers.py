@@ -273,7 +273,7 @@ def test_a_worker_that_never_starts_is_not_the_images_fault_and_is_logged_once(
     workers = WorkerPool(make_services, 1, WorkerLimits(1 << 30, 10))
     workers.start()
     for _ in range(2):
-        with pytest.raises(CallError, match=r"worker_unavailable: .* the image is not to blame"):
+        with pytest.raises(CallError, match=r"worker_unavailable: .* the image is not the cause"):
             workers.run(Task(number, None, IMAGE, None), Stop(), lambda *_: None, lambda *_: None)
     assert workers.failure == "worker_unavailable"
     assert not workers.ready
