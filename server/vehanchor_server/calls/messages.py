@@ -30,7 +30,7 @@ MAX_PICTURE_BYTES = 2 << 20
 MAX_ANSWER_BYTES = MAX_HEADER_BYTES + MAX_RECORDS_BYTES + 2 * MAX_PICTURE_BYTES
 _MAX_PARTS = 256
 _LENGTH = struct.Struct("<Q")
-_MAX_WORDS = 8000
+MAX_WORDS = 8000  # characters of a message for people
 
 
 class MessageError(Exception):
@@ -44,14 +44,14 @@ class Loaded(FrozenModel):
     failure: str | None = Field(max_length=80)
     landlock: int = Field(ge=0, le=1000)
     seccomp: bool
-    lacks: str = Field(max_length=_MAX_WORDS)
+    lacks: str = Field(max_length=MAX_WORDS)
 
 
 class Broken(FrozenModel):
     """The worker cannot start."""
 
     kind: Literal["broken"] = "broken"
-    traceback: str = Field(max_length=_MAX_WORDS)
+    traceback: str = Field(max_length=MAX_WORDS)
 
 
 class Entered(FrozenModel):
@@ -74,7 +74,7 @@ class Refused(FrozenModel):
 
     kind: Literal["refused"] = "refused"
     code: str = Field(max_length=40, pattern=r"^[a-z0-9_]+$")
-    message: str = Field(max_length=_MAX_WORDS)
+    message: str = Field(max_length=MAX_WORDS)
 
 
 class Exhausted(FrozenModel):
@@ -87,7 +87,7 @@ class Failed(FrozenModel):
     """The work has a bug."""
 
     kind: Literal["failed"] = "failed"
-    traceback: str = Field(max_length=_MAX_WORDS)
+    traceback: str = Field(max_length=MAX_WORDS)
 
 
 class Answered(FrozenModel):

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.messages import (
+    MAX_WORDS,
     Broken,
     Entered,
     Exhausted,
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
 
 _IDLE_S = 0.5  # idle time before freed memory is returned, so that consecutive calls reuse it
 _OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")  # OpenCV's, C++'s, ONNX's
-_MAX_WORDS = 8000
 _logger = logging.getLogger(__name__)
 
 
@@ -145,12 +145,12 @@ def _outcome(services: Parts, task: Task[Any], connection: Connection) -> Worker
             _logger.warning("a worker ran out of memory", exc_info=True)
             return Exhausted()
         if isinstance(error, CallError):
-            return Refused(code=error.code, message=error.explanation[:_MAX_WORDS])
+            return Refused(code=error.code, message=error.explanation[:MAX_WORDS])
         return Failed(traceback=_traceback())
 
 
 def _traceback() -> str:
-    return traceback.format_exc()[-_MAX_WORDS:]
+    return traceback.format_exc()[-MAX_WORDS:]
 
 
 def _end_with_server(connection: Connection) -> None:
