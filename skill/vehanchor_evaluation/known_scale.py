@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import InvalidParameterError, VehAnchorError
+from vehanchor.imagery.sources.files import SUFFIXES
 from vehanchor.options import ImageLimits
 
 if TYPE_CHECKING:
@@ -15,8 +16,6 @@ if TYPE_CHECKING:
 
 DATASET_LIMITS = ImageLimits(max_bytes=2 << 30, max_pixels=500_000_000)
 """Limits for benchmark images, which users trust; the largest in DOTA have 20,000 x 20,000 px."""
-
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".avif")
 
 
 class KnownScaleImage(NamedTuple):
@@ -95,7 +94,7 @@ class KnownScaleSet:
 
 def image_files(folder: Path) -> list[Path]:
     """List all files below a folder with an image suffix, sorted by path."""
-    return sorted(path for path in folder.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file())
+    return sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
 
 
 def files_of(paths: Sequence[Path]) -> list[Path]:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 import typer
 
 from vehanchor.errors import InvalidParameterError
+from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Rulers, ScaleOptions, Search, models
 from vehanchor.options.frame import FRAME
 from vehanchor.options.method import Method
@@ -39,7 +40,7 @@ Photograph: TypeAlias = Annotated[
     str,
     typer.Argument(
         metavar="IMAGE",
-        help="Photograph: JPEG, PNG, WebP, AVIF, BMP, TIFF, JP2, HEIC; or its address.",
+        help=f"Photograph: {', '.join(IMAGE_FORMATS)}; or its address.",
         show_default=False,
     ),
 ]

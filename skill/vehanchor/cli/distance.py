@@ -23,6 +23,7 @@ from vehanchor.cli.terminal import (
     tile_progress,
 )
 from vehanchor.errors import VehAnchorError
+from vehanchor.export.formats import check_vector_path, vectors_help
 from vehanchor.storage.atomic import check_apart
 
 if TYPE_CHECKING:
@@ -43,7 +44,8 @@ def _distance(
     line: Annotated[
         Path | None,
         typer.Option(
-            metavar="OUT.geojson", help="Write the line with its length: .geojson or .gpkg, as for `measure`."
+            metavar="OUT.geojson",
+            help=f"Write the line with its length as {vectors_help(lines=True)}; on the ground if georeferenced.",
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
@@ -91,9 +93,7 @@ distance.command("distance", cls=SpacedCommand)(_distance)
 def _check_outputs(image: str, line: Path | None, overlay: Path | None) -> None:
     """Check, before the work, that the files can be written and do not replace the image."""
     if line is not None:
-        from vehanchor.export.vectors import LINE_SUFFIXES, check_boxes_path
-
-        check_boxes_path(line, LINE_SUFFIXES)
+        check_vector_path(line, lines=True)
     if overlay is not None:
         from vehanchor.pictures.scale import check_picture_path
 

@@ -28,6 +28,8 @@ from vehanchor.cli.terminal import (
     tile_progress,
 )
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAnchorError
+from vehanchor.export.formats import check_vector_path, vectors_help
+from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.records.advice import ADVICE
 
 if TYPE_CHECKING:
@@ -45,9 +47,7 @@ _SHORT_SHA = 12
 def estimate(
     images: Annotated[
         list[str],
-        typer.Argument(
-            metavar="IMAGE", help="Photographs: JPEG, PNG, WebP, AVIF, BMP, TIFF, JP2, HEIC.", show_default=False
-        ),
+        typer.Argument(metavar="IMAGE", help=f"Photographs: {', '.join(IMAGE_FORMATS)}.", show_default=False),
     ],
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object per image and line, and nothing else.")
@@ -70,8 +70,7 @@ def estimate(
         str | None,
         typer.Option(
             metavar="OUT.geojson",
-            help="Write the vehicles as .geojson, .gpkg (ground coordinates for a georeferenced file) or DOTA's .txt; "
-            "'{stem}' as above.",
+            help=f"Write the vehicles as {vectors_help()}; on the ground if georeferenced; '{{stem}}' as above.",
         ),
     ] = None,
     strict: Strict = False,
@@ -154,13 +153,12 @@ def _outputs(images: Sequence[str], overlay: str | None, plot: str | None, boxes
     tables = _names(images, "--boxes", boxes)
     chosen = [path for path in (*overlays, *plots, *tables) if path is not None]
     if chosen:
-        from vehanchor.export.vectors import check_boxes_path
         from vehanchor.pictures.scale import check_picture_path
 
         inputs = {Path(source).resolve() for source in images}
         seen: set[Path] = set()
         for path in chosen:
-            resolved = (check_boxes_path if path in tables else check_picture_path)(path).resolve()
+            resolved = (check_vector_path if path in tables else check_picture_path)(path).resolve()
             if resolved in inputs:
                 raise InvalidParameterError(f"{str(path)!r} is one of the images: writing there would destroy it")
             if resolved in seen:

@@ -24,6 +24,7 @@ from vehanchor.cli.terminal import (
     tile_progress,
 )
 from vehanchor.errors import InvalidParameterError, OutputError, VehAnchorError
+from vehanchor.export.formats import check_vector_path, vectors_help
 from vehanchor.options.models import SEGMENTER
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ OutlineFile: TypeAlias = Annotated[
     Path | None,
     typer.Option(
         metavar="OUT.geojson",
-        help="Write the outline with its area: .geojson, .gpkg, or .txt (DOTA); on the ground if georeferenced.",
+        help=f"Write the outline with its area as {vectors_help()}; on the ground if georeferenced.",
     ),
 ]
 
@@ -123,9 +124,7 @@ def _outputs(
 ) -> tuple[Path | None, Path | None]:
     """Choose the output files, and check folder, suffix and conflicts before the work."""
     if outline is not None:
-        from vehanchor.export.vectors import check_boxes_path
-
-        check_boxes_path(outline)
+        check_vector_path(outline)
     chosen = [None if name is None else Path(name) for name in (overlay, mask)]
     if any(chosen):
         from vehanchor.pictures.scale import check_picture_path

@@ -158,7 +158,7 @@ def test_a_row_holds_what_estimate_gsd_says(detector: Path, table: Path) -> None
     assert cars["warning_codes"] == " ".join(notice.code for notice in estimate.warnings)
     assert (empty["status"], empty["gsd_m_per_px"], empty["confidence"]) == ("no_scale", None, 0)
     assert (broken["status"], broken["gsd_m_per_px"], broken["error_code"]) == (None, None, "image_undecodable")
-    assert "not a JPEG" in broken["error"]
+    assert "not an image in one of the formats JPEG" in broken["error"]
 
 
 def test_a_defect_found_by_one_image_is_its_row(detector: Path, table: Path, monkeypatch: pytest.MonkeyPatch) -> None:

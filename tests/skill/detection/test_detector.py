@@ -9,6 +9,7 @@ from onnx.external_data_helper import set_external_data
 
 from tests.models import blank_image, paint_vehicles, write_detector, write_fleet_network, write_other_model
 from vehanchor.detection.appearance import FleetLengths
+from vehanchor.detection.card import MIN_SCORE
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.search import search
 from vehanchor.errors import (
@@ -205,7 +206,7 @@ def test_a_model_that_was_replaced_is_opened_anew(tmp_path: Path) -> None:
     before = load_detector(path).card
     write_detector(path, names={0: "car"}, metadata={"vehanchor.min_score": "0.25"})
     after = load_detector(path).card
-    assert (before.min_score, after.min_score) == (0.1, 0.25)
+    assert (before.min_score, after.min_score) == (MIN_SCORE, 0.25)
     assert before.sha256 != after.sha256
 
 

@@ -24,6 +24,18 @@ from vehanchor.imagery.formats.ifd import (
 from vehanchor.imagery.formats.jpeg import EXIF_PREFIX, MAX_SEGMENTS, Reader, read_jpeg_markers
 from vehanchor.imagery.formats.jpeg2000 import is_jpeg2000, read_jpeg2000_size
 
+IMAGE_FORMATS: dict[str, tuple[str, ...]] = {
+    "JPEG": (".jpg", ".jpeg"),
+    "PNG": (".png",),
+    "WebP": (".webp",),
+    "AVIF": (".avif",),
+    "BMP": (".bmp",),
+    "TIFF": (".tif", ".tiff"),
+    "JPEG 2000": (".jp2",),
+    "HEIC": (".heic",),
+}
+"""Suffixes of each image format; help, messages and lists of files derive from it."""
+
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_BANDS = {0: 1, 2: 3}  # grey and RGB; all others, and these with transparency, can become four
 _KEPT_CHUNKS = frozenset({b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"})
@@ -89,7 +101,7 @@ class ImageHeader:
     """Header of an encoded image.
 
     Attributes:
-        format: JPEG, PNG, TIFF, WebP, AVIF, JPEG 2000, HEIC or BMP.
+        format: one of ``IMAGE_FORMATS``.
         width_px: declared width as stored, before the orientation is applied.
         height_px: declared height as stored.
         orientation: EXIF orientation, 1 to 8; 1 if it is absent or invalid.
@@ -142,7 +154,7 @@ def read_header(read_at: ReadAt) -> ImageHeader:
     elif is_jpeg2000(start):
         name, parse = "JPEG 2000", _read_jpeg2000
     else:
-        raise ImageDecodeError(f"not a JPEG, PNG, TIFF, WebP, AVIF, JPEG 2000, HEIC or BMP image: {_advice(start)}")
+        raise ImageDecodeError(f"not an image in one of the formats {', '.join(IMAGE_FORMATS)}: {_advice(start)}")
     try:
         return parse(read_at)
     except struct.error:

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import glob
 import os
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import ImageNotFoundError
+from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.imagery.sources.addresses import is_address
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
 _SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
-SUFFIXES = frozenset(
-    {".jpg", ".jpeg", ".png", ".webp", ".avif", ".bmp", ".tif", ".tiff", ".jp2", ".heic"}
-)  # of images in directories
+SUFFIXES = frozenset(chain.from_iterable(IMAGE_FORMATS.values()))
+"""Suffixes of the images in directories."""
 
 
 def find_images(

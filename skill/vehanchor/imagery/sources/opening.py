@@ -1,8 +1,8 @@
 """Opening of any aerial image as a raster of 8-bit RGB.
 
-OpenCV decodes JPEG, PNG, WebP, AVIF, BMP and plain TIFF whole. rasterio (extra ``geo``) reads the following by windows:
-GeoTIFF, COG, JPEG 2000, TIFF that OpenCV cannot decode, and TIFF or JPEG too large to decode whole. libheif (extra
-``heic``) decodes HEIC. The choice depends on the file alone, never on installed packages (docs/decisions.md).
+OpenCV decodes most of ``IMAGE_FORMATS`` whole, TIFF only if it is plain. rasterio (extra ``geo``) reads the following
+by windows: GeoTIFF, COG, JPEG 2000, TIFF that OpenCV cannot decode, and TIFF or JPEG too large to decode whole. libheif
+(extra ``heic``) decodes HEIC. The choice depends on the file alone, never on installed packages (docs/decisions.md).
 """
 
 from __future__ import annotations
