@@ -13,6 +13,7 @@ from typing import Any
 
 from mcp.server.apps import Apps, ResourceCsp
 
+from vehanchor.scale.countries import COUNTRY_LENGTHS_M
 from vehanchor.scale.defaults import REGIONS
 
 APP_URI = "ui://vehanchor/panel.html"
@@ -61,7 +62,9 @@ def page_html() -> str:
 def view_html() -> str:
     """Return the page of ``vehanchor view``: the shared parts and a list of photographs."""
     page = _assembled("view.html", ("panel.css", "view.css"), _VIEW_PARTS, "img-src data:", "connect-src 'self'")
-    options = "".join(f'<option value="{name}">{name.replace("_", " ")}</option>' for name in REGIONS)
+    options = "".join(
+        f'<option value="{name}">{name.replace("_", " ")}</option>' for name in (*REGIONS, *COUNTRY_LENGTHS_M)
+    )
     return page.replace("{{regions}}", options)
 
 

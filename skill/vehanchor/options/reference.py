@@ -20,7 +20,8 @@ class Reference:
 
     Attributes:
         reference_length_m: the fleet's modal vehicle length, 2 to 20 metres.
-        region: use the model's reference length for a region (bundled: ``vehanchor.scale.defaults.REGIONS``).
+        region: use the model's reference length for a region (bundled: ``vehanchor.scale.defaults.REGIONS``), or that
+            of a country by its ISO 3166-1 alpha-2 code (``vehanchor.scale.countries``).
         calibration: use the reference length measured for this fleet and detector (see ``load_calibration``); a path
             is read at once.
 
@@ -39,7 +40,11 @@ class Reference:
     )
     region: str | None = field(
         default=None,
-        metadata=option(f"Region of the image, if known: {', '.join(REGIONS)}.", Text(), metavar="NAME"),
+        metadata=option(
+            f"Country (ISO code, such as FR) or region of the image, if known: {', '.join(REGIONS)}.",
+            Text(),
+            metavar="NAME",
+        ),
     )
     calibration: Calibration | None = field(default=None, metadata=metadata_of(CALIBRATION))
 

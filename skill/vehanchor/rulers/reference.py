@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import InvalidParameterError
+from vehanchor.scale.countries import COUNTRY_REGIONS, country_length
 
 if TYPE_CHECKING:
     from vehanchor.detection.appearance import FleetAppearance
@@ -44,7 +46,7 @@ def reference_length(card: DetectorCard, given: Reference, appearance: FleetAppe
         The length, its spread and its source.
 
     Raises:
-        InvalidParameterError: the model does not know the region.
+        InvalidParameterError: the model knows neither the region nor the country.
         CalibrationMismatchError: the calibration was made for another model.
     """
     if given.calibration is not None:
@@ -54,15 +56,22 @@ def reference_length(card: DetectorCard, given: Reference, appearance: FleetAppe
     if given.reference_length_m is not None:
         return ReferenceLength(given.reference_length_m, card.reference_length_sd_m / 2, "given")
     if given.region is not None:
-        if given.region not in card.region_lengths_m:
-            raise InvalidParameterError(
-                f"region is {given.region!r}: this model knows {', '.join(sorted(card.region_lengths_m))}; "
-                "or give reference_length_m"
-            )
-        return ReferenceLength(
-            card.region_lengths_m[given.region], _LEFT_IN_REGION * card.reference_length_sd_m, "region"
-        )
+        length_m = _region_length(given.region, card)
+        return ReferenceLength(length_m, _LEFT_IN_REGION * card.reference_length_sd_m, "region")
     if card.fleet_lengths is not None and appearance is not None:
         fleets = card.fleet_lengths
         return ReferenceLength(fleets.reference_length(appearance.log_lengths), fleets.sd_m, "appearance")
     return ReferenceLength(card.reference_length_m, card.reference_length_sd_m, "model")
+
+
+def _region_length(name: str, card: DetectorCard) -> float:
+    """Look up the reference length of a region or country, metres."""
+    known = card.region_lengths_m
+    length_m = known.get(name.lower()) or country_length(name, known)
+    if length_m is not None:
+        return length_m
+    near = ", ".join(get_close_matches(name.lower(), known) or get_close_matches(name.upper(), COUNTRY_REGIONS))
+    raise InvalidParameterError(
+        f"region is {name!r}: this model knows {', '.join(sorted(known))}, and countries there by ISO code, such as FR"
+        f"{near and f' (nearest: {near})'}; or give reference_length_m"
+    )
