@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
+from mcp import Client, StdioServerParameters
 from typer.testing import CliRunner
 
 import vehanchor
 from tests.analyses import made_card
-from tests.conftest import ROOT
-from tests.docs.documents import blocks
-from tests.models import blank_image, paint_vehicles, write_detector
+from tests.docs.track_package import install_track, track_code, write_track, write_track_detector
+from tests.server.conversation import by_path, text_of
 from vehanchor.analysis.pipeline import analyse_detections
 from vehanchor.analysis.scale import ScaleAnalysis
 from vehanchor.cli.app import app
@@ -29,8 +28,9 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
 from vehanchor.records.flat import flat_row
+from vehanchor.records.ruler_kinds import RULERS
 from vehanchor.rulers.evidence import View
-from vehanchor.rulers.registry import RULERS, ruler_class, rulers_help
+from vehanchor.rulers.registry import ruler_class, rulers_help
 from vehanchor.scale.plane import GroundPlane
 from vehanchor_server.app_page.page import page_html
 from vehanchor_server.tools.messages import ruler_explanations, ruler_names
@@ -44,9 +44,8 @@ TILTED = CameraMetadata(focal_px=900.0, taken_width_px=1000, taken_height_px=800
 @pytest.fixture
 def track(monkeypatch: pytest.MonkeyPatch) -> Any:
     """The class of the how-to, registered."""
-    (text,) = (block.text for block in blocks(ROOT / "docs/how-to/add-a-ruler.md") if "class Track" in block.text)
     module = ModuleType("track_of_the_docs")
-    exec(compile(text, "track.py", "exec"), module.__dict__)
+    exec(compile(track_code(), "track.py", "exec"), module.__dict__)
     monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setitem(RULERS, "track", f"{module.__name__}:Track")
     return ruler_class("track")
@@ -128,17 +127,13 @@ def test_a_ruler_that_cannot_use_the_plane_gives_no_evidence_on_a_tilted_photogr
 @pytest.fixture
 def detector(tmp_path: Path) -> Path:
     """A detector that knows running tracks."""
-    return write_detector(tmp_path / "tracks.onnx", names={0: "small-vehicle", 1: "ground-track-field"})
+    return write_track_detector(tmp_path / "tracks.onnx")
 
 
 @pytest.fixture
 def photograph(tmp_path: Path) -> Path:
     """A photograph of a running track, 200 px long, and of no car."""
-    image = blank_image(400, 400)
-    paint_vehicles(image, [[200, 200, 200, 200 * 92.52 / 176.91, 0.0]], classes=[1])
-    path = tmp_path / "track.png"
-    Image.fromarray(image).save(path)
-    return path
+    return write_track(tmp_path / "photographs" / "track.png")
 
 
 @pytest.mark.usefixtures("track")
@@ -184,6 +179,21 @@ def test_the_server_names_it_in_sentences_and_the_page_by_its_label() -> None:
     assert ruler_names(record) == "running track"
     assert ruler_explanations(record)[0].startswith("A running track")
     assert "ruler.label" in page_html()
+
+
+@pytest.mark.anyio
+async def test_a_server_and_its_workers_measure_with_the_ruler_of_an_installed_package(
+    detector: Path, photograph: Path, tmp_path: Path
+) -> None:
+    serve = ["-m", "vehanchor", "serve", "--root", str(photograph.parent), "--detector", str(detector)]
+    environment = install_track(tmp_path / "installed")
+    server = StdioServerParameters(command=sys.executable, args=serve, env=environment)
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", by_path(photograph))
+    record = GsdEstimate.model_validate(result.structured_content)
+    assert (record.leading_ruler, record.rulers[0].label, record.n_vehicles) == ("track", "running track", 0)
+    assert record.gsd_m_per_px == pytest.approx(176.91 / 200, rel=0.02)
+    assert "running track" in text_of(result)
 
 
 def test_a_plot_draws_it_in_its_colour(track: Any) -> None:

@@ -11,9 +11,10 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.records import Notice
+from vehanchor.records.ruler_kinds import RULERS
 from vehanchor.rulers.evidence import Evidence, Mark
 from vehanchor.rulers.lognormal import LognormalEvidence
-from vehanchor.rulers.registry import ruler_class, ruler_kinds
+from vehanchor.rulers.registry import ruler_class
 from vehanchor.scale.lengths import Interval
 from vehanchor.tilt.camera_tilt import CameraTilt
 
@@ -38,5 +39,5 @@ _CLASSES: dict[str, type[Any]] = {
 
 def stored_classes() -> dict[str, type[Any]]:
     """Classes of intermediate results by their stored names, with those that rulers declare."""
-    declared = {name: kind for each in ruler_kinds() for name, kind in ruler_class(each).stored_classes.items()}
+    declared = {name: kind for each in RULERS for name, kind in ruler_class(each).stored_classes.items()}
     return declared | _CLASSES

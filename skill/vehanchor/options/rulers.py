@@ -59,7 +59,7 @@ class Rulers:
     """Rulers to use, and known facts about the scale.
 
     Attributes:
-        rulers: kinds of the rulers to use; None for all. ``vehanchor.rulers.registry`` lists them.
+        rulers: kinds of the rulers to use; None for all. ``vehanchor.records.ruler_kinds`` lists them.
         metadata: use the camera's metadata in the file; False is the paper's case.
         known_lengths: lines of known length: x1, y1, x2, y2 in pixels, and metres.
         height_m: height of the camera above the ground, metres; the view is at nadir unless metadata or courts show a

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
-from vehanchor.records.ruler_kinds import ruler_kinds
+from vehanchor.records.ruler_kinds import RULERS
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -35,7 +35,7 @@ def flat_columns(kind: type[BaseModel], *, without: Collection[str] = ()) -> dic
     found: dict[str, type] = {}
     for name, field in kind.model_fields.items():
         if name == "rulers" and name not in without:
-            found |= {f"ruler_{ruler}_{part}": each for ruler in ruler_kinds() for part, each in _OF_RULERS.items()}
+            found |= {f"ruler_{ruler}_{part}": each for ruler in RULERS for part, each in _OF_RULERS.items()}
         elif name not in without:
             found |= _columns(name, _bare(field))
     return found

@@ -1,20 +1,32 @@
-"""Kinds of rulers in records: strings that the JSON schema and the columns of tables list."""
+"""Registered rulers, one line each: their kinds in records, and where their classes are.
+
+Records, JSON schemas and tables list the kinds; ``vehanchor.rulers.registry`` imports the classes.
+"""
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Annotated, Any, TypeAlias, cast
+from importlib.metadata import entry_points
+from typing import Annotated, Any, TypeAlias
 
 from pydantic import Field
 
+RULERS: dict[str, str] = {
+    "vehicles": "vehanchor.rulers.vehicles:Vehicles",
+    "scene_scale": "vehanchor.rulers.scene_scale:SceneScale",
+    "camera": "vehanchor.rulers.camera:Camera",
+    "known_length": "vehanchor.rulers.known_length:KnownLengths",
+    "height": "vehanchor.rulers.given_height:GivenHeight",
+    "courts": "vehanchor.rulers.courts:Courts",
+    "positions": "vehanchor.rulers.positions:Positions",
+}
+"""Class of each ruler by its kind, as ``module:Class``; imported on first use."""
 
-def ruler_kinds() -> tuple[str, ...]:
-    """List the kinds of all rulers; the registry is imported late, because rulers import records."""
-    return cast("tuple[str, ...]", import_module("vehanchor.rulers.registry").ruler_kinds())
+for _point in sorted(entry_points(group="vehanchor.rulers"), key=lambda point: point.name):
+    RULERS.setdefault(_point.name, _point.value)  # of installed packages; they replace no ruler
 
 
 def _named(schema: dict[str, Any]) -> None:
-    schema["enum"] = list(ruler_kinds())
+    schema["enum"] = list(RULERS)
 
 
 RulerKind: TypeAlias = Annotated[str, Field(json_schema_extra=_named)]

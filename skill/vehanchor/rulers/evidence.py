@@ -1,7 +1,7 @@
 """Input and output of a ruler: ``View`` and ``Evidence``.
 
 To add a ruler, subclass ``vehanchor.rulers.ruler.Ruler`` in a file of its own and name it in
-``vehanchor.rulers.registry``.
+``vehanchor.records.ruler_kinds``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Registry of rulers, one line each; all lists of rulers in library, server and page derive from it."""
+"""Classes of the registered rulers; all lists of rulers in library, server and page derive from the registry."""
 
 from __future__ import annotations
 
@@ -6,26 +6,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import InvalidParameterError
+from vehanchor.records.ruler_kinds import RULERS
 
 if TYPE_CHECKING:
     from vehanchor.options import Rulers
     from vehanchor.rulers.ruler import Ruler
-
-RULERS: dict[str, str] = {
-    "vehicles": "vehanchor.rulers.vehicles:Vehicles",
-    "scene_scale": "vehanchor.rulers.scene_scale:SceneScale",
-    "camera": "vehanchor.rulers.camera:Camera",
-    "known_length": "vehanchor.rulers.known_length:KnownLengths",
-    "height": "vehanchor.rulers.given_height:GivenHeight",
-    "courts": "vehanchor.rulers.courts:Courts",
-    "positions": "vehanchor.rulers.positions:Positions",
-}
-"""Class of each ruler by its kind, as ``module:Class``; imported on first use."""
-
-
-def ruler_kinds() -> tuple[str, ...]:
-    """List the kinds of all rulers."""
-    return tuple(RULERS)
 
 
 def ruler_class(kind: str) -> type[Ruler]:

@@ -63,7 +63,15 @@ def test_disjoint_diagonal_trucks_are_all_kept() -> None:
     assert len(oriented_nms(boxes, np.linspace(0.9, 0.5, 20))) == 20
 
 
-def test_equal_scores_are_settled_by_position_not_by_input_order() -> None:
+def test_boxes_that_overlap_by_exactly_the_limit_are_both_kept() -> None:
+    boxes = np.array([[0, 0, 10, 4, 0], [5, 0, 10, 4, 0]], dtype=float)
+    limit = oriented_iou(boxes, boxes)[0, 1]
+    assert limit == pytest.approx(1 / 3, rel=1e-6)
+    assert oriented_nms(boxes, [0.9, 0.5], iou_threshold=limit).tolist() == [0, 1]
+    assert oriented_nms(boxes, [0.9, 0.5], iou_threshold=np.nextafter(limit, 0)).tolist() == [0]
+
+
+def test_equal_scores_are_ordered_by_position_not_by_input_order() -> None:
     boxes = np.array([[0, 0, 10, 4, 0], [1, 0, 10, 4, 0]], dtype=float)
     assert oriented_nms(boxes, [0.5, 0.5]).tolist() == [0]
     assert oriented_nms(boxes[::-1], [0.5, 0.5]).tolist() == [1]

@@ -14,8 +14,8 @@ from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import Lengths, ScaleOptions
 from vehanchor.records import Notice
+from vehanchor.records.ruler_kinds import RULERS
 from vehanchor.rulers.evidence import Evidence, View
-from vehanchor.rulers.registry import RULERS
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.rulers.vehicles import Vehicles, select
 from vehanchor.scale.fusion import Votes, credible_interval

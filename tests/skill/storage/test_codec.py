@@ -17,6 +17,7 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.options import ScaleOptions
+from vehanchor.records.ruler_kinds import RULERS
 from vehanchor.rulers import registry
 from vehanchor.rulers.evidence import Evidence, Mark
 from vehanchor.rulers.given_height import GivenHeight
@@ -24,7 +25,7 @@ from vehanchor.rulers.vehicles import VehicleEvidence
 from vehanchor.scale.lengths import Interval
 from vehanchor.storage.codec import Codec
 
-for _kind in registry.ruler_kinds():
+for _kind in RULERS:
     registry.ruler_class(_kind)
 _RULERS = {each.__name__ for each in vars(sys.modules["vehanchor.rulers"]).values() if isinstance(each, ModuleType)}
 assert registry.__name__ in _RULERS
