@@ -53,8 +53,11 @@ def _but(**changes: object) -> CameraMetadata:
     return CameraMetadata(**{**MAVIC.__dict__, **changes})
 
 
+UNLISTED = _but(make="Unknown", model="")  # a camera that the table of sensors lacks
+
+
 def test_height_and_the_equivalent_focal_length_make_a_scale_with_an_honest_interval() -> None:
-    evidence = _look(MAVIC)
+    evidence = _look(UNLISTED)
     assert evidence.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.04)
     assert evidence.interval is not None
     assert evidence.interval.low < TRUE_GSD < evidence.interval.high
@@ -66,11 +69,33 @@ def test_height_and_the_equivalent_focal_length_make_a_scale_with_an_honest_inte
 
 
 def test_the_sensor_tells_better_than_the_equivalent_and_a_calibration_best() -> None:
-    by_sensor = _look(_but(pixel_mm=6.17 / 4000))
+    by_sensor = _look(replace(UNLISTED, pixel_mm=6.17 / 4000))
     assert by_sensor.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=1e-6)
     calibrated = _look(_but(pixel_mm=6.17 / 4000, focal_px=3100.0, centre_x_px=1995.0))
     assert calibrated.gsd_m_per_px == pytest.approx(100 / 3100)
-    assert _spread(calibrated) < _spread(by_sensor) < _spread(_look(MAVIC))
+    assert _spread(calibrated) < _spread(by_sensor) < _spread(_look(UNLISTED))
+
+
+@pytest.mark.parametrize("size", [(4000, 3000), (4000, 2250), (2000, 1500), (2000, 1125), (1125, 2000)])
+def test_a_listed_sensor_tells_at_every_size_and_shape_of_the_whole_picture(size: tuple[int, int]) -> None:
+    """A picture of 16:9 has all columns of a sensor of 4:3."""
+    taken = _but(taken_width_px=None, taken_height_px=None)
+    evidence = _look(taken, *size)
+    assert evidence.gsd_m_per_px == pytest.approx(TRUE_GSD * 4000 / max(size), rel=1e-3)
+    assert evidence.explanation is not None
+    assert "6.17 mm wide sensor of the FC220" in evidence.explanation
+
+
+def test_a_picture_of_4_3_has_all_rows_of_a_sensor_of_3_2() -> None:
+    phantom = _but(model="FC6310", focal_mm=8.8, focal_35mm=None, taken_width_px=4864, taken_height_px=3648)
+    assert _look(phantom, 4864, 3648).gsd_m_per_px == pytest.approx(100 * 8.8 / (8.8 * 3648), rel=1e-3)
+
+
+def test_a_listed_sensor_is_not_believed_behind_another_lens() -> None:
+    """A drone's second camera may write the same model."""
+    other = _look(_but(focal_mm=13.5, focal_35mm=72.0))
+    assert other.explanation is not None
+    assert "72 mm (35 mm equivalent)" in other.explanation
 
 
 def test_a_calibration_of_another_size_is_not_believed() -> None:
@@ -145,7 +170,7 @@ def test_what_cannot_be_is_told_and_not_measured_with(changes: dict[str, object]
     assert words in evidence.notices[0].message
 
 
-@pytest.mark.parametrize("camera", [None, _but(height_m=None), _but(focal_mm=None, focal_35mm=None)])
+@pytest.mark.parametrize("camera", [None, _but(height_m=None), replace(UNLISTED, focal_mm=None, focal_35mm=None)])
 def test_a_file_that_does_not_tell_both_is_passed_over_in_silence(camera: CameraMetadata | None) -> None:
     evidence = _look(camera)
     assert (evidence.gsd_m_per_px, evidence.interval, evidence.n, evidence.notices) == (None, None, 0, ())
@@ -188,7 +213,7 @@ def test_nadir_photographs_of_a_known_sensor_come_out_within_a_few_per_cent(
     with open_raster(real_data / f"tilt/images/{name}.jpg") as raster:
         facts = image_facts(raster)
     evidence = Camera().measure(replace(_view(None), image=facts))
-    assert evidence.gsd_m_per_px == pytest.approx(height_m * 6.17 / (4.73 * 3000), rel=0.05)
+    assert evidence.gsd_m_per_px == pytest.approx(height_m * 6.17 / (4.73 * 3000), rel=0.01)
 
 
 @pytest.mark.data

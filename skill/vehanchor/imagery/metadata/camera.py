@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _NUMBER = re.compile(r"\s*([+-]?\d{1,12}(?:\.\d{0,12})?(?:[eE][+-]?\d{1,2})?)(?:\s*/\s*(\d{1,12}))?(?:\s|,|$)")
 _PIX4D = "http://pix4d.com/camera/1.0"
 _AUTEL = "autel"  # its namespace changed with its firmware; each contains the maker's name
-_MM_PER_UNIT = {2: 25.4, 3: 10.0}  # EXIF's FocalPlaneResolutionUnit: inch, centimetre
+_MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # FocalPlaneResolutionUnit: inch, cm; TIFF/EP's mm, micrometre
 _ZERO_IS_FORWARD, _ZERO_IS_DOWN = 90.0, 0.0  # degrees to add to a pitch to count it from nadir
 _BACKWARDS_DEG = -60.0  # under Pix4D's convention this camera looks backwards: the writer used the other one
 

@@ -99,6 +99,8 @@ def test_the_sensors_pixels_come_from_the_focal_plane() -> None:
     tags = {"FocalPlaneXResolution": (1_639_344, 100), "FocalPlaneResolutionUnit": 2, "PixelXDimension": 4000}
     assert _known(jpeg(exif=exif({**tags, "PixelYDimension": 3000}))).pixel_mm == pytest.approx(0.001549, rel=1e-3)
     assert _known(jpeg(exif=exif({**tags, "FocalPlaneResolutionUnit": 3}))).pixel_mm == pytest.approx(6.1e-4, rel=1e-3)
+    sequoia = {**tags, "FocalPlaneXResolution": (74_627, 100), "FocalPlaneResolutionUnit": 4}  # Parrot's, per mm
+    assert _known(jpeg(exif=exif(sequoia))).pixel_mm == pytest.approx(0.00134, rel=1e-3)
 
 
 def test_a_height_above_the_sea_is_no_height() -> None:

@@ -1,0 +1,84 @@
+"""Sensors of drone cameras, by the names that they write into EXIF (``sensors.toml``)."""
+
+from __future__ import annotations
+
+import tomllib
+from functools import cache
+from importlib.resources import files
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_FOCAL_ROUNDING_MM = 0.05  # EXIF often has one decimal
+
+
+class Sensor(NamedTuple):
+    """Sensor and lens of a camera.
+
+    Attributes:
+        name: of the drone or payload.
+        width_mm: long side of the whole sensor.
+        height_mm: short side.
+        focal_from_mm: shortest real focal length of the lens.
+        focal_to_mm: longest.
+        source: of the numbers.
+    """
+
+    name: str
+    width_mm: float
+    height_mm: float
+    focal_from_mm: float
+    focal_to_mm: float
+    source: str
+
+    def focal_mm(self, stated_mm: float | None) -> float | None:
+        """Choose the real focal length.
+
+        Args:
+            stated_mm: of the metadata; None if they have none.
+
+        Returns:
+            The stated focal length; without one, that of a fixed lens. None for another lens than the sensor's.
+        """
+        if stated_mm is not None:
+            fits = self.focal_from_mm - _FOCAL_ROUNDING_MM <= stated_mm <= self.focal_to_mm + _FOCAL_ROUNDING_MM
+            return stated_mm if fits else None
+        fixed = self.focal_to_mm <= 1.03 * self.focal_from_mm
+        return (self.focal_from_mm + self.focal_to_mm) / 2 if fixed else None
+
+    def pixel_mm(self, width_px: int, height_px: int) -> float:
+        """Compute the pixel pitch of a picture that is as large as the sensor's shape allows.
+
+        A picture of 16:9 has the full width of a sensor of 4:3; a picture of 4:3 has the full height of one of 3:2.
+
+        Args:
+            width_px: of the picture, as taken or as a resized copy.
+            height_px: of it.
+        """
+        long, short = max(width_px, height_px), min(width_px, height_px)
+        return min(self.width_mm / long, self.height_mm / short)
+
+
+def sensor_of(make: str, model: str) -> Sensor | None:
+    """Look a camera up; None if the table lacks it.
+
+    Args:
+        make: EXIF's Make, in upper or lower case; only its first word counts.
+        model: EXIF's Model.
+    """
+    words = make.split()
+    return _sensors().get((words[0].casefold(), model.strip().casefold())) if words else None
+
+
+@cache
+def _sensors() -> Mapping[tuple[str, str], Sensor]:
+    table = tomllib.loads(files(__package__).joinpath("sensors.toml").read_text(encoding="utf-8"))
+    found = {}
+    for camera in table["camera"]:
+        shortest, longest = camera["focal_mm"]
+        size = camera["width_mm"], camera["height_mm"]
+        for model in camera["models"]:
+            key = camera["make"].casefold(), model.casefold()
+            found[key] = Sensor(camera["name"], *size, shortest, longest, camera["source"])
+    return found
