@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from vehanchor.flight.inputs import InputPhotograph
+    from vehanchor.options import ImageLimits
     from vehanchor.records import FlightEstimate, FlightPhotograph
 
 _EVERY_S = 2.0
@@ -81,7 +82,8 @@ def flight(
         journal = None if out is None else check_record_path(out).with_name(out.name + ".journal")
         if page is not None:
             check_report_path(page)
-        images = _images(inputs, every, () if out is None else (out,))
+        limits = chosen.options().reading.limits
+        images = _images(inputs, every, limits, () if out is None else (out,))
         with image_progress() as progress, _kept(journal):
             record = engine.flight(images, same_scale=same_scale, journal=journal, progress=progress)
         if out is not None:
@@ -106,7 +108,7 @@ def _tell(record: FlightEstimate, *, as_json: bool) -> None:
 
 
 def _images(
-    inputs: list[str], every_s: float, leave_out: tuple[Path, ...]
+    inputs: list[str], every_s: float, limits: ImageLimits, leave_out: tuple[Path, ...]
 ) -> Sequence[str] | Iterator[InputPhotograph]:
     """List the files, or the frames of one video."""
     from vehanchor.flight.video import is_video, sample_video
@@ -116,7 +118,7 @@ def _images(
         return find_images(inputs, leave_out=leave_out)
     if len(inputs) > 1:
         raise InvalidParameterError("a video is a flight of its own: give it alone")
-    return sample_video(inputs[0], every_s)
+    return sample_video(inputs[0], every_s, limits)
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -7,8 +8,9 @@ import numpy as np
 import pytest
 
 from tests.skill.flight.ground import ground
-from vehanchor.errors import ImageDecodeError, ImageNotFoundError, InvalidParameterError
+from vehanchor.errors import ImageDecodeError, ImageNotFoundError, ImageTooLargeError, InvalidParameterError
 from vehanchor.flight.video import _taken, is_video, sample_video, sharpness
+from vehanchor.options import ImageLimits
 
 
 @pytest.fixture(scope="module")
@@ -50,3 +52,48 @@ def test_what_is_no_video_is_told(tmp_path: Path) -> None:
         list(sample_video(str(tmp_path / "a.mp4"), 0.0))
     assert is_video("flight.MP4")
     assert not is_video("flight.jpg")
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mov", ".mkv", ".avi"])
+def test_every_offered_container_is_read(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"film{suffix}"
+    writer = cv2.VideoWriter(
+        str(path), cv2.VideoWriter.fourcc(*("MJPG" if suffix in (".avi", ".mkv") else "mp4v")), 10, (64, 48)
+    )
+    for _ in range(10):
+        writer.write(ground(500)[:48, :64])
+    writer.release()
+    (only,) = sample_video(str(path), 2.0)
+    assert isinstance(only.image, np.ndarray)
+    assert only.image.shape == (48, 64, 3)
+
+
+@pytest.mark.parametrize("before", [None, "threads;1"])
+def test_a_playlist_opens_no_other_file(
+    film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: str | None
+) -> None:
+    monkeypatch.delenv("OPENCV_FFMPEG_CAPTURE_OPTIONS", raising=False)
+    if before:
+        monkeypatch.setenv("OPENCV_FFMPEG_CAPTURE_OPTIONS", before)
+    (tmp_path / "film.avi").write_bytes(film.read_bytes())
+    playlist = tmp_path / "list.mp4"
+    playlist.write_text("ffconcat version 1.0\nfile film.avi\n")
+    capture = cv2.VideoCapture(str(playlist), cv2.CAP_FFMPEG)
+    assert capture.grab(), "FFmpeg follows the playlist if it may"
+    capture.release()
+    with pytest.raises(ImageDecodeError, match="cannot be read"):
+        list(sample_video(str(playlist), 1.0))
+    assert os.environ.get("OPENCV_FFMPEG_CAPTURE_OPTIONS") == before
+
+
+def test_the_signature_chooses_the_demuxer_and_not_ffmpeg(film: Path, tmp_path: Path) -> None:
+    disguised = tmp_path / "a.mp4"
+    disguised.write_bytes(b"ffco" + b"ftyp" + b"ncat version 1.0\nfile film.avi\n" + film.read_bytes())
+    with pytest.raises(ImageDecodeError, match="cannot be read"):
+        list(sample_video(str(disguised), 1.0))
+
+
+def test_frames_obey_the_limits_of_images(film: Path) -> None:
+    with pytest.raises(ImageTooLargeError, match="320 x 240 px, the limit is 76799 pixels"):
+        list(sample_video(str(film), 1.0, ImageLimits(max_pixels=320 * 240 - 1)))
+    assert list(sample_video(str(film), 1.0, ImageLimits(max_pixels=320 * 240)))
