@@ -24,7 +24,7 @@ from vehanchor.imagery.formats.unpacked import open_large_jpeg
 from vehanchor.imagery.limits import check_bytes, read_checked_header
 from vehanchor.imagery.metadata.camera import read_camera
 from vehanchor.imagery.raster import Raster
-from vehanchor.imagery.sources.addresses import fetch_file, gdal_name, is_address, range_reader
+from vehanchor.imagery.sources.addresses import RemoteFile, is_address
 from vehanchor.imagery.sources.arrays import ArrayRaster
 from vehanchor.imagery.sources.data_arrays import DataArray, data_array_gsd_m_per_px, data_array_pixels, is_data_array
 from vehanchor.imagery.sources.pillow import PillowImage, is_pillow, pillow_pixels
@@ -122,12 +122,14 @@ def can_be_read_again(image: ImageSource) -> bool:
 
 
 def _open_address(address: str, bands: BandChoice, limits: ImageLimits) -> Raster:
-    read_at = range_reader(address)
-    start = read_at(0, 32)
-    if not (is_tiff(start) or is_jpeg2000(start)):
-        return _open_bytes(fetch_file(address, limits), address, bands, limits)
-    header = read_checked_header(read_at, limits)
-    return _open_by_windows(gdal_name(address), address, header, bands, limits, read_at)
+    file = RemoteFile(address, limits)
+    start = file.read_at(0, 32)
+    if not file.has_ranges or not (is_tiff(start) or is_jpeg2000(start)):
+        return _open_bytes(file.fetch(), address, bands, limits)
+    header = read_checked_header(file.read_at, limits)
+    raster = open_file(file, address, header, bands, limits)
+    raster.camera = read_camera(file.read_at)
+    return raster
 
 
 def _open_path(path: str, bands: BandChoice, limits: ImageLimits) -> Raster:
