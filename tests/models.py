@@ -27,6 +27,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from vehanchor.detection.appearance import CHIP_SHAPE, FleetLengths
 from vehanchor.detection.boxes import box_corners, canonical_boxes
+from vehanchor.detection.car_verifier import CHIP_LENGTH_PX, CHIP_PX, VEHICLE_TYPES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -227,6 +228,63 @@ def write_fleet_network(
         {
             "vehanchor.detector": detector.stem,
             "vehanchor.fleet_lengths": json.dumps(lengths._asdict()),
+            **(metadata or {}),
+        },
+    )
+
+
+def write_car_verifier(
+    detector: Path,
+    *,
+    outputs: Sequence[str] = ("logit", "types", "box", "log_length_m"),
+    gain: float = 1.0,
+    correction: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
+    metadata: Mapping[str, str | None] | None = None,
+) -> Path:
+    """Write the linear network beside a detector that verifies its candidates.
+
+    Args:
+        detector: file of the detector, which its metadata names by the stem.
+        outputs: names of the network's outputs, at most the four.
+        gain: logit of a white chip; a black one has 0.
+        correction: correction of each box; a red square of 8 px on black adds its place to the first two numbers.
+        metadata: entries to add or replace; None as a value removes one.
+
+    Returns:
+        The path.
+    """
+    at = (np.arange(CHIP_PX) + 0.5 - CHIP_PX / 2) / CHIP_LENGTH_PX / 8**2
+    sizes = 1, len(VEHICLE_TYPES), len(correction), 1
+    weight, box = np.zeros((3, CHIP_PX, CHIP_PX, sum(sizes))), 1 + len(VEHICLE_TYPES)
+    weight[..., 0] = gain / (3 * CHIP_PX**2)
+    weight[0, :, :, 1] = 1.0  # the first type, where there is red
+    weight[0, :, :, box], weight[0, :, :, box + 1] = at[None, :], at[:, None]
+    offset = np.zeros(sum(sizes))
+    offset[box : box + len(correction)] = correction
+    graph = Graph()
+    flat = graph.add("Flatten", ["chips"])
+    answers = [flat, graph.constant(weight.reshape(-1, sum(sizes))), graph.constant(offset)]
+    parts = ["logits", "types", "box", "lengths"]
+    joined = graph.add("Gemm", answers)
+    graph.nodes.append(helper.make_node("Split", [joined, graph.constant(sizes, np.int64)], parts, axis=1))
+    for name, part in (("logit", "logits"), ("log_length_m", "lengths")):
+        graph.add("Squeeze", [part, graph.constant([1], np.int64)], output=name)
+    shapes: dict[str, list[str | int | None]] = {
+        "logit": ["n"],
+        "types": ["n", len(VEHICLE_TYPES)],
+        "box": ["n", len(correction)],
+        "log_length_m": ["n"],
+    }
+    return save_model(
+        detector.with_name(f"{detector.stem}.car-verifier.onnx"),
+        graph.nodes,
+        [helper.make_tensor_value_info("chips", TensorProto.FLOAT, ["n", 3, CHIP_PX, CHIP_PX])],
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shapes[name]) for name in outputs],
+        graph.constants,
+        {
+            "vehanchor.detector": detector.stem,
+            "vehanchor.weights": "1,1,0",
+            "vehanchor.least_score": "0.15",
             **(metadata or {}),
         },
     )

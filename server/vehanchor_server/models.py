@@ -14,6 +14,7 @@ from vehanchor.models.files import read_model
 from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
 from vehanchor.models.zoo import (
     bundled_segmenter,
+    car_verifier_beside,
     fleet_beside,
     resolve_model,
     resolve_segmenter,
@@ -124,7 +125,8 @@ class Models:
         for resolve in (lambda: (self._detector_file(),), lambda: resolve_segmenter(settings.segmenter)):
             with contextlib.suppress(VehAnchorError):  # loading will report a missing file
                 found += resolve()
-        auxiliary = [other for path in found[:1] for other in (fleet_beside(path), verifier_beside(path)) if other]
+        beside = (fleet_beside, verifier_beside, car_verifier_beside)
+        auxiliary = [other for path in found[:1] for find in beside if (other := find(path))]
         found += [*auxiliary, *([settings.calibration] if settings.calibration is not None else [])]
         for path in [path for path in found if path.suffix == ".onnx"]:
             with contextlib.suppress(VehAnchorError):

@@ -137,6 +137,7 @@ def fitted(image: Image, boxes: NDArray[np.float64], width: int, height: int) ->
 def collected(data: Path) -> Cases:
     """Search all images."""
     detector, prior = Detector(resolve_model(), runtime=Runtime(threads=1)), load_scene_scale()
+    detector.car_verifier = None  # its candidates are wanted
     assert prior is not None
     columns: list[list[NDArray[np.generic]]] = [[] for _ in range(6)]
     n_labels: dict[str, int] = {}

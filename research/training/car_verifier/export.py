@@ -1,7 +1,7 @@
 """Write a trained car verifier as ONNX.
 
 ``python -m research.training.car_verifier.export R OUT.onnx --weights R/main`` writes the fusion with the search's
-scores as metadata. The fusion is fitted on the held-out tenth of ``R``.
+scores as metadata, as the library reads it (``CarVerifierCard``). The fusion is fitted on the held-out tenth of ``R``.
 """
 
 from __future__ import annotations
@@ -16,6 +16,9 @@ from research.training.car_verifier.network import CarVerifierNet
 from research.training.car_verifier.train import export
 from research.training.loop import load_average
 from research.training.onnx_file import LICENCE, write_metadata
+from vehanchor.models.zoo import DEFAULT_DETECTOR
+
+_LEAST_SCORE = 0.15  # of the search, as in ``measured.json``
 
 
 def main() -> None:
@@ -35,10 +38,12 @@ def main() -> None:
         "description": "VehAnchor network that verifies candidates where a photograph shows few",
         "author": "VehAnchor",
         "license": LICENCE,
-        "vehanchor.fusion": ",".join(f"{value:.4f}" for value in fusion),
+        "vehanchor.detector": DEFAULT_DETECTOR,
+        "vehanchor.least_score": str(_LEAST_SCORE),
+        "vehanchor.weights": ",".join(f"{value:.4f}" for value in fusion),
     }
     write_metadata(options.out, metadata)
-    print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB, {metadata['vehanchor.fusion']}")
+    print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB, {metadata['vehanchor.weights']}")
 
 
 if __name__ == "__main__":

@@ -20,10 +20,11 @@ import torch
 from numpy.typing import NDArray
 
 from research.training.car_verifier.cases import Cases, read_cases
-from research.training.car_verifier.network import CHIP_LENGTH_PX, CHIP_PX, CarVerifierNet
+from research.training.car_verifier.network import CarVerifierNet
 from research.training.car_verifier.store import read_store
 from research.training.car_verifier.stream import Move, cut
 from research.training.loop import load_average
+from vehanchor.detection.car_verifier import CHIP_LENGTH_PX, CHIP_PX
 from vehanchor.detection.verifier import surroundings
 from vehanchor.storage.atomic import whole_file
 

@@ -18,12 +18,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from research.training.car_verifier.network import TYPES
 from research.training.car_verifier.store import STORED_LENGTH_PX, STORED_PX, UNKNOWN, ChipStore, Rows
 from research.training.detector.data import TrainImage, is_dev, load_scenes, load_train_images
 from research.training.detector.places import is_held_out, places
 from research.training.detector.scenery import CAR_M, load_scenery
 from vehanchor.detection.boxes import box_corners, boxes_from_corners, canonical_boxes, pair_iou
+from vehanchor.detection.car_verifier import VEHICLE_TYPES
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.nms import oriented_nms
 from vehanchor.detection.search import search
@@ -50,7 +50,7 @@ _TYPE_OF_BODY = {
     "single cab": "pickup", "crew cab": "pickup", "flatbed": "pickup", "truck": "lorry", "bus": "lorry",
     "semitrailer": "lorry", "caravan": "trailer",
 }  # fmt: skip
-_OTHER, _LORRY = TYPES.index("other"), TYPES.index("lorry")
+_OTHER, _LORRY = VEHICLE_TYPES.index("other"), VEHICLE_TYPES.index("lorry")
 
 
 class Named(NamedTuple):
@@ -64,11 +64,11 @@ class Named(NamedTuple):
 
 
 def type_of(body: str, length_m: float) -> int:
-    """Index into ``TYPES`` of a rendered vehicle; hatchbacks, saloons and estates by their length."""
+    """Index into ``VEHICLE_TYPES`` of a rendered vehicle; hatchbacks, saloons and estates by their length."""
     known = _TYPE_OF_BODY.get(body.partition(":")[0])
     if known is None:
         known = "small" if length_m < 3.95 else "compact" if length_m < 4.45 else "saloon"
-    return TYPES.index(known)
+    return VEHICLE_TYPES.index(known)
 
 
 def relative(boxes: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -303,6 +303,7 @@ def main() -> None:
     else:
         parts = {name: train_images(options.data, held_out=name == "held_out") for name in ("held_out", "train")}
     detector = Detector(resolve_model(), runtime=Runtime(threads=1))
+    detector.car_verifier = None  # its candidates are wanted
     for name, images in parts.items():
         store, rng = ChipStore(), np.random.default_rng(0)
         for number, image in enumerate(images):

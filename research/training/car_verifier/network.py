@@ -11,9 +11,6 @@ from torch import Tensor, nn
 from research.training.detector.network import VehicleNet
 from research.training.warm_start import load_exported
 
-CHIP_PX = 96  # rows and columns of a chip: three candidate lengths
-CHIP_LENGTH_PX = 32.0  # the candidate's length on its chip, along the columns
-TYPES = ("kei", "small", "compact", "saloon", "suv", "pickup", "van", "lorry", "trailer", "other")
 _MIDDLE = {1: (16, 2, 10), 2: (24, 1, 5), 3: (32, 0, 3)}  # stage: channels kept, first and last cell of the middle
 _HIDDEN = 128
 
@@ -23,7 +20,7 @@ class Answers(NamedTuple):
 
     Attributes:
         logit: ``[b]`` of a car in a fitting box.
-        types: ``[b, 10]`` logits of ``TYPES``.
+        types: ``[b, 10]`` logits of ``VEHICLE_TYPES``.
         box: ``[b, 5]`` correction: centre along and across, in candidate lengths; log of the true length and width over
             the candidate's length; turn in radians.
         log_length_m: ``[b]`` log of the vehicle's length in metres.

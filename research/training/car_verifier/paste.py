@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from research.training.car_verifier.lookalikes import LOOKALIKES, Canvas, shade
 from research.training.car_verifier.mine import GSD_M_PER_PX, relative, type_of
-from research.training.car_verifier.network import TYPES
 from research.training.car_verifier.store import STORED_LENGTH_PX, STORED_PX, UNKNOWN, ChipStore, Rows
 from research.training.detector.data import TrainImage, load_train_images
 from research.training.detector.scenery import CAR_M, load_scenery
+from vehanchor.detection.car_verifier import VEHICLE_TYPES
 from vehanchor_scenes.fleet import Fleet, VehicleModel
 from vehanchor_scenes.painter import VEHICLE_SHADOW_HEIGHT_M
 from vehanchor_scenes.sprites import VEHICLE_PAD, Sun, vehicle_sprite
@@ -169,7 +169,7 @@ def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | N
             np.float32,
         )
         px_per_m *= factor
-        car, kind, answer, length_m = 0, TYPES.index("other"), None, math.nan
+        car, kind, answer, length_m = 0, VEHICLE_TYPES.index("other"), None, math.nan
     coarse = px_per_m * ground.gsd_m_per_px
     chip = photographed(rng, canvas, coarse)
     return Pasted(chip, car, kind, answer, length_m, 2 * STORED_LENGTH_PX / max(coarse, 2.0) if coarse > 2 else 36.0)

@@ -23,7 +23,7 @@ class Rows(NamedTuple):
 
     Attributes:
         car: 1 for a car in a fitting box, 0 for anything else.
-        type: index into ``network.TYPES``, or -1.
+        type: index into ``VEHICLE_TYPES``, or -1.
         box: ``[n, 5]`` the true box relative to the candidate, as ``network.Answers.box``; NaN where unknown.
         box_weight: 1 where the box is exact, less where a model drew it, 0 where it is unknown.
         log_length_m: log of the true length in metres, NaN where unknown.

@@ -12,10 +12,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from research.training.car_verifier.network import CHIP_LENGTH_PX, CHIP_PX
 from research.training.car_verifier.store import STORED_LENGTH_PX, STORED_PX, Rows, read_store
 from research.training.detector.data import photometric
 from research.training.detector.shade import shaded
+from vehanchor.detection.car_verifier import CHIP_LENGTH_PX, CHIP_PX
 
 _SHIFT, _SCALE, _TURN = 0.06, 0.08, 0.07  # standard deviations: lengths, log, radians
 _MOST = 2.2  # standard deviations; a car's box still fits there

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
-from vehanchor.imagery.raster import Window
-from vehanchor.imagery.tiles import read_reduced_window
+from vehanchor.imagery.tiles import read_around
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -118,12 +117,6 @@ def vehicle_chips(raster: Raster, boxes: NDArray[np.float64]) -> NDArray[np.floa
     shorter = min(raster.width_px, raster.height_px)
     for k, box in enumerate(boxes):
         factor = 2 ** max(0, math.floor(math.log2(min(box[2] / CHIP_LENGTH_PX, shorter))))
-        width, height = raster.width_px // factor, raster.height_px // factor
-        x, y, length, breadth = box[:4] / factor
-        left, right = (round(np.clip(x + side * _REACH * length, 0, width)) for side in (-1, 1))
-        top, bottom = (round(np.clip(y + side * _REACH * length, 0, height)) for side in (-1, 1))
-        left, top = min(left, width - 1), min(top, height - 1)
-        window = Window(left, top, max(1, right - left), max(1, bottom - top))
-        pixels = read_reduced_window(raster, window, factor)[:, :, _CHIP_CHANNEL]
-        out[k, 0] = chip(pixels, (x - left, y - top, length, breadth, box[4]))
+        pixels, inside = read_around(raster, box, factor, _REACH)
+        out[k, 0] = chip(pixels[:, :, _CHIP_CHANNEL], inside)
     return out

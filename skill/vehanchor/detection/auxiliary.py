@@ -14,6 +14,8 @@ from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
 _CardT = TypeVar("_CardT", bound=AuxiliaryCard)
@@ -21,7 +23,7 @@ _INPUT = "chips"
 
 
 class AuxiliaryModel(LoadedModel, Generic[_CardT]):
-    """Network from ``chips [n, c, h, w]`` float32 to outputs ``[n]``.
+    """Network from ``chips [n, c, h, w]`` float32 to outputs with a row for each chip.
 
     Args:
         path: the ONNX file.
@@ -40,7 +42,7 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
     named: ClassVar[str]
     trained_by: ClassVar[str]
     chip_shape: ClassVar[tuple[int, int, int]]
-    outputs: ClassVar[tuple[str, ...]]
+    outputs: ClassVar[Mapping[str, tuple[int, ...]]]  # names, and shapes of a row
     card_type: ClassVar[type[AuxiliaryCard]]
 
     card: _CardT
@@ -55,27 +57,28 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
             channels, height, width = self.chip_shape
             raise ModelContractError(
                 f"{self.path} has {', '.join(names)}: expected {_INPUT} [n, {channels}, {height}, {width}] and "
-                f"{' [n], '.join(self.outputs)} [n], as {self.trained_by} writes them"
+                f"{', '.join(self.outputs)}, as {self.trained_by} writes them"
             )
         metadata = self._session.get_modelmeta().custom_metadata_map
         self.card = read_auxiliary_card(self.card_type, self.path, models_sha256(file), metadata)  # type: ignore[assignment]
 
-    def predict(self, chips: NDArray[np.float32]) -> NDArray[np.float64]:
+    def predict(self, chips: NDArray[np.float32]) -> list[NDArray[np.float64]]:
         """Run the network on chips.
 
         Args:
             chips: ``[n, c, h, w]``.
 
         Returns:
-            ``[outputs, n]``.
+            The outputs in their order, ``[n, ...]`` each.
 
         Raises:
-            ModelContractError: the network fails, or does not give a finite number for each chip.
+            ModelContractError: the network fails, or does not give finite numbers for each chip.
             OutOfMemoryError: there is too little memory for it now.
         """
         described = f"the {self.named} {self.path} fails on {list(chips.shape)}"
         results = run_session(self._session, list(self.outputs), {_INPUT: chips}, self.runtime, described)
         numbers = [np.asarray(each, np.float64) for each in results]
-        if not all(each.shape == (len(chips),) and np.isfinite(each).all() for each in numbers):
-            raise ModelContractError(f"the {self.named} {self.path} does not give a number for each of its chips")
-        return np.stack(numbers)
+        shapes = [(len(chips), *shape) for shape in self.outputs.values()]
+        if [each.shape for each in numbers] != shapes or not all(np.isfinite(each).all() for each in numbers):
+            raise ModelContractError(f"the {self.named} {self.path} does not give numbers for each of its chips")
+        return numbers

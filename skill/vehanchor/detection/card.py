@@ -66,6 +66,7 @@ class DetectorCard(_Card):
         fleet_sha256: checksum of the fleet network's file.
         verifier_sha256: checksum of the verifier's file; None without one. With a verifier, ``min_score`` and
             ``clear_score`` are the verifier's.
+        car_verifier_sha256: checksum of the car verifier's file; None without one.
         votes: calibration of the boxes' votes; None if it was never fitted, as for other people's models.
         quantised_from: name of the detector from which this one was quantised; it shares that one's auxiliary models.
     """
@@ -87,6 +88,7 @@ class DetectorCard(_Card):
     fleet_lengths: FleetLengths | None = None
     fleet_sha256: str | None = None
     verifier_sha256: str | None = None
+    car_verifier_sha256: str | None = None
     votes: Votes | None = None
     quantised_from: str | None = None
 
@@ -159,6 +161,19 @@ class VerifierCard(AuxiliaryCard):
     least_score: _Share
     min_score: _Share
     clear_score: _Share = 0.0
+
+
+class CarVerifierCard(AuxiliaryCard):
+    """Model card of a car verifier.
+
+    Attributes:
+        weights: terms of the combined score's logit: weight of the search's logit without the scene-scale prior, weight
+            of the car verifier's logit, and bias. The verifier's weight of the size odds applies here too.
+        least_score: detections with at least this score of the search are candidates.
+    """
+
+    weights: tuple[_Weight, _Weight, float]
+    least_score: _Share
 
 
 def _class_names(text: str) -> dict[int, str]:
@@ -245,9 +260,15 @@ _FLEET_ENTRIES: dict[str, _Entry] = {
         "a JSON object of log_lengths, length_m, sd_m and neutral_vehicles",
     ),
 }
+_CAR_VERIFIER_ENTRIES: dict[str, _Entry] = {
+    **_FOR_DETECTOR,
+    "weights": ("vehanchor.weights", _range, "three numbers, 'search,verifier,bias'"),
+    "least_score": ("vehanchor.least_score", float, "a number from 0 to 1"),
+}
 _AUXILIARY_ENTRIES: dict[type[AuxiliaryCard], dict[str, _Entry]] = {
     FleetCard: _FLEET_ENTRIES,
     VerifierCard: _VERIFIER_ENTRIES,
+    CarVerifierCard: _CAR_VERIFIER_ENTRIES,
 }
 
 
@@ -290,6 +311,7 @@ def read_detector_card(
     metadata: Mapping[str, str],
     fleet: FleetCard | None = None,
     verifier: VerifierCard | None = None,
+    car_verifier: CarVerifierCard | None = None,
 ) -> DetectorCard:
     """Read the model card of a detector.
 
@@ -299,6 +321,7 @@ def read_detector_card(
         metadata: metadata of the file.
         fleet: card of the fleet network; None without one.
         verifier: card of the verifier; None without one.
+        car_verifier: card of the car verifier; None without one.
 
     Returns:
         The card, with the paper's values for missing entries.
@@ -320,7 +343,7 @@ def read_detector_card(
     lengths = {name: values["reference_length_m"] * ratio for name, ratio in _REGION_RATIOS.items()}
     regions = {name: length for name, length in lengths.items() if LEAST_VEHICLE_M <= length <= LARGEST_VEHICLE_M}
     values["region_lengths_m"] = regions | values.get("region_lengths_m", {})
-    for network, kind in ((fleet, "fleet network"), (verifier, "verifier")):
+    for network, kind in ((fleet, "fleet network"), (verifier, "verifier"), (car_verifier, "car verifier")):
         if network is not None and network.detector not in (values["name"], values.get("quantised_from")):
             raise ModelContractError(
                 f"the {kind} of {path} was made for the detector {network.detector!r}, and this is "
@@ -331,6 +354,8 @@ def read_detector_card(
     if verifier is not None:
         values |= {"min_score": verifier.min_score, "clear_score": verifier.clear_score}
         values |= {"verifier_sha256": verifier.sha256}
+    if car_verifier is not None:
+        values |= {"car_verifier_sha256": car_verifier.sha256}
     return _validated(DetectorCard, path, metadata, _DETECTOR_ENTRIES, {**values, "sha256": sha256})
 
 

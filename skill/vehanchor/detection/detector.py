@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from vehanchor.detection.boxes import canonical_boxes
+from vehanchor.detection.car_verifier import CarVerifier
 from vehanchor.detection.card import read_detector_card
 from vehanchor.detection.classes import vehicle_classes
 from vehanchor.detection.contracts import CONTRACTS, DetectorContract, recognise_contract
@@ -24,7 +25,7 @@ from vehanchor.models.cache import file_cached
 from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
-from vehanchor.models.zoo import fleet_beside, verifier_beside
+from vehanchor.models.zoo import car_verifier_beside, fleet_beside, verifier_beside
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,6 +67,8 @@ class Detector(LoadedModel):
             one for a bundled detector). Without one, the appearance of vehicles is not used.
         verifier: file of the verifier; by default the file beside the detector, ``<stem>.verifier.onnx``. Without one,
             the detector's scores are used unchanged.
+        car_verifier: file of the car verifier; by default the file beside the detector,
+            ``<stem>.car-verifier.onnx``. Without a verifier it is not used.
         runtime: how to open the detector and its auxiliary models; None for the defaults.
 
     Attributes:
@@ -73,6 +76,7 @@ class Detector(LoadedModel):
         card: model card.
         fleet: the fleet network; None without one.
         verifier: the verifier, which ``search`` applies; None without one.
+        car_verifier: the car verifier, which ``search`` applies to few vehicles; None without one.
         runtime: how the detector was opened, and the call that it runs for.
         fixed_size: height and width of the model's input, pixels; None if they are free.
 
@@ -90,6 +94,7 @@ class Detector(LoadedModel):
         classes: Sequence[str | int] | None = None,
         fleet: str | Path | None = None,
         verifier: str | Path | None = None,
+        car_verifier: str | Path | None = None,
         runtime: Runtime | None = None,
     ) -> None:
         self.path, self.runtime = Path(path), runtime or Runtime()
@@ -99,12 +104,15 @@ class Detector(LoadedModel):
         self.fleet = None if fleet_path is None else FleetNetwork(fleet_path, runtime=self.runtime)
         verifier_path = verifier if verifier is not None else verifier_beside(self.path)
         self.verifier = None if verifier_path is None else Verifier(verifier_path, runtime=self.runtime)
+        car_path = car_verifier if car_verifier is not None else car_verifier_beside(self.path)
+        self.car_verifier = None if car_path is None else CarVerifier(car_path, runtime=self.runtime)
         self.card = read_detector_card(
             self.path,
             models_sha256(file),
             self._session.get_modelmeta().custom_metadata_map,
             None if self.fleet is None else self.fleet.card,
             None if self.verifier is None else self.verifier.card,
+            None if self.car_verifier is None else self.car_verifier.card,
         )
         self._input = self._checked_input()
         self._dtype = np.float16 if self._input.type == "tensor(float16)" else np.float32
@@ -121,6 +129,7 @@ class Detector(LoadedModel):
         if bound is not self:
             bound.fleet = self.fleet and self.fleet.under(call)
             bound.verifier = self.verifier and self.verifier.under(call)
+            bound.car_verifier = self.car_verifier and self.car_verifier.under(call)
         return bound
 
     def _refuse(self, found: str) -> ModelContractError:
@@ -248,10 +257,18 @@ def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:
         ModelError: as ``Detector``.
     """
     file, chosen = Path(path), runtime or Runtime()
-    loaded = _loaded(file, fleet=fleet_beside(file), verifier=verifier_beside(file), runtime=chosen.idle)
+    loaded = _loaded(
+        file,
+        fleet=fleet_beside(file),
+        verifier=verifier_beside(file),
+        car_verifier=car_verifier_beside(file),
+        runtime=chosen.idle,
+    )
     return loaded.under(chosen)
 
 
 @file_cached(max_models=4)
-def _loaded(path: Path, *, fleet: Path | None, verifier: Path | None, runtime: Runtime) -> Detector:
-    return Detector(path, fleet=fleet, verifier=verifier, runtime=runtime)
+def _loaded(
+    path: Path, *, fleet: Path | None, verifier: Path | None, car_verifier: Path | None, runtime: Runtime
+) -> Detector:
+    return Detector(path, fleet=fleet, verifier=verifier, car_verifier=car_verifier, runtime=runtime)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -25,7 +25,7 @@ class FleetNetwork(AuxiliaryModel[FleetCard]):
     named = "fleet network"
     trained_by = "research/training/fleet"
     chip_shape = (1, *CHIP_SHAPE)
-    outputs = ("log_odds", "log_length")
+    outputs: ClassVar = {"log_odds": (), "log_length": ()}
     card_type = FleetCard
 
     def appearance(self, raster: Raster, boxes: NDArray[np.float64]) -> FleetAppearance:

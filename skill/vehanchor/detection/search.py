@@ -2,7 +2,8 @@
 
 The tiles of a small image are visited in reading order. Resolutions that the scene-scale prior excludes come last, and
 only if the others show few vehicles. The tiles of a large image are visited where cars are likely first, until the
-caller's ``convergence`` shows that more tiles cannot narrow the scale's interval.
+caller's ``convergence`` shows that more tiles cannot narrow the scale's interval. If few vehicles are found, the car
+verifier scores them and weaker candidates again, and corrects their boxes.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.detection.boxes import box_corners
+from vehanchor.detection.car_verifier import candidate_chips, corrected_boxes
 from vehanchor.detection.convergence import ANYTIME_PIXELS, has_converged, next_check, stop_rule
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.levels import search_levels
 from vehanchor.detection.nms import oriented_nms
 from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_chances, level_shares
 from vehanchor.detection.tile_prior import tile_prior_map, tile_prior_of
+from vehanchor.detection.verifier import Weights
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.tiles import TILE_OVERLAP, TILE_SIZE_PX, read_reduced_window, tile_grid
 from vehanchor.options import Search
@@ -29,16 +32,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from vehanchor.detection.car_verifier import CarVerifier
     from vehanchor.detection.convergence import Convergence, StopRule
     from vehanchor.detection.detector import Detector, TileDetections
     from vehanchor.detection.levels import SearchLevel
     from vehanchor.detection.scene_scale import SceneScalePrior
-    from vehanchor.detection.verifier import Verifier
     from vehanchor.imagery.raster import Raster, Window
     from vehanchor.scale.defaults import Stopped
 
 _MIN_TILE_PX = 32
 _LEAST_CHANCE = 0.01  # of cars at a resolution; most of it is the floor of the scene-scale prior
+_FEW_VEHICLES = 12  # the car verifier is used up to this number
+_MOST_CANDIDATES = 24  # of the car verifier, best scores first
 _ENOUGH_VEHICLES = 5  # at the other resolutions, to skip an unlikely one; the prior may be wrong
 _TILES_AT_ONCE = 4  # tiles that are scheduled together; each is read while the model runs on the one before
 
@@ -126,9 +131,13 @@ class _Work:
         self._raster, self._detector, self._prior = raster, detector, prior
         self._nms_iou = options.nms_iou
         self._verifier = detector.verifier if options.verify else None
+        self._car_verifier = detector.car_verifier if options.verify else None
         tile_px, stride_px = _tile_and_stride(detector.fixed_size, options)
         self._overlap_px = tile_px - stride_px
         self._min_score = card.min_score if options.min_score is None else options.min_score
+        self._least_score = self._min_score  # of the candidates that are kept
+        if self._car_verifier:
+            self._least_score = min(self._min_score, self._car_verifier.card.least_score)
         self._search_scales = card.search_scales if options.search_scales is None else options.search_scales
         self._card_range_px = card.length_range_px
         self.levels = search_levels(
@@ -148,7 +157,10 @@ class _Work:
     @property
     def n_vehicles(self) -> int:
         """Number of vehicles found so far, before duplicates are merged."""
-        return sum(len(seen.vehicles) for seen in self._found.values())
+        return sum(self._count(seen.vehicles) for seen in self._found.values())
+
+    def _count(self, vehicles: Objects) -> int:
+        return int(np.count_nonzero(vehicles.scores >= self._min_score))
 
     def order(self) -> TileScheduler:
         """Schedule the tiles by the tile prior and the scene-scale prior."""
@@ -198,17 +210,40 @@ class _Work:
     def visit(self, k: int, pixels: NDArray[np.uint8]) -> int:
         """Detect objects in a tile; return its number of vehicles."""
         level, tile = self.visits[k]
-        seen = _detect(self._detector, self._verifier, pixels, level, self._min_score, self._prior)
+        seen = self._detect(pixels, level)
         vehicles, others = (_in_image(found, tile, level, self._overlap_px) for found in (seen.vehicles, seen.others))
         self._found[k] = seen._replace(vehicles=vehicles, others=others)
-        return len(vehicles)
+        return self._count(vehicles)
+
+    def _detect(self, pixels: NDArray[np.uint8], level: SearchLevel) -> TileDetections:
+        """Detect vehicles of the level's lengths in a tile, rescored by the verifier, and other objects."""
+        verifier = self._verifier
+        # The verifiers can raise the score of a weak detection.
+        least = min(self._min_score, verifier.card.least_score) if verifier else self._least_score
+        seen = self._detector.detect_tile(pixels, least)
+        vehicles = seen.vehicles.take(level.counts(seen.vehicles.boxes[:, 2]))
+        if verifier:
+            size_odds = 0.0 if self._prior is None else self._prior.size_odds(vehicles.boxes[:, 2] * level.factor)
+            vehicles = verifier.scored(pixels, vehicles, size_odds=size_odds)
+        vehicles = vehicles.take(vehicles.scores >= self._least_score)
+        # The range of lengths applies to vehicles only.
+        return seen._replace(vehicles=vehicles, others=seen.others.take(seen.others.scores >= self._min_score))
 
     def detections(self, because: Stopped | None = None) -> Detections:
-        """Merge the detections of all visited tiles, independent of the order of the visits."""
+        """Merge the detections of all visited tiles, independent of the order of the visits.
+
+        Args:
+            because: reason for the end of the search; the car verifier is used only at the end.
+        """
         parts = [self._found[k] for k in sorted(self._found)]
-        scales = [np.full(len(self._found[k].vehicles), 1 / self.visits[k][0].factor) for k in sorted(self._found)]
+        visited = [self.visits[k][0].factor for k in sorted(self._found)]
+        factors = np.repeat(visited, [len(part.vehicles) for part in parts])
         vehicles = Objects.joined([part.vehicles for part in parts])
-        kept = oriented_nms(vehicles.boxes, vehicles.scores, iou_threshold=self._nms_iou)
+        kept = _merged(vehicles, self._min_score, self._nms_iou)
+        if because and self._car_verifier and len(kept) <= _FEW_VEHICLES:
+            candidates = _merged(vehicles, self._least_score, self._nms_iou)[:_MOST_CANDIDATES]
+            vehicles, factors = self._verified(self._car_verifier, vehicles.take(candidates)), factors[candidates]
+            kept = _merged(vehicles, self._min_score, self._nms_iou)
         vehicles = vehicles.take(kept)
         fleet = self._detector.fleet
         return Detections(
@@ -216,7 +251,7 @@ class _Work:
             vehicles.scores,
             len(parts),
             sum(part.ran_out for part in parts),
-            np.concatenate([np.zeros(0), *scales])[kept] if self._search_scales else None,
+            1 / factors[kept] if self._search_scales else None,
             fleet.appearance(self._raster, vehicles.boxes) if fleet else None,
             vehicles.classes,
             _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
@@ -224,25 +259,22 @@ class _Work:
             because,
         )
 
+    def _verified(self, car_verifier: CarVerifier, candidates: Objects) -> Objects:
+        """Replace scores and boxes of candidates by those of the car verifier."""
+        boxes, before = candidates.boxes, Weights(*(self._verifier.card.weights if self._verifier else (1.0, 0.0, 0.0)))
+        answers = car_verifier.verify(candidate_chips(self._raster, boxes))
+        odds = 0.0 if self._prior is None else self._prior.size_odds(boxes[:, 2])
+        alone = before.without_size(candidates.scores, odds)
+        scores = Weights(*car_verifier.card.weights, before.size).score(alone, answers.logit, odds)
+        corrected = corrected_boxes(boxes, answers.box)
+        corrected[:, :2] = np.clip(corrected[:, :2], 0, (self._raster.width_px, self._raster.height_px))
+        return Objects(corrected, scores, candidates.classes)
 
-def _detect(
-    detector: Detector,
-    verifier: Verifier | None,
-    pixels: NDArray[np.uint8],
-    level: SearchLevel,
-    min_score: float,
-    prior: SceneScalePrior | None,
-) -> TileDetections:
-    """Detect the objects of a tile: vehicles of the level's lengths, rescored by the verifier, and other objects."""
-    # The verifier can raise the score of a weak detection.
-    seen = detector.detect_tile(pixels, min(min_score, verifier.card.least_score) if verifier else min_score)
-    vehicles = seen.vehicles.take(level.counts(seen.vehicles.boxes[:, 2]))
-    if verifier:
-        size_odds = 0.0 if prior is None else prior.size_odds(vehicles.boxes[:, 2] * level.factor)
-        vehicles = verifier.scored(pixels, vehicles, size_odds=size_odds)
-        vehicles = vehicles.take(vehicles.scores >= min_score)
-    # The range of lengths applies to vehicles only.
-    return seen._replace(vehicles=vehicles, others=seen.others.take(seen.others.scores >= min_score))
+
+def _merged(vehicles: Objects, min_score: float, nms_iou: float) -> NDArray[np.intp]:
+    """Suppress non-maximum vehicles with a sufficient score; return the indices of the others, best first."""
+    enough = np.flatnonzero(vehicles.scores >= min_score)
+    return enough[oriented_nms(vehicles.boxes[enough], vehicles.scores[enough], iou_threshold=nms_iou)]
 
 
 def _tile_and_stride(fixed_size: tuple[int, int] | None, options: Search) -> tuple[int, int]:

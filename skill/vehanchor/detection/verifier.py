@@ -7,7 +7,7 @@ prior, how well the candidate's size fits a car.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import cv2
 import numpy as np
@@ -112,10 +112,21 @@ class Weights(NamedTuple):
 
     def score(self, scores: ArrayLike, logits: ArrayLike, size_odds: ArrayLike = 0.0) -> NDArray[np.float64]:
         """Combine the detector's scores, the verifier's logits and the size odds into scores ``[n]`` in [0, 1]."""
-        first = np.clip(np.asarray(scores, np.float64), _MARGIN, 1 - _MARGIN)
-        total = self.detector * np.log(first / (1 - first)) + self.verifier * np.asarray(logits, np.float64) + self.bias
-        total = total + self.size * np.asarray(size_odds, np.float64)
-        return np.asarray(1 / (1 + np.exp(-np.clip(total, -50, 50))))
+        total = self.detector * _logit(scores) + self.verifier * np.asarray(logits, np.float64) + self.bias
+        return _sigmoid(total + self.size * np.asarray(size_odds, np.float64))
+
+    def without_size(self, scores: ArrayLike, size_odds: ArrayLike) -> NDArray[np.float64]:
+        """Remove the size odds from combined scores ``[n]``."""
+        return _sigmoid(_logit(scores) - self.size * np.asarray(size_odds, np.float64))
+
+
+def _logit(scores: ArrayLike) -> NDArray[np.float64]:
+    inside = np.clip(np.asarray(scores, np.float64), _MARGIN, 1 - _MARGIN)
+    return np.asarray(np.log(inside / (1 - inside)))
+
+
+def _sigmoid(logits: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(1 / (1 + np.exp(-np.clip(logits, -50, 50))))
 
 
 class Verifier(AuxiliaryModel[VerifierCard]):
@@ -124,7 +135,7 @@ class Verifier(AuxiliaryModel[VerifierCard]):
     named = "verifier"
     trained_by = "research/training/verifier"
     chip_shape = (3, CHIP_PX, CHIP_PX)
-    outputs = ("logit",)
+    outputs: ClassVar = {"logit": ()}
     card_type = VerifierCard
 
     def scored(
@@ -146,6 +157,6 @@ class Verifier(AuxiliaryModel[VerifierCard]):
             chips = surroundings(pixels, found.boxes[start : start + _BATCH])
             planes = np.ascontiguousarray(chips.transpose(0, 3, 1, 2))
             batch: NDArray[np.float32] = np.divide(planes, np.float32(255), dtype=np.float32)
-            logits.extend(self.predict(batch))
+            logits.append(self.predict(batch)[0])
         scores = Weights(*self.card.weights).score(found.scores, np.concatenate(logits), size_odds)
         return Objects(found.boxes, scores, found.classes)

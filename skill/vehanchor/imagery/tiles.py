@@ -77,6 +77,30 @@ def read_reduced_window(raster: Raster, window: Window, factor: int) -> NDArray[
     return reduced
 
 
+def read_around(
+    raster: Raster, box: NDArray[np.float64], factor: int, reach: float
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Read the surroundings of a box, reduced by a whole factor.
+
+    Args:
+        raster: the image.
+        box: ``[5]``, ``(x, y, length, width, angle)`` in image pixels, centred inside the image.
+        factor: reduction factor.
+        reach: lengths of the box from its centre to the sides of the window.
+
+    Returns:
+        ``[h, w, 3]`` uint8 RGB, cut off at the image's edges, and the box ``[5]`` in its pixels.
+    """
+    width, height = raster.width_px // factor, raster.height_px // factor
+    x, y, length, breadth = box[:4] / factor
+    left, right = (round(np.clip(x + side * reach * length, 0, width)) for side in (-1, 1))
+    top, bottom = (round(np.clip(y + side * reach * length, 0, height)) for side in (-1, 1))
+    left, top = min(left, width - 1), min(top, height - 1)
+    window = Window(left, top, max(1, right - left), max(1, bottom - top))
+    pixels = read_reduced_window(raster, window, factor)
+    return pixels, np.array([x - left, y - top, length, breadth, box[4]])
+
+
 def read_preview(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
     """Read a window of a raster reduced by a whole factor, from the file's overviews if it has any.
 

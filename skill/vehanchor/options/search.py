@@ -24,7 +24,7 @@ class Search:
         nms_iou: IoU, 0..1, above which the weaker of two boxes is dropped.
         search_scales: also search reduced copies of the image, for vehicles longer than the model was trained on; None
             takes the model's own choice (no, for foreign models).
-        verify: score candidates again with the model's verifier, if it has one.
+        verify: score candidates again with the model's verifiers, if it has any, and correct the boxes of few vehicles.
         tile_px: tile side; None is 1024, or the model's fixed input size.
         stride_px: step between tiles; None is three quarters of the tile.
         effort: ``full`` searches every tile; ``auto`` and ``fast`` search likely tiles first, and end when more tiles
@@ -55,7 +55,7 @@ class Search:
             Flag(),
         ),
     )
-    verify: bool = field(default=True, metadata=option("Score candidates again by the verifier.", Flag(), cli=False))
+    verify: bool = field(default=True, metadata=option("Score candidates again by the verifiers.", Flag(), cli=False))
     tile_px: int | None = field(
         default=None,
         metadata=option("Side of a tile, pixels. Default: 1024, or the model's input.", _COUNT, metavar="PX"),

@@ -19,13 +19,14 @@ from research.training.car_verifier.cases import Cases, fitted_upright
 from research.training.car_verifier.lookalikes import LOOKALIKES
 from research.training.car_verifier.measure import Verified, corrected, curve, measured
 from research.training.car_verifier.mine import cropped, overlaps, relative, rows_of, type_of
-from research.training.car_verifier.network import CHIP_LENGTH_PX, CHIP_PX, TYPES, Answers, CarVerifierNet
+from research.training.car_verifier.network import Answers, CarVerifierNet
 from research.training.car_verifier.paste import Ground, pasted
 from research.training.car_verifier.store import STORED_LENGTH_PX, STORED_PX, ChipStore, Rows, read_store
 from research.training.car_verifier.stream import Batch, ChipStream, cut, draw_move, moved_box
 from research.training.car_verifier.train import export, losses
 from research.training.detector.data import TrainImage
 from vehanchor.detection.boxes import box_corners
+from vehanchor.detection.car_verifier import CHIP_LENGTH_PX, CHIP_PX, VEHICLE_TYPES
 from vehanchor_scenes.fleet import Fleet
 from vehanchor_scenes.sprites import Sun
 
@@ -88,7 +89,7 @@ def test_boxes_that_fit_are_cars_and_boxes_between_teach_nothing() -> None:
     assert rows.car.tolist()[:2] == [1, 0]
     assert known.tolist() == [True, True, False]
     assert rows.log_length_m[0] == pytest.approx(np.log(30 * 4.5 / 22.5), abs=1e-5)
-    assert TYPES[rows.type[1]] == "other"
+    assert VEHICLE_TYPES[rows.type[1]] == "other"
 
 
 def test_what_lies_on_an_ignored_place_teaches_nothing() -> None:
@@ -151,7 +152,7 @@ def test_an_upright_label_takes_a_turned_box_of_its_size_alone() -> None:
     ("sedan:rack 1", 4.8, "saloon"), ("semitrailer", 15.0, "lorry"), ("caravan", 7.0, "trailer"),
 ])  # fmt: skip
 def test_rendered_bodies_have_types(body: str, length: float, kind: str) -> None:
-    assert TYPES[type_of(body, length)] == kind
+    assert VEHICLE_TYPES[type_of(body, length)] == kind
 
 
 def test_pasted_cars_have_exact_boxes_and_lookalikes_none() -> None:

@@ -13,7 +13,14 @@ from tests.conftest import ROOT
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.engine.verbs import estimate_gsd
 from vehanchor.models.runtime import Runtime
-from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models, fleet_beside, resolve_model, verifier_beside
+from vehanchor.models.zoo import (
+    DEFAULT_DETECTOR,
+    bundled_models,
+    car_verifier_beside,
+    fleet_beside,
+    resolve_model,
+    verifier_beside,
+)
 from vehanchor.records import GsdEstimate
 from vehanchor.scale.defaults import REGIONS
 from vehanchor_evaluation.gsd import run_trials, summarise
@@ -89,9 +96,12 @@ def test_the_shipped_file_is_the_one_that_was_measured() -> None:
     assert sha256 in (ROOT / "research/results/scale.json").read_text(encoding="utf-8")
     assert sha256 in path.with_suffix(".md").read_text(encoding="utf-8")
     assert path.stat().st_size <= 8_000_000
-    fleet = fleet_beside(path)
+    fleet, car_verifier = fleet_beside(path), car_verifier_beside(path)
     assert fleet is not None
-    assert hashlib.sha256(fleet.read_bytes()).hexdigest() in path.with_suffix(".md").read_text(encoding="utf-8")
+    assert car_verifier is not None
+    for file, card in ((fleet, path), (car_verifier, car_verifier)):
+        sha256 = hashlib.sha256(file.read_bytes()).hexdigest()
+        assert sha256 in card.with_suffix(".md").read_text(encoding="utf-8")
 
 
 def test_the_networks_beside_a_detector_are_no_detectors_of_their_own() -> None:
