@@ -3,7 +3,7 @@
 ``python -m research.benchmarks.courts [PART ...]``. Prints Markdown; ``--record`` keeps it.
 
 ``tiles``: 70 real tiles with tennis courts at 0.3048 m/px, the held-out tenth apart; ``scenes``: rendered sports
-grounds, by scale, where a whole court is in sight; ``fused``: such grounds with 3 to 10 cars, by cars, by courts and by
+grounds, by scale, where a whole court is visible; ``fused``: such grounds with 3 to 10 cars, by cars, by courts and by
 both; ``val``: images of the validation splits, with next to no courts in them; ``time``: what looking for courts adds
 to an estimate of 4096 x 4096 without any; ``cpu``: its cost on small images, tilted views included.
 """
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
 _SCALES = (0.05, 0.1, 0.15, 0.2, 0.3)
 _VIEW_M = 90.0
-_HIDDEN_SHARE = 0.05  # a court of which trees hide more is not in sight
+_HIDDEN_SHARE = 0.05  # a court of which trees hide more is not visible
 _FIRST_SEED = 5000  # training has other ones
 _TOLERANCE = 0.1
 _EVERY = 15  # image of val is timed
@@ -68,7 +68,7 @@ class Case(NamedTuple):
     n: int
 
 
-def look(image: ImageSource, card: DetectorCard) -> tuple[float | None, int]:
+def measured_courts(image: ImageSource, card: DetectorCard) -> tuple[float | None, int]:
     """Scale by the courts of an image and their number, without a detector."""
     with open_raster(image) as raster:
         evidence = evidence_of(find_courts(raster, NOTHING, card))
@@ -95,7 +95,7 @@ def tiles(card: DetectorCard) -> list[str]:
     seen: list[Case] = []
     for place in places(DATA):
         if place.kind == "tenniscourt":
-            case = Case(place.gsd_m_per_px, *look(str(place.path), card))
+            case = Case(place.gsd_m_per_px, *measured_courts(str(place.path), card))
             (held if is_held_out(place) else seen).append(case)
     return [row("tennis tiles, held out", held), row("tennis tiles, others", seen)]
 
@@ -111,7 +111,7 @@ def scenes(card: DetectorCard, scales: Sequence[float], number: int) -> list[str
             seed += 1
             whole = [court for court in scene.courts if not court.cut and court.hidden_share <= _HIDDEN_SHARE]
             if whole:
-                cases.append(Case(gsd, *look(scene.image, card)))
+                cases.append(Case(gsd, *measured_courts(scene.image, card)))
         lines.append(row(f"scenes, {gsd:g} m/px", cases))
         total += cases
     return [*lines, row("scenes, all", total)]
@@ -143,7 +143,7 @@ def fused(number: int) -> list[str]:
 def val(card: DetectorCard) -> list[str]:
     """Find courts in the images of all validation splits, and name the images."""
     unique = val_paths()
-    found = [(path, *look(str(path), card)) for path in unique]
+    found = [(path, *measured_courts(str(path), card)) for path in unique]
     hits = [f"{path.name} ({n}, {gsd:.4f} m/px)" for path, gsd, n in found if gsd is not None]
     row = f"| val | {len(unique)} | {len(hits)} | {', '.join(hits)} |"
     return ["| images | n | with a court | which |", "|---|---|---|---|", row]

@@ -36,7 +36,7 @@ from vehanchor.flight.inputs import InputPhotograph
 from vehanchor.flight.io import read_record
 from vehanchor.flight.matching import match
 from vehanchor.flight.pairs import candidate_pairs
-from vehanchor.flight.photograph import Look, Photograph, chief_member, look_codec
+from vehanchor.flight.photograph import Photograph, StoredPhotograph, chief_member, photograph_codec
 from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
@@ -92,7 +92,7 @@ def turned(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uin
     return np.asarray(cv2.warpAffine(image, move, (inner, inner), flags=cv2.INTER_CUBIC), dtype=np.uint8)
 
 
-def looked_at(
+def searched_photographs(
     taken: Sequence[InputPhotograph], detector: Detector, *, featured: bool = False, cache: Path | None = None
 ) -> list[Photograph]:
     """Search photographs, each only once: a folder keeps the detections by model and pixels."""
@@ -108,21 +108,21 @@ def looked_at(
             (seen,) = search_flight([InputPhotograph(name, pixels)], detector, ScaleOptions())
             if isinstance(seen, Failure):
                 raise seen.error
-            look = Look.of(seen.view, seen.analysis)
+            stored = StoredPhotograph.of(seen.view, seen.analysis)
             if known is not None:
-                known.write_text(json.dumps(look_codec().dump(look)))
+                known.write_text(json.dumps(photograph_codec().dump(stored)))
         else:
-            look = look_codec().load(json.loads(known.read_text()))
+            stored = photograph_codec().load(json.loads(known.read_text()))
         with open_raster(pixels) as raster:
             features = find_features(raster) if featured else None
-        members.append(Photograph.of(name, look, detector.card, ScaleOptions(), features))
+        members.append(Photograph.of(name, stored, detector.card, ScaleOptions(), features))
     return members
 
 
-def pooled_flight(looks: Sequence[Photograph], detector: Detector) -> FlightEstimate:
+def pooled_flight(photographs: Sequence[Photograph], detector: Detector) -> FlightEstimate:
     """The record of photographs of one scale."""
-    component = single_component(range(len(looks)), chief_member(looks))
-    return conclude_flight(looks, [component], detector.card, same_scale=True)
+    component = single_component(range(len(photographs)), chief_member(photographs))
+    return conclude_flight(photographs, [component], detector.card, same_scale=True)
 
 
 def pooled(data: Path, split: str, flights: int, cache: Path | None) -> None:
@@ -138,18 +138,18 @@ def pooled(data: Path, split: str, flights: int, cache: Path | None) -> None:
             rng = np.random.default_rng([seed, 20261121])
             chosen = rng.choice(len(files), min(_PHOTOGRAPHS, len(files)), replace=False)
             taken = [InputPhotograph(str(k), spoiled(turned(read(files[k][0]), rng), rng)[:, :, ::-1]) for k in chosen]
-            looks = looked_at(taken, detector, cache=cache)
-            rows["unknown"].append(pooled_flight(looks, detector))
+            photographs = searched_photographs(taken, detector, cache=cache)
+            rows["unknown"].append(pooled_flight(photographs, detector))
             if _REGIONS[name] in detector.card.region_lengths_m:
                 given = ScaleOptions.of({"region": _REGIONS[name]})
                 again = [
                     Photograph.of(
                         each.name,
-                        Look.of(each.view, each.analysis),
+                        StoredPhotograph.of(each.view, each.analysis),
                         detector.card,
                         given,
                     )
-                    for each in looks
+                    for each in photographs
                 ]
                 rows["given"].append(pooled_flight(again, detector))
         for region, found in rows.items():
@@ -214,15 +214,15 @@ def matched(data: Path, flights: int, cache: Path | None) -> None:
     print("|---|---|---|---|---|---|---|")
     every: list[float] = []
     inside = total = 0
-    whole: list[bool] = []  # islands that hold all of their photographs' scales
+    whole: list[bool] = []  # components that hold all of their photographs' scales
     mosaics = list(worlds(data).items())
     for number, seed, (name, world) in ((k, seed, each) for k, each in enumerate(mosaics) for seed in range(flights)):
         rng = np.random.default_rng([number, seed, 20261121] if seed else [number, 20261121])
         images, factors = cut_flight(world, rng, _PHOTOGRAPHS)
         taken = [InputPhotograph(str(place), image) for place, image in enumerate(images)]
-        looks = looked_at(taken, detector, featured=True, cache=cache)
-        looks = [each if place % 3 == 0 else without_vehicles(each) for place, each in enumerate(looks)]
-        record = conclude(looks, detector.card, same_scale=False)
+        photographs = searched_photographs(taken, detector, featured=True, cache=cache)
+        photographs = [each if place % 3 == 0 else without_vehicles(each) for place, each in enumerate(photographs)]
+        record = conclude(photographs, detector.card, same_scale=False)
         errors, relative, held = [], [], 0
         main = [each for each in record.photographs if each.component == 0]
         offset = np.median(
@@ -238,7 +238,7 @@ def matched(data: Path, flights: int, cache: Path | None) -> None:
                 relative.append(abs(math.log(each.gsd_m_per_px / truth) - offset))
         every += errors
         inside, total = inside + held, total + len(errors)
-        whole += _islands_held(record, 0.2 * factors)
+        whole += _components_held(record, 0.2 * factors)
         sizes = ", ".join(str(component.n_photographs) for component in record.components)
         dropped = sum(link.dropped is not None for link in record.links)
         print(
@@ -249,10 +249,10 @@ def matched(data: Path, flights: int, cache: Path | None) -> None:
     print(
         f"| all | | {100 * np.median(every):.1f} % | {100 * np.percentile(every, 95):.1f} % | | {inside} of {total} | |"
     )
-    print(f"\nislands whose reference's interval holds its scale: {sum(whole)} of {len(whole)}")
+    print(f"\ncomponents whose reference's interval holds its scale: {sum(whole)} of {len(whole)}")
 
 
-def _islands_held(record: FlightEstimate, truth: NDArray[np.float64]) -> list[bool]:
+def _components_held(record: FlightEstimate, truth: NDArray[np.float64]) -> list[bool]:
     """For each component with a scale: whether its interval contains the true scale."""
     held = []
     for component in record.components:
@@ -311,8 +311,8 @@ def _made_up(n: int, detector: Detector) -> list[Photograph]:
         boxes = rng.uniform((200, 200), (3800, 2800), (10 if place % 3 == 0 else 0, 2))
         sizes = np.column_stack([rng.normal(90, 8, len(boxes)), np.full(len(boxes), 36.0), np.zeros(len(boxes))])
         found = Detections(np.column_stack([boxes, sizes]), np.full(len(boxes), 0.9))
-        look = Look(ImageFacts(4000, 3000), found, 1.0, ())
-        photographs.append(Photograph.of(str(place), look, detector.card, ScaleOptions(), features))
+        stored = StoredPhotograph(ImageFacts(4000, 3000), found, 1.0, ())
+        photographs.append(Photograph.of(str(place), stored, detector.card, ScaleOptions(), features))
     return photographs
 
 
@@ -390,9 +390,9 @@ def _off_track(record: FlightEstimate, links: Sequence[FlightLink]) -> list[floa
     return off
 
 
-def without_vehicles(look: Photograph) -> Photograph:
+def without_vehicles(photograph: Photograph) -> Photograph:
     """Remove the vehicles of a photograph."""
-    seen = look.view.detections
+    seen = photograph.view.detections
     bare = replace(
         seen,
         boxes=seen.boxes[:0],
@@ -401,8 +401,8 @@ def without_vehicles(look: Photograph) -> Photograph:
         fleet=None if seen.fleet is None else seen.fleet.take(np.zeros(len(seen.fleet.log_odds), bool)),
         classes=None if seen.classes is None else seen.classes[:0],
     )
-    again = Look(look.view.image, bare, 1.0, look.analysis.others)
-    return Photograph.of(look.name, again, look.view.card, look.view.options, look.features)
+    again = StoredPhotograph(photograph.view.image, bare, 1.0, photograph.analysis.others)
+    return Photograph.of(photograph.name, again, photograph.view.card, photograph.view.options, photograph.features)
 
 
 def main() -> None:

@@ -107,7 +107,7 @@ async def chaos(n_calls: int, n_clients: int, period_s: float, minutes: float, s
         limits = ("--deadline-s", str(DEADLINE_S), "--max-worker-mb", "512", "--max-connections-per-address", "400")
         with http_server(*flags, *limits) as server:
             async with Client(server.url, read_timeout_seconds=120) as client:
-                expected = [await _settled(client, question) for question in asked]
+                expected = [await _final_reply(client, question) for question in asked]
             began = time.monotonic()
             ends = began + 60 * minutes
             with health_times_ms(server) as times:
@@ -186,7 +186,7 @@ async def _weigh(server: HttpServer, tally: Tally) -> None:
         await anyio.sleep(2)
 
 
-async def _settled(client: Client, question: Question) -> Reply:
+async def _final_reply(client: Client, question: Question) -> Reply:
     while True:
         reply = await _reply(client, question)
         if reply[1] not in RETRYABLE:

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 _SCENE_LOG_SD = 0.25  # of what the ground says
 _CUT_PX = 7  # nearer to a tile's edge a vehicle is mostly cut
-_LOOKS = 100  # vehicles whose look is known, as in a search
+_APPEARANCES = 100  # vehicles whose appearance is known, as in a search
 
 
 class Cell(NamedTuple):
@@ -67,12 +67,14 @@ def searched(images: list[NDArray[Any]], detector: Detector) -> list[Cell]:
         with open_raster(image) as raster:
             found = search(raster, detector, Search(search_scales=False))
             if len(found.boxes) and detector.fleet is not None:
-                look = detector.fleet.appearance(raster, found.boxes)
+                appearance = detector.fleet.appearance(raster, found.boxes)
             else:
-                look = FleetAppearance(np.zeros(0), np.zeros(0))
-        assert len(look.log_odds) == len(found.boxes) <= _LOOKS
+                appearance = FleetAppearance(np.zeros(0), np.zeros(0))
+        assert len(appearance.log_odds) == len(found.boxes) <= _APPEARANCES
         coarse = np.asarray(cv2.resize(image, (CELL_PX // 8,) * 2, interpolation=cv2.INTER_AREA), np.uint8)
-        cells.append(Cell(found.boxes, found.scores, look.log_odds, look.log_lengths, car_prior(coarse).item()))
+        cells.append(
+            Cell(found.boxes, found.scores, appearance.log_odds, appearance.log_lengths, car_prior(coarse).item())
+        )
     return cells
 
 
@@ -115,8 +117,8 @@ class Mosaic:
         """Detections of a search that has found these boxes."""
         kept = np.flatnonzero(found)
         kept = kept[np.argsort(-self.scores[kept], kind="stable")]
-        look = FleetAppearance(self.odds[kept[:_LOOKS]], self.lengths[kept[:_LOOKS]])
-        return Detections(self.boxes[kept], self.scores[kept], scales=np.ones(len(kept)), fleet=look)
+        appearance = FleetAppearance(self.odds[kept[:_APPEARANCES]], self.lengths[kept[:_APPEARANCES]])
+        return Detections(self.boxes[kept], self.scores[kept], scales=np.ones(len(kept)), fleet=appearance)
 
 
 class Outcome(NamedTuple):
@@ -126,7 +128,7 @@ class Outcome(NamedTuple):
     gsd: float
     covered: bool
     statistical: float
-    settled: bool
+    converged: bool
 
 
 def outcome(mosaic: Mosaic, detector: Detector, options: ScaleOptions) -> Outcome:
@@ -196,7 +198,7 @@ def main() -> None:
             print(
                 f"| {effort} | {np.mean([each.covered for each in outcomes]):.1%} | "
                 f"{np.median([each.share for each in outcomes]):.1%} | "
-                f"{np.mean([each.settled for each in outcomes]):.0%} | {np.nanmedian(off):.2%} | "
+                f"{np.mean([each.converged for each in outcomes]):.0%} | {np.nanmedian(off):.2%} | "
                 f"{np.nanpercentile(off, 95):.1%} | {honest:.1%} |",
                 flush=True,
             )

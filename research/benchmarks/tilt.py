@@ -59,7 +59,7 @@ if TYPE_CHECKING:
 _TILTS_DEG = (0.0, 10.0, 15.0, 20.0, 30.0, 40.0, 45.0)
 _COURT_TILTS_DEG = (0.0, 15.0, 30.0, 45.0)
 _FOCALS_35MM = (20.0, 26.0, 35.0)
-_WIDEST_AT_DEG = 40.0  # beyond, the widest lens has the horizon nearly in sight, and is refused
+_WIDEST_AT_DEG = 40.0  # beyond, the widest lens has the horizon nearly visible, and is refused
 _SIZE = (800, 600)
 _LEAST_LABELLED = 40
 _ANGLE_SD, _HEIGHT_LOG_SD = 1.0, 0.05  # of the metadata that are made up

@@ -96,7 +96,7 @@ def serve(http: bool = False, **options: Any) -> None:
 
 
 serve.__signature__ = inspect.Signature(_parameters())  # type: ignore[attr-defined] # what Typer reads,
-serve.__annotations__ = {each.name: each.annotation for each in _parameters()}  # and where it looks for the types
+serve.__annotations__ = {each.name: each.annotation for each in _parameters()}
 
 
 def _is_given(value: Any) -> bool:

@@ -13,6 +13,7 @@ from vehanchor import records
 from vehanchor.batch.row import COLUMNS
 from vehanchor.records.flat import flat_columns
 from vehanchor.records.notices import NoticeCode
+from vehanchor.scale.defaults import Stopped
 
 PAGE = (ROOT / "docs" / "records-names.md").read_text(encoding="utf-8")
 RECORDS = [each for each in vars(records).values() if isinstance(each, type) and issubclass(each, BaseModel)]
@@ -37,7 +38,7 @@ def test_a_new_name_exists(name: str) -> None:
     fields = {field for record in RECORDS for field in record.model_fields}
     columns = {column for record in RECORDS for column in flat_columns(record)} | set(COLUMNS)
     classes = {record.__name__ for record in RECORDS}
-    words = {*NoticeCode, *get_args(records.Status)}
+    words = {*NoticeCode, *get_args(records.Status), *get_args(Stopped)}
     assert name in fields | columns | classes | words
 
 

@@ -29,7 +29,7 @@ def text_of(result: CallToolResult) -> str:
 
 
 def picture_of(result: CallToolResult) -> np.ndarray:
-    """The overlay, decoded, after a look at what every overlay must be."""
+    """The overlay, decoded, after the checks of every overlay."""
     picture = result.content[1]
     assert isinstance(picture, ImageContent)
     assert picture.mime_type == "image/jpeg"

@@ -51,7 +51,7 @@ def test_auto_ends_when_more_tiles_would_not_narrow_the_interval(detector: Detec
         estimate_gsd(image, detector=detector, effort=effort, **_TILES) for effort in ("full", "auto", "fast")
     )
     assert (full.tiles_searched, full.stopped_because) == (full.tiles_total, "all_searched")
-    assert auto.stopped_because == "settled"
+    assert auto.stopped_because == "converged"
     assert auto.tiles_total == full.tiles_total
     assert auto.tiles_searched < 0.6 * auto.tiles_total
     assert auto.status == full.status == "ok"

@@ -68,13 +68,13 @@ def verified(
     cases: Cases, network: CarVerifierNet, views: tuple[tuple[int, int, float], ...] = VIEWS
 ) -> NDArray[np.float64]:
     """Answers ``[n, 17]`` for all candidates."""
-    look = Verified(network, views)
+    verifier = Verified(network, views)
     out = np.zeros((len(cases.score), 17))
     for file in np.unique(cases.files):
         image = cv2.imread(str(file), cv2.IMREAD_COLOR)
         assert image is not None
         chosen = cases.files == file
-        out[chosen] = look.answers(np.ascontiguousarray(image[:, :, ::-1]), cases.boxes[chosen])
+        out[chosen] = verifier.answers(np.ascontiguousarray(image[:, :, ::-1]), cases.boxes[chosen])
     return out
 
 

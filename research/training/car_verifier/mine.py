@@ -37,7 +37,7 @@ from vehanchor_evaluation.dota import read_labels
 _CAR_PX = (28.0, 15.0, 55.0)  # lengths of cars at which an image is searched
 _MAX_ENLARGEMENT = {15.0: 1.5, 28.0: 2.2, 55.0: 1.2}
 _LEAST_SCORE = 0.12  # of the detector alone
-_LEAST_SEARCHED = 0.1  # after the second look
+_LEAST_SEARCHED = 0.1  # of the verifier
 _CROP_PX = 640  # side of the part of an image that is searched as the library does
 _MOST_FALSE = 50  # of an image at one size: half the surest, half at random
 _FITS, _MISSES = 0.5, 0.25  # IoU with a label from which a box fits, and below which it does not
@@ -147,7 +147,7 @@ def rows_of(
 def found(
     sample: TrainImage, detector: Detector, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Boxes in image pixels, the detector's scores, and those after the second look, searched at one or two sizes."""
+    """Boxes in image pixels, the detector's scores, and those of the verifier, searched at one or two sizes."""
     native = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or 18.0
     boxes, scores, combined = [np.zeros((0, 5))], [np.zeros(0)], [np.zeros(0)]
     sizes = [28.0, float(rng.choice((15.0, 55.0)))] if max(sample.image.shape) <= 1300 else [28.0]

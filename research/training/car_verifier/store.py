@@ -29,7 +29,7 @@ class Rows(NamedTuple):
         log_length_m: log of the true length in metres, NaN where unknown.
         length_px: of the candidate in its source image: how much detail there is.
         score: the detector's, 0 where it did not find the box.
-        combined: the score after the second look, 0 likewise.
+        combined: the score of the verifier, 0 likewise.
         sets: names of data sets.
         files: names of source images.
     """

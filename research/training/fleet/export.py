@@ -26,7 +26,7 @@ def export_fleet(run: Path, out: Path, detector: str) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(run / "fleet.onnx", out)
     metadata = {
-        "description": "VehAnchor network that tells the length of a fleet of cars by their look",
+        "description": "VehAnchor network that estimates the length of a fleet of cars from their appearance",
         "author": "VehAnchor",
         "license": LICENCE,
         "vehanchor.detector": detector,

@@ -73,8 +73,8 @@ def known_images(data: Path, split: str) -> list[tuple[Path, str, float]]:
     return rows
 
 
-def look(path: Path, set_name: str, gsd: float, detector: Detector, ground: SceneScaleNetwork) -> Case | None:
-    """Lead an image through the skill; None where nothing is found."""
+def measured_case(path: Path, set_name: str, gsd: float, detector: Detector, ground: SceneScaleNetwork) -> Case | None:
+    """Measure an image with the vehicles alone; None without a scale."""
     options = ScaleOptions()
     with open_raster(path) as raster:
         prior = ground.predict(raster)
@@ -184,7 +184,7 @@ def main() -> None:
         raise SystemExit(
             "the network of scene scale is missing: train and export it first (research/training/scene_scale)"
         )
-    seen = [look(*image, detector, ground) for image in known_images(options.data, "train")]
+    seen = [measured_case(*image, detector, ground) for image in known_images(options.data, "train")]
     held_out = [case for case in seen if case is not None]
     votes = detector.card.votes if options.only_report else best_votes(held_out)
     if votes is None:
@@ -192,7 +192,7 @@ def main() -> None:
     print(votes)
     tell("held-out tenth", held_out, votes)
     if options.only_report:
-        seen = [look(*image, detector, ground) for image in known_images(options.data, "val")]
+        seen = [measured_case(*image, detector, ground) for image in known_images(options.data, "val")]
         tell("val", [case for case in seen if case is not None], votes)
     else:
         write(options.detector, votes)

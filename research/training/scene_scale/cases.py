@@ -36,7 +36,9 @@ class Case(NamedTuple):
     log_probs: tuple[NDArray[np.float32], ...]  # of each level [n_tiles, BINS]
 
 
-def look(session: onnxruntime.InferenceSession, image: NDArray[np.uint8]) -> list[tuple[int, NDArray[np.float32]]]:
+def level_log_probs(
+    session: onnxruntime.InferenceSession, image: NDArray[np.uint8]
+) -> list[tuple[int, NDArray[np.float32]]]:
     """Factor and log-probabilities ``[n_tiles, BINS]`` of an image's levels."""
     return [
         (level.factor, session.run(["log_probs"], {"tiles": cut_tiles(image, level)})[0])
@@ -56,12 +58,14 @@ def resolutions(image: ScaledImage, count: int) -> Iterator[tuple[float, NDArray
         yield image.gsd_m_per_px * factor, np.asarray(pixels, np.uint8)
 
 
-def see(session: onnxruntime.InferenceSession, images: Sequence[ScaledImage], reduced: int = _REDUCED) -> list[Case]:
-    """Look at images as they are and ``reduced`` times at a coarser scale."""
+def searched_cases(
+    session: onnxruntime.InferenceSession, images: Sequence[ScaledImage], reduced: int = _REDUCED
+) -> list[Case]:
+    """Run the network on images as they are and on ``reduced`` coarser copies of each."""
     out = []
     for image in images:
         for number, (gsd, pixels) in enumerate(resolutions(image, reduced)):
-            factors, log_probs = zip(*look(session, pixels), strict=True)
+            factors, log_probs = zip(*level_log_probs(session, pixels), strict=True)
             out.append(Case(image.set, image.name, gsd, number > 0, factors, log_probs))
     return out
 
@@ -113,7 +117,7 @@ def main() -> None:
     settings = onnxruntime.SessionOptions()
     settings.intra_op_num_threads = 1
     session = onnxruntime.InferenceSession(options.model, settings, providers=["CPUExecutionProvider"])
-    cases = see(session, images[:: options.every])
+    cases = searched_cases(session, images[:: options.every])
     save(cases, options.out)
     print(f"{options.out}: {len(cases)} cases")
 

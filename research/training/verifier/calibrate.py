@@ -37,16 +37,16 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     options = parser.parse_args()
     detector = Detector(resolve_model(options.detector))
-    looks_alone = ScaleOptions.of({"rulers": ["vehicles"]})
+    vehicles_alone = ScaleOptions.of({"rulers": ["vehicles"]})
     analyses = [
-        analyse_scale(item.path, looks_alone, detector=detector)
+        analyse_scale(item.path, vehicles_alone, detector=detector)
         for item in read_table(options.data / "gsd" / "table.csv")
         if item.split == "train" and (item.labelled_vehicles or 0) >= _MANY_CARS
     ]
     clear = clear_score(analyses)
-    print(f"{clear - 0.005:.2f} by looks alone, from {len(analyses)} images")
-    look = detector.verifier
-    size = Weights(*look.card.weights).size if look else 0.0
+    print(f"{clear - 0.005:.2f} by vehicles alone, from {len(analyses)} images")
+    verifier = detector.verifier
+    size = Weights(*verifier.card.weights).size if verifier else 0.0
     lost = Weights(1.0, 0.0, 0.0, size).score(clear, 0.0, _LOST_GROUND)
     print(f"{lost - 0.005:.2f} where the ground is lost: the clear score")
     scores = [some for each in analyses if len(some := each.detections.scores) >= _MANY_CARS]

@@ -2,10 +2,11 @@
 
 ``python -m research.training.verifier.combine RUN OUT.onnx``, after ``train``.
 
-The logit of a candidate's combined score is ``detector * logit(score) + look * logit + bias``. The three numbers are
-fitted on the candidates of the held-out tenth, each set counting by the root of its number, and become the metadata of
-``OUT.onnx``. They are scaled so that 0.5 is where ``_CHANCE`` of the candidates are cars, and so that the hits' median
-score is what the detector alone gives: whatever reads scores (confidence, weights of lengths) then reads the same.
+The logit of a candidate's combined score is ``detector * logit(score) + verifier * logit + bias``. The three numbers
+are fitted on the candidates of the held-out tenth, each set counting by the root of its number, and become the metadata
+of ``OUT.onnx``. They are scaled so that 0.5 is where ``_CHANCE`` of the candidates are cars, and so that the hits'
+median score is what the detector alone gives: whatever reads scores (confidence, weights of lengths) then
+reads the same.
 """
 
 from __future__ import annotations
@@ -55,8 +56,8 @@ def fitted(logits: NDArray[np.float64], found: Candidates) -> Weights:
     return Weights(*(float(value) for value in theta))
 
 
-def settled(weights: Weights, logits: NDArray[np.float64], found: Candidates) -> Weights:
-    """Rescale scores: 0.5 and the hits' median get their places, the order stays."""
+def rescaled(weights: Weights, logits: NDArray[np.float64], found: Candidates) -> Weights:
+    """Rescale scores so that 0.5 and the median of the hits are where they were; the order stays."""
     total = _logit(weights.score(found.scores, logits))
     limit = float(np.log(_CHANCE / (1 - _CHANCE)))
     ours = np.median(total[found.car & (total >= limit)]) - limit
@@ -65,7 +66,7 @@ def settled(weights: Weights, logits: NDArray[np.float64], found: Candidates) ->
     return Weights(weights.detector * scale, weights.verifier * scale, (weights.bias - limit) * scale)
 
 
-def look(session: onnxruntime.InferenceSession, chips: NDArray[np.uint8]) -> NDArray[np.float64]:
+def verifier_logits(session: onnxruntime.InferenceSession, chips: NDArray[np.uint8]) -> NDArray[np.float64]:
     """Logits of ``[n, 48, 48, 3]`` chips."""
     if not len(chips):
         return np.zeros(0)
@@ -84,9 +85,9 @@ def main() -> None:
     options = parser.parse_args()
     found = load(options.run / "held_out.npz")
     session = onnxruntime.InferenceSession(options.run / "verifier.onnx")
-    logits = look(session, middle(found.chips))
+    logits = verifier_logits(session, middle(found.chips))
     chances = fitted(logits, found)
-    weights = settled(chances, logits, found)._replace(size=options.size_weight)
+    weights = rescaled(chances, logits, found)._replace(size=options.size_weight)
     scores = weights.score(found.scores, logits)
     for name in np.unique(found.sets):
         hits, false = (scores[(found.sets == name) & (found.car == car)] >= _MIN_SCORE for car in (True, False))

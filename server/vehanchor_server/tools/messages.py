@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.records.advice import ADVICE
+from vehanchor.records.advice import advice_for
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -73,18 +73,17 @@ def numbered(sentences: Sequence[str]) -> str:
 
 def unusable_scale(estimate: GsdEstimate | None) -> str:
     """Say why a scale is not usable and what would help; shorter for a reused scale."""
-    if estimate is None or estimate.reason is None:
+    advice = advice_for(estimate)
+    if advice is None:
         return "do not rely on it; fall back to another ruler."
-    why, helps = ADVICE[estimate.reason]
-    return f"do not rely on it ({why}); {helps}, or fall back to another ruler."
+    return f"do not rely on it ({advice.why}); {advice.helps}, or fall back to another ruler."
 
 
 def no_scale_message(estimate: GsdEstimate | None) -> str:
     """Say that there is no scale, and what would help."""
     text = "no ruler was found, confidence 0: no metric scale"
-    if estimate is None or estimate.reason is None:
-        return f"{text}; use another ruler"
-    return f"{text}; {ADVICE[estimate.reason].helps}, or use another ruler"
+    advice = advice_for(estimate)
+    return f"{text}; use another ruler" if advice is None else f"{text}; {advice.helps}, or use another ruler"
 
 
 def scale_origin(measured: AreaMeasurement | DistanceMeasurement) -> str:

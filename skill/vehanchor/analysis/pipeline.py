@@ -111,7 +111,7 @@ def analyse_detections(view: View) -> ScaleAnalysis:
     Raises:
         InvalidParameterError: the model does not know the region, or a ruler does not exist.
         CalibrationMismatchError: the calibration was made for another model.
-        TooObliqueError: the horizon is in sight, or nearly so.
+        TooObliqueError: the horizon is visible, or nearly so.
     """
     return analyse_view(with_tilt(view))
 

@@ -30,7 +30,7 @@ from vehanchor.cli.terminal import (
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAnchorError
 from vehanchor.export.formats import check_vector_path, vectors_help
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
-from vehanchor.records.advice import ADVICE
+from vehanchor.records.advice import advice_for
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -204,8 +204,8 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
     ]
     if fused:
         facts.append(("rulers", "\n".join(map(_ruler_text, record.rulers))))
-    if record.reason is not None:
-        facts.append(("not usable", f"{ADVICE[record.reason].why}: {ADVICE[record.reason].helps}"))
+    if advice := advice_for(record):
+        facts.append(("not usable", f"{advice.why}: {advice.helps}"))
     size = f"{record.image_width_px} x {record.image_height_px} px"
     if record.gsd_m_per_px is not None and record.mode_length_px is not None:
         found_at = f", found at {record.working_scale:g} of the size" if record.working_scale not in (None, 1) else ""

@@ -9,7 +9,7 @@ import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, Photograph, scale_command
 from vehanchor.cli.given_scale import GivenGsd, ScaleFile, read_scale
-from vehanchor.cli.terminal import NOT_OK, exit_on_error, tile_progress
+from vehanchor.cli.terminal import NOT_OK, exit_on_error, facts_table, print_table, scale_text, tile_progress
 from vehanchor.storage.atomic import check_apart
 
 if TYPE_CHECKING:
@@ -71,8 +71,11 @@ def scalebar(
         drawn_gsd = found.gsd_m_per_px * width_px / picture.shape[1]
         draw_scale_bar(picture, drawn_gsd)
         write_picture(output, picture)
-        if world_file:
-            _write_world(output, drawn_gsd)
+        written = [output, geotiff, _write_world(output, drawn_gsd) if world_file else None]
+        confidence = "as given" if found.confidence is None else f"{found.confidence:.2f}"
+        facts = [("scale", scale_text(found.gsd_m_per_px, None, None)), ("confidence", confidence)]
+        facts.append(("written", "\n".join(str(path) for path in written if path is not None)))
+        print_table(facts_table(image, facts))
 
 
 def _refusal(found: ResolvedScale) -> str:
@@ -81,10 +84,12 @@ def _refusal(found: ResolvedScale) -> str:
     return "there is no scale" if found.status == "no_scale" else "the scale's confidence is below 0.5"
 
 
-def _write_world(picture: Path, gsd_m: float) -> None:
+def _write_world(picture: Path, gsd_m: float) -> Path:
     """Write the six lines of a world file; the first pixel's centre is half a pixel from the corner."""
     from vehanchor.storage.atomic import whole_file
 
     lines = "".join(f"{value:.10g}\n" for value in (gsd_m, 0, 0, -gsd_m, gsd_m / 2, -gsd_m / 2))
-    with whole_file(picture.with_suffix(_WORLD_SUFFIXES[picture.suffix.lower()])) as partial:
+    path = picture.with_suffix(_WORLD_SUFFIXES[picture.suffix.lower()])
+    with whole_file(path) as partial:
         partial.write_text(lines, encoding="ascii")
+    return path

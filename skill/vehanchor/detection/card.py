@@ -247,7 +247,7 @@ _DETECTOR_ENTRIES: dict[str, _Entry] = {
 _FOR_DETECTOR: dict[str, _Entry] = {"detector": ("vehanchor.detector", str, "a detector's name")}
 _VERIFIER_ENTRIES: dict[str, _Entry] = {
     **_FOR_DETECTOR,
-    "weights": ("vehanchor.weights", _range, "three or four numbers, 'detector,look,bias,size'"),
+    "weights": ("vehanchor.weights", _range, "three or four numbers, 'detector,verifier,bias,size'"),
     "least_score": ("vehanchor.least_score", float, "a number from 0 to 1"),
     "min_score": ("vehanchor.min_score", float, "a number from 0 to 1"),
     "clear_score": ("vehanchor.clear_score", float, "a number from 0 to 1"),

@@ -91,7 +91,7 @@ def _search_likely_levels(work: _Work, rule: StopRule, tell: Callable[[int, int]
     others = [k for k in order if work.visits[k][0].factor in unlikely]
     for tiles in filter(None, (likely, others)):
         if tiles is others and work.n_vehicles >= _ENOUGH_VEHICLES:
-            return "settled"
+            return "converged"
         for k, pixels in work.read(tiles):
             tell(work.n_visited, len(order))
             work.visit(k, pixels)
@@ -119,7 +119,7 @@ def _search_in_order(
             due = next_check(work.n_visited)
             checks.append(convergence(work.detections()))
             if has_converged(checks, rule):
-                return "settled"
+                return "converged"
     return "all_searched" if most == total else "max_tiles"
 
 

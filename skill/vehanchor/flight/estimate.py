@@ -18,7 +18,7 @@ from vehanchor.flight.components import single_component
 from vehanchor.flight.features import find_features
 from vehanchor.flight.inputs import InputPhotograph, check_many, named
 from vehanchor.flight.linking import link_photographs
-from vehanchor.flight.photograph import Look, Photograph, chief_member, look_codec
+from vehanchor.flight.photograph import Photograph, StoredPhotograph, chief_member, photograph_codec
 from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.imagery.identity import Source
 from vehanchor.imagery.sources.opening import open_raster
@@ -89,7 +89,7 @@ def search_flight(
     options: ScaleOptions,
     *,
     featured: bool = False,
-    journal: Journal[Look] | None = None,
+    journal: Journal[StoredPhotograph] | None = None,
     lines: KnownLengthTable | None = None,
 ) -> list[Photograph | Failure]:
     """Search the photographs one by one.
@@ -139,10 +139,10 @@ def _search(
     taken: InputPhotograph,
     detector: Detector,
     options: ScaleOptions,
-    known: Look | None,
+    known: StoredPhotograph | None,
     *,
     featured: bool,
-) -> tuple[Look, Features | None]:
+) -> tuple[StoredPhotograph, Features | None]:
     """Search one photograph and find its features; a known photograph needs its features only."""
     if known is not None and not featured:
         return known, None
@@ -153,7 +153,7 @@ def _search(
         if known is not None:
             return known, features
         view = with_tilt(search_raster(raster, detector, options))
-        return Look.of(view, analyse_view(view)), features
+        return StoredPhotograph.of(view, analyse_view(view)), features
 
 
 def check_options(options: ScaleOptions) -> None:
@@ -174,7 +174,9 @@ def journal_key(taken: InputPhotograph) -> Key | None:
     return (taken.name, *Source.of(file)) if isinstance(file, str | os.PathLike) else None
 
 
-def open_journal(path: Path, detector: Detector, options: ScaleOptions, lines: KnownLengthTable) -> Journal[Look]:
+def open_journal(
+    path: Path, detector: Detector, options: ScaleOptions, lines: KnownLengthTable
+) -> Journal[StoredPhotograph]:
     """Open the journal of a flight.
 
     Raises:
@@ -188,5 +190,5 @@ def open_journal(path: Path, detector: Detector, options: ScaleOptions, lines: K
     networks = networks_sha256(detector.card)
     settings = {"vehanchor": version("vehanchor"), "networks_sha256": networks, "flight": 1, **choices}
     remedy = "move the file away, or name another"
-    codec = look_codec()
+    codec = photograph_codec()
     return Journal(path, settings, dump=codec.dump, load=codec.load, sole=True, remedy=remedy)

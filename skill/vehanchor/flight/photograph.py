@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class StoredPhotograph:
     """Search result and evidence of one photograph, as the journal keeps them.
 
     Attributes:
@@ -48,14 +48,14 @@ class Look:
     tilt: CameraTilt | None = None
 
     @classmethod
-    def of(cls, view: View, analysis: ScaleAnalysis) -> Look:
+    def of(cls, view: View, analysis: ScaleAnalysis) -> StoredPhotograph:
         """Take the intermediate results of an analysis."""
         return cls(view.image, view.detections, analysis.resolved, analysis.others, view.prior, view.tilt)
 
 
-def look_codec() -> Codec:
-    """Codec of ``Look`` for journals."""
-    return Codec({**stored_classes(), "photograph_findings": Look})
+def photograph_codec() -> Codec:
+    """Codec of ``StoredPhotograph`` for journals."""
+    return Codec({**stored_classes(), "photograph_findings": StoredPhotograph})
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,12 @@ class Photograph:
 
     @classmethod
     def of(
-        cls, name: str, kept: Look, card: DetectorCard, options: ScaleOptions, features: Features | None = None
+        cls,
+        name: str,
+        kept: StoredPhotograph,
+        card: DetectorCard,
+        options: ScaleOptions,
+        features: Features | None = None,
     ) -> Photograph:
         """Analyse the search result of a photograph."""
         view = View(

@@ -57,7 +57,7 @@ def _panels(record: FlightEstimate) -> list[_Panel]:
             each for each in record.photographs if each.component == component.number and each.placed_by == "overlaps"
         ]
         if members:
-            panels.append(_Panel(f"Island {component.number}: how its photographs lie beside each other", members))
+            panels.append(_Panel(f"Component {component.number}: photographs placed by their overlaps", members))
     return panels
 
 
@@ -90,11 +90,11 @@ def _draw(panel: _Panel, record: FlightEstimate, bounds: tuple[float, float]) ->
 
 def _disc(each: FlightPhotograph, at: tuple[float, float], bounds: tuple[float, float]) -> str:
     scale = "no scale" if each.gsd_m_per_px is None else f"{each.gsd_m_per_px:.4g} m/px"
-    tooltip = f"{each.photograph}: {scale}, {each.status}, hangs on {_hangs_on(each)}"
+    tooltip = f"{each.photograph}: {scale}, {each.status}, supported by {_supporters(each)}"
     fill = "none" if each.gsd_m_per_px is None else _colour(each.gsd_m_per_px, bounds)
     return (
         f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="{_RADIUS}" fill="{fill}" '
-        f'stroke="{_RINGS[_hangs_on(each)]}" stroke-width="3.5"><title>{escape(tooltip)}</title></circle>'
+        f'stroke="{_RINGS[_supporters(each)]}" stroke-width="3.5"><title>{escape(tooltip)}</title></circle>'
     )
 
 
@@ -115,7 +115,7 @@ def _short_names(stems: Sequence[str]) -> list[str]:
     return bare
 
 
-def _hangs_on(each: FlightPhotograph) -> str:
+def _supporters(each: FlightPhotograph) -> str:
     if not each.supported_by or each.gsd_m_per_px is None:
         return "nothing"
     first = each.supported_by[0]

@@ -1,4 +1,4 @@
-"""Facts of an image that need no look at its pixels."""
+"""Facts of an image that need none of its pixels."""
 
 from __future__ import annotations
 

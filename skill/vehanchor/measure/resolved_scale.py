@@ -161,7 +161,7 @@ def resolve_scale(
     Raises:
         InvalidParameterError: the height is invalid, or the camera's height is unknown.
         ScaleMismatchError: the scale was measured on another image.
-        TooObliqueError: the horizon is in sight, or nearly so; or the object is higher than the camera.
+        TooObliqueError: the horizon is visible, or nearly so; or the object is higher than the camera.
         VehAnchorError: as ``Engine.estimate``.
     """
     camera = None if object_height_m is None else camera_above(raster, options, object_height_m)

@@ -14,7 +14,7 @@ from vehanchor.errors import OutputError
 from vehanchor.imagery.raster import Window
 from vehanchor.pictures.lettering import FONT, font_scale, stroke_px, text_px, text_width, write_on
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
-from vehanchor.records.advice import ADVICE
+from vehanchor.records.advice import advice_for
 from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
@@ -231,11 +231,11 @@ def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
         legend.append((DROPPED_RGB, f"{n_dropped} outlier{'s' * (n_dropped != 1)}, dropped"))
     scale = _headline(estimate)
     lines: list[CaptionLine]
-    if estimate.reason is None:
+    advice = advice_for(estimate)
+    if advice is None:
         lines = [[(None, scale)], [(None, f"confidence {estimate.confidence:.2f}")]]
     else:
-        why, helps = ADVICE[estimate.reason]
-        lines = [[(None, f"no usable scale: {why}")], [(None, helps)]]
+        lines = [[(None, f"no usable scale: {advice.why}")], [(None, advice.helps)]]
         if estimate.gsd_m_per_px is not None:
             lines.append([(None, f"{scale}, confidence {estimate.confidence:.2f}")])
     if estimate.tilt is not None:

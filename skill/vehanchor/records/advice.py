@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from vehanchor.records import Reason
+    from vehanchor.records import GsdEstimate, Reason
 
 
 class Advice(NamedTuple):
@@ -35,3 +35,18 @@ ADVICE: Mapping[Reason, Advice] = {
     "imprecise": Advice("the interval is too wide", "give a known length, or include cars"),
 }
 """Advice by the ``reason`` of a record."""
+
+_MORE_CARS: frozenset[Reason] = frozenset({"too_few", "imprecise"})
+_WITHOUT_SEARCH = "also use the ruler vehicles, or give a known length or the height"
+
+
+def advice_for(estimate: GsdEstimate | None) -> Advice | None:
+    """Give the advice for a record; None without one and for a usable scale.
+
+    Without a search more cars would not help; the advice is to allow one.
+    """
+    if estimate is None or estimate.reason is None:
+        return None
+    advice = ADVICE[estimate.reason]
+    searched = estimate.stopped_because is not None
+    return advice if searched or estimate.reason not in _MORE_CARS else advice._replace(helps=_WITHOUT_SEARCH)

@@ -28,7 +28,7 @@ def with_tilt(view: View) -> View:
     """Find the rulers' objects in an image, and estimate its tilt from them, the metadata and the vehicles.
 
     Raises:
-        TooObliqueError: the horizon is in sight, or the tilt is too uncertain to exclude that.
+        TooObliqueError: the horizon is visible, or the tilt is too uncertain to exclude that.
     """
     rulers = _of_images(view)
     stated = metadata_tilt(view.image, view.options)

@@ -7,7 +7,7 @@ from typing import Literal
 Aggregation = Literal["kde", "weighted_kde", "median", "mean"]
 """Rule for the modal length (see ``vehanchor.scale.lengths.modal_length``)."""
 
-Stopped = Literal["all_searched", "settled", "max_tiles", "max_seconds"]
+Stopped = Literal["all_searched", "converged", "max_tiles", "max_seconds"]
 """Why a search ended."""
 
 NMS_IOU = 0.45  # paper, section III-B

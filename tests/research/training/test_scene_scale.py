@@ -30,7 +30,7 @@ torch = pytest.importorskip("torch")
 onnxruntime = pytest.importorskip("onnxruntime")
 
 from research.training.scene_scale.calibrate import fit, log_score, report  # noqa: E402 - PyTorch may be missing
-from research.training.scene_scale.cases import Case, load, save, see  # noqa: E402
+from research.training.scene_scale.cases import Case, load, save, searched_cases  # noqa: E402
 from research.training.scene_scale.compare import some_of_each, summary  # noqa: E402
 from research.training.scene_scale.data import (  # noqa: E402
     CropStream,
@@ -191,7 +191,7 @@ def test_the_file_says_what_the_network_says_and_names_its_bins(tmp_path: Path) 
     assert json.loads(metadata["vehanchor.scene_bins"]) == [FIRST_LOG_GSD, LOG_STEP]
     assert json.loads(metadata["vehanchor.scene_calibration"]) == {"temperature": 0.5}
 
-    cases = see(session, [_image("cannes", 0.2)], reduced=1)
+    cases = searched_cases(session, [_image("cannes", 0.2)], reduced=1)
     save(cases, tmp_path / "cases.npz")
     again = load(tmp_path / "cases.npz")
     assert [c[:5] for c in again] == [c[:5] for c in cases]

@@ -14,7 +14,7 @@ pytest.importorskip("onnxruntime")
 import onnxruntime
 import torch
 
-from research.training.verifier.combine import fitted, look, settled
+from research.training.verifier.combine import fitted, rescaled, verifier_logits
 from research.training.verifier.data import STORED_PX, Candidates, ChipStream, load, middle, save, truth_of
 from research.training.verifier.network import VerifierNet
 from research.training.verifier.train import export, logits, report
@@ -86,8 +86,8 @@ def test_the_file_says_what_the_network_says(tmp_path: Path) -> None:
     export(network, tmp_path / "verifier.onnx")
     chips = _candidates().chips
     session = onnxruntime.InferenceSession(tmp_path / "verifier.onnx")
-    np.testing.assert_allclose(look(session, middle(chips)), logits(network, chips), atol=1e-4)
-    assert look(session, np.zeros((0, CHIP_PX, CHIP_PX, 3), np.uint8)).shape == (0,)
+    np.testing.assert_allclose(verifier_logits(session, middle(chips)), logits(network, chips), atol=1e-4)
+    assert verifier_logits(session, np.zeros((0, CHIP_PX, CHIP_PX, 3), np.uint8)).shape == (0,)
 
 
 def test_the_combination_trusts_whoever_knows() -> None:
@@ -97,6 +97,6 @@ def test_the_combination_trusts_whoever_knows() -> None:
     combination = fitted(telling, found._replace(scores=np.full(60, 0.5) + rng.uniform(-0.1, 0.1, 60)))
     assert combination.verifier > 0.5
     assert Weights(1.0, 0.0, 0.0).score([0.2, 0.9], [5.0, -5.0]).tolist() == pytest.approx([0.2, 0.9])
-    same = settled(combination, telling, found)
+    same = rescaled(combination, telling, found)
     assert same.detector / same.verifier == pytest.approx(combination.detector / combination.verifier)
     assert any("AUC" in line for line in report(found.car, found.sets, telling))

@@ -151,13 +151,13 @@ def calls(tmp_path_factory: pytest.TempPathFactory, _images: Path) -> dict[str, 
             "estimate_gsd",
             {**by_path(_images / "cars.png"), "known_lengths": [LINE], "height_m": 70, "focal_35mm": 24},
         ),
-        "no anchor": ("estimate_gsd", by_path(_images / "empty.png")),
+        "no ruler": ("estimate_gsd", by_path(_images / "empty.png")),
         "failed": ("estimate_gsd", by_path(folder / "nothing.png")),
         "area": ("measure_area", pool),
         "distance": ("measure_distance", {**by_path(_images / "cars.png"), "lines": ACROSS}),
         "distance, few": ("measure_distance", {**by_path(_images / "two.png"), "lines": ACROSS}),
         "area, scale given": ("measure_area", {**alone, "gsd_m_per_px": 0.2}),
-        "area, no anchor": ("measure_area", alone),
+        "area, no ruler": ("measure_area", alone),
     }
 
 
@@ -286,7 +286,7 @@ def test_a_median_of_few_is_called_one_and_the_callers_copy_has_its_scale(
 
 def test_no_anchor_shows_no_number(host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]) -> None:
     host.show()
-    host.result(calls["no anchor"], results["no anchor"])
+    host.result(calls["no ruler"], results["no ruler"])
     host.says("#status", "No metric scale")
     host.says(".readings > div:first-child", "Scalenoneno ruler found")
     host.says(".gauge .reading", "0.00")
@@ -329,9 +329,9 @@ def test_an_area_of_a_given_scale_shows_no_confidence(
 def test_an_area_without_a_scale_is_in_pixels(
     host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
 ) -> None:
-    pixels = results["area, no anchor"]["structuredContent"]["mask_area_px"]
+    pixels = results["area, no ruler"]["structuredContent"]["mask_area_px"]
     host.show()
-    host.result(calls["area, no anchor"], results["area, no anchor"])
+    host.result(calls["area, no ruler"], results["area, no ruler"])
     host.says(".readings > div:first-child", f"Area{pixels:,}pxno scale: pixels only")
     assert host.page.locator(".shape").count() == 1
     assert host.page.locator(".circle, .ruler").count() == 0
@@ -514,7 +514,7 @@ def test_a_measurement_that_fails_or_is_not_to_be_used_says_so(
     host.tab.evaluate("(result) => { answer = { result }; }", results["distance, few"])
     drag(host, (100, 100), (300, 300))
     host.says("ol.measured li.untrusted .note:nth-of-type(3)", "do not use: low confidence")
-    host.result(calls["no anchor"], results["no anchor"])
+    host.result(calls["no ruler"], results["no ruler"])
     host.says("#status", "No metric scale")
     assert host.page.get_by_role("button", name="Distance").count() == 0
     host.page.get_by_role("button", name="Draw a known length").wait_for()
@@ -553,7 +553,7 @@ def test_every_letter_can_be_read_in_both_themes(
     host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]], theme: str
 ) -> None:
     host.show(theme=theme)
-    for name in ("guarded", "good", "rulers", "area", "no anchor", "failed"):
+    for name in ("guarded", "good", "rulers", "area", "no ruler", "failed"):
         host.result(calls[name], results[name])
         host.says("#sentence", results[name]["content"][0]["text"])
         for where, ink, ground in host.in_page(_LETTERS):
@@ -639,7 +639,7 @@ def test_only_the_host_is_listened_to(host: Host, calls: dict[str, Call], result
     host.show()
     host.result(calls["good"], results["good"])
     host.says("#status", "Safe to use")
-    forged = {"jsonrpc": "2.0", "method": "ui/notifications/tool-result", "params": results["no anchor"]}
+    forged = {"jsonrpc": "2.0", "method": "ui/notifications/tool-result", "params": results["no ruler"]}
     host.in_page(f"() => window.postMessage({json.dumps(forged)}, '*')")
     host.tab.evaluate("() => tell({ jsonrpc: '1.0', method: 'ui/notifications/tool-cancelled', params: {} })")
     host.tab.evaluate("() => tell({ id: 1, method: 'ping' })")

@@ -43,7 +43,10 @@ def test_the_bar_is_as_long_as_it_says(image: Path) -> None:
 def test_a_picture_that_is_reduced_has_its_own_pixel_size(tmp_path: Path) -> None:
     large, out = tmp_path / "large.png", tmp_path / "out.jpg"
     assert cv2.imwrite(str(large), blank_image(4096, 1024))
-    assert run(large, "-o", out, "--gsd", "0.1", "--world-file")[0] == 0
+    done = CliRunner().invoke(app, ["scalebar", str(large), "-o", str(out), "--gsd", "0.1", "--world-file"])
+    said = "".join(done.stdout.split())  # long paths are folded
+    assert (done.exit_code, "scale0.1m/px" in said) == (0, True)
+    assert all(str(path) in said for path in (out, out.with_suffix(".jgw")))
     assert float(out.with_suffix(".jgw").read_text().split()[0]) == pytest.approx(0.2)
 
 

@@ -186,7 +186,7 @@ def test_resolutions_at_which_no_car_can_be_are_left_out_once_there_are_cars_els
         found = search(raster, told, Search(effort=effort), prior=ground)
     assert found.n_tiles == len(tiles)
     assert found.n_tiles_total == 4
-    assert found.stopped_because == ("all_searched" if len(tiles) == 4 else "settled")
+    assert found.stopped_because == ("all_searched" if len(tiles) == 4 else "converged")
     assert len(found.boxes) == len(painted)
     assert seen == [(k, 4) for k in [*range(len(tiles)), 4]]
 

@@ -65,14 +65,14 @@ def test_a_size_that_fits_the_ground_raises_a_score_and_one_that_does_not_lowers
     assert Weights(1.0, 0.0, 0.0).score([0.6], [0.0], [2.0]) == pytest.approx([0.6])  # not stated: it has no say
 
 
-def test_the_card_takes_the_scores_of_the_second_look() -> None:
-    look = read_auxiliary_card(VerifierCard, Path("look.onnx"), "b" * 64, _METADATA)
+def test_the_card_takes_the_scores_of_the_verifier() -> None:
+    verifier = read_auxiliary_card(VerifierCard, Path("verifier.onnx"), "b" * 64, _METADATA)
     own = {"vehanchor.name": "vehicles", "vehanchor.min_score": "0.4"}
-    card = read_detector_card(Path("vehicles.onnx"), "a" * 64, own, verifier=look)
+    card = read_detector_card(Path("vehicles.onnx"), "a" * 64, own, verifier=verifier)
     assert (card.min_score, card.clear_score, card.verifier_sha256) == (0.5, 0.72, "b" * 64)
     assert read_detector_card(Path("vehicles.onnx"), "a" * 64, own).min_score == 0.4
     with pytest.raises(ModelContractError, match=r"verifier .* 'vehicles', and this is 'mine'"):
-        read_detector_card(Path("mine.onnx"), "a" * 64, {"vehanchor.name": "mine"}, verifier=look)
+        read_detector_card(Path("mine.onnx"), "a" * 64, {"vehanchor.name": "mine"}, verifier=verifier)
 
 
 def test_the_weight_of_the_size_may_be_stated() -> None:
@@ -89,22 +89,22 @@ def test_a_card_without_meaning_is_refused(key: str, text: str | None) -> None:
     if text is not None:
         metadata[f"vehanchor.{key}"] = text
     with pytest.raises(ModelContractError, match=f"vehanchor.{key}"):
-        read_auxiliary_card(VerifierCard, Path("look.onnx"), "b" * 64, metadata)
+        read_auxiliary_card(VerifierCard, Path("verifier.onnx"), "b" * 64, metadata)
 
 
 def test_the_bundled_detector_has_one_and_it_is_no_detector() -> None:
     path = verifier_beside(resolve_model())
     assert path is not None
     assert path.stem not in bundled_models()
-    look = Verifier(path)
+    verifier = Verifier(path)
     pixels = np.random.default_rng(0).integers(0, 255, (200, 200, 3), dtype=np.uint8)
     boxes = np.column_stack(
         [np.linspace(5, 195, 130), np.full(130, 99.0), np.full(130, 20.0), np.full(130, 9.0), np.zeros(130)]
     )
-    judged = look.scored(pixels, Objects(boxes, np.full(130, 0.6), np.zeros(130, np.intp)))
+    judged = verifier.scored(pixels, Objects(boxes, np.full(130, 0.6), np.zeros(130, np.intp)))
     assert len(judged) == 130
     assert judged.scores.max() < 0.6  # noise holds no cars
-    assert len(look.scored(pixels, Objects.joined())) == 0
+    assert len(verifier.scored(pixels, Objects.joined())) == 0
 
 
 def test_another_network_is_refused() -> None:

@@ -44,10 +44,10 @@ def test_photographs_of_one_scale_share_it(flight: list[str], detector: Detector
     assert record.confidence > max(each.own.confidence for each in record.photographs if each.own)
 
 
-def test_a_photograph_without_a_car_hangs_on_those_with_cars(flight: list[str], detector: Detector) -> None:
+def test_a_photograph_without_a_car_is_supported_by_those_with_cars(flight: list[str], detector: Detector) -> None:
     record = vehanchor.estimate_flight(flight, same_scale=True, detector=detector)
     first = [each.supported_by[0] for each in record.photographs]
-    assert [anchor.ruler for anchor in first] == ["vehicles"] * 4
+    assert [each.ruler for each in first] == ["vehicles"] * 4
     assert [first[place].photograph for place in (0, 1, 3)] == [flight[0], flight[1], flight[3]]
     assert first[2].photograph in (flight[0], flight[1], flight[3])
 
@@ -159,8 +159,10 @@ def test_arrays_of_opencv_are_read_as_they_are_and_films_frames_as_we_have_read_
     swapped = np.ascontiguousarray(picture[:, :, ::-1])
 
     def identity(taken: InputPhotograph, *, bgr: bool) -> str | None:
-        look, _ = flight_estimate._search(taken, detector, ScaleOptions(reading=Reading(bgr=bgr)), None, featured=False)
-        return look.image.image_id
+        stored, _ = flight_estimate._search(
+            taken, detector, ScaleOptions(reading=Reading(bgr=bgr)), None, featured=False
+        )
+        return stored.image.image_id
 
     whole = identity(InputPhotograph("a", picture), bgr=False)
     assert identity(InputPhotograph("a", swapped), bgr=True) == whole

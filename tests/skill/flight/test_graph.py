@@ -99,6 +99,6 @@ def test_a_camera_that_looks_aside_does_not_bend_the_scales() -> None:
     assert (np.abs(off) < 3.5 * component.sds_from(int(np.argmin(np.abs(off)))).max()).all()
 
 
-def test_a_flight_without_overlaps_is_as_many_islands() -> None:
+def test_a_flight_without_overlaps_is_as_many_components() -> None:
     solution = solve(3, [], [None, Unary(-2.0, 0.1), None])
     assert [list(component.members) for component in solution.components] == [[0], [1], [2]]

@@ -8,7 +8,7 @@ import pytest
 from tests.analyses import made_card
 from tests.skill.flight.ground import sighting_of
 from vehanchor.flight.components import single_component
-from vehanchor.flight.photograph import Look, Photograph
+from vehanchor.flight.photograph import Photograph, StoredPhotograph
 from vehanchor.flight.record import conclude_flight
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
@@ -28,7 +28,9 @@ def _photograph(
     """Taken so high above the ground, with cars or none."""
     facts = ImageFacts(500, 500, camera=replace(camera, altitude_m=GROUND_M + above_m))
     lengths = FLEET / (above_m / FOCAL_PX) if cars else np.zeros(0)
-    return Photograph.of(name, Look(facts, sighting_of(lengths), 1.0), made_card(CAR_M), options or ScaleOptions())
+    return Photograph.of(
+        name, StoredPhotograph(facts, sighting_of(lengths), 1.0), made_card(CAR_M), options or ScaleOptions()
+    )
 
 
 def _flight(*photographs: Photograph) -> FlightEstimate:
@@ -76,7 +78,7 @@ def test_without_metadata_heights_are_not_read() -> None:
 
 def test_a_scale_that_is_not_sure_says_nothing_of_the_ground() -> None:
     alone = replace(_photograph("low", 90.0, cars=True))
-    one_car = Look(alone.view.image, sighting_of(FLEET[:1] / 0.09), 1.0)
+    one_car = StoredPhotograph(alone.view.image, sighting_of(FLEET[:1] / 0.09), 1.0)
     doubtful = Photograph.of("low", one_car, made_card(CAR_M), ScaleOptions())
     record = _flight(doubtful, _photograph("high", 120.0, cars=False))
     assert record.photographs[0].status == "low_confidence"

@@ -12,7 +12,7 @@ from vehanchor.flight.features import Features
 from vehanchor.flight.linking import link_photographs
 from vehanchor.flight.matching import match
 from vehanchor.flight.pairs import candidate_pairs
-from vehanchor.flight.photograph import Look, Photograph
+from vehanchor.flight.photograph import Photograph, StoredPhotograph
 from vehanchor.flight.record import conclude_flight
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
@@ -32,7 +32,7 @@ def seen() -> list[Features]:
 
 
 def _photograph(name: str, image: ImageFacts, lengths: NDArray[np.float64]) -> Photograph:
-    return Photograph.of(name, Look(image, sighting_of(lengths), 1.0), made_card(5.0), ScaleOptions())
+    return Photograph.of(name, StoredPhotograph(image, sighting_of(lengths), 1.0), made_card(5.0), ScaleOptions())
 
 
 def _flight(*, with_cars: tuple[int, ...], placed: bool = False) -> list[Photograph]:
@@ -67,7 +67,7 @@ def test_photographs_of_other_places_do_not_match(seen: list[Features]) -> None:
     assert match(seen[0], nothing) is None
 
 
-def test_candidates_are_found_by_look_and_stay_few() -> None:
+def test_candidates_are_found_by_appearance_and_stay_few() -> None:
     stations = [(x, y) for y in range(300, 1400, 180) for x in range(300, 1400, 180)]
     order = np.random.default_rng(3).permutation(len(stations))
     seen = [features_of(photograph_of(WORLD, *stations[k], turn_deg=37.0 * k, side_px=400)) for k in order]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from tests.analyses import made_card
 from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.detections import Detections
-from vehanchor.flight.photograph import Look, Photograph
+from vehanchor.flight.photograph import Photograph, StoredPhotograph
 from vehanchor.flight.pooling import _pooled_evidence, combined_density, pool, pooled_detections, shifted
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
@@ -19,7 +19,7 @@ from vehanchor.scale.fusion import GRID, credible_interval, flat
 def _photograph(lengths: NDArray[np.float64], name: str = "one", resolved: float = 1.0) -> Photograph:
     boxes = np.column_stack([lengths, lengths, lengths, lengths / 2, np.zeros(len(lengths))])
     found = Detections(boxes, np.full(len(boxes), 0.8))
-    return Photograph.of(name, Look(ImageFacts(800, 600), found, resolved), made_card(5.0), ScaleOptions())
+    return Photograph.of(name, StoredPhotograph(ImageFacts(800, 600), found, resolved), made_card(5.0), ScaleOptions())
 
 
 def _density(gsd: float, log_sd: float) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from tests.skill.tilt.test_camera_tilt import CAR_M, FACTS, FOCAL, GSD, _cars
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import ImageNotFoundError
 from vehanchor.flight.components import single_component
-from vehanchor.flight.photograph import Look, Photograph
+from vehanchor.flight.photograph import Photograph, StoredPhotograph
 from vehanchor.flight.project import estimate_in_flight
 from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.imagery.facts import ImageFacts
@@ -24,12 +24,12 @@ NOTHING = Detections(np.zeros((0, 5)), np.zeros(0))
 
 
 def _photograph(name: str, image: ImageFacts, found: Detections) -> Photograph:
-    return Photograph.of(name, Look(image, found, 1.0), made_card(CAR_M), ScaleOptions())
+    return Photograph.of(name, StoredPhotograph(image, found, 1.0), made_card(CAR_M), ScaleOptions())
 
 
-def _flight(*looks: Photograph | Failure) -> FlightEstimate:
-    places = [place for place, look in enumerate(looks) if isinstance(look, Photograph)]
-    return conclude_flight(looks, [single_component(places, 0)], made_card(CAR_M), same_scale=True)
+def _flight(*photographs: Photograph | Failure) -> FlightEstimate:
+    places = [place for place, stored in enumerate(photographs) if isinstance(stored, Photograph)]
+    return conclude_flight(photographs, [single_component(places, 0)], made_card(CAR_M), same_scale=True)
 
 
 def test_a_photograph_of_a_flight_has_its_own_record_with_the_flights_scale() -> None:
@@ -56,12 +56,12 @@ def test_a_photograph_that_could_not_be_read_has_no_record() -> None:
 
 def test_what_is_carried_too_far_to_be_used_says_why() -> None:
     fleet = 50.0 * (1 + 0.05 * np.linspace(-1, 1, 12) ** 3)
-    looks = [
+    photographs = [
         _photograph("cars", ImageFacts(500, 500), sighting_of(fleet)),
         _photograph("far", ImageFacts(500, 400), NOTHING),
     ]
     component = replace(single_component([0, 1], 0), log_sds=np.array([0.0, 0.4]))
-    flight = conclude_flight(looks, [component], made_card(CAR_M), same_scale=False)
+    flight = conclude_flight(photographs, [component], made_card(CAR_M), same_scale=False)
     near, far = (estimate_in_flight(flight, each) for each in flight.photographs)
     assert (near.status, near.reason) == ("ok", None)
     assert (far.status, far.reason) == ("low_confidence", "imprecise")

@@ -11,7 +11,7 @@ from tests.analyses import made_card
 from tests.skill.flight.ground import facts_at, sighting_of
 from vehanchor.errors import ImageDecodeError, OutputError
 from vehanchor.flight.components import single_component
-from vehanchor.flight.photograph import Look, Photograph
+from vehanchor.flight.photograph import Photograph, StoredPhotograph
 from vehanchor.flight.record import Failure, conclude_flight
 from vehanchor.flight.report import check_report_path, report_page, write_report
 from vehanchor.flight.track import draw_tracks
@@ -24,25 +24,25 @@ FLEET = 30.0 * (1 + 0.05 * np.linspace(-1, 1, 9) ** 3)
 @pytest.fixture(scope="module")
 def record() -> FlightEstimate:
     card, options = made_card(5.0), ScaleOptions()
-    looks: list[Photograph | Failure] = [
-        Photograph.of(name, Look(facts_at(40.0 * number, 10.0), sighting_of(cars), 1.0), card, options)
+    photographs: list[Photograph | Failure] = [
+        Photograph.of(name, StoredPhotograph(facts_at(40.0 * number, 10.0), sighting_of(cars), 1.0), card, options)
         for number, (name, cars) in enumerate([("<a>.jpg", FLEET), ("b.jpg", FLEET / 2), ("c.jpg", np.zeros(0))])
     ]
-    looks.append(Failure("d.jpg", ImageDecodeError("empty")))
+    photographs.append(Failure("d.jpg", ImageDecodeError("empty")))
     link = FlightLink(
         first="<a>.jpg", second="b.jpg", ratio=3.0, ratio_log_sd=0.1, n_matches=20, dropped="the ratio is 3 times off"
     )
     components = [single_component([place], 0) for place in range(3)]
-    return conclude_flight(looks, components, card, same_scale=False, links=[link])
+    return conclude_flight(photographs, components, card, same_scale=False, links=[link])
 
 
-def test_the_track_has_every_photograph_its_scale_and_what_it_hangs_on(record: FlightEstimate) -> None:
+def test_the_track_has_every_photograph_its_scale_and_what_supports_it(record: FlightEstimate) -> None:
     (svg,) = ElementTree.fromstring(f"<div>{draw_tracks(record)}</div>")
     told = [each.text or "" for each in svg.iter("title")]
     assert len(told) == 3
     assert told[0].startswith("<a>.jpg: 0.1667 m/px, ")
     assert told[0].endswith("vehicles of its own")
-    assert told[2] == "c.jpg: no scale, no_scale, hangs on nothing"
+    assert told[2] == "c.jpg: no scale, no_scale, supported by nothing"
     discs = [each for each in svg.iter("circle") if list(each)]
     places = [float(each.attrib["cx"]) for each in discs]
     assert places[2] - places[1] == pytest.approx(places[1] - places[0], abs=0.2)
@@ -62,10 +62,12 @@ def test_the_page_needs_nothing_else_and_tells_what_was_dropped(record: FlightEs
 
 def test_a_flight_without_places_has_no_track() -> None:
     card = made_card(5.0)
-    looks = [
-        Photograph.of("a", Look(facts_at(0, 0)._replace(camera=None), sighting_of(FLEET), 1.0), card, ScaleOptions())
+    photographs = [
+        Photograph.of(
+            "a", StoredPhotograph(facts_at(0, 0)._replace(camera=None), sighting_of(FLEET), 1.0), card, ScaleOptions()
+        )
     ]
-    page = report_page(conclude_flight(looks, [single_component([0], 0)], card, same_scale=True))
+    page = report_page(conclude_flight(photographs, [single_component([0], 0)], card, same_scale=True))
     assert "No track: no photograph has a position" in page
     assert "One scale for all photographs" in page
 

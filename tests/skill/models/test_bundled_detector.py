@@ -110,15 +110,15 @@ def test_the_networks_beside_a_detector_are_no_detectors_of_their_own() -> None:
 
 def test_the_file_in_eight_bits_is_the_one_that_was_measured() -> None:
     path = resolve_model(None, "int8")
-    look = verifier_beside(path)
-    assert look is not None
+    verifier = verifier_beside(path)
+    assert verifier is not None
     card = path.with_suffix(".md").read_text(encoding="utf-8")
     results = (ROOT / "research/results/detection.json").read_text(encoding="utf-8")
-    for file in (path, look):
+    for file in (path, verifier):
         sha256 = hashlib.sha256(file.read_bytes()).hexdigest()
         assert sha256 in results
         assert sha256 in card
-    assert path.stat().st_size + look.stat().st_size <= 2_500_000
+    assert path.stat().st_size + verifier.stat().st_size <= 2_500_000
 
 
 def test_eight_bits_say_nearly_what_float32_says_and_the_record_names_them(scene: Scene, detector: Detector) -> None:

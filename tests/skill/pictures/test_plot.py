@@ -43,7 +43,7 @@ def test_the_plot_shows_mode_guard_interval_and_both_kinds_of_vehicles() -> None
     assert "60 vehicles kept" in text
     assert "2 outliers dropped (1 beyond the axis)" in text or "2 outliers dropped (2 beyond the axis)" in text
     left, right = figure.axes[0].get_xlim()
-    assert left < 5.045 / 0.3 < right < 120  # the guard is in sight, one lorry does not squeeze the cars
+    assert left < 5.045 / 0.3 < right < 120  # the guard is visible, one lorry does not squeeze the cars
 
 
 def test_outliers_that_are_shorter_than_the_kept_are_drawn_too() -> None:

@@ -40,7 +40,7 @@ def _view(camera: CameraMetadata | None, width_px: int = 4000, height_px: int = 
     return View(facts, found, made_card(5.0), ScaleOptions.of(options), lambda *_: 1.0)
 
 
-def _look(camera: CameraMetadata | None, width_px: int = 4000, height_px: int = 3000) -> LognormalEvidence:
+def _measured(camera: CameraMetadata | None, width_px: int = 4000, height_px: int = 3000) -> LognormalEvidence:
     return Camera().measure(_view(camera, width_px, height_px))
 
 
@@ -57,7 +57,7 @@ UNLISTED = _but(make="Unknown", model="")  # a camera that the table of sensors 
 
 
 def test_height_and_the_equivalent_focal_length_make_a_scale_with_an_honest_interval() -> None:
-    evidence = _look(UNLISTED)
+    evidence = _measured(UNLISTED)
     assert evidence.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.04)
     assert evidence.interval is not None
     assert evidence.interval.low < TRUE_GSD < evidence.interval.high
@@ -69,18 +69,18 @@ def test_height_and_the_equivalent_focal_length_make_a_scale_with_an_honest_inte
 
 
 def test_the_sensor_tells_better_than_the_equivalent_and_a_calibration_best() -> None:
-    by_sensor = _look(replace(UNLISTED, pixel_mm=6.17 / 4000))
+    by_sensor = _measured(replace(UNLISTED, pixel_mm=6.17 / 4000))
     assert by_sensor.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=1e-6)
-    calibrated = _look(_but(pixel_mm=6.17 / 4000, focal_px=3100.0, centre_x_px=1995.0))
+    calibrated = _measured(_but(pixel_mm=6.17 / 4000, focal_px=3100.0, centre_x_px=1995.0))
     assert calibrated.gsd_m_per_px == pytest.approx(100 / 3100)
-    assert _spread(calibrated) < _spread(by_sensor) < _spread(_look(UNLISTED))
+    assert _spread(calibrated) < _spread(by_sensor) < _spread(_measured(UNLISTED))
 
 
 @pytest.mark.parametrize("size", [(4000, 3000), (4000, 2250), (2000, 1500), (2000, 1125), (1125, 2000)])
 def test_a_listed_sensor_tells_at_every_size_and_shape_of_the_whole_picture(size: tuple[int, int]) -> None:
     """A picture of 16:9 has all columns of a sensor of 4:3."""
     taken = _but(taken_width_px=None, taken_height_px=None)
-    evidence = _look(taken, *size)
+    evidence = _measured(taken, *size)
     assert evidence.gsd_m_per_px == pytest.approx(TRUE_GSD * 4000 / max(size), rel=1e-3)
     assert evidence.explanation is not None
     assert "6.17 mm wide sensor of the FC220" in evidence.explanation
@@ -88,12 +88,12 @@ def test_a_listed_sensor_tells_at_every_size_and_shape_of_the_whole_picture(size
 
 def test_a_picture_of_4_3_has_all_rows_of_a_sensor_of_3_2() -> None:
     phantom = _but(model="FC6310", focal_mm=8.8, focal_35mm=None, taken_width_px=4864, taken_height_px=3648)
-    assert _look(phantom, 4864, 3648).gsd_m_per_px == pytest.approx(100 * 8.8 / (8.8 * 3648), rel=1e-3)
+    assert _measured(phantom, 4864, 3648).gsd_m_per_px == pytest.approx(100 * 8.8 / (8.8 * 3648), rel=1e-3)
 
 
 def test_a_listed_sensor_is_not_believed_behind_another_lens() -> None:
     """A drone's second camera may write the same model."""
-    other = _look(_but(focal_mm=13.5, focal_35mm=72.0))
+    other = _measured(_but(focal_mm=13.5, focal_35mm=72.0))
     assert other.explanation is not None
     assert "72 mm (35 mm equivalent)" in other.explanation
 
@@ -101,30 +101,30 @@ def test_a_listed_sensor_is_not_believed_behind_another_lens() -> None:
 def test_a_calibration_of_another_size_is_not_believed() -> None:
     """Some programs write the size of a resized copy where the camera's was, and leave the calibration as it was."""
     copy = _but(focal_px=3100.0, centre_x_px=2000.0, taken_width_px=1000, taken_height_px=750)
-    assert _look(copy, 1000, 750).gsd_m_per_px == pytest.approx(4 * TRUE_GSD, rel=0.04)
+    assert _measured(copy, 1000, 750).gsd_m_per_px == pytest.approx(4 * TRUE_GSD, rel=0.04)
 
 
 @pytest.mark.parametrize("size", [(2000, 1500), (1500, 2000), (1333, 1000), (8000, 6000), (1000, 750)])
 def test_a_resized_copy_has_the_scale_of_its_pixels(size: tuple[int, int]) -> None:
     for camera in (MAVIC, _but(pixel_mm=6.17 / 4000), _but(focal_px=3067.0, centre_x_px=2000.0)):
         expected = TRUE_GSD * 4000 / max(size)
-        assert _look(camera, *size).gsd_m_per_px == pytest.approx(expected, rel=0.04)
+        assert _measured(camera, *size).gsd_m_per_px == pytest.approx(expected, rel=0.04)
 
 
 @pytest.mark.parametrize("size", [(4000, 2250), (3000, 3000), (2000, 1000), (4000, 2900)])
 def test_a_crop_is_refused(size: tuple[int, int]) -> None:
-    evidence = _look(MAVIC, *size)
+    evidence = _measured(MAVIC, *size)
     assert (evidence.gsd_m_per_px, evidence.confidence) == (None, 0.0)
     assert [notice.code for notice in evidence.notices] == ["camera_cropped"]
 
 
 def test_a_wide_picture_is_a_full_width_with_rows_left_out() -> None:
-    wide = _look(_but(taken_height_px=2250), 4000, 2250)
+    wide = _measured(_but(taken_height_px=2250), 4000, 2250)
     assert wide.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.05)
 
 
 def test_a_camera_that_looks_aslant_measures_the_centre() -> None:
-    straight, aslant = _look(_but(off_nadir_deg=9.9)), _look(_but(off_nadir_deg=40.0))
+    straight, aslant = _measured(_but(off_nadir_deg=9.9)), _measured(_but(off_nadir_deg=40.0))
     assert straight.gsd_m_per_px is not None
     assert aslant.gsd_m_per_px == pytest.approx(straight.gsd_m_per_px * math.cos(math.radians(40)) ** -1.5)
     assert _spread(aslant) > _spread(straight)
@@ -133,13 +133,13 @@ def test_a_camera_that_looks_aslant_measures_the_centre() -> None:
 
 
 def test_a_camera_that_looks_at_the_horizon_is_no_ruler() -> None:
-    evidence = _look(_but(off_nadir_deg=88.0))
+    evidence = _measured(_but(off_nadir_deg=88.0))
     assert evidence.gsd_m_per_px is None
     assert [notice.code for notice in evidence.notices] == ["camera_tilted"]
 
 
 def test_an_unknown_pitch_widens_the_interval() -> None:
-    known, unknown = _look(MAVIC), _look(_but(off_nadir_deg=None))
+    known, unknown = _measured(MAVIC), _measured(_but(off_nadir_deg=None))
     assert _spread(unknown) > _spread(known)
     assert unknown.chance_wrong > known.chance_wrong
     assert unknown.explanation is not None
@@ -147,7 +147,7 @@ def test_an_unknown_pitch_widens_the_interval() -> None:
 
 
 def test_the_nearer_the_ground_the_less_a_height_says() -> None:
-    low, high = _look(_but(height_m=10.0)), _look(_but(height_m=500.0))
+    low, high = _measured(_but(height_m=10.0)), _measured(_but(height_m=500.0))
     assert _spread(low) > 0.2 > 0.14 > _spread(high)
 
 
@@ -164,7 +164,7 @@ def test_the_nearer_the_ground_the_less_a_height_says() -> None:
     ],
 )
 def test_what_cannot_be_is_told_and_not_measured_with(changes: dict[str, object], words: str) -> None:
-    evidence = _look(_but(**changes))
+    evidence = _measured(_but(**changes))
     assert evidence.gsd_m_per_px is None
     assert [notice.code for notice in evidence.notices] == ["camera_unusable"]
     assert words in evidence.notices[0].message
@@ -172,13 +172,13 @@ def test_what_cannot_be_is_told_and_not_measured_with(changes: dict[str, object]
 
 @pytest.mark.parametrize("camera", [None, _but(height_m=None), replace(UNLISTED, focal_mm=None, focal_35mm=None)])
 def test_a_file_that_does_not_tell_both_is_passed_over_in_silence(camera: CameraMetadata | None) -> None:
-    evidence = _look(camera)
+    evidence = _measured(camera)
     assert (evidence.gsd_m_per_px, evidence.interval, evidence.n, evidence.notices) == (None, None, 0, ())
     assert evidence.density is None
 
 
 def test_the_density_lies_around_the_scale_with_a_floor_below_it() -> None:
-    evidence = _look(MAVIC)
+    evidence = _measured(MAVIC)
     assert evidence.gsd_m_per_px is not None
     assert evidence.density is not None
     assert evidence.density.sum() == pytest.approx(1)

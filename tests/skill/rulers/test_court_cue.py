@@ -72,8 +72,8 @@ def test_a_court_is_guessed_at_from_a_view_ten_degrees_off(tilt_deg: float) -> N
     tried = GroundPlane(1.0, tilt_deg - 7, FOCAL, SIZE, SIZE)
     with open_raster(image) as raster:
         rough = rough_courts_on(raster, tried, NOTHING, made_card(4.6), most=3)
-    leans = [tilt_posterior([each], Focal(FOCAL, 0.0)) for each in court_cues(rough, SIZE, SIZE)]
-    assert any(abs(each.tilt_deg - plane.tilt_deg) < 2 for each in leans if each is not None)
+    tilts = [tilt_posterior([each], Focal(FOCAL, 0.0)) for each in court_cues(rough, SIZE, SIZE)]
+    assert any(abs(each.tilt_deg - plane.tilt_deg) < 2 for each in tilts if each is not None)
 
 
 def test_a_court_of_few_pixels_tells_nothing_of_a_tilt() -> None:

@@ -70,7 +70,7 @@ def test_a_ruler_in_the_registry_is_heard(monkeypatch: pytest.MonkeyPatch) -> No
     assert analysis.estimate.gsd_m_per_px == analysis.vehicles.gsd_m_per_px
 
 
-def test_the_look_of_the_kept_vehicles_is_what_was_asked_of_them() -> None:
+def test_the_appearance_of_the_kept_vehicles_is_what_was_asked_of_them() -> None:
     odds: NDArray[np.float64] = np.array([1.0, 2.0, 3.0])
     view = _view(_LENGTHS)
     found = Detections(view.detections.boxes[::-1], view.detections.scores, fleet=FleetAppearance(odds, odds / 2))

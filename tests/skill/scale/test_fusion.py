@@ -101,10 +101,10 @@ def test_what_the_reference_length_is_off_by_widens_the_interval_of_any_number_o
 
 @given(st.floats(0.0, 1.0), st.floats(0.2, 3.0))
 def test_certainty_moves_chances_away_from_the_limit_of_use_and_none_across_it(chance: float, sharpness: float) -> None:
-    settled = float(recalibrated(chance, sharpness))
-    assert 0 <= settled <= 1
-    assert (settled >= USABLE_CHANCE - 1e-9) or chance < USABLE_CHANCE
-    assert (settled <= USABLE_CHANCE + 1e-9) or chance > USABLE_CHANCE
+    calibrated = float(recalibrated(chance, sharpness))
+    assert 0 <= calibrated <= 1
+    assert (calibrated >= USABLE_CHANCE - 1e-9) or chance < USABLE_CHANCE
+    assert (calibrated <= USABLE_CHANCE + 1e-9) or chance > USABLE_CHANCE
 
 
 def test_a_certainty_of_one_changes_no_chance() -> None:

@@ -12,7 +12,7 @@ import pytest
 from vehanchor.analysis.stored import stored_classes
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.scene_scale import SceneCalibration, SceneLevel, SceneScalePrior
-from vehanchor.flight.photograph import Look, look_codec
+from vehanchor.flight.photograph import StoredPhotograph, photograph_codec
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
@@ -31,17 +31,17 @@ _RULERS = {each.__name__ for each in vars(sys.modules["vehanchor.rulers"]).value
 assert registry.__name__ in _RULERS
 
 
-def _look() -> Look:
+def _stored() -> StoredPhotograph:
     scene = SceneScalePrior((SceneLevel(2, 9, np.linspace(-4, -1, 7)),), SceneCalibration(-4.6, 0.1))
     found = Detections(np.random.default_rng(1).normal(size=(4, 5)), np.linspace(0.1, 0.9, 4))
     facts = ImageFacts(10, 20, None, (RasterNote("a", "b"),), CameraMetadata(make="x", height_m=3.0))
-    return Look(facts, found, 0.7, prior=scene)
+    return StoredPhotograph(facts, found, 0.7, prior=scene)
 
 
 def test_intermediate_results_come_back_exactly() -> None:
-    before = _look()
-    after = look_codec().load(json.loads(json.dumps(look_codec().dump(before))))
-    assert isinstance(after, Look)
+    before = _stored()
+    after = photograph_codec().load(json.loads(json.dumps(photograph_codec().dump(before))))
+    assert isinstance(after, StoredPhotograph)
     assert after.image == before.image
     assert after.resolved == 0.7
     assert np.array_equal(after.detections.boxes, before.detections.boxes)
@@ -56,18 +56,18 @@ def test_intermediate_results_come_back_exactly() -> None:
     "found",
     [
         {"=": "subprocess:Popen", "fields": {"args": "true"}},
-        {"=": "vehanchor.flight.photograph:Look", "fields": {}},
+        {"=": "vehanchor.flight.photograph:StoredPhotograph", "fields": {}},
         {"=": "array", "dtype": "O", "shape": [1], "data": ""},
     ],
 )
 def test_a_journal_can_start_nothing(found: object) -> None:
     with pytest.raises(ValueError, match="stored"):
-        look_codec().load(found)
+        photograph_codec().load(found)
 
 
 def test_a_class_without_a_stored_name_is_refused() -> None:
     with pytest.raises(TypeError, match="ScaleOptions has no stored name"):
-        look_codec().dump(ScaleOptions())
+        photograph_codec().dump(ScaleOptions())
 
 
 def test_a_stored_name_belongs_to_one_class() -> None:

@@ -9,7 +9,7 @@ from tests.analyses import made_card
 from vehanchor.analysis.pipeline import analyse_detections
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import TooObliqueError
-from vehanchor.flight.photograph import Look, Photograph
+from vehanchor.flight.photograph import Photograph, StoredPhotograph
 from vehanchor.flight.pooling import pool
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
@@ -100,7 +100,10 @@ def test_the_height_of_the_camera_tells_cars_from_their_parts() -> None:
 def test_so_it_does_in_photographs_of_one_scale_put_together() -> None:
     view, plane = _cars_and_parts()
     image = FACTS._replace(camera=replace(CAMERA, height_m=plane.height_m))
-    seen = [Photograph.of(name, Look(image, view.detections, 1.0), view.card, view.options) for name in ("a", "b")]
+    seen = [
+        Photograph.of(name, StoredPhotograph(image, view.detections, 1.0), view.card, view.options)
+        for name in ("a", "b")
+    ]
     together = pool(seen, np.zeros(2), 0).estimate
     assert together.n_vehicles == pytest.approx(40, abs=8)
     assert together.gsd_m_per_px == pytest.approx(GSD, rel=0.05)

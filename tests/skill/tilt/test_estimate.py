@@ -14,7 +14,7 @@ from vehanchor.courts.court import Court
 from vehanchor.courts.template import TENNIS
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import TooObliqueError
-from vehanchor.flight.photograph import Look, Photograph, look_codec
+from vehanchor.flight.photograph import Photograph, StoredPhotograph, photograph_codec
 from vehanchor.flight.pooling import pool
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
@@ -172,7 +172,7 @@ def test_a_journal_keeps_the_tilt_and_what_was_measured_along_it(monkeypatch: py
     monkeypatch.setattr(Courts, "find", lambda *_: courts)
     view = with_tilt(_view(NOTHING))
     analysis = analyse_view(view)
-    kept = look_codec().load(look_codec().dump(Look.of(view, analysis)))
+    kept = photograph_codec().load(photograph_codec().dump(StoredPhotograph.of(view, analysis)))
     again = Photograph.of("a", kept, view.card, view.options).analysis.estimate
     assert again == analysis.estimate
     assert again.tilt is not None
@@ -195,8 +195,10 @@ def test_the_record_has_the_plane_and_gives_it_back_with_the_scale(monkeypatch: 
 
 def test_cars_of_many_photographs_put_together_say_nothing_of_a_tilt() -> None:
     views = [_view(_cars(35.0, seed=seed)) for seed in range(2)]
-    looks = [Look(view.image, view.detections, 1.0, ()) for view in views]
-    seen = [Photograph.of("a", look, view.card, view.options) for look, view in zip(looks, views, strict=True)]
+    photographs = [StoredPhotograph(view.image, view.detections, 1.0, ()) for view in views]
+    seen = [
+        Photograph.of("a", stored, view.card, view.options) for stored, view in zip(photographs, views, strict=True)
+    ]
     assert all("tilt_suspected" in _codes(each.analysis.estimate) for each in seen)
     assert "tilt_suspected" not in _codes(pool(seen, np.zeros(2), 0).estimate)
 
