@@ -56,7 +56,7 @@ class Case(NamedTuple):
     lengths_px: NDArray[np.float64]
     scores: NDArray[np.float64]
     reference_m: float
-    reference_sd_m: float
+    reference_log_sds: tuple[float, float]
     scene: NDArray[np.float64]
     estimate_m_per_px: float
 
@@ -86,7 +86,7 @@ def measured_case(path: Path, set_name: str, gsd: float, detector: Detector, gro
     lengths, reference = detections.boxes[:, 2], evidence.reference
     density = prior.density
     return Case(
-        set_name, gsd, lengths, detections.scores, reference.length_m, reference.sd_m, density, evidence.gsd_m_per_px
+        set_name, gsd, lengths, detections.scores, reference.length_m, reference.log_sds, density, evidence.gsd_m_per_px
     )
 
 
@@ -116,7 +116,7 @@ def judged(cases: list[Case], votes: Votes) -> tuple[Verdict, NDArray[np.float64
     """Judge votes on cases; with each case's chance of an error below a fifth, and whether it was."""
     logs, held, widths, chances, right = [], [], [], [], []
     for case in cases:
-        said = vehicle_density(case.lengths_px, case.scores, case.reference_m, case.reference_sd_m, votes)
+        said = vehicle_density(case.lengths_px, case.scores, case.reference_m, case.reference_log_sds, votes)
         density = product(said, case.scene)
         low, high = credible_interval(density)
         low, high = min(low, case.estimate_m_per_px), max(high, case.estimate_m_per_px)

@@ -143,7 +143,7 @@ def convergence(vehicles: VehicleEvidence, priors: Sequence[Evidence]) -> Conver
     doubts = any(notice.code in FLEET_DOUBTS for notice in vehicles.notices)
     return Convergence(
         statistical,
-        vehicles.reference.sd_m / vehicles.reference.length_m,
+        max(vehicles.reference.log_sds),
         doubted=doubts or vehicles.guarded or decide(vehicles, priors).reason is not None,
     )
 

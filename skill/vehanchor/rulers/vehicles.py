@@ -264,7 +264,7 @@ def _scale(
         return None, aggregation, None, None
     mode_px, aggregation = modal_length(fleet.lengths, fleet.scores, aggregation)
     weighted = fleet.scores if aggregation == "weighted_kde" else None
-    interval = gsd_interval(fleet.lengths, mode_px, reference.length_m, reference.sd_m, scores=weighted)
+    interval = gsd_interval(fleet.lengths, mode_px, reference.length_m, reference.log_sds, scores=weighted)
     return mode_px, aggregation, reference.length_m / mode_px, interval
 
 
@@ -272,7 +272,7 @@ def _density(detections: Detections, card: DetectorCard, reference: ReferenceLen
     """Compute the density of all boxes, other groups included; None if the votes are uncalibrated."""
     if card.votes is None:
         return None
-    return vehicle_density(detections.boxes[:, 2], detections.scores, reference.length_m, reference.sd_m, card.votes)
+    return vehicle_density(detections.boxes[:, 2], detections.scores, reference.length_m, reference.log_sds, card.votes)
 
 
 def _doubts(fleet: Fleet, card: DetectorCard) -> list[Notice]:

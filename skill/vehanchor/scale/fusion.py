@@ -118,20 +118,23 @@ def with_outlier_floor(density: NDArray[np.float64], chance_wrong: float) -> NDA
     return np.asarray((1.0 - chance_wrong) * density + chance_wrong / len(GRID))
 
 
-def blurred(density: NDArray[np.float64], log_sd: float) -> NDArray[np.float64]:
+def blurred(density: NDArray[np.float64], log_sd: float, finer_log_sd: float | None = None) -> NDArray[np.float64]:
     """Widen a density by an error that all of its votes share, such as that of the reference length.
 
     Args:
         density: ``[g]`` probabilities.
         log_sd: standard deviation of the error's log.
+        finer_log_sd: its standard deviation towards finer scales; None for the same.
 
     Returns:
         ``[g]`` probabilities.
     """
-    if log_sd < LOG_STEP / 10:  # narrower than a cell
+    finer_log_sd = log_sd if finer_log_sd is None else finer_log_sd
+    if max(log_sd, finer_log_sd) < LOG_STEP / 10:  # narrower than a cell
         return density
-    reach = int(np.ceil(_KERNEL_REACH_SDS * log_sd / LOG_STEP))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * LOG_STEP / log_sd) ** 2)
+    reach = int(np.ceil(_KERNEL_REACH_SDS * max(log_sd, finer_log_sd) / LOG_STEP))
+    errors = np.arange(-reach, reach + 1) * LOG_STEP
+    kernel = np.exp(-0.5 * (errors / np.maximum(np.where(errors < 0, finer_log_sd, log_sd), 1e-9)) ** 2)
     return _normalised(np.maximum(np.convolve(density, kernel)[reach : reach + len(density)], 0.0))
 
 
@@ -149,7 +152,11 @@ def product(*densities: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def vehicle_density(
-    lengths_px: ArrayLike, scores: ArrayLike, reference_length_m: float, reference_sd_m: float, votes: Votes
+    lengths_px: ArrayLike,
+    scores: ArrayLike,
+    reference_length_m: float,
+    reference_log_sds: tuple[float, float],
+    votes: Votes,
 ) -> NDArray[np.float64]:
     """Compute the density of the scale from the votes of all boxes.
 
@@ -161,7 +168,7 @@ def vehicle_density(
         lengths_px: ``[n]`` pixels of the full image.
         scores: ``[n]`` detection scores.
         reference_length_m: ``L_ref``.
-        reference_sd_m: its standard deviation between places, metres.
+        reference_log_sds: standard deviations of its log between places, towards smaller and towards larger cars.
         votes: vote model of the detector.
 
     Returns:
@@ -185,7 +192,8 @@ def vehicle_density(
         counts = np.bincount(cells[chosen], minlength=len(GRID)).astype(np.float64)
         total += np.convolve(counts, gain)[reach : reach + len(GRID)]
     density = _normalised(np.exp(votes.trust * (total - total.max())))
-    return with_outlier_floor(blurred(density, reference_sd_m / reference_length_m), votes.chance_wrong)
+    smaller, larger = reference_log_sds
+    return with_outlier_floor(blurred(density, larger, smaller), votes.chance_wrong)
 
 
 def credible_interval(density: NDArray[np.float64], probability: float = 0.95) -> Interval:

@@ -299,7 +299,7 @@ def gsd_interval(
     lengths: ArrayLike,
     mode_px: float,
     reference_length_m: float,
-    reference_sd_m: float,
+    reference_log_sds: tuple[float, float],
     *,
     scores: ArrayLike | None = None,
 ) -> Interval:
@@ -307,23 +307,23 @@ def gsd_interval(
 
     The log of the GSD is taken as normal. Its variance is the sum of three independent causes: the mode under
     resampling (bootstrap, fixed seed), the fleet's own spread divided by the number of cars, and the reference length
-    between regions. The second term keeps the interval wide if a few cars agree by chance.
+    between regions, which can be wider towards smaller cars (a finer scale). The second term keeps the interval wide if
+    a few cars agree by chance.
 
     Args:
         lengths: ``[n]`` lengths behind ``mode_px``, pixels.
         mode_px: ``P_mode``.
         reference_length_m: ``L_ref``.
-        reference_sd_m: standard deviation of the reference length between regions.
+        reference_log_sds: standard deviations of its log between regions, towards smaller and towards larger cars.
         scores: ``[n]`` detection scores for ``weighted_kde``; else None.
 
     Returns:
         Metres per pixel, low and high.
     """
     resampling, fleet = statistical_log_sds(lengths, mode_px, scores=scores)
-    region = reference_sd_m / reference_length_m
-    reach = np.exp(Z95 * np.sqrt(resampling**2 + fleet**2 + region**2))
+    smaller, larger = (float(np.exp(Z95 * np.sqrt(resampling**2 + fleet**2 + sd**2))) for sd in reference_log_sds)
     gsd = reference_length_m / mode_px
-    return Interval(float(gsd / reach), float(gsd * reach))
+    return Interval(gsd / smaller, gsd * larger)
 
 
 def guard_length(reference_length_m: float, min_length_px: float = 0.0) -> float:

@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
 
+from vehanchor.detection.appearance import FleetAppearance
 from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detector import load_detector
 from vehanchor.errors import InvalidParameterError
@@ -12,6 +14,7 @@ from vehanchor.options import Reference
 from vehanchor.rulers.reference import reference_length
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M, COUNTRY_REGIONS, country_length
 from vehanchor.scale.defaults import REGIONS
+from vehanchor.scale.lengths import gsd_interval
 
 
 @pytest.fixture(scope="module")
@@ -50,3 +53,15 @@ def test_an_unknown_place_names_the_nearest(card: DetectorCard, region: str, exp
         return
     with pytest.raises(InvalidParameterError, match=expected):
         reference_length(card, Reference(region=region), None)
+
+
+def test_an_unknown_fleet_may_have_smaller_cars_than_it_seems(card: DetectorCard) -> None:
+    seen = FleetAppearance(np.zeros(30), np.full(30, 1.53))
+    read = reference_length(card, Reference(), seen)
+    smaller, larger = read.log_sds
+    assert read.source == "appearance"
+    assert smaller > larger >= card.fleet_lengths.sd_m / read.length_m  # type: ignore[union-attr]
+    interval = gsd_interval(np.full(100, 46.0), 46.0, read.length_m, read.log_sds)
+    assert interval.low * 46.0 < 3.7 < read.length_m  # Nepal's fleet, read as one of 4.5 m
+    named = reference_length(card, Reference(region="NP"), seen)
+    assert named.log_sds[0] == named.log_sds[1]

@@ -35,7 +35,7 @@ def _peak(density: np.ndarray) -> float:
 
 def test_votes_of_many_cars_make_a_narrow_density_at_their_scale() -> None:
     lengths = 30 * np.exp(np.random.default_rng(0).normal(0, 0.1, 40))
-    density = vehicle_density(lengths, np.full(40, 0.9), 4.5, 0.0, _VOTES)
+    density = vehicle_density(lengths, np.full(40, 0.9), 4.5, (0.0, 0.0), _VOTES)
     assert _peak(density) == pytest.approx(0.15, rel=0.04)
     low, high = credible_interval(density)
     assert low < 0.15 < high < 1.12 * low
@@ -48,11 +48,13 @@ def test_the_binned_votes_are_the_product_of_the_boxes_likelihoods() -> None:
     normal = np.exp(-0.5 * (distance / 0.12) ** 2) / (0.12 * np.sqrt(2 * np.pi))
     likelihood = np.prod((1 - shares[:, None]) + shares[:, None] * normal / 0.3, axis=0)
     expected = likelihood / likelihood.sum()
-    np.testing.assert_allclose(vehicle_density(lengths, scores, 4.5, 0.0, _VOTES), expected, atol=0.03 * expected.max())
+    np.testing.assert_allclose(
+        vehicle_density(lengths, scores, 4.5, (0.0, 0.0), _VOTES), expected, atol=0.03 * expected.max()
+    )
 
 
 def test_no_boxes_say_nothing() -> None:
-    np.testing.assert_array_equal(vehicle_density([], [], 4.5, 0.3, _VOTES), flat())
+    np.testing.assert_array_equal(vehicle_density([], [], 4.5, (0.07, 0.07), _VOTES), flat())
 
 
 def test_one_liar_cannot_veto_two_that_agree() -> None:
@@ -94,7 +96,9 @@ def test_an_interval_holds_the_scale_that_is_given_out() -> None:
 
 def test_what_the_reference_length_is_off_by_widens_the_interval_of_any_number_of_cars() -> None:
     lengths = 30 * np.exp(np.random.default_rng(0).normal(0, 0.1, 400))
-    known, unknown = (fuse(0.15, vehicle_density(lengths, np.full(400, 0.9), 4.5, sd, _VOTES)) for sd in (0.0, 0.45))
+    known, unknown = (
+        fuse(0.15, vehicle_density(lengths, np.full(400, 0.9), 4.5, (sd, sd), _VOTES)) for sd in (0.0, 0.1)
+    )
     assert known.interval.high / known.interval.low < 1.1
     assert unknown.interval.high / unknown.interval.low == pytest.approx(np.exp(2 * 1.96 * 0.1), rel=0.05)
 
@@ -110,3 +114,11 @@ def test_certainty_moves_chances_away_from_the_limit_of_use_and_none_across_it(c
 def test_a_certainty_of_one_changes_no_chance() -> None:
     assert recalibrated([0.1, 0.9, 0.99], 1.0) == pytest.approx([0.1, 0.9, 0.99])
     assert fuse(0.2, _normal(0.2, 0.15), sharpness=2.0).p_within_20 < fuse(0.2, _normal(0.2, 0.15)).p_within_20 < 0.9
+
+
+def test_a_fleet_that_may_be_smaller_moves_the_finer_end_only() -> None:
+    lengths, scores = np.full(60, 30.0), np.full(60, 0.9)
+    even, wide = (vehicle_density(lengths, scores, 4.5, sds, _VOTES) for sds in ((0.08, 0.08), (0.12, 0.08)))
+    (low, high), (wide_low, wide_high) = (credible_interval(density) for density in (even, wide))
+    assert wide_low < 0.95 * low
+    assert wide_high == pytest.approx(high, rel=0.02)
