@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from research.training.detector.network import VehicleNet
-from research.training.warm_start import load_exported
 
 _MIDDLE = {1: (16, 2, 10), 2: (24, 1, 5), 3: (32, 0, 3)}  # stage: channels kept, first and last cell of the middle
 _HIDDEN = 128
@@ -73,17 +71,3 @@ class CarVerifierNet(nn.Module):
                 parts += [middle.flatten(1), seen.mean(dim=(2, 3))]
         out = self.head(torch.cat(parts, dim=1))
         return Answers(out[:, 0], out[:, 1:11], out[:, 11:16], out[:, 16] + 1.5)
-
-
-def begin_with_detector(network: CarVerifierNet, detector: Path, chips: Tensor) -> None:
-    """Put the encoder of an exported detector into ``network``.
-
-    Args:
-        network: to begin with it.
-        detector: ONNX file of ``research.training.detector.export``.
-        chips: ``[n, 3, 96, 96]`` float in 0..1, to take the normalisations' statistics from.
-    """
-    whole = VehicleNet()
-    load_exported(whole, detector, chips)
-    mine = network.state_dict()
-    network.load_state_dict({**mine, **{name: v for name, v in whole.state_dict().items() if name in mine}})

@@ -16,8 +16,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy, smooth_l1_loss
 
-from research.training.car_verifier.network import CarVerifierNet, begin_with_detector
+from research.training.car_verifier.network import CarVerifierNet
 from research.training.car_verifier.stream import Batch, ChipStream
+from research.training.detector.network import begin_with_detector
 from research.training.loop import Recipe, Schedule, train
 from research.training.onnx_file import write_onnx
 from vehanchor.detection.car_verifier import CHIP_PX

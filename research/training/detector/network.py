@@ -6,11 +6,17 @@ normalisation and ReLU, which ONNX Runtime fuses on a CPU.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+
+from research.training.layers import Residual, conv_block
+from research.training.warm_start import load_exported
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 STRIDE_PX = 4
 _CHANNELS = (16, 32, 64, 128, 192)  # at strides 2, 4, 8, 16, 32
@@ -31,45 +37,27 @@ class Prediction(NamedTuple):
     shape: Tensor
 
 
-def _conv(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=False),
-        nn.BatchNorm2d(outputs),
-        nn.ReLU(inplace=True),
-    )
-
-
-class _Residual(nn.Module):
-    def __init__(self, channels: int, inner: int) -> None:
-        super().__init__()
-        self.enter = _conv(channels, inner)
-        self.leave = nn.Sequential(nn.Conv2d(inner, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels))
-
-    def forward(self, x: Tensor) -> Tensor:
-        return functional.relu(x + self.leave(self.enter(x)))
-
-
 class VehicleNet(nn.Module):
     """The detector network; input ``[b, 3, h, w]`` RGB in 0..1, sides divisible by 32."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.stem = _conv(3, _CHANNELS[0], stride=2)
+        self.stem = conv_block(3, _CHANNELS[0], stride=2)
         self.stages = nn.ModuleList(
             nn.Sequential(
-                _conv(_CHANNELS[k], _CHANNELS[k + 1], stride=2),
-                *(_Residual(_CHANNELS[k + 1], _BOTTLENECK[k]) for _ in range(_BLOCKS[k])),
+                conv_block(_CHANNELS[k], _CHANNELS[k + 1], stride=2),
+                *(Residual(_CHANNELS[k + 1], _BOTTLENECK[k]) for _ in range(_BLOCKS[k])),
             )
             for k in range(4)
         )
         wide, middle, narrow = _DECODER
         self.laterals = nn.ModuleList(
-            _conv(inputs, outputs, kernel=1)
+            conv_block(inputs, outputs, kernel=1)
             for inputs, outputs in zip(_CHANNELS[:0:-1], (wide, wide, middle, narrow), strict=True)
         )
-        self.merges = nn.ModuleList([_conv(wide, middle), _conv(middle, narrow), _conv(narrow, narrow)])
-        self.heat_head = nn.Sequential(_conv(narrow, 32), nn.Conv2d(32, 1, 1))
-        self.shape_head = nn.Sequential(_conv(narrow, 32), nn.Conv2d(32, 6, 1))
+        self.merges = nn.ModuleList([conv_block(wide, middle), conv_block(middle, narrow), conv_block(narrow, narrow)])
+        self.heat_head = nn.Sequential(conv_block(narrow, 32), nn.Conv2d(32, 1, 1))
+        self.shape_head = nn.Sequential(conv_block(narrow, 32), nn.Conv2d(32, 6, 1))
         heat_out, shape_out = self.heat_head[-1], self.shape_head[-1]
         assert isinstance(heat_out, nn.Conv2d)
         assert isinstance(shape_out, nn.Conv2d)
@@ -90,3 +78,17 @@ class VehicleNet(nn.Module):
         for k, merge in enumerate(self.merges):
             y = merge(self.laterals[k + 1](levels[2 - k]) + functional.interpolate(y, scale_factor=2.0, mode="nearest"))
         return Prediction(self.heat_head(y), self.shape_head(y))
+
+
+def begin_with_detector(network: nn.Module, detector: Path, chips: Tensor) -> None:
+    """Put the encoder of an exported detector into ``network``.
+
+    Args:
+        network: a network with the same encoder.
+        detector: ONNX file of ``research.training.detector.export``.
+        chips: ``[n, 3, h, w]`` float in 0..1, for the statistics of the normalisations.
+    """
+    whole = VehicleNet()
+    load_exported(whole, detector, chips)
+    mine = network.state_dict()
+    network.load_state_dict({**mine, **{name: v for name, v in whole.state_dict().items() if name in mine}})

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, cast
 import torch
 from torch import Tensor, nn
 
+from research.training.layers import conv_block
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -20,16 +22,7 @@ class FleetNet(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.body = nn.Sequential(
-            *(
-                nn.Sequential(
-                    nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False),
-                    nn.BatchNorm2d(outputs),
-                    nn.ReLU(inplace=True),
-                )
-                for inputs, outputs, stride in _LAYERS
-            )
-        )
+        self.body = nn.Sequential(*(conv_block(inputs, outputs, stride=stride) for inputs, outputs, stride in _LAYERS))
         self.head = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Dropout(0.3), nn.Linear(_LAYERS[-1][1], 2))
 
     def forward(self, chips: Tensor) -> tuple[Tensor, Tensor]:

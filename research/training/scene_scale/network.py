@@ -15,7 +15,7 @@ from onnx import numpy_helper
 from torch import Tensor, nn
 from torch.nn import functional
 
-from research.training.detector.network import VehicleNet
+from research.training.layers import Residual, conv_block
 from research.training.scene_scale.bins import BINS, EARLIER_BINS
 from research.training.warm_start import load_exported
 
@@ -28,22 +28,6 @@ _BLOCKS = (1, 1, 2, 0)
 _HIDDEN = 64
 
 
-def _conv(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False), nn.BatchNorm2d(outputs), nn.ReLU(inplace=True)
-    )
-
-
-class _Residual(nn.Module):
-    def __init__(self, channels: int, inner: int) -> None:
-        super().__init__()
-        self.enter = _conv(channels, inner)
-        self.leave = nn.Sequential(nn.Conv2d(inner, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels))
-
-    def forward(self, x: Tensor) -> Tensor:
-        return functional.relu(x + self.leave(self.enter(x)))
-
-
 class SceneScaleNet(nn.Module):
     """Five stride-2 stages; input ``[n, 3, 160, 160]`` RGB in 0..1.
 
@@ -53,11 +37,11 @@ class SceneScaleNet(nn.Module):
 
     def __init__(self, bins: int = BINS) -> None:
         super().__init__()
-        self.stem = _conv(3, _CHANNELS[0], stride=2)
+        self.stem = conv_block(3, _CHANNELS[0], stride=2)
         self.stages = nn.ModuleList(
             nn.Sequential(
-                _conv(_CHANNELS[k], _CHANNELS[k + 1], stride=2),
-                *(_Residual(_CHANNELS[k + 1], _BOTTLENECK[k]) for _ in range(blocks)),
+                conv_block(_CHANNELS[k], _CHANNELS[k + 1], stride=2),
+                *(Residual(_CHANNELS[k + 1], _BOTTLENECK[k]) for _ in range(blocks)),
             )
             for k, blocks in enumerate(_BLOCKS)
         )
@@ -88,20 +72,6 @@ class SceneScaleNet(nn.Module):
         """Keep the weights of the first parts as they are: of the stem, and then of one stage after another."""
         for part in (self.stem, *self.stages)[:parts]:
             part.requires_grad_(False)
-
-
-def begin_with_detector(network: SceneScaleNet, detector: Path, tiles: Tensor) -> None:
-    """Put the encoder of an exported detector into ``network``.
-
-    Args:
-        network: to begin with it.
-        detector: ONNX file of ``research.training.detector.export``.
-        tiles: ``[n, 3, 160, 160]`` float in 0..1, to take the normalisations' statistics from.
-    """
-    whole = VehicleNet()
-    load_exported(whole, detector, tiles)
-    mine = network.state_dict()
-    network.load_state_dict({**mine, **{name: v for name, v in whole.state_dict().items() if name in mine}})
 
 
 def begin_with_exported(network: SceneScaleNet, path: Path, tiles: Tensor) -> None:

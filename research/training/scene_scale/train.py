@@ -14,9 +14,10 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
+from research.training.detector.network import begin_with_detector
 from research.training.loop import Recipe, Schedule, load_average, train
 from research.training.scene_scale.data import SETS, CropStream, load_images, load_scenes
-from research.training.scene_scale.network import SceneScaleNet, begin_with_detector, begin_with_exported
+from research.training.scene_scale.network import SceneScaleNet, begin_with_exported
 
 _RATE = 3e-3
 _BATCH = 48

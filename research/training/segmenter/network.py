@@ -13,6 +13,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from research.training.layers import Residual, conv_block
+
 STRIDE_PX = 2  # of the embedding and of the low-resolution mask
 EMBEDDING_CHANNELS = 24
 _CHANNELS = (24, 48, 96, 160, 192)  # encoder, at strides 2, 4, 8, 16, 32
@@ -51,28 +53,6 @@ class Segmentation(NamedTuple):
     iou: Tensor
 
 
-def _conv(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=False),
-        nn.BatchNorm2d(outputs),
-        nn.ReLU(inplace=True),
-    )
-
-
-class _Residual(nn.Module):
-    def __init__(self, channels: int, inner: int, dilation: int = 1) -> None:
-        super().__init__()
-        self.enter = nn.Sequential(
-            nn.Conv2d(channels, inner, 3, 1, dilation, dilation=dilation, bias=False),
-            nn.BatchNorm2d(inner),
-            nn.ReLU(inplace=True),
-        )
-        self.leave = nn.Sequential(nn.Conv2d(inner, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels))
-
-    def forward(self, x: Tensor) -> Tensor:
-        return functional.relu(x + self.leave(self.enter(x)))
-
-
 def _twice(x: Tensor) -> Tensor:
     return functional.interpolate(x, scale_factor=2.0, mode="nearest")
 
@@ -82,20 +62,20 @@ class Encoder(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.stem = _conv(3, _CHANNELS[0], kernel=5, stride=2)
+        self.stem = conv_block(3, _CHANNELS[0], kernel=5, stride=2)
         self.stages = nn.ModuleList(
             nn.Sequential(
-                _conv(_CHANNELS[k], _CHANNELS[k + 1], stride=2),
-                *(_Residual(_CHANNELS[k + 1], _BOTTLENECK[k]) for _ in range(_BLOCKS[k])),
+                conv_block(_CHANNELS[k], _CHANNELS[k + 1], stride=2),
+                *(Residual(_CHANNELS[k + 1], _BOTTLENECK[k]) for _ in range(_BLOCKS[k])),
             )
             for k in range(4)
         )
-        self.enter_up = _conv(_CHANNELS[4], _UP[0], kernel=1)
+        self.enter_up = conv_block(_CHANNELS[4], _UP[0], kernel=1)
         self.laterals = nn.ModuleList(
-            _conv(inputs, outputs, kernel=1) for inputs, outputs in zip(_CHANNELS[3::-1], _UP, strict=True)
+            conv_block(inputs, outputs, kernel=1) for inputs, outputs in zip(_CHANNELS[3::-1], _UP, strict=True)
         )
         self.merges = nn.ModuleList(
-            _conv(inputs, outputs) for inputs, outputs in zip(_UP, (*_UP[1:], EMBEDDING_CHANNELS), strict=True)
+            conv_block(inputs, outputs) for inputs, outputs in zip(_UP, (*_UP[1:], EMBEDDING_CHANNELS), strict=True)
         )
 
     def forward(self, image: Tensor) -> Tensor:
@@ -159,20 +139,20 @@ class Decoder(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         two, four, eight, sixteen = _DECODER
-        self.enter = _conv(EMBEDDING_CHANNELS + _PROMPT_MAPS, two)
-        self.down_four = nn.Sequential(_conv(two, four, stride=2), _Residual(four, 40))
+        self.enter = conv_block(EMBEDDING_CHANNELS + _PROMPT_MAPS, two)
+        self.down_four = nn.Sequential(conv_block(two, four, stride=2), Residual(four, 40))
         self.down_eight = nn.Sequential(
-            _conv(four, eight, stride=2), _Residual(eight, eight, dilation=2), _Residual(eight, eight)
+            conv_block(four, eight, stride=2), Residual(eight, eight, dilation=2), Residual(eight, eight)
         )
         self.down_sixteen = nn.Sequential(
-            _conv(eight, sixteen, stride=2), _Residual(sixteen, sixteen), _Residual(sixteen, sixteen, dilation=2)
+            conv_block(eight, sixteen, stride=2), Residual(sixteen, sixteen), Residual(sixteen, sixteen, dilation=2)
         )
-        self.up_eight = _conv(sixteen, eight, kernel=1)
-        self.merge_eight = _conv(eight, eight)
-        self.up_four = _conv(eight, four, kernel=1)
-        self.merge_four = _conv(four, four)
-        self.up_two = _conv(four, two, kernel=1)
-        self.merge_two = _conv(two, two)
+        self.up_eight = conv_block(sixteen, eight, kernel=1)
+        self.merge_eight = conv_block(eight, eight)
+        self.up_four = conv_block(eight, four, kernel=1)
+        self.merge_four = conv_block(four, four)
+        self.up_two = conv_block(four, two, kernel=1)
+        self.merge_two = conv_block(two, two)
         self.mask = nn.Conv2d(two, 1, 3, 1, 1)
         self.iou = nn.Sequential(nn.Linear(sixteen + two + 2, 48), nn.ReLU(inplace=True), nn.Linear(48, 1))
         assert self.mask.bias is not None

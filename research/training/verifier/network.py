@@ -7,6 +7,8 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
+from research.training.layers import conv_block
+
 _LAYERS = ((3, 32, 2), (32, 40, 1), (40, 64, 2), (64, 88, 1), (88, 112, 2), (112, 112, 1))  # inputs, outputs, stride
 
 
@@ -15,16 +17,7 @@ class VerifierNet(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.body = nn.Sequential(
-            *(
-                nn.Sequential(
-                    nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False),
-                    nn.BatchNorm2d(outputs),
-                    nn.ReLU(inplace=True),
-                )
-                for inputs, outputs, stride in _LAYERS
-            )
-        )
+        self.body = nn.Sequential(*(conv_block(inputs, outputs, stride=stride) for inputs, outputs, stride in _LAYERS))
         width = _LAYERS[-1][1]
         self.head = nn.Sequential(nn.Linear(2 * width, 48), nn.ReLU(inplace=True), nn.Dropout(0.2), nn.Linear(48, 1))
 
