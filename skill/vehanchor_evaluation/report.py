@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from vehanchor.errors import OutputError
 from vehanchor.storage.atomic import whole_file
+from vehanchor_evaluation.reliability import LEAST_ESTIMATES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -18,8 +19,13 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.ablation import AblationReport
     from vehanchor_evaluation.gsd import ScaleBenchmark, ScaleReport, ScaleTrial
     from vehanchor_evaluation.known_scale import FileIssue
+    from vehanchor_evaluation.reliability import GroupRow, ReliabilityReport
 
 _SHORT_SHA = 12
+_LEGEND = """An error above 20 % is wrong; (<) is the 95 % upper bound of the wrong share.
+error: median of usable images; of all estimates. interval: share of 95 %
+intervals that hold the true scale, of usable images; of other estimates.
+"""
 _LISTED_LENGTHS = 5  # more reference lengths are reported as a range
 
 
@@ -28,10 +34,12 @@ def percent(value: float | None, digits: int = 1, *, signed: bool = False) -> st
     return "-" if value is None else f"{value:{'+' if signed else ''}.{digits}%}".replace("%", " %")
 
 
-def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Format a table in Markdown."""
-    lines = ["| " + " | ".join(cells) + " |" for cells in (headings, *rows)]
-    lines.insert(1, "|" + "---|" * len(headings))
+def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[str]], *, aligned: bool = False) -> str:
+    """Format a table in Markdown; ``aligned`` pads the cells for terminals."""
+    table = [list(headings), *map(list, rows)]
+    widths = [max(map(len, column)) if aligned else 0 for column in zip(*table, strict=True)]
+    lines = ["| " + " | ".join(map(str.ljust, cells, widths)) + " |" for cells in table]
+    lines.insert(1, "|" + "".join("-" * max(3, width + 2 * aligned) + "|" for width in widths))
     return "\n".join(lines) + "\n"
 
 
@@ -202,6 +210,54 @@ def ablation_markdown(report: AblationReport) -> str:
     headings = ("choice", "setting", "boxes", "images", "median", "mean", "< 20 %", "paper: median", "paper: < 20 %")
     title = f"Detector `{report.detector}` ({report.detector_sha256[:_SHORT_SHA]}) on `{report.data}`"
     return f"{title}. Errors cover images with an estimate.\n\n{markdown_table(headings, rows)}"
+
+
+def reliability_markdown(report: ReliabilityReport) -> str:
+    """Format the reliability in tables of at most 80 columns."""
+    chances = [
+        (
+            f"{row.low:.2f} to {row.high:.2f}",
+            str(row.images),
+            "-" if row.stated is None else f"{row.stated:.3f}",
+            "-" if row.happened is None else f"{row.happened:.3f}",
+        )
+        for row in report.chances
+    ]
+    told = markdown_table(("stated chance", "images", "mean", "outcome"), chances, aligned=True)
+    by_vehicles = _groups("vehicles", (*report.by_vehicles, report.whole))
+    return (
+        f"Detector `{report.detector}` on `{report.data}`.\n\n{_LEGEND}\n{told}\n{by_vehicles}\n"
+        f"{_groups('true m/px', report.by_resolution)}\n{_threshold(report)}\n"
+    )
+
+
+def _groups(heading: str, rows: Iterable[GroupRow]) -> str:
+    headings = (heading, "images", "ok", "wrong (<)", "error", "interval")
+    cells = [
+        (
+            row.name,
+            str(row.images),
+            percent(row.usable_share, 0),
+            "-" if row.wrong_bound is None else f"{row.wrong} ({percent(row.wrong_bound)})",
+            f"{percent(row.median_usable)}; {percent(row.median)}",
+            f"{percent(row.interval_usable, 0)}; {percent(row.interval_others, 0)}",
+        )
+        for row in rows
+    ]
+    return markdown_table(headings, cells, aligned=True)
+
+
+def _threshold(report: ReliabilityReport) -> str:
+    """Say which limit of the confidence gives 1 % wrong, or that there are too few images."""
+    if report.threshold is None:
+        return (
+            f"No limit of the confidence leaves 1 % wrong and {LEAST_ESTIMATES} estimates of "
+            f"{report.whole.estimates}.\nWith 0 wrong, 300 estimates show a share below 1 %."
+        )
+    return (
+        f"From a confidence of {report.threshold:.3f} on, at most 1 % are wrong: {report.threshold_wrong} of "
+        f"{report.threshold_images}\n(95 % upper bound {percent(report.threshold_bound)})."
+    )
 
 
 def _number(value: float | None) -> str:

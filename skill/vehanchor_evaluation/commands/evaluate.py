@@ -1,4 +1,4 @@
-"""Commands ``vehanchor evaluate gsd | ablation | figures | area | vlm``: accuracy on data of known truth."""
+"""Commands ``vehanchor evaluate gsd | reliability | ablation | ...``: accuracy on data of known truth."""
 
 from __future__ import annotations
 
@@ -109,6 +109,26 @@ def evaluate_gsd(request: ScaleRequest, chosen: ParsedOptions) -> None:
             write_issues(request.out / "issues.csv", benchmark.issues),
         ]
     )
+
+
+@evaluate.command("reliability", cls=FilesCommand)
+@measuring_command(ScaleRequest)
+def evaluate_reliability(request: ScaleRequest, chosen: ParsedOptions) -> None:
+    """Compare stated chances with outcomes on images of known scale, from the search of 'evaluate gsd'.
+
+    Also the usable share and the errors by vehicles and by resolution, and the confidence from which on 1 % are wrong.
+    Writes reliability.json, reliability.csv (a line per group) and reliability.md.
+    """
+    from vehanchor_evaluation.reliability import report_reliability
+    from vehanchor_evaluation.report import reliability_markdown, write_results
+
+    benchmark = request.benchmark(chosen)
+    report = report_reliability(benchmark.data.source, benchmark.detector.name, benchmark.trials)
+    text = reliability_markdown(report)
+    print(printable(text))
+    groups = {"vehicles": (*report.by_vehicles, report.whole), "true m/px": report.by_resolution}
+    rows = [{"by": by, **row.model_dump()} for by, some in groups.items() for row in some]
+    _print_written(write_results(request.out, "reliability", report, rows, text))
 
 
 @evaluate.command("ablation", cls=FilesCommand)
