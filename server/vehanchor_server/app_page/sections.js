@@ -67,7 +67,12 @@ const TERMS = [ // the paper's weights, section III-D
   ["plausibility", "Plausible length", 0.1],
 ];
 
-// With another ruler the confidence is p_within_20; the terms are those of the vehicles.
+// The confidence is p_within_20; the terms are those of the paper's composite C, from the vehicles.
+function meaning(scale, fused) {
+  const chance = `Chance of an error below 20 %${fused ? ", from all rulers" : ""}: ${scale.p_within_20.toFixed(2)}.`;
+  return scale.n_vehicles ? `${chance} Composite C of the vehicles: ${scale.composite_confidence.toFixed(2)}, with its terms:` : chance;
+}
+
 function confidence(scale) {
   const value = scale.confidence;
   const fused = hasOtherRulers(scale);
@@ -93,7 +98,7 @@ function confidence(scale) {
   return section(
     "Confidence", "",
     html("div", { class: "gauge" }, html("p", { class: `reading ${scale.status}` }, value.toFixed(2)), track),
-    fused ? html("p", { class: "note" }, `Chance of an error below 20 %, from all rulers.${scale.n_vehicles ? " Terms of the vehicles:" : ""}`) : undefined,
-    fused && !scale.n_vehicles ? undefined : html("dl", { class: "terms" }, ...terms.flat()),
+    scale.p_within_20 === null ? undefined : html("p", { class: "note" }, meaning(scale, fused)),
+    scale.n_vehicles ? html("dl", { class: "terms" }, ...terms.flat()) : undefined,
   );
 }

@@ -183,6 +183,7 @@ def _record(
         reference_length_m=vehicles.reference.length_m,
         reference_source=vehicles.reference.source,
         resolution_guard=vehicles.guarded,
+        composite_confidence=vehicles.confidence,
         confidence_terms=vehicles.terms,
         image_width_px=image.width_px,
         image_height_px=image.height_px,

@@ -18,7 +18,7 @@ ReferenceSource = Literal["model", "appearance", "region", "given", "calibration
 
 
 class ConfidenceTerms(Record):
-    """Four terms of the confidence before weighting, each in 0..1 (paper, section III-D)."""
+    """Four terms of the composite confidence before weighting, each in 0..1 (paper, section III-D)."""
 
     sample: float = Field(ge=0, le=1, description="Sample sufficiency, weight 0.35: grows with the number of vehicles.")
     concentration: float = Field(
@@ -91,8 +91,9 @@ class GsdEstimate(Record):
     confidence: float = Field(
         ge=0,
         le=1,
-        description="Below 0.5 use another source of scale. The paper's composite C of the vehicles; with another "
-        "ruler p_within_20, below 0.5 by the same rule.",
+        description="Below 0.5 use another source of scale. It is p_within_20, capped below 0.5 if that is below 0.9, "
+        "the interval spans more than a factor of 2, or the vehicles are doubtful. The composite C in the preset paper "
+        "and for a foreign detector.",
     )
     n_vehicles: int = Field(ge=0, description="N': vehicles kept after the outlier filter.")
     mode_length_px: float | None = Field(description="P_mode: modal vehicle length, pixels; null without vehicles.")
@@ -132,7 +133,10 @@ class GsdEstimate(Record):
         description="Whether the resolution guard capped the vehicles' confidence at 0.3: vehicles of too few pixels "
         "or too little detail (an enlarged image)."
     )
-    confidence_terms: ConfidenceTerms = Field(description="Terms of the vehicles' confidence, their weighted sum.")
+    composite_confidence: float = Field(
+        ge=0, le=1, description="The paper's composite C of the vehicles: the weighted sum of its terms, capped."
+    )
+    confidence_terms: ConfidenceTerms = Field(description="Terms of the composite C.")
     image_width_px: int = Field(gt=0, description="Width of the full image, pixels.")
     image_height_px: int = Field(gt=0, description="Height of the full image, pixels.")
     georeference_gsd_m_per_px: float | None = Field(

@@ -1,4 +1,4 @@
-"""Confidence: four terms with the paper's weights, and doubts about the fleet, which limit it.
+"""Composite confidence: four terms with the paper's weights, and doubts about the fleet, which limit any confidence.
 
 The weights are the paper's (section III-D). The shapes of the terms were fitted on the held-out tenth of the train
 split by ``research/training/detector/fit_confidence.py``.
@@ -139,4 +139,9 @@ def composite(terms: ConfidenceTerms, *, guarded: bool, disputed: bool = False) 
         + _WEIGHTS.quality * terms.quality
         + _WEIGHTS.plausibility * terms.plausibility
     )
-    return min(total, GUARD_CONFIDENCE if guarded else DISPUTE_CONFIDENCE if disputed else 1.0)
+    return min(total, largest_confidence(guarded=guarded, disputed=disputed))
+
+
+def largest_confidence(*, guarded: bool, disputed: bool) -> float:
+    """Choose the limit of the confidence in vehicles: 0.3 under the resolution guard, 0.4 with doubts, else 1."""
+    return GUARD_CONFIDENCE if guarded else DISPUTE_CONFIDENCE if disputed else 1.0

@@ -73,8 +73,9 @@ class ScaleDecision(NamedTuple):
         gsd_m_per_px: None without a scale.
         interval: holds the true scale in 95 of 100 images; None without a scale.
         p_within_20: chance of an error below a fifth; None without a scale, or if the votes are uncalibrated.
-        confidence: the paper's C if vehicles alone set the scale, else ``p_within_20``; capped if the chance is below
-            0.9 or the interval spans more than a factor of 2.
+        confidence: ``p_within_20``, limited by the resolution guard and by doubts if vehicles alone set the scale, and
+            if the chance is below 0.9 or the interval spans more than a factor of 2. The paper's composite C in the
+            preset ``paper``, and of vehicles with uncalibrated votes.
         reason: why the scale is not usable; None if it is.
         source: kind of the ruler with the largest weight that sets the scale; None without a scale.
         rulers: each ruler's part; none without a scale.
@@ -114,15 +115,17 @@ def decide(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> ScaleDecisi
     if posterior is None:
         return ScaleDecision(None, None, None, vehicles.confidence, _vehicle_reason(vehicles, others))
     gsd, interval, chance, multiplied = posterior
-    confidence = vehicles.confidence if alone or chance is None else chance
+    confidence = vehicles.confidence if chance is None else chance
+    if alone and not vehicles.exact:
+        confidence = min(confidence, vehicles.largest_confidence)
     widest = WIDEST_USABLE if chance is not None else _WIDEST_OF_UNCALIBRATED
     uncertain = (chance is not None and chance < USABLE_CHANCE) or interval.high > widest * interval.low
-    if uncertain and not vehicles.uncapped:
+    if uncertain and not vehicles.exact:
         confidence = min(confidence, UNSURE_CONFIDENCE)
     rulers = shares(evidence, gsd, multiplied)
     reason: Reason | None = None
     if confidence < FALLBACK_CONFIDENCE:
-        reason = _vehicle_reason(vehicles, others) if alone else _fused_reason(evidence, rulers)
+        reason = _vehicle_reason(vehicles, others, chance) if alone else _fused_reason(evidence, rulers)
     return ScaleDecision(gsd, interval, chance, confidence, reason, _leading(evidence, rulers), rulers)
 
 
@@ -240,20 +243,22 @@ def _fused_reason(evidence: Sequence[Evidence], rulers: Sequence[RulerShare]) ->
     return "disagree" if outvoted or disagreements(evidence) else "imprecise"
 
 
-def _vehicle_reason(vehicles: VehicleEvidence, priors: Sequence[Evidence]) -> Reason:
-    """Choose the first of: too few pixels, a contradicting prior, not cars, an unknown scene, too few cars."""
+def _vehicle_reason(vehicles: VehicleEvidence, priors: Sequence[Evidence], chance: float | None = None) -> Reason:
+    """Choose the first of: too few pixels, a contradicting prior, not cars, an unknown scene, too few, imprecise."""
     prior = next((each for each in priors if each.interval is not None), None)
     lost = prior is not None and prior.interval is not None and prior.interval.high > _LOST_WIDTH * prior.interval.low
     if vehicles.gsd_m_per_px is None:
         coarse = prior is not None and prior.interval is not None and prior.interval.low > GUARD_GSD_M_PER_PX
         return "too_coarse" if coarse else "lost" if lost else "too_few"
-    codes = {notice.code for notice in vehicles.notices}
     if vehicles.guarded:
         return "too_coarse"
-    if NoticeCode.LENGTHS_DISAGREE in codes or (prior is not None and not _supports(prior, vehicles.gsd_m_per_px)):
+    apart = any(notice.code == NoticeCode.LENGTHS_DISAGREE for notice in vehicles.notices)
+    if apart or (prior is not None and not _supports(prior, vehicles.gsd_m_per_px)):
         return "disagree"
-    if codes & set(FLEET_DOUBTS):
+    if vehicles.disputed:
         return "not_cars"
+    if chance is not None and (chance >= USABLE_CHANCE or vehicles.n >= MIN_KDE_VEHICLES):
+        return "imprecise"
     return "lost" if lost and vehicles.n < MIN_KDE_VEHICLES else "too_few"
 
 

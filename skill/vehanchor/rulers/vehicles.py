@@ -11,7 +11,7 @@ import numpy as np
 from vehanchor.detection.detections import NOT_SEARCHED
 from vehanchor.records import Notice
 from vehanchor.records.notices import FLEET_DOUBTS, NoticeCode
-from vehanchor.rulers.confidence import composite, confidence_terms, fleet_doubts
+from vehanchor.rulers.confidence import composite, confidence_terms, fleet_doubts, largest_confidence
 from vehanchor.rulers.evidence import Evidence
 from vehanchor.rulers.lognormal import lognormal, on_grid
 from vehanchor.rulers.reference import reference_length
@@ -143,7 +143,7 @@ class VehicleEvidence(Evidence):
         guarded: whether the guard caps the confidence.
         resolved: share of the pixels' resolution at which there is detail.
         sharpness: of the detector's votes, see ``vehanchor.scale.fusion.recalibrated``.
-        uncapped: whether the confidence is the paper's, for any interval.
+        exact: whether the confidence is the paper's, for any interval: in the preset ``paper``.
     """
 
     fleet: Fleet
@@ -155,7 +155,7 @@ class VehicleEvidence(Evidence):
     guarded: bool
     resolved: float
     sharpness: float = 1.0
-    uncapped: bool = False
+    exact: bool = False
 
     @property
     def fusable_density(self) -> NDArray[np.float64] | None:
@@ -171,8 +171,18 @@ class VehicleEvidence(Evidence):
         else:
             log_sd = math.log(self.interval.high / self.interval.low) / (2 * Z95)
             density = lognormal(self.gsd_m_per_px, log_sd) if on_grid(self.gsd_m_per_px) else flat()
-        doubted = self.density is None or self.guarded or any(each.code in FLEET_DOUBTS for each in self.notices)
+        doubted = self.density is None or self.guarded or self.disputed
         return with_outlier_floor(density, 1.0 - self.confidence) if doubted else density
+
+    @property
+    def disputed(self) -> bool:
+        """Whether there are doubts that the vehicles are cars."""
+        return any(each.code in FLEET_DOUBTS for each in self.notices)
+
+    @property
+    def largest_confidence(self) -> float:
+        """Limit of the confidence of a scale from these vehicles alone."""
+        return largest_confidence(guarded=self.guarded, disputed=self.disputed)
 
 
 class Vehicles(Ruler):
@@ -232,7 +242,7 @@ class Vehicles(Ruler):
             guarded=guarded,
             resolved=resolved,
             sharpness=1.0 if card.votes is None else card.votes.sharpness,
-            uncapped=exact,
+            exact=exact,
         )
 
     def not_measured(self, view: View) -> VehicleEvidence:

@@ -45,6 +45,7 @@ def test_the_preset_gives_the_papers_numbers(scene: Path, detector: Detector) ->
     guarded = record.mode_length_px < max(LENGTH_M / 0.3, detector.card.min_length_px)
     assert record.resolution_guard == guarded
     assert record.confidence == pytest.approx(min(total, 0.3) if guarded else total, rel=1e-12)
+    assert record.composite_confidence == record.confidence
     assert record.status == ("ok" if record.confidence >= 0.5 else "low_confidence")
     assert (record.reference_length_m, record.aggregation, record.p_within_20) == (LENGTH_M, "kde", None)
     assert record.tiles_searched == record.tiles_total

@@ -42,6 +42,47 @@ def _record(
     return analyse_detections(view).estimate
 
 
+def _limited(record: GsdEstimate) -> float:
+    """The chance, limited as a planner needs it."""
+    assert record.p_within_20 is not None
+    return record.p_within_20 if record.p_within_20 >= 0.9 else min(record.p_within_20, 0.45)
+
+
+@pytest.mark.parametrize("cars", [1, 2, 4, 5, 30])
+def test_the_confidence_is_the_chance_for_any_number_of_cars(cars: int) -> None:
+    record = _record(cars)
+    assert record.confidence == _limited(record)
+    assert (record.composite_confidence < 0.5) == (cars < 5)  # the paper's
+    assert record.composite_confidence != record.confidence
+
+
+def test_more_cars_that_agree_are_a_better_chance() -> None:
+    chances = [_record(cars).p_within_20 or 0.0 for cars in (1, 2, 4, 30)]
+    assert chances == sorted(set(chances))
+    assert chances[0] < 0.9 < chances[-1]
+
+
+def test_with_uncalibrated_votes_the_confidence_is_the_composite() -> None:
+    record = _record(30, votes=None)
+    assert record.p_within_20 is None
+    assert record.confidence == record.composite_confidence >= 0.5
+
+
+def test_the_guard_limits_the_chance() -> None:
+    record = _record(300, car_px=12.0)
+    assert record.p_within_20 is not None
+    assert (record.confidence, record.reason) == (0.3, "too_coarse")
+
+
+@pytest.mark.parametrize(("cars", "reason"), [(1, "too_few"), (4, "too_few"), (12, "imprecise")])
+def test_the_reason_is_too_few_only_where_few_leave_a_doubt(cars: int, reason: str) -> None:
+    loose = VOTES._replace(log_sd=0.4, clutter_density=1.0)
+    record = _record(cars, votes=loose)
+    assert record.p_within_20 is not None
+    assert record.p_within_20 < 0.9
+    assert (record.status, record.reason) == ("low_confidence", reason)
+
+
 def _line(gsd: float) -> list[tuple[float, float, float, float, float]]:
     return [(100, 100, 1100, 100, 1000 * gsd)]
 
