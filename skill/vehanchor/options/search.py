@@ -20,7 +20,8 @@ class Search:
     """Options of the search for vehicles.
 
     Attributes:
-        min_score: lowest detection score, 0..1; None takes the model's (the paper's, for foreign models).
+        min_score: lowest detection score, 0..1; None takes the model's, or for foreign models
+            ``vehanchor.detection.card.MIN_SCORE``.
         nms_iou: IoU, 0..1, above which the weaker of two boxes is dropped.
         search_scales: also search reduced copies of the image, for vehicles longer than the model was trained on; None
             takes the model's own choice (no, for foreign models).
