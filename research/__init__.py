@@ -1,1 +1,1 @@
-"""Training code and benchmarks: how the weights and the numbers were made. Nothing else imports this package."""
+"""Training code and benchmarks, the sources of weights and numbers. Nothing else imports this package."""

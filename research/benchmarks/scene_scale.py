@@ -1,4 +1,4 @@
-"""Measure the scene-scale prior alone where no network has learned.
+"""Measure the scene-scale prior alone on places outside the training data.
 
 ``python -m research.benchmarks.scene_scale``.
 
@@ -40,7 +40,7 @@ _FINE_M_PER_PX = 0.05
 
 
 class Told(NamedTuple):
-    """What the ground said of one photograph.
+    """Prior of one photograph, and the truth.
 
     Attributes:
         gsd_m_per_px: by its cars.

@@ -58,7 +58,7 @@ _SIDE_PX = 320
 
 @dataclass
 class Tally:
-    """What was seen."""
+    """Tally of the answers."""
 
     ends: Counter[str] = field(default_factory=Counter)
     codes: Counter[str] = field(default_factory=Counter)
@@ -81,7 +81,7 @@ class Tally:
         return cls(**{**kept, "ends": Counter(kept["ends"]), "codes": Counter(kept["codes"])})
 
     def table(self) -> list[str]:
-        """What was seen, as the lines of a table."""
+        """Format the tally as lines of a table."""
         times = sorted(self.healthy_ms) or [float("nan")]
         values: dict[str, float | str] = {
             "calls answered": self.n_answered,

@@ -49,7 +49,7 @@ _APPEARANCES = 100  # vehicles whose appearance is known, as in a search
 
 
 class Cell(NamedTuple):
-    """What was found in a piece of 512 px of a val image."""
+    """Detections of a 512 px piece of a val image."""
 
     boxes: NDArray[Any]
     scores: NDArray[Any]

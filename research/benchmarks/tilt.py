@@ -314,7 +314,7 @@ def _court_row(
 
 
 def _aim(plane: GroundPlane, corners: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-    """Where on the ground the image's centre lies, so that a court lies whole in the image, somewhere."""
+    """Draw the centre's position on the ground so that the image contains a whole court."""
     middle = corners.mean(axis=0)
     for reach in (250.0, 200.0, 150.0, 100.0, 50.0):
         aim = middle + rng.uniform(-reach, reach, 2)

@@ -91,18 +91,18 @@ def _value(found: re.Match[str]) -> str:
 
 
 def page() -> str:
-    """The page as it should be."""
+    """Make the page."""
     return render((FOLDER / "page.md").read_text(encoding="utf-8"))
 
 
 def quotes() -> dict[str, list[str]]:
-    """What each document quotes from the data, filled in."""
+    """Fill in the quotes of each document."""
     found: dict[str, list[str]] = json.loads((FOLDER / "quotes.json").read_text(encoding="utf-8"))
     return {document: [render(quote) for quote in listed] for document, listed in found.items()}
 
 
 def missing_quotes() -> list[str]:
-    """Quotes that their documents no longer contain, or contain with other numbers."""
+    """List the quotes that are missing or have other numbers in their documents."""
     missing = []
     for document, listed in quotes().items():
         text = " ".join((ROOT / document).read_text(encoding="utf-8").split())

@@ -69,7 +69,7 @@ class Table(NamedTuple):
 
 
 def names_of(cells: Sequence[Cell]) -> list[str]:
-    """What a row may be called: its first cell, its first two, its first three."""
+    """List the names of a row: its first one, two or three cells."""
     return [" / ".join(str(cell) for cell in cells[:count]) for count in (1, 2, 3)]
 
 
@@ -196,7 +196,7 @@ def _machine(load: float) -> str:
 
 
 def _command() -> str:
-    """The command as one types it from the root of the repository."""
+    """Give the command as typed in the root of the repository."""
     main = getattr(sys.modules["__main__"], "__spec__", None)
     program = f"python -m {main.name}" if main else Path(sys.argv[0]).name
     return " ".join([program, *sys.argv[1:]])

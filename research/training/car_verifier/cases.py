@@ -1,4 +1,4 @@
-"""Candidates to measure on: what the library finds in val images at a low score, and what the labels say of each.
+"""Candidates to measure on: detections of val images at a low threshold, with their labels.
 
 ``python -m research.training.car_verifier.cases RUN`` writes ``RUN/val.npz``: boxes, today's scores with and without
 the scene-scale prior, and the label that each box fits. Labels of some sets are upright: there a box fits when its

@@ -1,4 +1,4 @@
-"""Things that a detector takes for cars: sheds, crates, air conditioners, graves, skylights, boats, shadows, markings.
+"""Objects that detectors confuse with cars: sheds, crates, graves, skylights, boats, shadows, markings.
 
 Each function draws on a canvas in place and returns the length and width of the thing in metres; the thing lies in the
 canvas's middle, its axis along the columns.

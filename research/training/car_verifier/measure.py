@@ -1,4 +1,4 @@
-"""Measure a run against today's scores.
+"""Compare a run with the current scores.
 
 ``python -m research.training.car_verifier.measure RUN --weights TRAINED --out FILE`` reads ``RUN/val.npz`` of ``cases``
 and the checkpoint in ``TRAINED``. It orders candidates by today's score (vehicles alone, and with the scene-scale
@@ -107,7 +107,7 @@ def curve(order: NDArray[np.float64], keys: NDArray[np.str_], n_labels: int) -> 
 
 
 def corrected(cases: Cases, looked_at: Path = LOOKED_AT) -> Cases:
-    """Cases with what we saw on contact sheets of the surest false alarms: cars become labels, doubtful ones go."""
+    """Correct cases by contact sheets of the surest false alarms: cars become labels, doubtful ones go."""
     label, kept, added = cases.label.copy(), np.ones(len(cases.label), bool), dict.fromkeys(cases.set_names.tolist(), 0)
     names = np.array([Path(file).name for file in cases.files])
     with looked_at.open(newline="") as handle:

@@ -119,7 +119,7 @@ def rows_of(
     combined: NDArray[np.float64],
     label_types: NDArray[np.int8] | None = None,
 ) -> tuple[Rows, NDArray[np.bool_]]:
-    """What the labels say of boxes, and which of them teach anything."""
+    """Compare boxes with labels; also return which boxes can train."""
     iou, which = overlaps(boxes, sample.boxes)
     car = np.where(iou >= _FITS, 1, 0).astype(np.int8)
     known = (iou >= _FITS) | (iou < _MISSES)

@@ -19,7 +19,7 @@ _CHIPS, _TABLE = "chips.npy", "table.npz"
 
 
 class Rows(NamedTuple):
-    """What is known of stored chips, one row each.
+    """Targets and sources of stored chips, one row each.
 
     Attributes:
         car: 1 for a car in a fitting box, 0 for anything else.
@@ -46,7 +46,7 @@ class Rows(NamedTuple):
     files: NDArray[np.str_]
 
     def take(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Rows:
-        """Those of a mask or of indices."""
+        """Select rows by a mask or by indices."""
         return Rows(*(each[which] for each in self))  # type: ignore[arg-type]
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Chips without end: drawn from stores, shifted, scaled, turned, mirrored, coarsened and recoloured."""
+"""Endless stream of chips from stores, with random geometry, resolution and colour."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _CAR_SHARE = 0.5
 
 
 class Batch(NamedTuple):
-    """One example, or a batch of them: a chip and what the network is to answer; NaN and -1 where nobody knows."""
+    """Example or batch: chips and targets; NaN and -1 for unknown targets."""
 
     chip: Tensor
     car: Tensor
@@ -79,7 +79,7 @@ def moved_box(box: NDArray[np.floating], move: Move) -> NDArray[np.float32]:
 
 
 def coarsened(rng: np.random.Generator, chip: NDArray[np.uint8], length_px: float) -> NDArray[np.uint8]:
-    """Sometimes what a coarser image would show."""
+    """Sometimes simulate a coarser image."""
     if rng.random() >= _COARSE_SHARE:
         return chip
     finest = min(length_px, 1.2 * CHIP_LENGTH_PX)

@@ -1,1 +1,1 @@
-"""The network that says where courts may be: ``README.md``."""
+"""Training of the network that proposes courts; see ``README.md``."""

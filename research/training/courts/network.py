@@ -1,4 +1,4 @@
-"""From a coarse view to where courts may lie: a small network, its outputs on cells of 8 px."""
+"""Network that proposes courts in a coarse view, on cells of 8 px."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class CourtNet(nn.Module):
             cast("Tensor", self.head.bias)[:2] = _RARE
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """What each cell shows."""
+        """Outputs of each cell."""
         seen = self.stem(pixels - 0.4)
         for layer in self.body:
             seen = seen + layer(seen)

@@ -1,4 +1,4 @@
-"""Train the network that looks for courts: ``python -m research.training.courts.train RUN SCENES OUT.onnx``."""
+"""Train the network that proposes courts: ``python -m research.training.courts.train RUN SCENES OUT.onnx``."""
 
 from __future__ import annotations
 

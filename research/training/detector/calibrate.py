@@ -190,7 +190,7 @@ def length_correction(pairs: LengthPairs) -> list[tuple[float, float]]:
 
 
 def clear_score(analyses: list[ScaleAnalysis]) -> float:
-    """Low end (2nd percentile) over images with many cars of the 90th percentile of an image's scores."""
+    """2nd percentile, over images with many cars, of each image's 90th percentile of scores."""
     scores = [analysis.detections.scores for analysis in analyses]
     return float(np.percentile([np.percentile(some, 90) for some in scores if len(some) >= _MANY_CARS], 2))
 

@@ -1,4 +1,4 @@
-"""Things that are no cars, drawn over training crops: striped and gridded ones, at every size.
+"""Distractors drawn over training crops: striped and gridded objects of every size.
 
 Zebra crossings, rows of vineyard posts with their shadows, tombs, solar panels, crates, pontoons: all are many like
 shapes in a regular pattern on ground that shows between them. They are drawn plain, each like its neighbour; a car has

@@ -33,7 +33,7 @@ _SCORE_RAMPS = ((0.3, 0.6), (0.3, 0.7), (0.4, 0.7), (0.4, 0.8), (0.5, 0.7), (0.5
 
 
 class Case(NamedTuple):
-    """What the confidence may look at, and the error it should foretell."""
+    """Inputs of the confidence and the error that it predicts."""
 
     n: int
     variation: float
@@ -44,7 +44,7 @@ class Case(NamedTuple):
 
 
 def collect(table: Path, detector: Detector) -> tuple[list[Case], int]:
-    """Cases from the held-out tenth, and how many images had no detection."""
+    """Measure the held-out tenth; return cases and the number of images without a detection."""
     cases, none = [], 0
     for image in read_table(table):
         if image.split != "train" or not is_dev(image.path.name, image.set):

@@ -1,4 +1,4 @@
-"""Images of known scale that nobody labelled with oriented boxes, and which are held out (no PyTorch here)."""
+"""Images of known scale without oriented labels, and their held-out part; without PyTorch."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def is_held_out(place: Place) -> bool:
 
 
 def looked_at() -> dict[str, list[tuple[float, float, str]]]:
-    """By file name: x, y and kind (car, ignore, clutter) of the candidates that we looked at on contact sheets."""
+    """Read x, y and kind (car, ignore, clutter) of candidates judged on contact sheets, by file name."""
     out: dict[str, list[tuple[float, float, str]]] = {}
     with _LOOKED_AT.open(newline="") as handle:
         for row in csv.DictReader(handle):

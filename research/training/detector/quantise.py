@@ -31,7 +31,7 @@ _HEADS = ("heat_head", "shape_head")
 
 
 def crops(vehicles: Path, count: int, seed: int = 0) -> Iterator[NDArray[np.float32]]:
-    """Crops ``[1, 3, 256, 256]`` in 0..1 of train images, every set as often as its images' root, at 1 to 1/4."""
+    """Draw crops ``[1, 3, 256, 256]`` in 0..1; sets by the root of their size, scales 1 to 1/4."""
     with (vehicles / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["split"] == "train"]
     rows = [row for row in rows if not is_dev(row["file"], row["set"])]

@@ -38,7 +38,7 @@ KINDS = ("car", "ignore", "clutter", "unseen")
 
 
 class Consensus(NamedTuple):
-    """What the symmetries found together: ``boxes`` ``[n, 5]`` in image pixels and ``scores`` ``[n]``, their mean."""
+    """Merged detections of all symmetries: ``boxes`` ``[n, 5]`` in image pixels and mean ``scores`` ``[n]``."""
 
     boxes: NDArray[np.float64]
     scores: NDArray[np.float64]
@@ -47,7 +47,7 @@ class Consensus(NamedTuple):
 def corrections(
     found: Consensus, cars: NDArray[np.float64], ignored: NDArray[np.float64], gsd_m_per_px: float
 ) -> list[tuple[str, NDArray[np.float64], float]]:
-    """What to change in the labels of one image: kind, box and mean score of each.
+    """List the changes to an image's labels: kind, box and mean score of each.
 
     Args:
         found: what the symmetries agree on.

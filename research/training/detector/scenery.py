@@ -1,4 +1,4 @@
-"""Images of known scale that nobody labelled with oriented boxes: what stands on them, judged by size and by people.
+"""Labels for images of known scale without oriented boxes, by size and by human judgement.
 
 ``python -m research.training.detector.scenery MODEL.onnx OUT.csv`` searches each image in its eight symmetries
 (``relabel.search``) and writes ``scenery.csv``: cars to learn, places to ignore, clutter to look at more often. All
@@ -39,7 +39,7 @@ _SAME_PLACE_M = 1.5
 
 @dataclass(frozen=True)
 class Policy:
-    """From which mean score a car-sized thing is a car, and from which it is left open; below it is clutter."""
+    """Score limits of car-sized objects: car above the first, undecided above the second, else clutter."""
 
     car: float
     ignore: float

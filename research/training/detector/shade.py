@@ -1,4 +1,4 @@
-"""What hides a car without taking it away: cast shadows, branches of bare trees, paint as dark as the asphalt.
+"""Augmentations that hide cars: cast shadows, bare branches, paint as dark as asphalt.
 
 Of fifty missed cars of Estonian towns, looked at, two in three were dark, in a building's shadow or below branches.
 """
@@ -23,7 +23,7 @@ _SHIFT = 4  # fractional bits of OpenCV's coordinates
 
 
 def shaded(rng: np.random.Generator, image: NDArray[np.uint8], boxes: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """A crop with none, one or several of the three, by their shares.
+    """Apply none, one or several of the three, each with its probability.
 
     Args:
         rng: random numbers.
@@ -43,7 +43,7 @@ def shaded(rng: np.random.Generator, image: NDArray[np.uint8], boxes: NDArray[np
 
 
 def _place(rng: np.random.Generator, image: NDArray[np.uint8], boxes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Beside a car, or anywhere."""
+    """Draw a position beside a car or anywhere."""
     if len(boxes) and rng.random() < _AT_CAR:
         x, y, length, _, _ = boxes[rng.integers(len(boxes))]
         return np.array([x, y]) + rng.normal(0, 0.6 * length, 2)

@@ -1,1 +1,1 @@
-"""Training of the network that tells fleets apart."""
+"""Training of the network that classifies fleets."""

@@ -1,4 +1,4 @@
-"""From the lengths that vehicles seem to have to a reference length.
+"""Calibrate the reference length from estimated vehicle lengths.
 
 ``python -m research.training.fleet.calibrate MODEL.onnx``.
 
@@ -38,7 +38,7 @@ _MANY_CARS = 20  # in such an image next to all of the error is the fleet's
 
 
 class FleetCase(NamedTuple):
-    """An image's vehicles: the log lengths that they seem to have, and their true modal length in metres."""
+    """Vehicles of an image: estimated log lengths and true modal length in metres."""
 
     set: str
     log_lengths: NDArray[np.float64]  # [n]

@@ -1,4 +1,4 @@
-"""Labelled vehicles to chips as another camera might have shown them."""
+"""Chips of labelled vehicles with simulated changes of camera."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Vehicle(NamedTuple):
 
 
 def fold_of(file: str, set_name: str) -> int:
-    """The part of the images that this one is of, by a checksum of its group."""
+    """Return the part of an image by a checksum of its group."""
     return zlib.crc32(f"fold {group_of(file, set_name)}".encode()) % N_FOLDS
 
 
@@ -112,7 +112,7 @@ def _surroundings(image: NDArray[np.uint8], box: NDArray[np.float64]) -> tuple[N
 
 
 def beside(vehicle: Vehicle, lengths: float) -> Vehicle:
-    """The place beside a vehicle, so many of its lengths to its right: what camera and ground alone can tell."""
+    """Move a sample beside its vehicle, by multiples of its length: a control without the vehicle."""
     x, y, length, _, angle = vehicle.box
     box = vehicle.box.copy()
     box[:2] = x - lengths * length * np.sin(angle), y + lengths * length * np.cos(angle)
@@ -131,7 +131,7 @@ def resized(
 
 
 def vehicle_at_length(vehicle: Vehicle, length_px: float) -> NDArray[np.float32]:
-    """The chip of a vehicle as a camera of another resolution, and nothing else, would have shown it."""
+    """Cut a vehicle's chip at another resolution, otherwise unchanged."""
     pixels, box = resized(vehicle.pixels, vehicle.box, length_px / vehicle.box[2])
     return chip(np.ascontiguousarray(pixels[:, :, 1]), box)
 

@@ -1,4 +1,4 @@
-"""Write the network that tells fleets' lengths.
+"""Export the network that estimates the lengths of fleets.
 
 ``python -m research.training.fleet.export RUN OUT.onnx --detector vehicles``.
 

@@ -1,4 +1,4 @@
-"""Train the networks that tell a fleet's length.
+"""Train the networks that estimate the length of a fleet.
 
 ``python -m research.training.fleet.train``; an hour and more on two CPU cores.
 
@@ -53,7 +53,7 @@ _LEAST_VEHICLES = 3  # of an image in the report
 
 
 class Lesson(NamedTuple):
-    """What a network is to learn of lengths.
+    """Training targets of length.
 
     Attributes:
         name: of the folder of its checkpoint.
@@ -81,7 +81,7 @@ LESSONS = (
 
 
 class ChipStream:
-    """Images without end, some chips of each: half of North America, half of the other sets, each of these alike.
+    """Endless stream of images with some chips each: half North America, half the other sets, equally.
 
     The k-th is the same whenever it is asked for.
     """
@@ -97,7 +97,7 @@ class ChipStream:
         self.seed = seed
 
     def __getitem__(self, index: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Chips of one image, and what is known of them.
+        """Chips of one image and their targets.
 
         NaN where nobody knows: a rendered car is of no region, and not all scales are known.
 
@@ -145,7 +145,7 @@ def losses(lesson: Lesson, network: nn.Module, batch: tuple[Tensor, ...], device
 def trained(
     vehicles: list[Vehicle], lesson: Lesson, seed: int, run: Path | None = None, steps: int | None = None
 ) -> FleetNet:
-    """A network that had a lesson on these vehicles, in evaluation mode; resumed from ``run`` where that is given."""
+    """Train a network on these vehicles, or resume from ``run``; return it in evaluation mode."""
     torch.manual_seed(seed)
     steps = steps or lesson.steps
     schedule = Schedule(steps, _RATE, warm_up=min(_WARM_UP_STEPS, steps // 4 + 1), last=0.0)

@@ -1,1 +1,1 @@
-"""Fitting how the boxes of a detector vote for a scale."""
+"""Fit of the votes of a detector's boxes for a scale."""

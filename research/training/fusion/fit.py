@@ -49,7 +49,7 @@ _LOG_SDS, _CLUTTER, _TRUST, _WRONG = (0.10, 0.13, 0.16), (0.3, 0.6, 1.0), (0.3, 
 
 
 class Case(NamedTuple):
-    """An image in which something was found."""
+    """Image with at least one detection."""
 
     set: str
     gsd_m_per_px: float
@@ -62,7 +62,7 @@ class Case(NamedTuple):
 
 
 def known_images(data: Path, split: str) -> list[tuple[Path, str, float]]:
-    """Files, sets and true scales: of the held-out tenth of train, or of val."""
+    """List files, sets and true scales of the held-out tenth of train, or of val."""
     tables = [(data / "gsd" / name, data / "gsd") for name in ("table.csv", "upright.csv")]
     rows = []
     for table, folder in [*tables, (data / "unlabelled" / "index.csv", data / "unlabelled")]:
@@ -105,7 +105,7 @@ def car_chance(cases: list[Case]) -> tuple[float, float]:
 
 
 class Verdict(NamedTuple):
-    """How well densities foretell: mean log density at the truth, share of intervals that hold it, their width."""
+    """Quality of densities: mean log density at the truth, coverage and width of intervals."""
 
     log_density: float
     cover: float
@@ -113,7 +113,7 @@ class Verdict(NamedTuple):
 
 
 def judged(cases: list[Case], votes: Votes) -> tuple[Verdict, NDArray[np.float64], NDArray[np.bool_]]:
-    """Judge votes on cases; with each case's chance of an error below a fifth, and whether it was."""
+    """Evaluate votes; also return each case's probability of an error below 20 % and the outcome."""
     logs, held, widths, chances, right = [], [], [], [], []
     for case in cases:
         said = vehicle_density(case.lengths_px, case.scores, case.reference_m, case.reference_log_sds, votes)
@@ -130,7 +130,7 @@ def judged(cases: list[Case], votes: Votes) -> tuple[Verdict, NDArray[np.float64
 
 
 def best_certainty(chances: NDArray[np.float64], right: NDArray[np.bool_]) -> float:
-    """The exponent on the odds under which what happened is likeliest."""
+    """Fit the exponent of the odds by maximum likelihood."""
 
     def likelihood(sharpness: float) -> float:
         said = recalibrated(chances, sharpness)
@@ -140,7 +140,7 @@ def best_certainty(chances: NDArray[np.float64], right: NDArray[np.bool_]) -> fl
 
 
 def best_votes(cases: list[Case]) -> Votes:
-    """Choose the votes under which the truth is likeliest, among those whose intervals hold it often enough."""
+    """Choose the votes of the highest likelihood among those with sufficient coverage."""
     zero, slope = car_chance(cases)
     trials = []
     for log_sd, clutter, trust, wrong in itertools.product(_LOG_SDS, _CLUTTER, _TRUST, _WRONG):
@@ -153,7 +153,7 @@ def best_votes(cases: list[Case]) -> Votes:
 
 
 def tell(name: str, cases: list[Case], votes: Votes) -> None:
-    """Print the verdict, and the chances against what happened in five bins of equal size."""
+    """Print the quality and a reliability table of five equal bins."""
     verdict, chances, right = judged(cases, votes)
     print(f"{name}: {len(cases)} images, log density {verdict.log_density:.3f}, cover {verdict.cover:.3f}, ", end="")
     print(f"median width {verdict.width:.2f}, Brier {np.mean((chances - right) ** 2):.3f}")

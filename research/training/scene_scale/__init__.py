@@ -1,1 +1,1 @@
-"""Training the network that tells from the ground alone how big a pixel is, roughly."""
+"""Training of the scene-scale network: a prior of the GSD from the scene."""

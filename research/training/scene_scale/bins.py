@@ -1,4 +1,4 @@
-"""The bins over log metres per pixel that the network is asked about, and what it is taught to answer."""
+"""Bins over log metres per pixel, and the training targets."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def least_cover(cases: Sequence[Case], calibration: SceneCalibration) -> float:
 
 
 def fit(cases: Sequence[Case]) -> SceneCalibration:
-    """The calibration of the highest score, one number after the other, some times over.
+    """Find the calibration of the highest score by coordinate ascent.
 
     Where intervals hold in less than ``_LEAST_COVER`` of a set's images, that weighs against it.
     """

@@ -26,7 +26,7 @@ _SMALLEST_PX = 1.25 * TILE_PX  # shorter side of a reduced image
 
 
 class Case(NamedTuple):
-    """What was seen on one image at one resolution."""
+    """Answers of the network for one image at one resolution."""
 
     set: str
     name: str
@@ -47,7 +47,7 @@ def level_log_probs(
 
 
 def resolutions(image: ScaledImage, count: int) -> Iterator[tuple[float, NDArray[np.uint8]]]:
-    """An image as it is, and at random reductions that are its own: metres per pixel and pixels."""
+    """Yield GSD and pixels of an image and of its random reductions, the same every time."""
     yield image.gsd_m_per_px, image.pixels
     rng = np.random.default_rng(zlib.crc32(image.name.encode()))
     most = min(image.pixels.shape[:2]) / _SMALLEST_PX

@@ -43,7 +43,7 @@ def compared(network: SceneScaleNetwork, images: Sequence[ScaledImage]) -> list[
 
 
 def some_of_each(images: Sequence[ScaledImage], most: int) -> list[ScaledImage]:
-    """At most so many images of each set, evenly spread over it."""
+    """Select at most ``count`` images of each set, evenly spaced."""
     sets: dict[str, list[ScaledImage]] = {}
     for image in images:
         sets.setdefault(image.set, []).append(image)

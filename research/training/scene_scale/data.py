@@ -243,7 +243,7 @@ def draw_crop(rng: np.random.Generator, image: ScaledImage, gsd_m_per_px: float)
 
 
 def retouched(rng: np.random.Generator, crop: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Other colours, tones and compression, and no other sharpness."""
+    """Change colours, tones and compression, but not sharpness."""
     x = crop.astype(np.float32) / 255.0
     grey = x.mean(axis=2, keepdims=True)
     x = grey + (x - grey) * np.float32(rng.uniform(0.3, 1.4))

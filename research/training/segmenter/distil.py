@@ -1,4 +1,4 @@
-"""Teach one pass what four mirror images say.
+"""Distil the mean over four mirror images into one pass.
 
 ``python -m research.training.segmenter.distil ENCODER DECODER --steps N``.
 

@@ -47,7 +47,7 @@ class Prompt(NamedTuple):
 
 
 class Segmentation(NamedTuple):
-    """What the decoder says: ``mask`` logits ``[b, 1, h, w]`` at stride 2 and ``iou`` ``[b, 1]`` in 0..1."""
+    """Output of the decoder: ``mask`` logits ``[b, 1, h, w]`` at stride 2 and ``iou`` ``[b, 1]`` in 0..1."""
 
     mask: Tensor
     iou: Tensor

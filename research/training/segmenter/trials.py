@@ -39,7 +39,7 @@ class Target(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """What a method made of one object."""
+    """Result of a method for one object."""
 
     category: str
     iou: float

@@ -1,1 +1,1 @@
-"""Fitting where in a large image cars may be."""
+"""Fit of the tile prior."""

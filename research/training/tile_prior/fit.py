@@ -1,4 +1,4 @@
-"""Fit the chance that an image holds a car, by its edges alone.
+"""Fit the probability of a car in an image by its edges alone.
 
 ``python -m research.training.tile_prior.fit ../shared/data``.
 
@@ -47,7 +47,7 @@ def read_images(data: Path, split: str) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def fit(logs: NDArray[np.float64], cars: NDArray[np.bool_]) -> tuple[float, float]:
-    """Fit the log odds at a log of 0 and what 1 of it adds."""
+    """Fit intercept and slope of the log odds."""
     mean, spread = logs.mean(), logs.std()
     design = np.column_stack([(logs - mean) / spread, np.ones(len(logs))])
     weights = np.zeros(2)
@@ -64,7 +64,7 @@ def area_under_curve(logs: NDArray[np.float64], cars: NDArray[np.bool_]) -> floa
 
 
 def main() -> None:
-    """Print what is to be copied into the library."""
+    """Print the constants of the library."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
     data = parser.parse_args().data

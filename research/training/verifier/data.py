@@ -38,7 +38,7 @@ _CANDIDATE = np.array([[CHIP_PX / 2, CHIP_PX / 2, CHIP_LENGTH_PX, 0.45 * CHIP_LE
 
 
 class Candidates(NamedTuple):
-    """What a detector found.
+    """Candidates of a detector.
 
     Attributes:
         chips: ``[n, 72, 72, 3]`` uint8.
@@ -54,7 +54,7 @@ class Candidates(NamedTuple):
 
 
 def truth_of(boxes: NDArray[np.float64], labels: NDArray[np.float64], ignore: NDArray[np.float64]) -> NDArray[np.int8]:
-    """1 for a hit, 0 for a false alarm, -1 for what teaches nothing: on an ignored place, or beside a car.
+    """Label candidates: 1 hit, 0 false alarm, -1 ignored (on an ignored place or beside a car).
 
     Args:
         boxes: ``[n, 5]`` found.
@@ -126,7 +126,7 @@ def middle(chips: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 @dataclass
 class ChipStream:
-    """Chips without end, the k-th always the same: half cars, half not, sets by the root of their number."""
+    """Endless seeded stream of chips: half cars, half not; sets by the root of their size."""
 
     candidates: Candidates
     seed: int

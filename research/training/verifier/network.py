@@ -1,4 +1,4 @@
-"""From a candidate's chip to the logit that it is a car."""
+"""Network from a candidate's chip to the logit of a car."""
 
 from __future__ import annotations
 

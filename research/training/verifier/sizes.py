@@ -1,4 +1,4 @@
-"""Measure what the scene-scale prior's opinion on sizes is worth.
+"""Measure the benefit of the scene-scale prior's size odds.
 
 ``python -m research.training.verifier.sizes``, for ``combine --size-weight``.
 
@@ -31,7 +31,7 @@ _FALSE_ALARMS = (200, 100, 50, 25, 12)
 
 
 class SizedCandidates(NamedTuple):
-    """Candidates without the prior's opinion on their size, and that opinion.
+    """Candidates scored without size odds, and their size odds.
 
     Attributes:
         logits: ``[n]`` of their scores.
@@ -45,7 +45,7 @@ class SizedCandidates(NamedTuple):
 
 
 def hits_before(found: SizedCandidates, weight: float) -> dict[int, int]:
-    """Cars that score higher than the so-manieth false alarm, by the number of false alarms."""
+    """Count the cars that score above the n-th false alarm, for each n."""
     scores = found.logits + weight * found.size_odds
     false = np.sort(scores[~found.car])[::-1]
     return {most: int((scores[found.car] > false[most]).sum()) for most in _FALSE_ALARMS if most < len(false)}

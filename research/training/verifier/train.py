@@ -42,7 +42,7 @@ def export(network: VerifierNet, out: Path) -> None:
 
 
 def logits(network: VerifierNet, chips: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """What a network says of stored chips, ``[n]``."""
+    """Logits of a network for stored chips, ``[n]``."""
     out = []
     with torch.no_grad():
         for start in range(0, len(chips), 512):
