@@ -72,7 +72,7 @@ class Services:
 
 def create_services(settings: Settings) -> Services:
     """Create the parts of a server without loading or starting anything."""
-    n_calls = settings.max_concurrency or _default_concurrency()
+    n_calls = concurrent_calls(settings)
     workers = None
     if not settings.in_process:
         limits = WorkerLimits(settings.max_worker_bytes, (os.cpu_count() or 1) * settings.deadline_s)
@@ -100,6 +100,6 @@ def _services(settings: Settings, n_calls: int, workers: WorkerPool | None) -> S
     )
 
 
-def _default_concurrency() -> int:
-    """Return one call per CPU, at least two."""
-    return max(2, os.cpu_count() or 1)
+def concurrent_calls(settings: Settings) -> int:
+    """Return the number of concurrent calls: the operator's, or one per CPU, at least two."""
+    return settings.max_concurrency or max(2, os.cpu_count() or 1)

@@ -22,10 +22,15 @@ from starlette.routing import Route
 
 from vehanchor_server.app import create_server
 from vehanchor_server.request_log import configure_logging
-from vehanchor_server.services import Services, create_services
+from vehanchor_server.services import Services, concurrent_calls, create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.auth import token_verifier
-from vehanchor_server.transport.connections import BACKLOG, MAX_HEAD_BYTES, ConnectionLimits, LimitedProtocol
+from vehanchor_server.transport.connections import (
+    MAX_HEAD_BYTES,
+    ConnectionLimits,
+    LimitedProtocol,
+    within_open_files,
+)
 from vehanchor_server.transport.lingering_close import LingeringClose
 from vehanchor_server.transport.request_guard import RequestGuard
 from vehanchor_server.transport.supervisor import end_with_supervisor
@@ -111,6 +116,7 @@ def serve_http(settings: Settings) -> None:
     settings.check_exposure()
     token_verifier(settings)  # report an invalid token file before listening
     configure_logging()
+    limits, backlog = within_open_files(_connection_limits(settings), concurrent_calls(settings))
     os.environ[_SETTINGS_OF_WORKERS] = settings.to_json()
     try:
         uvicorn.run(
@@ -119,8 +125,8 @@ def serve_http(settings: Settings) -> None:
             host=settings.host,
             port=settings.port,
             workers=settings.workers,
-            http=partial(LimitedProtocol, limits=_connection_limits(settings)),  # type: ignore[arg-type] # as it is called
-            backlog=BACKLOG,
+            http=partial(LimitedProtocol, limits=limits),  # type: ignore[arg-type] # as it is called
+            backlog=backlog,
             h11_max_incomplete_event_size=MAX_HEAD_BYTES,
             log_config=None,
             access_log=False,

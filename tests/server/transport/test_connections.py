@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import itertools
 import resource
 import socket
 import subprocess
@@ -19,7 +20,13 @@ import pytest
 import uvicorn
 
 from tests.server_process import SERVE
-from vehanchor_server.transport.connections import BACKLOG, ConnectionLimits, LimitedProtocol
+from vehanchor_server.transport.connections import (
+    _IDLE_S,
+    BACKLOG,
+    ConnectionLimits,
+    LimitedProtocol,
+    within_open_files,
+)
 
 LIMITS = ConnectionLimits(total=8, per_address=6, head_s=0.3, body_s=0.5)
 PATIENT = ConnectionLimits(total=8, per_address=6)
@@ -122,6 +129,61 @@ def test_an_address_has_so_many_connections_and_no_more() -> None:
         other.sendall(b"GET / HTTP/1.1\r\nHost: a\r\n\r\n")
         assert other.recv(4096).startswith(b"HTTP/1.1 200")
         assert len(idle) == PATIENT.per_address
+
+
+def test_an_idle_connection_gives_way_to_a_new_one() -> None:
+    with served(PATIENT) as address, contextlib.ExitStack() as stack:
+        for i in range(PATIENT.total):
+            idle = stack.enter_context(socket.socket())
+            idle.bind((f"127.0.0.{2 + i % 2}", 0))
+            idle.connect(address)
+        time.sleep(2 * _IDLE_S)
+        assert answered(address)
+
+
+def test_limits_fit_into_the_open_files_that_the_system_allows(monkeypatch: pytest.MonkeyPatch) -> None:
+    for n_files in (64, 256, 1024, 65_536):
+        monkeypatch.setattr(resource, "getrlimit", lambda _, n=n_files: (n, n))
+        limits, backlog = within_open_files(ConnectionLimits(total=512), 2)
+        assert limits.total + backlog <= n_files - 40
+        assert limits.total >= min(512, n_files // 8)
+    assert (limits.total, backlog) == (512, BACKLOG)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="sets the limit on open files of a child")
+def test_a_server_with_64_open_files_answers_beside_80_idle_sockets() -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    url = f"http://127.0.0.1:{port}/healthz"
+    files = partial(resource.setrlimit, resource.RLIMIT_NOFILE, (64, 64))
+    with subprocess.Popen([*SERVE, "--http", "--port", str(port)], stderr=subprocess.PIPE, preexec_fn=files) as server:
+        try:
+            deadline = time.monotonic() + 60
+            while True:
+                with contextlib.suppress(OSError), urllib.request.urlopen(url, timeout=5):
+                    break
+                assert time.monotonic() < deadline
+                time.sleep(0.1)
+            with contextlib.ExitStack() as stack:
+                for _ in range(80):
+                    idle = stack.enter_context(socket.socket())
+                    idle.setblocking(False)
+                    idle.connect_ex(("127.0.0.1", port))
+                started, answers = time.monotonic(), []
+                while time.monotonic() < started + 12:
+                    with contextlib.suppress(OSError), urllib.request.urlopen(url, timeout=1):
+                        answers.append(time.monotonic() - started)
+                    time.sleep(0.1)
+        finally:
+            server.terminate()
+            assert server.stderr is not None
+            log = server.stderr.read()
+    pauses = [after - before for before, after in itertools.pairwise([0.0, *answers, 12.0])]
+    assert max(pauses) < 3, answers
+    assert len(log) < 20_000
+    assert b"ulimit -n is 64" in log
 
 
 @pytest.mark.slow
