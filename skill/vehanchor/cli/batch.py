@@ -144,6 +144,10 @@ def _summary_text(summary: BatchSummary, seconds: float) -> str:
     made = summary.n_rows - summary.n_resumed
     resumed = f", {summary.n_resumed} of them from an earlier run" if summary.n_resumed else ""
     return (
-        f"{printable(str(summary.table))}: {summary.n_rows} rows ({', '.join(counts)}){resumed}; "
-        f"{made} images in {seconds:.1f} s"
+        f"{printable(str(summary.table))}: {_counted(summary.n_rows, 'row')} ({', '.join(counts)}){resumed}; "
+        f"{_counted(made, 'image')} in {seconds:.1f} s"
     )
+
+
+def _counted(n: int, noun: str) -> str:
+    return f"{n} {noun}{'s' * (n != 1)}"

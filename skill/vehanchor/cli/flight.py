@@ -141,7 +141,8 @@ def _facts(record: FlightEstimate) -> list[tuple[str, str]]:
     facts.append(("vehicles", str(record.n_vehicles)))
     if not record.same_scale:
         sizes = ", ".join(str(component.n_photographs) for component in record.components)
-        facts.append(("linked", f"{sizes} photographs" if len(record.components) > 1 else "all of them"))
+        several = f"{len(record.components)} components of {sizes} photographs"
+        facts.append(("linked", several if len(record.components) > 1 else "all of them"))
         dropped = [link for link in record.links if link.dropped]
         facts.append(("overlaps", f"{len(record.links) - len(dropped)} used, {len(dropped)} dropped"))
         for link in dropped[:_MOST_NAMED]:

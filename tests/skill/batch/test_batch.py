@@ -546,6 +546,8 @@ def test_the_command_tells_what_it_did(detector: Path, table: Path, monkeypatch:
     assert lines == [f"{n} of 5 images" for n in range(6)]
     assert last.startswith(f"{table}: 5 rows (2 ok, 1 no_scale, 2 error); 5 images in ")
     assert _rows(table)[-1]["error_code"] == "image_not_found"
+    alone = _batch("empty.png", "--output", table, "--overwrite", "--detector", detector, "--workers", 1)
+    assert alone.stderr.splitlines()[-1].startswith(f"{table}: 1 row (1 no_scale); 1 image in ")
 
 
 def test_the_commands_options_reach_the_estimate(detector: Path, table: Path) -> None:
