@@ -170,8 +170,8 @@ class CarVerifierCard(AuxiliaryCard):
     """Model card of a car verifier.
 
     Attributes:
-        weights: terms of the combined score's logit: weight of the search's logit without the scene-scale prior, weight
-            of the car verifier's logit, and bias. The verifier's weight of the size odds applies here too.
+        weights: terms of the combined score's logit: weight of the search's logit, weight of the car verifier's logit,
+            and bias. The search's logit includes the size odds.
         least_score: detections with at least this score of the search are candidates.
     """
 

@@ -261,12 +261,9 @@ class _Work:
 
     def _verified(self, car_verifier: CarVerifier, candidates: Objects) -> Objects:
         """Replace scores and boxes of candidates by those of the car verifier."""
-        boxes, before = candidates.boxes, Weights(*(self._verifier.card.weights if self._verifier else (1.0, 0.0, 0.0)))
-        answers = car_verifier.verify(candidate_chips(self._raster, boxes))
-        odds = 0.0 if self._prior is None else self._prior.size_odds(boxes[:, 2])
-        alone = before.without_size(candidates.scores, odds)
-        scores = Weights(*car_verifier.card.weights, before.size).score(alone, answers.logit, odds)
-        corrected = corrected_boxes(boxes, answers.box)
+        answers = car_verifier.verify(candidate_chips(self._raster, candidates.boxes))
+        scores = Weights(*car_verifier.card.weights).score(candidates.scores, answers.logit)
+        corrected = corrected_boxes(candidates.boxes, answers.box)
         corrected[:, :2] = np.clip(corrected[:, :2], 0, (self._raster.width_px, self._raster.height_px))
         return Objects(corrected, scores, candidates.classes)
 

@@ -112,21 +112,10 @@ class Weights(NamedTuple):
 
     def score(self, scores: ArrayLike, logits: ArrayLike, size_odds: ArrayLike = 0.0) -> NDArray[np.float64]:
         """Combine the detector's scores, the verifier's logits and the size odds into scores ``[n]`` in [0, 1]."""
-        total = self.detector * _logit(scores) + self.verifier * np.asarray(logits, np.float64) + self.bias
-        return _sigmoid(total + self.size * np.asarray(size_odds, np.float64))
-
-    def without_size(self, scores: ArrayLike, size_odds: ArrayLike) -> NDArray[np.float64]:
-        """Remove the size odds from combined scores ``[n]``."""
-        return _sigmoid(_logit(scores) - self.size * np.asarray(size_odds, np.float64))
-
-
-def _logit(scores: ArrayLike) -> NDArray[np.float64]:
-    inside = np.clip(np.asarray(scores, np.float64), _MARGIN, 1 - _MARGIN)
-    return np.asarray(np.log(inside / (1 - inside)))
-
-
-def _sigmoid(logits: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(1 / (1 + np.exp(-np.clip(logits, -50, 50))))
+        first = np.clip(np.asarray(scores, np.float64), _MARGIN, 1 - _MARGIN)
+        total = self.detector * np.log(first / (1 - first)) + self.verifier * np.asarray(logits, np.float64) + self.bias
+        total = total + self.size * np.asarray(size_odds, np.float64)
+        return np.asarray(1 / (1 + np.exp(-np.clip(total, -50, 50))))
 
 
 class Verifier(AuxiliaryModel[VerifierCard]):

@@ -14,7 +14,6 @@ from vehanchor.detection.car_verifier import CHIP_LENGTH_PX, CarVerifier, candid
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.networks import networks_sha256
 from vehanchor.detection.search import search
-from vehanchor.detection.verifier import Weights
 from vehanchor.errors import ModelContractError, ModelNotFoundError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
@@ -110,12 +109,6 @@ def test_the_car_verifier_of_another_detector_is_refused(tmp_path: Path) -> None
     write_car_verifier(detector, metadata={"vehanchor.detector": "other"})
     with pytest.raises(ModelContractError, match=r"car verifier .* 'other', and this is 'm'"):
         Detector(detector)
-
-
-def test_the_size_can_be_taken_out_of_a_score() -> None:
-    weights = Weights(0.5, 0.3, -0.6, 0.3)
-    alone, whole = weights.score([0.6, 0.3], [1.0, -1.0]), weights.score([0.6, 0.3], [1.0, -1.0], [1.5, -2.0])
-    np.testing.assert_allclose(weights.without_size(whole, [1.5, -2.0]), alone)
 
 
 def test_a_larger_view_of_the_same_scene_gets_the_same_answer(verifier: CarVerifier) -> None:
