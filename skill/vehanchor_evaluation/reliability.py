@@ -136,13 +136,13 @@ def report_reliability(data: str, detector: str, trials: Iterable[ScaleTrial]) -
         data=data,
         detector=detector,
         chances=tuple(_chance_rows(known)),
-        whole=_group("all", tried),
+        whole=group_row("all", tried),
         by_vehicles=tuple(
-            _group(name, [trial for trial in tried if low <= trial.analysis.estimate.n_vehicles < high])
+            group_row(name, [trial for trial in tried if low <= trial.analysis.estimate.n_vehicles < high])
             for name, low, high in _ranges(_CARS, "{:g} to {:g}", least=1)
         ),
         by_resolution=tuple(
-            _group(name, [trial for trial in tried if low <= trial.image.gsd_m_per_px < high])
+            group_row(name, [trial for trial in tried if low <= trial.image.gsd_m_per_px < high])
             for name, low, high in _ranges(_RESOLUTIONS_M_PER_PX, "{:g} to {:g}")
         ),
         threshold=found.confidence,
@@ -177,7 +177,8 @@ def _chance_rows(known: Sequence[ScaleTrial]) -> list[ChanceRow]:
     return rows
 
 
-def _group(name: str, trials: Sequence[ScaleTrial]) -> GroupRow:
+def group_row(name: str, trials: Sequence[ScaleTrial]) -> GroupRow:
+    """Summarise the trials of one group."""
     known = [trial for trial in trials if trial.estimated]
     usable = [trial for trial in known if trial.analysis.estimate.status == "ok"]
     others = [trial for trial in known if trial.analysis.estimate.status != "ok"]

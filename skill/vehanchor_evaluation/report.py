@@ -224,14 +224,15 @@ def reliability_markdown(report: ReliabilityReport) -> str:
         for row in report.chances
     ]
     told = markdown_table(("stated chance", "images", "mean", "outcome"), chances, aligned=True)
-    by_vehicles = _groups("vehicles", (*report.by_vehicles, report.whole))
+    by_vehicles = group_table("vehicles", (*report.by_vehicles, report.whole))
     return (
         f"Detector `{report.detector}` on `{report.data}`.\n\n{_LEGEND}\n{told}\n{by_vehicles}\n"
-        f"{_groups('true m/px', report.by_resolution)}\n{_threshold(report)}\n"
+        f"{group_table('true m/px', report.by_resolution)}\n{_threshold(report)}\n"
     )
 
 
-def _groups(heading: str, rows: Iterable[GroupRow]) -> str:
+def group_table(heading: str, rows: Iterable[GroupRow]) -> str:
+    """Format groups as a table in Markdown, aligned for terminals; see ``_LEGEND``."""
     headings = (heading, "images", "ok", "wrong (<)", "error", "interval")
     cells = [
         (

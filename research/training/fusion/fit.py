@@ -1,17 +1,21 @@
-"""Fit how a detector's boxes vote: ``python -m research.training.fusion.fit DETECTOR.onnx``.
+"""Fit how a detector's boxes vote: ``python -m research.training.fusion.fit RUN DETECTOR.onnx``.
 
-Searches the held-out tenth of all train images of known scale, the unlabelled ones included, and looks at their ground.
-A box of a car's length in metres is taken for a car. The chance of that follows from the score by logistic regression;
-the other numbers (``vehanchor.scale.fusion.Votes``) are those under which the true scales are most likely, among those
-whose 95 % intervals hold 95 of 100. The result becomes ``vehanchor.votes`` of the detector's file.
+Reads the searches that ``research.training.fusion.cases`` has kept in ``RUN``. A box of a car's length in metres is
+taken for a car: the chance of that follows from the score by logistic regression. The other numbers
+(``vehanchor.scale.fusion.Votes``) are those under which the true scales are likeliest, few vehicles and many counting
+alike. The 95 % intervals must hold 95 of 100 true scales of both, and of 100 usable scales from few vehicles at most
+one may be wrong. The result becomes ``vehanchor.votes`` of the detector's file.
+
+Prints what each limit of the certainty of a box brings, with each place left out in turn, and the reliability on
+``fit`` and ``val``. Without a detector, it only reports.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,19 +24,16 @@ import onnx
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from research.training.detector.data import is_dev
+from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detector import Detector, load_detector
-from vehanchor.detection.scene_scale import SceneScaleNetwork, load_scene_scale
-from vehanchor.detection.search import search
-from vehanchor.imagery.facts import image_facts
-from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.options import ScaleOptions, Search
-from vehanchor.rulers.evidence import View
-from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.imagery.identity import Source
+from vehanchor.options import ScaleOptions
+from vehanchor.rulers.vehicles import VehicleEvidence
 from vehanchor.scale.fusion import (
     GRID,
     LOG_STEP,
     TOLERANCE,
+    USABLE_CHANCE,
     Votes,
     credible_interval,
     mass_within,
@@ -40,60 +41,115 @@ from vehanchor.scale.fusion import (
     recalibrated,
     vehicle_density,
 )
+from vehanchor.scale.lengths import MIN_KDE_VEHICLES
+from vehanchor.scale.thresholds import WIDEST_USABLE
 from vehanchor.storage.atomic import whole_file
+from vehanchor_evaluation.gsd import ScaleTrial
+from vehanchor_evaluation.known_scale import KnownScaleImage
+from vehanchor_evaluation.reliability import group_row, report_reliability
+from vehanchor_evaluation.report import group_table, reliability_markdown
+from vehanchor_evaluation.search import SearchedImage, open_detection_log
+from vehanchor_evaluation.table import read_table
 
 _CAR_M = (3.0, 6.3)  # between these a box of known scale is taken for a car
 _COVER = 0.95
-_CERTAINTIES = tuple(np.arange(0.5, 2.51, 0.05).round(2).tolist())
-_LOG_SDS, _CLUTTER, _TRUST, _WRONG = (0.10, 0.13, 0.16), (0.3, 0.6, 1.0), (0.3, 0.45, 0.6, 0.8), (0.02, 0.05, 0.1)
+_WRONG_SHARE = 0.01  # of usable scales from few vehicles
+_SHARPNESSES = tuple(np.arange(0.5, 2.51, 0.05).round(2).tolist())
+_LOG_SDS, _CLUTTER, _TRUST, _WRONG = (0.07, 0.10), (0.6, 1.0), (0.6, 0.8, 1.0), (0.02, 0.05)
+_LARGEST_SHARES = (0.75, 0.85, 0.9, 0.95, 0.995)
+
+
+class Searched(NamedTuple):
+    """An image of known scale with its search."""
+
+    image: KnownScaleImage
+    found: SearchedImage
 
 
 class Case(NamedTuple):
-    """Image with at least one detection."""
+    """An image in which something was found, without doubts about the vehicles.
+
+    Attributes:
+        set: its place.
+        gsd_m_per_px: its true scale.
+        vehicles: their evidence.
+        scene: ``[g]`` density of the scene-scale prior.
+    """
 
     set: str
     gsd_m_per_px: float
-    lengths_px: NDArray[np.float64]
-    scores: NDArray[np.float64]
-    reference_m: float
-    reference_log_sds: tuple[float, float]
+    vehicles: VehicleEvidence
     scene: NDArray[np.float64]
-    estimate_m_per_px: float
+
+    @property
+    def estimate_m_per_px(self) -> float:
+        """The scale from the vehicles."""
+        assert self.vehicles.gsd_m_per_px is not None
+        return self.vehicles.gsd_m_per_px
+
+    @property
+    def few(self) -> bool:
+        """Whether the vehicles are fewer than five."""
+        return self.vehicles.n < MIN_KDE_VEHICLES
 
 
-def known_images(data: Path, split: str) -> list[tuple[Path, str, float]]:
-    """List files, sets and true scales of the held-out tenth of train, or of val."""
-    tables = [(data / "gsd" / name, data / "gsd") for name in ("table.csv", "upright.csv")]
-    rows = []
-    for table, folder in [*tables, (data / "unlabelled" / "index.csv", data / "unlabelled")]:
-        with table.open(newline="") as handle:
-            for row in csv.DictReader(handle):
-                if row.get("split", "train") == split and (split != "train" or is_dev(row["file"], row["set"])):
-                    rows.append((folder / row["file"], row["set"], float(row["gsd_m_per_px"])))
-    return rows
+class Outcomes(NamedTuple):
+    """What votes say of cases, and what happened.
+
+    Attributes:
+        log_density: ``[n]`` at the true scale.
+        held: ``[n]`` whether the interval holds it.
+        width: ``[n]`` of the interval, high over low.
+        mass: ``[n]`` within the tolerance, before recalibration.
+        right: ``[n]`` whether the error is within it.
+    """
+
+    log_density: NDArray[np.float64]
+    held: NDArray[np.bool_]
+    width: NDArray[np.float64]
+    mass: NDArray[np.float64]
+    right: NDArray[np.bool_]
+
+    def replaced(self, where: NDArray[np.bool_], others: Outcomes) -> Outcomes:
+        """Take other outcomes where ``where``, ``[n]``, is true."""
+        return Outcomes(
+            np.where(where, others.log_density, self.log_density),
+            np.where(where, others.held, self.held),
+            np.where(where, others.width, self.width),
+            np.where(where, others.mass, self.mass),
+            np.where(where, others.right, self.right),
+        )
+
+    def usable(self, sharpness: float) -> NDArray[np.bool_]:
+        """``[n]`` whether the scales may be used."""
+        return (recalibrated(self.mass, sharpness) >= USABLE_CHANCE) & (self.width <= WIDEST_USABLE)
 
 
-def measured_case(path: Path, set_name: str, gsd: float, detector: Detector, ground: SceneScaleNetwork) -> Case | None:
-    """Measure an image with the vehicles alone; None without a scale."""
-    options = ScaleOptions()
-    with open_raster(path) as raster:
-        prior = ground.predict(raster)
-        detections = search(raster, detector, Search(), prior=prior)
-        view = View(image_facts(raster), detections, detector.card, options, lambda *_: 1.0, prior=prior)
-        evidence = Vehicles().measure(view)
-    if evidence.gsd_m_per_px is None:
-        return None
-    lengths, reference = detections.boxes[:, 2], evidence.reference
-    density = prior.density
-    return Case(
-        set_name, gsd, lengths, detections.scores, reference.length_m, reference.log_sds, density, evidence.gsd_m_per_px
+def kept_searches(run: Path, split: str, detector: Detector) -> list[Searched]:
+    """Read the searches of a split."""
+    log = open_detection_log(run / f"{split}.jsonl", detector, ScaleOptions())
+    found = ((image, log.get(Source.of(image.path))) for image in read_table(run / f"{split}.csv"))
+    return [Searched(image, each) for image, each in found if each is not None]
+
+
+def cases_of(searched: Sequence[Searched], card: DetectorCard) -> list[Case]:
+    """Measure the vehicles of each image; leave out images without any, and doubtful ones, which are limited anyway."""
+    cases = []
+    for image, found in searched:
+        vehicles = found.analysis(card, ScaleOptions()).vehicles
+        if vehicles.gsd_m_per_px is None or found.prior is None or vehicles.guarded or vehicles.disputed:
+            continue
+        cases.append(Case(image.set, image.gsd_m_per_px, vehicles, found.prior.density))
+    return cases
+
+
+def car_chance(cases: Sequence[Case]) -> tuple[float, float]:
+    """Fit the log odds of a car at score 0, and their increase to a score of 1."""
+    detections = [case.vehicles.fleet.detections for case in cases]
+    scores = np.concatenate([each.scores for each in detections])
+    metres = np.concatenate(
+        [each.boxes[:, 2] * case.gsd_m_per_px for each, case in zip(detections, cases, strict=True)]
     )
-
-
-def car_chance(cases: list[Case]) -> tuple[float, float]:
-    """Log odds at score 0, and what a score of 1 adds."""
-    scores = np.concatenate([case.scores for case in cases])
-    metres = np.concatenate([case.lengths_px * case.gsd_m_per_px for case in cases])
     car = (metres > _CAR_M[0]) & (metres < _CAR_M[1])
 
     def surprise(odds: NDArray[np.float64]) -> float:
@@ -104,61 +160,127 @@ def car_chance(cases: list[Case]) -> tuple[float, float]:
     return float(found[0]), float(found[1])
 
 
-class Verdict(NamedTuple):
-    """Quality of densities: mean log density at the truth, coverage and width of intervals."""
-
-    log_density: float
-    cover: float
-    width: float
-
-
-def judged(cases: list[Case], votes: Votes) -> tuple[Verdict, NDArray[np.float64], NDArray[np.bool_]]:
-    """Evaluate votes; also return each case's probability of an error below 20 % and the outcome."""
-    logs, held, widths, chances, right = [], [], [], [], []
+def outcomes(cases: Sequence[Case], votes: Votes) -> Outcomes:
+    """Apply votes to cases."""
+    rows = []
     for case in cases:
-        said = vehicle_density(case.lengths_px, case.scores, case.reference_m, case.reference_log_sds, votes)
-        density = product(said, case.scene)
+        found, reference = case.vehicles.fleet.detections, case.vehicles.reference
+        said = vehicle_density(found.boxes[:, 2], found.scores, reference.length_m, reference.log_sds, votes)
+        density, estimate = product(said, case.scene), case.estimate_m_per_px
         low, high = credible_interval(density)
-        low, high = min(low, case.estimate_m_per_px), max(high, case.estimate_m_per_px)
-        logs.append(np.log(density[np.argmin(np.abs(GRID - np.log(case.gsd_m_per_px)))] / LOG_STEP + 1e-9))
-        held.append(low <= case.gsd_m_per_px <= high)
-        widths.append(high / low)
-        chances.append(mass_within(density, case.estimate_m_per_px, TOLERANCE))
-        right.append(abs(case.estimate_m_per_px / case.gsd_m_per_px - 1) < TOLERANCE)
-    verdict = Verdict(float(np.mean(logs)), float(np.mean(held)), float(np.median(widths)))
-    return verdict, recalibrated(chances, votes.sharpness), np.array(right)
+        low, high = min(low, estimate), max(high, estimate)
+        rows.append(
+            (
+                np.log(density[np.argmin(np.abs(GRID - np.log(case.gsd_m_per_px)))] / LOG_STEP + 1e-9),
+                low <= case.gsd_m_per_px <= high,
+                high / low,
+                mass_within(density, estimate, TOLERANCE),
+                abs(estimate / case.gsd_m_per_px - 1) < TOLERANCE,
+            )
+        )
+    logs, held, width, mass, right = (np.array(column) for column in zip(*rows, strict=True))
+    return Outcomes(logs, held.astype(bool), width, mass, right.astype(bool))
 
 
-def best_certainty(chances: NDArray[np.float64], right: NDArray[np.bool_]) -> float:
-    """Fit the exponent of the odds by maximum likelihood."""
+def best_sharpness(chances: NDArray[np.float64], right: NDArray[np.bool_]) -> float:
+    """Find the factor on the log odds under which the outcomes are likeliest."""
 
     def likelihood(sharpness: float) -> float:
         said = recalibrated(chances, sharpness)
         return float(np.sum(np.log(np.where(right, said, 1 - said))))
 
-    return max(_CERTAINTIES, key=likelihood)
+    return max(_SHARPNESSES, key=likelihood)
 
 
-def best_votes(cases: list[Case]) -> Votes:
-    """Choose the votes of the highest likelihood among those with sufficient coverage."""
+def candidates(cases: Sequence[Case]) -> dict[Votes, Outcomes]:
+    """Apply all candidate votes."""
     zero, slope = car_chance(cases)
-    trials = []
-    for log_sd, clutter, trust, wrong in itertools.product(_LOG_SDS, _CLUTTER, _TRUST, _WRONG):
-        votes = Votes(zero, slope, log_sd, clutter, trust, wrong)
-        trials.append((judged(cases, votes)[0], votes))
-    enough = [trial for trial in trials if trial[0].cover >= _COVER]
-    votes = max(enough or trials, key=lambda trial: trial[0].log_density if enough else trial[0].cover)[1]
-    _, chances, right = judged(cases, votes)
-    return votes._replace(sharpness=best_certainty(chances, right))
+    grid = itertools.product(_LOG_SDS, _CLUTTER, _TRUST, _WRONG, _LARGEST_SHARES)
+    votes = [
+        Votes(zero, slope, log_sd, clutter, trust, wrong, largest_share=share)
+        for log_sd, clutter, trust, wrong, share in grid
+    ]
+    return {each: outcomes(cases, each) for each in votes}
 
 
-def tell(name: str, cases: list[Case], votes: Votes) -> None:
-    """Print the quality and a reliability table of five equal bins."""
-    verdict, chances, right = judged(cases, votes)
-    print(f"{name}: {len(cases)} images, log density {verdict.log_density:.3f}, cover {verdict.cover:.3f}, ", end="")
-    print(f"median width {verdict.width:.2f}, Brier {np.mean((chances - right) ** 2):.3f}")
-    for part in np.array_split(np.argsort(chances), 5):
-        print(f"  said {chances[part].mean():.2f}, was {right[part].mean():.2f}")
+def best_votes(
+    applied: dict[Votes, Outcomes], few: NDArray[np.bool_], among: NDArray[np.bool_], share: float | None = None
+) -> Votes:
+    """Choose votes from the outcomes of some cases.
+
+    Args:
+        applied: outcomes by votes.
+        few: ``[n]`` whether a case has fewer than five vehicles.
+        among: ``[n]`` the cases to choose from.
+        share: the ``largest_share``; None for any.
+
+    Returns:
+        The likeliest votes of those that keep the limits; if none does, those of the widest intervals.
+    """
+
+    def mean(values: NDArray[np.float64] | NDArray[np.bool_]) -> float:
+        return float(np.mean([values[among & group].mean() for group in (few, ~few) if (among & group).any()]))
+
+    def wrong_share(votes: Votes, seen: Outcomes) -> float:
+        usable = seen.usable(votes.sharpness) & among & few
+        return float((usable & ~seen.right).sum() / max(1, usable.sum()))
+
+    some = {
+        votes._replace(sharpness=best_sharpness(seen.mass[among & few], seen.right[among & few])): seen
+        for votes, seen in applied.items()
+        if share is None or votes.largest_share == share
+    }
+    enough = {
+        votes: seen
+        for votes, seen in some.items()
+        if all(seen.held[among & group].mean() >= _COVER for group in (few, ~few) if (among & group).any())
+        and (share is not None or wrong_share(votes, seen) <= _WRONG_SHARE)
+    }
+    if not enough:
+        return max(some, key=lambda votes: mean(some[votes].held))
+    return max(enough, key=lambda votes: mean(enough[votes].log_density))
+
+
+def told(name: str, seen: Outcomes, chances: NDArray[np.float64], among: NDArray[np.bool_]) -> str:
+    """Describe outcomes in a line."""
+    chance = chances[among]
+    usable = (chance >= USABLE_CHANCE) & (seen.width[among] <= WIDEST_USABLE)
+    right, held = seen.right[among], seen.held[among]
+    surprise = -np.mean(np.log(np.where(right, chance, 1 - chance)))
+    return (
+        f"  {name}: {usable.sum()} of {len(usable)} usable, {(usable & ~right).sum()} wrong, surprise {surprise:.3f}, "
+        f"cover {held[usable].mean():.3f} usable, {held[~usable].mean():.3f} else"
+    )
+
+
+def report_left_out(
+    cases: Sequence[Case], applied: dict[Votes, Outcomes], few: NDArray[np.bool_], share: float | None
+) -> None:
+    """Print outcomes of few and of many vehicles, each place judged by votes that the others chose."""
+    places = np.array([case.set.split("_")[0] for case in cases])
+    left_out, chances = next(iter(applied.values())), np.ones(len(cases))
+    for place in np.unique(places):
+        votes = best_votes(applied, few, places != place, share)
+        seen = applied[votes._replace(sharpness=1.0)]
+        left_out = left_out.replaced(places == place, seen)
+        chances[places == place] = recalibrated(seen.mass, votes.sharpness)[places == place]
+    print(f"each place left out, largest share {share or 'chosen'}")
+    for name, group in (("few", few), ("five and more", ~few)):
+        print(told(name, left_out, chances, group))
+
+
+def report(name: str, searched: Sequence[Searched], card: DetectorCard) -> None:
+    """Print the reliability on images, by vehicles, by resolution and by place; and of few vehicles by place."""
+    trials = [ScaleTrial(image, found.analysis(card, ScaleOptions())) for image, found in searched]
+    print(reliability_markdown(report_reliability(name, card.name, trials)))
+    few = [trial for trial in trials if 0 < trial.analysis.estimate.n_vehicles < MIN_KDE_VEHICLES]
+    for heading, some in (("place", trials), ("place, few", few)):
+        places = sorted({trial.image.set for trial in some})
+        rows = [group_row(place, [trial for trial in some if trial.image.set == place]) for place in places]
+        print(group_table(heading, rows))
+    empty = [trial for trial in trials if trial.image.labelled_vehicles == 0]
+    usable = [trial.image.path.name for trial in empty if trial.analysis.estimate.status == "ok"]
+    print(f"without cars: {len(usable)} of {len(empty)} usable {usable}\n")
 
 
 def write(path: Path, votes: Votes) -> None:
@@ -173,29 +295,26 @@ def write(path: Path, votes: Votes) -> None:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("detector", type=Path)
-    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument(
-        "--only-report", action="store_true", help="judge the votes that the file has, on held-out and val"
-    )
+    parser.add_argument("run", type=Path)
+    parser.add_argument("detectors", type=Path, nargs="*", help="files that get the votes; none: only report")
     options = parser.parse_args()
-    detector, ground = load_detector(options.detector), load_scene_scale()
-    if ground is None:
-        raise SystemExit(
-            "the network of scene scale is missing: train and export it first (research/training/scene_scale)"
-        )
-    seen = [measured_case(*image, detector, ground) for image in known_images(options.data, "train")]
-    held_out = [case for case in seen if case is not None]
-    votes = detector.card.votes if options.only_report else best_votes(held_out)
-    if votes is None:
-        raise SystemExit(f"{options.detector} has no votes yet: fit them first")
-    print(votes)
-    tell("held-out tenth", held_out, votes)
-    if options.only_report:
-        seen = [measured_case(*image, detector, ground) for image in known_images(options.data, "val")]
-        tell("val", [case for case in seen if case is not None], votes)
-    else:
-        write(options.detector, votes)
+    (copy,) = (path for path in (options.run / "models").glob("*.onnx") if "." not in path.stem)
+    detector = load_detector(copy)
+    card = detector.card
+    searched = {split: kept_searches(options.run, split, detector) for split in ("fit", "val")}
+    if options.detectors:
+        cases = cases_of(searched["fit"], card)
+        few = np.array([case.few for case in cases])
+        applied = candidates(cases)
+        for share in (*_LARGEST_SHARES, None):
+            report_left_out(cases, applied, few, share)
+        votes = best_votes(applied, few, np.ones(len(cases), bool))
+        print(votes)
+        card = card.model_copy(update={"votes": votes})
+        for path in options.detectors:
+            write(path, votes)
+    for split, some in searched.items():
+        report(split, some, card)
 
 
 if __name__ == "__main__":

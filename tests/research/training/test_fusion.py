@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("torch")
 
-from research.training.fusion.fit import best_certainty
+from research.training.fusion.fit import best_sharpness
 from vehanchor.scale.fusion import recalibrated
 
 
@@ -16,4 +16,4 @@ def test_the_certainty_under_which_chances_came_true_is_found_again(true: float)
     rng = np.random.default_rng(4)
     said = rng.uniform(0.3, 0.999, 20_000)
     right = rng.random(len(said)) < recalibrated(said, true)
-    assert best_certainty(said, right) == pytest.approx(true, abs=0.1)
+    assert best_sharpness(said, right) == pytest.approx(true, abs=0.1)

@@ -435,7 +435,8 @@ def test_every_ruler_is_listed_with_what_it_says_and_who_disagrees(
         assert f"{ruler['gsd_m_per_px']:.3g} m/px" in row
         assert ("disagrees" in row) == (not ruler["agrees"])
     assert [ruler["agrees"] for ruler in rulers].count(False) == 1
-    by_all = host.page.get_by_text("Chance of an error below 20 %, from all rulers. Terms of the vehicles:")
+    chance = r"Chance of an error below 20 %, from all rulers: 0\.\d\d\. "
+    by_all = host.page.get_by_text(re.compile(chance + r"Composite C of the vehicles: 0\.\d\d, with its terms:"))
     assert by_all.count() == 1
     host.result(calls["good"], results["good"])
     host.says("#sentence", results["good"]["content"][0]["text"])
