@@ -19,14 +19,14 @@ import numpy as np
 from research.training.scene_scale.bins import FIRST_LOG_GSD, LOG_STEP
 from research.training.scene_scale.cases import Case, load
 from research.training.scene_scale.density import (
-    GRID,
-    GRID_STEP,
     SceneBins,
     SceneCalibration,
     interval,
     quantiles,
     scene_density,
 )
+from vehanchor.scale.fusion import GRID
+from vehanchor.scale.fusion import LOG_STEP as GRID_STEP
 from vehanchor.storage.atomic import whole_file
 
 BINS = SceneBins(FIRST_LOG_GSD, LOG_STEP)
@@ -35,6 +35,7 @@ _CHOICES: dict[str, Sequence[float]] = {
     "levels": (0.0, 0.25, 0.5, 0.75, 1.0),
     "doubt": (0.0, 0.005, 0.01, 0.015, 0.02, 0.03),
     "floor": (0.005, 0.01, 0.02),
+    "finer": (0.0, 0.1, 0.2, 0.3, 0.4, 0.5),
 }
 _ROUNDS = 2
 _LEAST_COVER, _COVER_WEIGHT = 0.9, 2.0

@@ -12,11 +12,14 @@ nothing is denied.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+
+from vehanchor.detection import scene_scale
+from vehanchor.scale.fusion import GRID
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,8 +29,6 @@ if TYPE_CHECKING:
 TILE_PX = 160
 FACTORS = (1, 2, 4, 8)  # by which an image is reduced
 MOST_TILES = 24  # of a level
-GRID_STEP = 0.005  # of log m/px
-GRID = np.arange(np.log(0.003), np.log(3.0) + GRID_STEP / 2, GRID_STEP)  # log m/px, the grid of all evidence
 INTERVAL = 0.95
 
 
@@ -54,12 +55,14 @@ class SceneCalibration:
         levels: exponent on the number of levels: 0 takes their geometric mean, as if each said the same; 1 their
             product, as if each said something else.
         floor: share of the flat density.
+        finer: share of a sharp image's density that moves to finer scales, where a place unlike the training data is.
     """
 
     temperature: float = 1.0
     doubt: float = 0.01
     levels: float = 0.0
     floor: float = 0.02
+    finer: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -129,7 +132,7 @@ def scene_density(
     bins: SceneBins,
     calibration: SceneCalibration,
 ) -> NDArray[np.float64]:
-    """Combine what was seen on an image's tiles.
+    """Combine what was seen on an image's tiles, as the library does.
 
     Args:
         log_probs: for each level ``[n_tiles, n_bins]``, natural logarithms.
@@ -140,17 +143,11 @@ def scene_density(
     Returns:
         Probabilities ``[len(GRID)]``, which add up to 1.
     """
-    total = np.zeros(len(GRID))
-    for seen, factor in zip(log_probs, factors, strict=True):
-        centres = bins.first + bins.step * np.arange(seen.shape[1])
-        mean = calibration.temperature * seen.astype(np.float64).mean(axis=0)
-        level = np.exp(mean - mean.max())
-        level = (1 - calibration.doubt) * level / level.sum() + calibration.doubt / len(level)
-        total += np.interp(GRID + np.log(factor), centres, np.log(level))
-    total *= float(len(factors)) ** (calibration.levels - 1)
-    density: NDArray[np.float64] = np.exp(total - total.max())
-    density *= (1 - calibration.floor) / density.sum()
-    return density + calibration.floor / len(GRID)
+    levels = tuple(
+        scene_scale.SceneLevel(factor, len(seen), seen.astype(np.float64).mean(axis=0))
+        for seen, factor in zip(log_probs, factors, strict=True)
+    )
+    return scene_scale.scene_density(levels, scene_scale.SceneCalibration(bins.first, bins.step, **asdict(calibration)))
 
 
 def quantiles(density: NDArray[np.float64], shares: Sequence[float]) -> NDArray[np.float64]:

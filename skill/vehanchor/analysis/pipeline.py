@@ -21,7 +21,7 @@ from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
 from vehanchor.records import FrameScale, GsdEstimate, KnownScale, Notice, RulerScale, SceneScaleEstimate
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.agreement import disagreements
+from vehanchor.rulers.agreement import disagreements, outvoted_priors
 from vehanchor.rulers.decision import convergence, decide
 from vehanchor.rulers.evidence import View
 from vehanchor.rulers.measurement import measure_all, with_tilt
@@ -144,6 +144,7 @@ def conclude(
     warnings = [*image_notices(view.image.notices), *vehicles.notices]
     warnings += [notice for other in others for notice in other.notices]
     warnings += [*notices, *disagreements((vehicles, *others), outvoted)]
+    warnings += outvoted_priors((vehicles, *others)).values()
     if decision.gsd_m_per_px is not None:
         alone = decision.gsd_m_per_px == vehicles.gsd_m_per_px
         own, who_says = view.image.georeference_gsd_m_per_px, Vehicles.says() if alone else "the rulers say"

@@ -139,6 +139,8 @@ def _facts(record: FlightEstimate) -> list[tuple[str, str]]:
         facts.append(("scale of all", scale_text(record.gsd_m_per_px, low, high)))
     facts.append(("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"))
     facts.append(("vehicles", str(record.n_vehicles)))
+    if rulers := [each for each in record.components[0].pooled.rulers if each.weight > 0]:
+        facts.append(("rulers", ", ".join(f"{each.kind} {100 * each.weight:.0f} %" for each in rulers)))
     if not record.same_scale:
         sizes = ", ".join(str(component.n_photographs) for component in record.components)
         several = f"{len(record.components)} components of {sizes} photographs"

@@ -41,6 +41,8 @@ _SIZES_LOG_SD = 0.1  # of cars' lengths and of their measurement
 _OPEN_LOG_WIDTH = 2.0  # a prior that is flat over this width neither raises nor lowers a score
 _MOST_SIZE_ODDS = 2.0  # in either direction, because the prior may be wrong
 _BATCH = 8  # tiles per run: 24 take three times the memory and as much time
+_SHARP_GSD_M_PER_PX, _SHARP_LOG_WIDTH = 0.15, 0.15  # few places below this scale are in the training data
+_FINER_LOG_REACH = 0.8  # by which a new place is finer at most
 
 
 class SceneLevel(NamedTuple):
@@ -69,6 +71,8 @@ class SceneCalibration:
         levels: power of the number of levels in the exponent on their geometric mean: 0 if the levels are fully
             dependent, 1 if they are independent.
         floor: outlier probability of all levels together.
+        finer: probability that a sharp image shows a place unlike the training data, which then looks coarser than it
+            is.
     """
 
     first_log_gsd: float
@@ -77,6 +81,7 @@ class SceneCalibration:
     doubt: float = 0.0
     levels: float = 0.0
     floor: float = 0.02
+    finer: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,9 +148,9 @@ def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]
 def scene_density(levels: Sequence[SceneLevel], calibration: SceneCalibration) -> NDArray[np.float64]:
     """Combine the predictions at all resolutions into one density.
 
-    Each level is mixed with a flat density. The log-probabilities are shifted by the reduction factors and averaged,
-    and the result is mixed with the flat density again. The first and the last bin stand for all finer and coarser
-    scales.
+    Each level is mixed with a flat density. The log-probabilities are shifted by the reduction factors and averaged.
+    A share of a sharp result moves to finer scales, and the result is mixed with the flat density again. The first and
+    the last bin stand for all finer and coarser scales.
 
     Args:
         levels: levels of one image, at least one.
@@ -162,7 +167,7 @@ def scene_density(levels: Sequence[SceneLevel], calibration: SceneCalibration) -
         total += np.interp(GRID + np.log(level.factor), centres, np.log(np.maximum(seen, _LEAST_PROBABILITY)))
     total *= float(len(levels)) ** (calibration.levels - 1)
     density = np.exp(total - total.max())
-    return with_outlier_floor(density / density.sum(), calibration.floor)
+    return with_outlier_floor(_with_finer(density / density.sum(), calibration.finer), calibration.floor)
 
 
 class SceneScaleNetwork(LoadedModel):
@@ -218,6 +223,16 @@ def _loaded(path: Path, *, runtime: Runtime) -> SceneScaleNetwork:
     return SceneScaleNetwork(path, runtime=runtime)
 
 
+def _with_finer(density: NDArray[np.float64], chance: float) -> NDArray[np.float64]:
+    """Move a share of the density at sharp scales evenly over the finer scales within reach."""
+    sharp = 1 / (1 + np.exp((GRID - np.log(_SHARP_GSD_M_PER_PX)) / _SHARP_LOG_WIDTH))
+    moving = chance * sharp * density
+    reach = round(_FINER_LOG_REACH / (GRID[1] - GRID[0]))
+    moved = np.convolve(moving, np.full(reach, 1 / reach))[reach - 1 :]
+    mixed = density - moving + moved
+    return np.asarray(mixed / mixed.sum())
+
+
 def _tile(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
     """Read a tile ``[3, 160, 160]``; a small image is mirrored beyond its edges."""
     pixels = read_reduced_window(raster, window, factor)
@@ -234,6 +249,6 @@ def _read_calibration(path: Path, metadata: Mapping[str, str]) -> SceneCalibrati
         read = SceneCalibration(first, step, **{name: float(value) for name, value in stated.items()})
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         raise ModelContractError(f"{path}: the metadata vehanchor.scene_* cannot be read: {error}") from None
-    if not (step > 0 and read.temperature > 0 and 0 <= read.doubt < 1 and 0 <= read.floor < 1):
+    if not (step > 0 and read.temperature > 0 and 0 <= read.doubt < 1 and 0 <= read.floor < 1 and 0 <= read.finer < 1):
         raise ModelContractError(f"{path}: the metadata vehanchor.scene_* has no meaning: {read}")
     return read

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from vehanchor.flight.photograph import Photograph
     from vehanchor.records import FlightLink, GsdEstimate, Status
 
-_MOST_RULERS = 3  # listed per photograph
+_MOST_RULERS = 4  # listed per photograph
 
 
 @dataclass(frozen=True)
@@ -254,17 +254,19 @@ def _status(photographs: Sequence[FlightPhotograph]) -> Status:
 def _supporting_rulers(
     members: Sequence[Photograph], component: Component, pooled: ScaleAnalysis
 ) -> list[tuple[FlightRuler, ...]]:
-    """List each member's supporting rulers: its own, those of the nearest member with rulers, and the strongest."""
-    supports = _supports(members, component, pooled)
-    for ruler in (each for each in component.extra if each.gsd_m_per_px is not None):
-        supports += [_Support(ruler.kind, place, 0.0) for place in range(len(members))]
+    """List each member's supporting rulers, by weight: of the nearest member with rulers, then of the strongest."""
+    measured = _supports(members, component, pooled)
+    of_flight = [each for each in component.extra if each.gsd_m_per_px is not None]
+    common = [_Support(each.kind, place, each.confidence) for each in of_flight for place in range(len(members))]
+    supports = measured + common
     if not supports:
         return [()] * len(members)
+    weights = {ruler.kind: ruler.weight for ruler in pooled.estimate.rulers}
     by_member: dict[int, list[_Support]] = {}
-    for support in sorted(supports, key=lambda each: -each.strength):
+    for support in sorted(supports, key=lambda each: (-weights.get(each.ruler, 0.0), -each.strength)):
         by_member.setdefault(support.member, []).append(support)
     nearest = component.paths(sorted(by_member))
-    strongest = max(supports, key=lambda each: each.strength).member
+    strongest = max(measured or common, key=lambda each: each.strength).member
     to_strongest = component.paths([strongest])
     named = []
     for place in range(len(members)):

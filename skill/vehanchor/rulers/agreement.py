@@ -1,4 +1,8 @@
-"""Agreement of rulers: a ruler agrees with a scale in its 95 % interval, or within a tenth of its own scale."""
+"""Agreement of rulers.
+
+A ruler agrees with a scale in its 95 % interval, or within a tenth of its own scale. Two rulers agree if their
+intervals overlap, or if one agrees with the other's scale.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +32,7 @@ def agrees(ruler: Evidence, gsd_m_per_px: float) -> bool:
 
 
 def disagreements(evidence: Sequence[Evidence], outvoted: Collection[str] = ()) -> list[Notice]:
-    """Warn of outvoted rulers, and of other pairs in which neither ruler agrees with the other's scale.
+    """Warn of outvoted rulers, and of other pairs that disagree.
 
     Args:
         evidence: of all rulers. Rulers without evidence and priors never disagree.
@@ -50,10 +54,35 @@ def disagreements(evidence: Sequence[Evidence], outvoted: Collection[str] = ()) 
     return notices + [_pair(*pair) for pair in combinations(kept, 2) if not _compatible(*pair)]
 
 
+def outvoted_priors(evidence: Sequence[Evidence]) -> dict[str, Notice]:
+    """Find priors that contradict rulers which agree with each other.
+
+    Args:
+        evidence: of all rulers.
+
+    Returns:
+        A notice by kind of prior. Two or more rulers that set a scale agree, and the prior agrees with none of them.
+    """
+    able = [each for each in evidence if each.sets_scale]
+    agreeing = {each.kind: each for pair in combinations(able, 2) if _compatible(*pair) for each in pair}
+    priors = [each for each in evidence if not each.sets_scale and each.gsd_m_per_px is not None]
+    found = {}
+    for prior in priors if agreeing else ():
+        if not any(agrees(prior, each.gsd_m_per_px) for each in agreeing.values() if each.gsd_m_per_px):
+            others = ", ".join(map(_says, agreeing.values()))
+            message = f"{_says(prior).capitalize()} m/px. It is left out, because other rulers agree: {others} m/px."
+            found[prior.kind] = Notice(code=NoticeCode.RULERS_DISAGREE, message=message)
+    return found
+
+
 def _compatible(one: Evidence, other: Evidence) -> bool:
     assert one.gsd_m_per_px is not None
     assert other.gsd_m_per_px is not None
-    return agrees(one, other.gsd_m_per_px) or agrees(other, one.gsd_m_per_px)
+    if agrees(one, other.gsd_m_per_px) or agrees(other, one.gsd_m_per_px):
+        return True
+    if one.interval is None or other.interval is None:
+        return False
+    return one.interval.low <= other.interval.high and other.interval.low <= one.interval.high
 
 
 def _pair(one: Evidence, other: Evidence) -> Notice:

@@ -13,7 +13,7 @@ import numpy as np
 
 from vehanchor.detection.convergence import Convergence
 from vehanchor.records.notices import FLEET_DOUBTS, NoticeCode
-from vehanchor.rulers.agreement import agrees, disagreements
+from vehanchor.rulers.agreement import agrees, disagreements, outvoted_priors
 from vehanchor.scale.fusion import (
     GRID,
     LOG_STEP,
@@ -167,13 +167,16 @@ def ruler_densities(evidence: Iterable[Evidence]) -> dict[str, NDArray[np.float6
 def fuse_rulers(evidence: Sequence[Evidence]) -> Posterior | None:
     """Multiply the densities of all rulers; the value is the median of the strongest mode.
 
+    A prior that contradicts rulers which agree with each other is left out.
+
     Args:
         evidence: of all rulers, priors included.
 
     Returns:
         None if no ruler that sets a scale found anything.
     """
-    densities = ruler_densities(evidence)
+    outvoted = outvoted_priors(evidence)
+    densities = ruler_densities(each for each in evidence if each.kind not in outvoted)
     if not any(each.sets_scale and each.kind in densities for each in evidence):
         return None
     posterior = product(*densities.values())

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from research.training.scene_scale.bins import BINS, EARLIER_BINS, FIRST_LOG_GSD, LOG_GSD, LOG_STEP, soft_target
 from research.training.scene_scale.density import (
-    GRID,
     MOST_TILES,
     TILE_PX,
     Level,
@@ -25,6 +24,7 @@ from research.training.scene_scale.density import (
     tile_places,
 )
 from tests.conftest import ROOT
+from vehanchor.scale.fusion import GRID
 
 torch = pytest.importorskip("torch")
 onnxruntime = pytest.importorskip("onnxruntime")

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pytest
@@ -111,6 +113,23 @@ def test_positions_are_a_ruler_where_there_is_no_car(seen: list[Features]) -> No
     assert positions.gsd_m_per_px == pytest.approx(GROUND_M_PER_PX * scale, rel=0.03)
     assert positions.interval is not None
     assert positions.interval.low < GROUND_M_PER_PX * scale < positions.interval.high
+
+
+def test_positions_are_listed_beside_three_other_rulers(seen: list[Features]) -> None:
+    flight = _flight(with_cars=(), placed=True)
+    for number, (*_, scale) in enumerate(STATIONS):
+        facts, height_m = flight[number].view.image, 1000.0 * GROUND_M_PER_PX * scale
+        assert facts.camera is not None
+        lens: dict[str, Any] = {"focal_px": 1000.0, "taken_width_px": 500, "taken_height_px": 500, "off_nadir_deg": 0.0}
+        camera = replace(facts.camera, height_m=height_m, height_tag="RelativeAltitude", **lens)
+        stored = StoredPhotograph(facts._replace(camera=camera), sighting_of(FLEET / scale), 1.0)
+        options = ScaleOptions.of({"height_m": height_m})
+        flight[number] = Photograph.of(str(number), stored, made_card(5.0), options)
+    linked = link_photographs(flight, seen)
+    record = conclude_flight(flight, linked.components, made_card(5.0), same_scale=False, links=linked.links)
+    for photograph in record.photographs[:5]:
+        own = [each.ruler for each in photograph.supported_by if each.photograph == photograph.photograph]
+        assert sorted(own) == ["camera", "height", "positions", "vehicles"]
 
 
 def test_positions_of_another_flight_are_no_ruler(seen: list[Features]) -> None:

@@ -101,6 +101,14 @@ def test_a_witness_stays_a_witness() -> None:
     assert [(other.kind, other.confidence) for other in others if other.gsd_m_per_px] == [("positions", 0.0)]
 
 
+def test_a_prior_counts_once_per_place() -> None:
+    density = _density(0.13, 0.2)
+    prior = Evidence("scene_scale", 0.13, credible_interval(density), 24, 0.0, (), density)
+    pooled = _pooled_evidence("scene_scale", [(prior, 0.0)] * 10)
+    assert prior.interval is not None
+    assert pooled.interval == pytest.approx(prior.interval)
+
+
 def test_one_ruler_that_speaks_leaves_the_others_notices_in() -> None:
     told = Notice(code="camera_cropped", message="a crop")
     spoke = Evidence("camera", 0.1, None, 1, 0.5, (), _density(0.1, 0.1))
