@@ -11,8 +11,7 @@ if TYPE_CHECKING:
 
 BINS = 66
 LOG_STEP = 0.07  # the last bin is 1.15 m/px
-EARLIER_BINS = 56  # of the bundled network; its first bin is 0.0245 m/px
-FIRST_LOG_GSD = float(np.log(0.0245)) - (BINS - EARLIER_BINS) * LOG_STEP  # centre of the first bin, 0.0122 m/px
+FIRST_LOG_GSD = float(np.log(0.0245)) - 10 * LOG_STEP  # centre of the first bin, 0.0122 m/px
 LABEL_SPREAD = 0.12  # of the soft target, in log; rulers.md
 LOG_GSD = FIRST_LOG_GSD + LOG_STEP * np.arange(BINS)
 

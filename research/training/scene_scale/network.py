@@ -6,7 +6,6 @@ begins with the encoder's weights: what the detector has learned to tell from ca
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import onnx
@@ -16,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from research.training.layers import Residual, conv_block
-from research.training.scene_scale.bins import BINS, EARLIER_BINS
+from research.training.scene_scale.bins import BINS
 from research.training.warm_start import load_exported
 
 if TYPE_CHECKING:
@@ -75,24 +74,14 @@ class SceneScaleNet(nn.Module):
 
 
 def begin_with_exported(network: SceneScaleNet, path: Path, tiles: Tensor) -> None:
-    """Put the weights of an exported file of fewer, coarser bins into ``network``.
-
-    The file's first bin stands for all that is finer: its probability is spread evenly over the new bins.
+    """Put the weights of an exported file into ``network``.
 
     Args:
         network: of ``BINS`` bins.
-        path: ONNX file of ``research.training.scene_scale.export`` with ``EARLIER_BINS`` bins.
+        path: ONNX file of ``research.training.scene_scale.export``.
         tiles: ``[n, 3, 160, 160]`` float in 0..1, to take the normalisations' statistics from.
     """
-    earlier = SceneScaleNet(EARLIER_BINS)
-    load_exported(earlier, path, tiles)
+    load_exported(network, path, tiles)
     stored = {item.name: torch.tensor(numpy_helper.to_array(item)) for item in onnx.load(path).graph.initializer}
     norm = {name.rpartition(".")[2]: value for name, value in stored.items() if ".head.0." in name}
-    state = earlier.state_dict()
-    state.update({f"head.0.{name}": value for name, value in norm.items()})
-    added = BINS - EARLIER_BINS
-    weight, bias = state["head.4.weight"], state["head.4.bias"].clone()
-    bias[0] -= math.log(added + 1)
-    state["head.4.weight"] = torch.cat([weight[:1].repeat(added, 1), weight])
-    state["head.4.bias"] = torch.cat([bias[:1].repeat(added), bias])
-    network.load_state_dict(state)
+    network.load_state_dict(network.state_dict() | {f"head.0.{name}": value for name, value in norm.items()})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
 from vehanchor.scale.defaults import CAR_LENGTH_M
+from vehanchor.scale.fusion import credible_interval
 from vehanchor_scenes import render_scene
 
 _CALIBRATION = SceneCalibration(np.log(0.01), 0.08, floor=0.02)
@@ -27,6 +30,17 @@ def test_a_cars_size_is_likely_and_that_of_another_thing_is_not() -> None:
     odds = _ground(0.15, 0.15).size_odds(CAR_LENGTH_M / np.array([0.15, 0.17, 0.5, 0.03]))
     assert (odds[:2] > 0.5).all()
     assert (odds[2:] == -2).all()  # no more: the ground may be wrong
+
+
+@pytest.mark.parametrize(("gsd", "wider"), [(0.06, 1.55), (0.6, 1.0)])
+def test_a_sharp_place_may_be_finer_than_it_looks(gsd: float, wider: float) -> None:
+    """The interval opens downwards only, and only where few places trained the network."""
+    plain = credible_interval(_ground(gsd, 0.15).density)
+    open_prior = SceneScalePrior(_ground(gsd, 0.15).levels, replace(_CALIBRATION, finer=0.2))
+    low, high = credible_interval(open_prior.density)
+    assert open_prior.density.sum() == pytest.approx(1)
+    assert plain.low / low == pytest.approx(wider, rel=0.15)
+    assert high == pytest.approx(plain.high, rel=0.03)
 
 
 def test_ground_that_is_lost_prefers_no_size() -> None:
