@@ -178,19 +178,31 @@ def skill(
             help="Skill folder of an agent, such as ~/.claude/skills: write DIR/vehanchor/SKILL.md.",
         ),
     ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace a skill file that differs from ours.")
+    ] = False,
 ) -> None:
     """Print the skill file for agents, or install it in a skill folder."""
     from importlib.resources import files
+
+    from vehanchor.cli.terminal import exit_on_error
+    from vehanchor.errors import OutputError
+    from vehanchor.storage.atomic import whole_file
 
     text = files("vehanchor_server").joinpath("SKILL.md").read_text(encoding="utf-8")
     if install is None:
         typer.echo(text, nl=False)
         return
     target = install / "vehanchor" / "SKILL.md"
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        typer.echo(f"error[output_unwritable]: cannot write {str(target)!r}: {error.strerror or error}", err=True)
-        raise typer.Exit(2) from None
+    with exit_on_error():
+        if target.is_symlink() or target.parent.is_symlink():
+            raise OutputError(f"{str(target)!r} is a link, or in one: remove it first")
+        if target.exists() and target.read_text(encoding="utf-8", errors="replace") != text and not overwrite:
+            raise OutputError(f"{str(target)!r} differs from this version's skill: keep it, or pass --overwrite")
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"cannot write {str(target)!r}: {error.strerror or error}") from None
+        with whole_file(target) as partial:
+            partial.write_text(text, encoding="utf-8")
     typer.echo(target)

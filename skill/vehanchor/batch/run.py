@@ -101,14 +101,14 @@ def run_batch(
     tasks = list(map(Task.of, find_images(inputs, leave_out=(table, journal_path(table)))))
     lines = lines_in(known_lengths, [task.path for task in tasks])
     job = replace(_job(detector, classes, chosen, replace(told.idle, threads=1)), known_lengths=lines)
-    journal = open_journal(table, job, anew=overwrite)  # the table itself stays until the new one is complete
-    keys = {task.file: task.key() for task in tasks}  # with the present state of the images
-    missing = [task for task in tasks if keys[task.file] not in journal]
-    with closing(_rows(engine, job, missing, workers, address)) as rows:
-        for row in _counting(rows, len(tasks) - len(missing), len(tasks), told.tell):
-            journal.add(keys[row.file], row)
-    statuses = _write(table, journal.values(keys[task.file] for task in tasks))
-    journal.remove()
+    with open_journal(table, job, anew=overwrite) as journal:  # the table itself stays until the new one is complete
+        keys = {task.file: task.key() for task in tasks}  # with the present state of the images
+        missing = [task for task in tasks if keys[task.file] not in journal]
+        with closing(_rows(engine, job, missing, workers, address)) as rows:
+            for row in _counting(rows, len(tasks) - len(missing), len(tasks), told.tell):
+                journal.add(keys[row.file], row)
+        statuses = _write(table, journal.values(keys[task.file] for task in tasks))
+        journal.remove()
     return BatchSummary(table, len(tasks), len(tasks) - len(missing), statuses)
 
 
@@ -124,14 +124,13 @@ def open_journal(table: Path, job: BatchJob, *, anew: bool = False) -> Journal[B
         InvalidParameterError: the rows belong to another job, or the file is not a journal.
         OutputError: it cannot be written.
     """
-    if anew:
-        journal_path(table).unlink(missing_ok=True)
     return Journal(
         journal_path(table),
         _settings(job),
         dump=lambda row: row.model_dump(mode="json"),
         load=lambda value: BatchRow.model_validate_json(json.dumps(value)),
         sole=True,
+        anew=anew,
         remedy="move the file away, or start again with --overwrite",
     )
 

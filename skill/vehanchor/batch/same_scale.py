@@ -55,15 +55,14 @@ def run_same_scale(
         raise OutputError(f"{str(table)!r} exists and is complete: name another file, or pass --overwrite")
     images = find_images(inputs, leave_out=(table, journal))
     lines = lines_in(known_lengths, images)
-    if overwrite:
-        journal.unlink(missing_ok=True)
     check_options(options)
-    kept, photographs = open_journal(journal, detector, options, lines), list(named(images))
-    n_resumed = sum(journal_key(each) in kept for each in photographs)
-    results = search_flight(photographs, detector, options, journal=kept, lines=lines)
-    record = conclude(results, detector.card, same_scale=True)
-    write_table(table, (_row(record, each) for each in record.photographs))
-    kept.remove()
+    photographs = list(named(images))
+    with open_journal(journal, detector, options, lines, anew=overwrite) as kept:
+        n_resumed = sum(journal_key(each) in kept for each in photographs)
+        results = search_flight(photographs, detector, options, journal=kept, lines=lines)
+        record = conclude(results, detector.card, same_scale=True)
+        write_table(table, (_row(record, each) for each in record.photographs))
+        kept.remove()
     return BatchSummary(table, len(images), n_resumed, Counter(each.status for each in record.photographs))
 
 

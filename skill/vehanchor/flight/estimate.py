@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence, Sized
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -64,11 +65,11 @@ def analyse_flight(
     check_options(options)
     checked_detector(detector, options)
     taken = list(named(images)) if isinstance(images, Sequence) else named(images)
-    kept = None if journal is None else open_journal(Path(journal), detector, options, lines or {})
-    results = search_flight(taken, detector, options, featured=not same_scale, journal=kept, lines=lines or {})
-    record = conclude(results, detector.card, same_scale=same_scale)
-    if kept is not None:
-        kept.remove()
+    with nullcontext() if journal is None else open_journal(Path(journal), detector, options, lines or {}) as kept:
+        results = search_flight(taken, detector, options, featured=not same_scale, journal=kept, lines=lines or {})
+        record = conclude(results, detector.card, same_scale=same_scale)
+        if kept is not None:
+            kept.remove()
     return record
 
 
@@ -175,9 +176,9 @@ def journal_key(taken: InputPhotograph) -> Key | None:
 
 
 def open_journal(
-    path: Path, detector: Detector, options: ScaleOptions, lines: KnownLengthTable
+    path: Path, detector: Detector, options: ScaleOptions, lines: KnownLengthTable, *, anew: bool = False
 ) -> Journal[StoredPhotograph]:
-    """Open the journal of a flight.
+    """Open the journal of a flight; ``anew`` discards its results.
 
     Raises:
         InvalidParameterError: the journal has results of other options, or the file is no journal.
@@ -191,4 +192,4 @@ def open_journal(
     settings = {"vehanchor": version("vehanchor"), "networks_sha256": networks, "flight": 1, **choices}
     remedy = "move the file away, or name another"
     codec = photograph_codec()
-    return Journal(path, settings, dump=codec.dump, load=codec.load, sole=True, remedy=remedy)
+    return Journal(path, settings, dump=codec.dump, load=codec.load, sole=True, anew=anew, remedy=remedy)

@@ -1,8 +1,9 @@
 """Journal of a long run: results on disk, from which an interrupted run resumes.
 
 A journal is an append-only file of JSON lines. A line of settings states what results depend on besides their source
-(version, model, options). Each result is a line ``{"settings": ..., "key": ..., "value": ...}``, so that several
-settings can share a file. A last line cut off by a crash is dropped. A key has the state of the source when the work
+(version, model, options). Each result is a line ``{"settings": ..., "key": ..., "value": ..., "sum": ...}``, so that
+several settings can share a file; the sum of the value tells a damaged line. A last line cut off by a crash is
+dropped. The file is never opened through a link. A key has the state of the source when the work
 began (``vehanchor.imagery.identity.Source``), so that results of a replaced file are not found.
 """
 
@@ -16,7 +17,7 @@ import os
 import threading
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeAlias, TypeVar
 
 from pydantic import BaseModel
 
@@ -29,7 +30,8 @@ if TYPE_CHECKING:
 Key: TypeAlias = tuple[str | int, ...]
 Value = TypeVar("Value")
 _START = b'{"settings": '
-_VERSION = 2
+_UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError)
+_VERSION = 3
 """Version of the lines; another version counts as other settings."""
 
 
@@ -41,12 +43,14 @@ class Journal(Generic[Value]):
         settings: JSON values or records that all results depend on; results of other settings are ignored.
         dump: converts a result to JSON values.
         load: converts JSON values to a result.
-        sole: refuse a file with results of other settings.
+        sole: refuse a file with results of other settings, and lock the file against other runs until ``close``
+            (not on Windows).
+        anew: discard earlier results.
         remedy: advice to the user for an unusable file.
 
     Raises:
         InvalidParameterError: the file is not a journal; with ``sole``, it has other settings.
-        OutputError: the file cannot be read or written.
+        OutputError: the file cannot be read or written, is a link, or belongs to a run that has not ended.
     """
 
     def __init__(
@@ -57,6 +61,7 @@ class Journal(Generic[Value]):
         dump: Callable[[Value], Any],
         load: Callable[[Any], Value],
         sole: bool = False,
+        anew: bool = False,
         remedy: str = "move the file away",
     ) -> None:
         self.path = path
@@ -67,8 +72,61 @@ class Journal(Generic[Value]):
         self._declared = False  # whether the file has the line of our settings
         self._memory = io.BytesIO()
         self._lock = threading.Lock()
+        self._held: IO[bytes] | None = None
         if path is not None:
-            self._read(path)
+            try:
+                if sole:
+                    self._hold(path)
+                if anew:
+                    self._start_again()
+                self._read(path)
+            except BaseException:
+                self.close()
+                raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let other runs use the file."""
+        if self._held is not None:
+            self._held.close()
+            self._held = None
+
+    def _hold(self, path: Path) -> None:
+        """Lock the file until it closes.
+
+        Raises:
+            OutputError: another run holds it.
+        """
+        try:
+            import fcntl
+        except ImportError:  # Windows
+            return
+        while True:
+            with self._opened("ab") as file:
+                held = os.fdopen(os.dup(file.fileno()), "rb")
+            try:
+                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                held.close()
+                if error.errno not in (errno.EAGAIN, errno.EACCES):
+                    return  # a file system without locks
+                raise OutputError(
+                    f"another run is using {str(path)!r}: wait until it has ended, or name another output"
+                ) from None
+            with suppress(OSError):
+                if os.path.samestat(os.fstat(held.fileno()), os.lstat(path)):
+                    self._held = held
+                    return
+            held.close()  # another run has just ended and removed the file
+
+    def _start_again(self) -> None:
+        with self._opened("ab") as file:
+            file.truncate(0)
 
     def _read(self, path: Path) -> None:
         """Index the results of these settings; drop an incomplete last line."""
@@ -81,9 +139,9 @@ class Journal(Generic[Value]):
                     break
                 try:
                     self._take(json.loads(line), end)
-                except (ValueError, TypeError, KeyError):
+                except _UNREADABLE:
                     raise InvalidParameterError(
-                        f"{str(path)!r}, line {number}, is not a line of a journal: {self._remedy}"
+                        f"{str(path)!r}, line {number}, is not a line of a journal, or is damaged: {self._remedy}"
                     ) from None
                 except _OtherSettingsError as other:
                     raise InvalidParameterError(
@@ -97,6 +155,8 @@ class Journal(Generic[Value]):
         if "facts" not in record:
             key = tuple(record["key"])
             if ours:
+                if record["sum"] != _sum(record["value"]):
+                    raise ValueError
                 self._offsets[key] = offset
         elif ours:
             self._declared = True
@@ -110,9 +170,12 @@ class Journal(Generic[Value]):
             return
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            with self.path.open(mode, buffering=0 if mode == "ab" else -1) as file:  # lines at once
+            buffering = 0 if mode == "ab" else -1  # lines at once
+            with open(self.path, mode, buffering, opener=_open_no_link) as file:
                 yield file
         except OSError as error:
+            if error.errno == errno.ELOOP:
+                raise OutputError(f"{str(self.path)!r} is a link: remove it, or name another output") from None
             raise OutputError(f"cannot keep results in {str(self.path)!r}: {error.strerror or error}") from None
 
     def __contains__(self, key: Key | None) -> bool:
@@ -127,7 +190,8 @@ class Journal(Generic[Value]):
         Raises:
             OutputError: the file cannot be written.
         """
-        record = {"settings": self._settings, "key": key, "value": self._dump(value)}
+        dumped = self._dump(value)
+        record = {"settings": self._settings, "key": key, "value": dumped, "sum": _sum(dumped)}
         line = json.dumps(record, allow_nan=False).encode() + b"\n"
         with self._lock, self._opened("ab") as file:
             first = b"" if self._declared else self._declaration()
@@ -164,7 +228,7 @@ class Journal(Generic[Value]):
                 line = file.readline()
             try:
                 yield self._load(json.loads(line)["value"])
-            except (ValueError, TypeError, KeyError) as error:
+            except _UNREADABLE as error:
                 raise InvalidParameterError(
                     f"{str(self.path)!r} has an unreadable result of {key} ({error}): {self._remedy}"
                 ) from None
@@ -173,6 +237,16 @@ class Journal(Generic[Value]):
         """Delete the file: the run is complete."""
         if self.path is not None:
             self.path.unlink(missing_ok=True)
+        self.close()
+
+
+def _open_no_link(name: str, flags: int) -> int:
+    return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+
+
+def _sum(value: Any) -> str:
+    """Hash a JSON value; floats, texts and the order of keys survive a file."""
+    return hashlib.sha256(json.dumps(value, allow_nan=False).encode()).hexdigest()[:16]
 
 
 class _OtherSettingsError(Exception):

@@ -657,7 +657,8 @@ def test_a_table_of_lines_that_cannot_be_used_is_told_before_the_work(
 
 def test_a_run_begun_with_other_lines_is_not_mixed_in(folder: Path, detector: Path, table: Path) -> None:
     job = BatchJob(str(detector.resolve()), networks_sha256(Detector(detector).card))
-    open_journal(table, job).add(Task.of("cars.png").key(), BatchRow(file="cars.png", error_code="e", error="e"))
+    with open_journal(table, job) as journal:
+        journal.add(Task.of("cars.png").key(), BatchRow(file="cars.png", error_code="e", error="e"))
     lines = folder / "lines.csv"
     lines.write_text("file,x1,y1,x2,y2,metres\ncars.png,1,2,300,4,40\n")
     result = _batch("cars.png", "-o", table, "--detector", detector, "--known-lengths", lines)
@@ -692,3 +693,23 @@ def test_on_a_terminal_a_bar_shows_how_far_it_is(
 def test_the_default_is_a_worker_a_cpu_but_no_more_than_images(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2}, raising=False)
     assert [local_workers(n) for n in (1, 2, 3, 100)] == [1, 2, 3, 3]
+
+
+def test_a_second_run_on_one_table_is_refused_and_the_first_loses_nothing(detector: Path, table: Path) -> None:
+    job = BatchJob(str(detector.resolve()), networks_sha256(Detector(detector).card))
+    with open_journal(table, job) as journal:
+        journal.add(Task.of("cars.png").key(), BatchRow(file="cars.png", error_code="e", error="e"))
+        for more in ([], ["--overwrite"]):
+            result = _batch("cars.png", "-o", table, "--detector", detector, *more)
+            assert result.exit_code == 2
+            assert result.stderr.startswith("error[output_unwritable]: another run is using")
+        assert len(journal) == 1
+
+
+def test_a_table_that_is_a_link_to_an_image_is_refused(folder: Path, detector: Path, table: Path) -> None:
+    table.symlink_to(folder / "cars.png")
+    for inputs in ("cars.png", "."):
+        result = _batch(inputs, "-o", table, "--detector", detector, "--overwrite")
+        assert result.exit_code == 2
+        assert "are one file by a link" in result.stderr
+    assert table.is_symlink()

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -89,7 +91,7 @@ def test_a_sole_journal_says_in_what_other_settings_differ(tmp_path: Path) -> No
 def test_a_file_that_is_no_journal_is_left_alone(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "x.journal"
     path.write_bytes(content)
-    with pytest.raises(InvalidParameterError, match="is not a line of a journal: move the file away"):
+    with pytest.raises(InvalidParameterError, match="is not a line of a journal, or is damaged: move the file away"):
         _journal(path)
     assert path.read_bytes() == content
 
@@ -165,7 +167,7 @@ def test_a_file_is_replaced_only_once_the_new_one_is_whole(tmp_path: Path) -> No
 def test_a_journal_of_another_version_is_refused_with_a_sentence(tmp_path: Path) -> None:
     path = tmp_path / "j.jsonl"
     path.write_text(json.dumps({"settings": "0123", "facts": {"journal_version": 1, "model": "m"}}) + "\n")
-    with pytest.raises(InvalidParameterError, match=r"journal_version 1 \(now 2\).*move the file away"):
+    with pytest.raises(InvalidParameterError, match=r"journal_version 1 \(now 3\).*move the file away"):
         _journal(path, sole=True)
 
 
@@ -178,3 +180,57 @@ def test_a_result_that_cannot_be_read_any_more_is_told_with_the_remedy(tmp_path:
     journal: Journal[Any] = Journal(path, {"model": "m"}, dump=int, load=load, remedy="start anew")
     with pytest.raises(InvalidParameterError, match=r"unreadable.*start anew"):
         journal.get(("a",))
+
+
+def test_a_damaged_value_is_told_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "j.jsonl"
+    journal = _journal(path)
+    journal.add(("a",), {"n": 1.25, "names": ["x"]})
+    whole = path.read_bytes()
+    nested = b"[" * 100_000 + b"]" * 100_000
+    for value in (b"null", b"{}", b'{"n": 1.5, "names": ["x"]}', nested):
+        path.write_bytes(whole.replace(b'{"n": 1.25, "names": ["x"]}', value))
+        with pytest.raises(InvalidParameterError, match="line 2, is not a line of a journal, or is damaged: move"):
+            _journal(path)
+    path.write_bytes(whole)
+    assert _journal(path).get(("a",)) == {"n": 1.25, "names": ["x"]}
+
+
+def test_a_journal_belongs_to_one_run_at_a_time(tmp_path: Path) -> None:
+    path = tmp_path / "j.jsonl"
+    with _journal(path, sole=True) as first:
+        first.add(("a",), 1)
+        for anew in (False, True):
+            with pytest.raises(OutputError, match=r"another run is using .*: wait until it has ended"):
+                _journal(path, sole=True, anew=anew)
+        assert first.get(("a",)) == 1
+    with _journal(path, sole=True) as second:
+        assert second.get(("a",)) == 1
+    with _journal(path, sole=True, anew=True) as third:
+        assert len(third) == 0
+        third.remove()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_was_killed_holds_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "j.jsonl"
+    held = (
+        "import os; from pathlib import Path; from vehanchor.storage.journal import Journal\n"
+        f"journal = Journal(Path({str(path)!r}), {{}}, dump=str, load=str, sole=True); journal.add(('a',), 'x')\n"
+        "os.kill(os.getpid(), 9)"
+    )
+    assert subprocess.run([sys.executable, "-c", held], check=False).returncode == -9
+    with Journal(path, {}, dump=str, load=str, sole=True) as journal:
+        assert journal.get(("a",)) == "x"
+
+
+@pytest.mark.parametrize("sole", [True, False])
+@pytest.mark.parametrize("exists", [True, False])
+def test_a_link_is_not_followed(tmp_path: Path, sole: bool, exists: bool) -> None:
+    victim, path = tmp_path / "victim", tmp_path / "j.jsonl"
+    if exists:
+        victim.write_bytes(b"")
+    path.symlink_to(victim)
+    with pytest.raises(OutputError, match=r"j\.jsonl' is a link: remove it"):
+        _journal(path, sole=sole)
+    assert victim.exists() == exists

@@ -8,12 +8,12 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vehanchor.errors import ImageNotFoundError
+from vehanchor.errors import ImageNotFoundError, InvalidParameterError
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.imagery.sources.addresses import is_address
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
 _SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
 SUFFIXES = frozenset(chain.from_iterable(IMAGE_FORMATS.values()))
@@ -35,14 +35,15 @@ def find_images(
         Paths as the caller named them: inputs in their order, files of each input sorted.
 
     Raises:
+        InvalidParameterError: a file to leave out is a link to an image, which would be missing in the results.
         ImageNotFoundError: a directory or pattern has no image, a directory does not exist, no image exists, or no
             input is given.
     """
-    excluded = {str(path.resolve()) for path in leave_out}
+    excluded = {str(path.resolve()): path for path in leave_out}
     found: dict[str, None] = {}
     named = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
     for name in [os.fspath(each) for each in named]:
-        images = [path for path in _images(name) if where_it_is(path) not in excluded]
+        images = [path for path in _images(name) if not _is_left_out(path, excluded)]
         if not images:
             raise ImageNotFoundError(f"no image in {name!r}: use the suffixes {', '.join(sorted(SUFFIXES))}")
         found.update(dict.fromkeys(images))
@@ -51,6 +52,19 @@ def find_images(
     if not any(is_address(image) or Path(image).exists() for image in found):
         raise ImageNotFoundError(f"there is no file {next(iter(found))!r}, nor any other of the {len(found)} named")
     return list(found)
+
+
+def _is_left_out(image: str, excluded: Mapping[str, Path]) -> bool:
+    """Test whether a file is one to leave out, under its own name."""
+    output = excluded.get(where_it_is(image))
+    if output is None:
+        return False
+    own, other = Path(image), Path(output)
+    if own.parent.resolve() / own.name != other.parent.resolve() / other.name:
+        raise InvalidParameterError(
+            f"{str(output)!r} and the image {image!r} are one file by a link: choose another name"
+        )
+    return True
 
 
 def where_it_is(image: str | os.PathLike[str]) -> str:
