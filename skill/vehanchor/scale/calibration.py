@@ -226,8 +226,8 @@ def _with_vehicles(images: Sequence[SurveyedImage], source: str) -> list[Surveye
     if n_vehicles < MIN_VEHICLES:
         found = "labelled" if source == "labels" else "found"
         raise CalibrationRefusedError(
-            f"{n_vehicles} vehicles {found} in {len(images)} images are too few for a reference length: at least "
-            f"{MIN_VEHICLES} are needed. Add images of the same region with more cars"
+            f"vehicles {found} for a reference length: {n_vehicles}; at least {MIN_VEHICLES} are needed. Add images of "
+            "the same region with more cars"
         )
     return with_vehicles
 

@@ -116,7 +116,7 @@ def test_too_few_vehicles_are_refused_with_the_number_needed() -> None:
     with pytest.raises(CalibrationRefusedError, match=f"99 vehicles labelled in 2 images.*{MIN_VEHICLES}") as refusal:
         calibrate([SurveyedImage(_boxes(50), GSD), SurveyedImage(_boxes(49), GSD)], source="labels", region_sd_m=0.2)
     assert refusal.value.code == "calibration_refused"
-    with pytest.raises(CalibrationRefusedError, match="0 vehicles found in 0 images"):
+    with pytest.raises(CalibrationRefusedError, match="vehicles found for a reference length: 0;"):
         calibrate([], source="detections", region_sd_m=0.2)
 
 
@@ -436,7 +436,7 @@ def test_the_command_refuses_with_a_reason(folder: Path, tmp_path: Path) -> None
         tmp_path / "c.json",
     )
     assert result.exit_code == 2
-    assert "error[calibration_refused]: 0 vehicles found in 1 images are too few" in result.stderr
+    assert "error[calibration_refused]: vehicles found for a reference length: 0; at least" in result.stderr
     assert not (tmp_path / "c.json").exists()
 
 
