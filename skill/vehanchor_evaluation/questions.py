@@ -222,7 +222,7 @@ class _Dialogue:
     def _measure_stretch(self, question: Question) -> Outcome:
         """Give the tool the line that a person measured; the new scale replaces the earlier one."""
         (x1, y1), (x2, y2) = STRETCH
-        line = {"x1": x1, "y1": y1, "x2": x2, "y2": y2, "metres": question.stretch_m}
+        line = {"x1": x1, "y1": y1, "x2": x2, "y2": y2, "metres": question.stretch_m, "basis": "measured"}
         arguments = {**_image_arguments(question), "known_lengths": [line]}
         _, tokens = self._call(question, "estimate_gsd", arguments)
         return Outcome(question, "no answer", calls=1, tokens=tokens)

@@ -33,6 +33,7 @@ LIMITED = {
 }
 NEEDED = {
     "focal_35mm": {"height_m": 50},
+    "height_tolerance_m": {"height_m": 50},
     "frame_width_px": {"frame_height_px": 1},
     "frame_height_px": {"frame_width_px": 1},
 }
@@ -149,7 +150,7 @@ def test_the_parts_of_a_tools_arguments_have_the_limits_of_the_library() -> None
     for schema, limits in (
         (frame["properties"]["width_px"], FRAME_SIDE),
         (frame["properties"]["height_px"], FRAME_SIDE),
-        (lines["items"]["properties"]["metres"], LINE_LENGTH_M),
+        (lines["items"]["properties"]["metres"]["anyOf"][0], LINE_LENGTH_M),
     ):
         expected = {JSON_NAMES[limit]: value for limit, value in limits.schema.items()}
         assert {key: value for key, value in schema.items() if "imum" in key.lower()} == expected

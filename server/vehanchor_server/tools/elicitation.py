@@ -16,7 +16,7 @@ from mcp_types.version import is_version_at_least
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from vehanchor.errors import KnownLengthError
-from vehanchor.options import KnownLength
+from vehanchor.options import Basis, KnownLength
 from vehanchor.scale.defaults import REGIONS
 from vehanchor_server.errors import CallError
 from vehanchor_server.tools.option_field import limits_field
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 _KEY = "scale"  # of the only input request
 _FIRST_REVISION = "2026-07-28"
+_SECOND_LINE_HELPS = ("assumed", "disagree")
 _PLACES = {
     "pixels": "pixels of the image of {} x {} px",
     "fraction": "fractions 0 to 1 of its width and height",
@@ -48,13 +49,17 @@ class _ScaleInput(BaseModel):
         title="Height, m",
         description="Camera height above ground, for a nadir view.",
     )
+    height_basis: Basis | None = Field(None, title="Height known by", description="measured: above this ground.")
     focal_35mm: Annotated[float | None, limits_field("focal_35mm")] = Field(
         None,
         title="Focal length, mm",
         description="With the height: 35 mm equivalent, if missing in the file.",
     )
     known_length: str | None = Field(
-        None, max_length=200, title="Known length", description="A straight line on the ground: X1 Y1 X2 Y2 METRES"
+        None,
+        max_length=200,
+        title="Known length",
+        description="A line on the ground: X1 Y1 X2 Y2 METRES measured (or assumed)",
     )
 
 
@@ -94,14 +99,15 @@ def with_user_input(ctx: Context[Any, Any], question: ScaleQuestion) -> ScaleQue
     given = {name: value for name, value in (answered.content or {}).items() if value not in (None, "")}
     try:
         answers = _ScaleInput.model_validate(given)
-        lines = (_line(answers.known_length),) if answers.known_length else question.known_lengths
+        added = (_line(answers.known_length),) if answers.known_length else ()
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         raise _invalid_answer(f"{first['loc'][0]}: {first['msg']}") from error
     except KnownLengthError as error:
         raise _invalid_answer(f"known_length: {error}") from error
     known = answers.model_dump(exclude={"known_length"}, exclude_none=True)
-    return replace(question, **known, known_lengths=lines)
+    lines = (*(question.known_lengths or ()), *added)
+    return replace(question, **known, known_lengths=lines or None)
 
 
 def _invalid_answer(complaint: str) -> CallError:
@@ -115,10 +121,10 @@ def _form(question: ScaleQuestion, estimate: GsdEstimate) -> dict[str, Any]:
     if question.region is not None or question.reference_length_m is not None or estimate.n_vehicles == 0:
         del fields["region"]
     if question.height_m is not None:
-        del fields["height_m"]
+        del fields["height_m"], fields["height_basis"]
     if question.height_m is not None or question.focal_35mm is not None:
         del fields["focal_35mm"]
-    if question.known_lengths:
+    if question.known_lengths and estimate.reason not in _SECOND_LINE_HELPS:
         del fields["known_length"]
     else:
         size = question.frame
@@ -132,7 +138,7 @@ def _form(question: ScaleQuestion, estimate: GsdEstimate) -> dict[str, Any]:
 
 def _line(text: str) -> KnownLine:
     line = KnownLength.from_text(text)
-    return KnownLine(x1=line.x1, y1=line.y1, x2=line.x2, y2=line.y2, metres=line.metres)
+    return KnownLine.model_validate(line._asdict())
 
 
 def _supports_forms(ctx: Context[Any, Any]) -> bool:

@@ -50,6 +50,8 @@ from vehanchor_server.tools.scale_question import (
     FocalLengthArgument,
     FrameArgument,
     HeightArgument,
+    HeightBasisArgument,
+    HeightToleranceArgument,
     KnownLengthsArgument,
     MaxSecondsArgument,
     MaxTilesArgument,
@@ -87,6 +89,8 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         known_lengths: KnownLengthsArgument = None,
         height_m: HeightArgument = None,
         focal_35mm: FocalLengthArgument = None,
+        height_basis: HeightBasisArgument = "assumed",
+        height_tolerance_m: HeightToleranceArgument = None,
         coordinates: CoordinatesArgument = "pixels",
         include_overlay: Annotated[Flag, Field(description="Also return a picture with the rulers.")] = False,
         detail: DetailArgument = "short",
@@ -102,6 +106,8 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
             frame,
             known_lengths,
             height_m,
+            height_basis,
+            height_tolerance_m,
             focal_35mm,
             coordinates,
             effort,
@@ -130,7 +136,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         description=_DESCRIPTION,
         meta=APP_META,
         answered=("status", "gsd_m_per_px", "confidence"),
-        unlisted=("more_images", "same_scale", *EFFORT_ARGUMENTS),
+        unlisted=("more_images", "same_scale", "height_tolerance_m", *EFFORT_ARGUMENTS),
     )
 
 

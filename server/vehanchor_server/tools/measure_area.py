@@ -42,6 +42,8 @@ from vehanchor_server.tools.scale_question import (
     FrameArgument,
     GsdArgument,
     HeightArgument,
+    HeightBasisArgument,
+    HeightToleranceArgument,
     KnownLengthsArgument,
     KnownScaleArgument,
     ObjectHeightArgument,
@@ -93,13 +95,25 @@ def measure_area_tool(services: Services) -> StrictTool:
         known_lengths: KnownLengthsArgument = None,
         height_m: HeightArgument = None,
         focal_35mm: FocalLengthArgument = None,
+        height_basis: HeightBasisArgument = "assumed",
+        height_tolerance_m: HeightToleranceArgument = None,
         object_height_m: ObjectHeightArgument = None,
         include_overlay: Annotated[
             Flag, Field(description="Also return a picture with the first object's outline.")
         ] = False,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, AreaMeasurement]:
-        question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
+        question = ScaleQuestion(
+            region,
+            reference_length_m,
+            frame,
+            known_lengths,
+            height_m,
+            height_basis,
+            height_tolerance_m,
+            focal_35mm,
+            coordinates,
+        )
         paged = client_supports_apps(ctx)
         wanted = PictureRequest(include_overlay, paged)
         by = ScaleArguments(gsd_m_per_px, scale, question, object_height_m)

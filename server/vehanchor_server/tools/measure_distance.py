@@ -37,6 +37,8 @@ from vehanchor_server.tools.scale_question import (
     FrameArgument,
     GsdArgument,
     HeightArgument,
+    HeightBasisArgument,
+    HeightToleranceArgument,
     KnownLengthsArgument,
     KnownScaleArgument,
     ObjectHeightArgument,
@@ -94,10 +96,22 @@ def measure_distance_tool(services: Services) -> StrictTool:
         known_lengths: KnownLengthsArgument = None,
         height_m: HeightArgument = None,
         focal_35mm: FocalLengthArgument = None,
+        height_basis: HeightBasisArgument = "assumed",
+        height_tolerance_m: HeightToleranceArgument = None,
         object_height_m: ObjectHeightArgument = None,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, DistanceMeasurement]:
-        question = ScaleQuestion(region, reference_length_m, frame, known_lengths, height_m, focal_35mm, coordinates)
+        question = ScaleQuestion(
+            region,
+            reference_length_m,
+            frame,
+            known_lengths,
+            height_m,
+            height_basis,
+            height_tolerance_m,
+            focal_35mm,
+            coordinates,
+        )
         asked = _Question(lines, ScaleArguments(gsd_m_per_px, scale, question, object_height_m))
         answer = await run_call(services, ctx, image, _measure, asked)
         first = answer.record

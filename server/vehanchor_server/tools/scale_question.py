@@ -5,9 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeVar, cast
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
-from vehanchor.options import Coordinates, Effort, Frame, KnownLength, Reading, Reference, Rulers, ScaleOptions, Search
+from vehanchor.options import (
+    Basis,
+    Coordinates,
+    Effort,
+    Frame,
+    KnownLength,
+    Reading,
+    Reference,
+    Rulers,
+    ScaleOptions,
+    Search,
+)
 from vehanchor.options.frame import FRAME, FRAME_SIDE
 from vehanchor.options.given_scale import GSD, OBJECT_HEIGHT
 from vehanchor.options.rulers import LINE_LENGTH_M
@@ -31,11 +42,25 @@ class FrameSize(FrozenModel):
 class KnownLine(FrozenModel):
     """A straight line of known length on the ground."""
 
+    model_config = ConfigDict(json_schema_extra=lambda schema: schema.pop("description"))  # else models see no basis
+
     x1: Number
     y1: Number
     x2: Number
     y2: Number
-    metres: Annotated[Number, limits_field(LINE_LENGTH_M)]
+    metres: Annotated[Number | None, limits_field(LINE_LENGTH_M)] = None
+    what: Annotated[str | None, Field(max_length=64)] = None
+    basis: Basis = "assumed"
+    tolerance_m: Annotated[Number | None, limits_field(LINE_LENGTH_M)] = None
+
+    def known_length(self) -> KnownLength:
+        """Convert to the library's line.
+
+        Raises:
+            KnownLengthError: it has both metres and a name, or neither.
+        """
+        ends = (self.x1, self.y1, self.x2, self.y2)
+        return KnownLength.of((*ends, self.metres, self.basis, self.tolerance_m, self.what))
 
 
 RegionArgument: TypeAlias = Annotated[str | None, option_field("region")]
@@ -52,6 +77,8 @@ KnownLengthsArgument: TypeAlias = Annotated[
     tuple[KnownLine, ...] | None, Field(max_length=16), option_field("known_lengths")
 ]
 HeightArgument: TypeAlias = Annotated[Number | None, option_field("height_m")]
+HeightBasisArgument: TypeAlias = Annotated[Basis, option_field("height_basis")]
+HeightToleranceArgument: TypeAlias = Annotated[Number | None, option_field("height_tolerance_m")]
 FocalLengthArgument: TypeAlias = Annotated[Number | None, option_field("focal_35mm")]
 ObjectHeightArgument: TypeAlias = Annotated[Number | None, option_field(OBJECT_HEIGHT)]
 EffortArgument: TypeAlias = Annotated[Effort | None, option_field("effort")]
@@ -66,6 +93,8 @@ UNLISTED_ARGUMENTS = (
     "reference_length_m",
     "known_lengths",
     "height_m",
+    "height_basis",
+    "height_tolerance_m",
     "focal_35mm",
     "object_height_m",
 )
@@ -90,6 +119,8 @@ class ScaleQuestion:
         frame: size of the caller's resized copy.
         known_lengths: lines that the caller has measured.
         height_m: camera height above ground.
+        height_basis: how the height is known.
+        height_tolerance_m: half of its 95 % interval.
         focal_35mm: 35 mm equivalent focal length.
         coordinates: coordinate system.
         effort: extent of the search in large images; None for the operator's setting.
@@ -102,6 +133,8 @@ class ScaleQuestion:
     frame: FrameSize | None = None
     known_lengths: tuple[KnownLine, ...] | None = None
     height_m: float | None = None
+    height_basis: Basis = "assumed"
+    height_tolerance_m: float | None = None
     focal_35mm: float | None = None
     coordinates: Coordinates = "pixels"
     effort: Effort | None = None
@@ -138,10 +171,10 @@ class ScaleQuestion:
             frame=Frame(width_px, height_px, self.coordinates),
             reading=Reading(limits=settings.image_limits),
             rulers=Rulers(
-                known_lengths=tuple(
-                    KnownLength(line.x1, line.y1, line.x2, line.y2, line.metres) for line in self.known_lengths or ()
-                ),
+                known_lengths=tuple(line.known_length() for line in self.known_lengths or ()),
                 height_m=self.height_m,
+                height_basis=self.height_basis,
+                height_tolerance_m=self.height_tolerance_m,
                 focal_35mm=self.focal_35mm,
             ),
         )

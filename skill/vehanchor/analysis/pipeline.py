@@ -28,6 +28,7 @@ from vehanchor.rulers.measurement import measure_all, with_tilt
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.registry import active_rulers, check_rulers, ruler_class, uses
 from vehanchor.rulers.scene_scale import SceneScale
+from vehanchor.rulers.stated import unit_notices
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.tilt.camera_tilt import metadata_tilt
 from vehanchor.tilt.estimate import tilt_notice
@@ -143,8 +144,9 @@ def conclude(
     outvoted = [ruler.kind for ruler in decision.rulers if not ruler.agrees]
     warnings = [*image_notices(view.image.notices), *vehicles.notices]
     warnings += [notice for other in others for notice in other.notices]
-    warnings += [*notices, *disagreements((vehicles, *others), outvoted)]
+    warnings += [*notices, *disagreements((vehicles, *others), outvoted, settled=decision.led_by_measured)]
     warnings += outvoted_priors((vehicles, *others)).values()
+    warnings += unit_notices((vehicles, *others))
     if decision.gsd_m_per_px is not None:
         alone = decision.gsd_m_per_px == vehicles.gsd_m_per_px
         own, who_says = view.image.georeference_gsd_m_per_px, Vehicles.says() if alone else "the rulers say"

@@ -12,7 +12,7 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.records import Notice
 from vehanchor.records.ruler_kinds import RULERS
-from vehanchor.rulers.evidence import Evidence, Mark
+from vehanchor.rulers.evidence import Evidence, Fact, Mark
 from vehanchor.rulers.lognormal import LognormalEvidence
 from vehanchor.rulers.registry import ruler_class
 from vehanchor.scale.lengths import Interval
@@ -23,6 +23,7 @@ _CLASSES: dict[str, type[Any]] = {
     "camera_tilt": CameraTilt,
     "detections": Detections,
     "evidence": Evidence,
+    "fact": Fact,
     "fleet_appearance": FleetAppearance,
     "image_facts": ImageFacts,
     "interval": Interval,

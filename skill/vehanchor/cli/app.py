@@ -29,7 +29,7 @@ _GROUP = "vehanchor.commands"
 _PANELS = {
     **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "scalebar", "view"), "Measure"),
     **dict.fromkeys(("serve", "schemas", "skill"), "For agents"),
-    **dict.fromkeys(("doctor", "models"), "This installation"),
+    **dict.fromkeys(("doctor", "models", "rulers"), "This installation"),
 }
 _OTHER_PANEL = "Calibrate and evaluate"
 _FIRST = (
@@ -42,6 +42,7 @@ _FIRST = (
     "view",
     "doctor",
     "models",
+    "rulers",
     "serve",
 )  # in --help; commands of other packages follow
 _SETTINGS = {"help_option_names": ["-h", "--help"]}

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 from typer.core import TyperCommand
 
 from vehanchor.errors import PromptError
+from vehanchor.options import Basis
 
+_WORDS = {"--known-length": get_args(Basis)}  # a last value that may follow
 _VALUES = {"--known-length": 5, "--point": 2, "--negative": 2}
 
 
@@ -36,6 +38,7 @@ class SpacedCommand(TyperCommand):
             n_values = _VALUES.get(joined[-1], 0)
             apart = bool(rest) and len(rest[0].replace(",", " ").split()) < n_values
             if apart:
+                n_values += len(rest) > n_values and rest[n_values] in _WORDS.get(joined[-1], ())
                 joined.append(" ".join(rest[:n_values]))
                 del rest[:n_values]
         return super().parse_args(ctx, joined)

@@ -6,6 +6,7 @@ flight are correlated, so that n densities of a ruler count as fewer than n.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
@@ -18,11 +19,12 @@ from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.records import Notice
-from vehanchor.rulers.evidence import Evidence, View
+from vehanchor.rulers.evidence import Evidence, Fact, View
 from vehanchor.rulers.measurement import expected_scale, measure_all
 from vehanchor.rulers.registry import ruler_class
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.scale.fusion import GRID, TOLERANCE, credible_interval, mass_within
+from vehanchor.scale.lengths import Interval
 from vehanchor.tilt.camera_tilt import known_plane, with_scale
 
 if TYPE_CHECKING:
@@ -205,12 +207,22 @@ def _pooled_evidence(kind: str, found: Sequence[tuple[Evidence, float]]) -> Evid
     if len(said) == 1 and said[0][1] == 0.0:
         return replace(said[0][0], notices=notices)
     densities = [shifted(other.density, offset) for other, offset in said if other.density is not None]
-    density = combined_density(densities, ruler_class(kind).pooling_gain)
+    gain = ruler_class(kind).pooling_gain
+    stating = said if gain else said[:1]  # the photographs of a flight share one height
+    facts = tuple(_shifted_fact(fact, offset) for other, offset in stating for fact in other.facts)
+    density = combined_density(densities, gain)
     median = credible_interval(density, probability=0.0).low
     cue = all(other.confidence == 0 for other, _ in said)
     confidence = 0.0 if cue else min(1.0, mass_within(density, median, TOLERANCE))
     n = sum(other.n for other, _ in said)
-    return Evidence(kind, median, credible_interval(density), n, confidence, notices, density)
+    return Evidence(kind, median, credible_interval(density), n, confidence, notices, density, facts=facts)
+
+
+def _shifted_fact(fact: Fact, offset: float) -> Fact:
+    """Convert a fact to the pixels of another photograph."""
+    factor = math.exp(-offset)
+    low, high = fact.interval
+    return fact._replace(gsd_m_per_px=fact.gsd_m_per_px * factor, interval=Interval(low * factor, high * factor))
 
 
 def _facts(members: Sequence[Photograph], reference: int) -> ImageFacts:

@@ -8,12 +8,13 @@ from vehanchor.options.keywords import OptionKeywords
 from vehanchor.options.lengths import Lengths
 from vehanchor.options.reading import Reading
 from vehanchor.options.reference import Reference
-from vehanchor.options.rulers import KnownLength, Rulers
+from vehanchor.options.rulers import Basis, KnownLength, Rulers
 from vehanchor.options.scale_options import ScaleOptions, declared_option, declared_options
 from vehanchor.options.search import Effort, Search
 
 __all__ = [
     "DECODED_BYTES_PER_PIXEL",
+    "Basis",
     "Coordinates",
     "Effort",
     "Frame",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, Any, TypedDict
 
 if TYPE_CHECKING:
     import os
@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from vehanchor.options.frame import Coordinates
     from vehanchor.options.image_limits import ImageLimits
     from vehanchor.options.method import Preset
+    from vehanchor.options.rulers import Basis
     from vehanchor.options.search import Effort
     from vehanchor.scale.calibration import Calibration
     from vehanchor.scale.defaults import Aggregation
@@ -42,7 +43,9 @@ class OptionKeywords(TypedDict, total=False):
     max_megapixels: float | None
     rulers: Sequence[str] | None
     metadata: bool
-    known_lengths: Sequence[tuple[float, float, float, float, float]]
+    known_lengths: Sequence[Sequence[Any]]
     height_m: float | None
+    height_basis: Basis
+    height_tolerance_m: float | None
     focal_35mm: float | None
     preset: Preset | None

@@ -33,6 +33,8 @@ PRESETS: dict[str, dict[str, Any]] = {
         "metadata": False,
         "known_lengths": (),
         "height_m": None,
+        "height_basis": "assumed",
+        "height_tolerance_m": None,
         "focal_35mm": None,
     }
 }

@@ -5,11 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 from vehanchor.errors import InvalidParameterError, KnownLengthError
-from vehanchor.options.option import Flag, Limits, check_fields, option, set_frozen
+from vehanchor.options.option import Flag, Limits, Text, Words, check_fields, option, set_frozen
 
+Basis: TypeAlias = Literal["assumed", "measured"]
+"""How a fact is known: by a standard or an inference, or by tape, plan or survey."""
+
+_BASES = Words(get_args(Basis))
+_NAME = Text(64)
 _MIN_LINE_PX = 5.0  # on a shorter line, an error of a pixel at each end exceeds a quarter
 LINE_LENGTH_M = Limits(above=0, most=100_000)
 """Limits for a line of known length, metres."""
@@ -27,31 +32,84 @@ class KnownLength(NamedTuple):
         y1: y of that end.
         x2: x of the other end.
         y2: y of that end.
-        metres: length of the line.
+        metres: length of the line; None for a thing of known size.
+        basis: how the length is known: assumed, or measured by tape, plan or survey.
+        tolerance_m: half of the 95 % interval of the length, metres; None for the default of its basis.
+        what: thing of known size by its name in ``vehanchor.rulers.standards``, with an optional country, as
+            "railway_gauge/ES"; None for a length in metres.
     """
 
     x1: float
     y1: float
     x2: float
     y2: float
-    metres: float
+    metres: float | None
+    basis: Basis = "assumed"
+    tolerance_m: float | None = None
+    what: str | None = None
+
+    @classmethod
+    def of(cls, values: Iterable[Any]) -> KnownLength:
+        """Check the values of a line, in their order; a name in the place of the metres is a thing of known size.
+
+        Raises:
+            KnownLengthError: a value is missing or invalid.
+        """
+        given = tuple(values)
+        try:
+            told = cls(*given)
+            ends = [_COORDINATE.check("known_lengths", each) for each in told[:4]]
+            what = told.metres if isinstance(told.metres, str) else told.what
+            metres = None
+            if what is None:
+                metres = LINE_LENGTH_M.check("the line's length in metres", told.metres)
+            else:
+                _NAME.check("the thing of known size", what)
+                if isinstance(told.metres, float | int) or told.basis == "measured" or told.tolerance_m is not None:
+                    raise KnownLengthError(f"a thing of known size, {what!r}, has no metres, basis or tolerance")
+            _BASES.check("the line's basis", told.basis)
+            tolerance = told.tolerance_m
+            if tolerance is not None:
+                tolerance = LINE_LENGTH_M.check("the line's tolerance in metres", tolerance)
+        except (TypeError, ValueError) as error:
+            raise KnownLengthError(f"the known length {given!r} is not x1, y1, x2, y2, metres: {error}") from None
+        x1, y1, x2, y2 = ends
+        return cls(x1, y1, x2, y2, metres, told.basis, tolerance, what)
 
     @classmethod
     def from_text(cls, text: str) -> KnownLength:
-        """Read a line from five numbers, separated by spaces or commas.
+        """Read a line, ``X1 Y1 X2 Y2 METRES[+-TOLERANCE] [measured]`` or ``X1 Y1 X2 Y2 NAME``; commas are spaces.
 
         Raises:
-            KnownLengthError: the text is not five numbers.
+            KnownLengthError: the text is no line.
         """
+        parts = text.replace(",", " ").split()
+        basis = parts.pop() if parts and parts[-1] in get_args(Basis) else "assumed"
         try:
-            return cls(*(float(part) for part in text.replace(",", " ").split()))
-        except (TypeError, ValueError):
-            raise KnownLengthError(f"the known length is {text!r}: use five numbers, X1 Y1 X2 Y2 METRES") from None
+            *ends, length = parts
+            x1, y1, x2, y2 = map(float, ends)
+            metres, _, tolerance = length.partition("+-")
+            values = (number_or_name(metres), basis, float(tolerance) if tolerance else None)
+        except ValueError:
+            raise KnownLengthError(
+                f"the known length is {text!r}: use X1 Y1 X2 Y2 METRES, then 'measured' if it was, or X1 Y1 X2 Y2 and "
+                "a name of 'vehanchor rulers'"
+            ) from None
+        return cls.of((x1, y1, x2, y2, *values))
 
     @property
     def length_px(self) -> float:
         """Length of the line in pixels."""
         return math.hypot(self.x2 - self.x1, self.y2 - self.y1)
+
+
+def number_or_name(text: str) -> float | str:
+    """Read a number; a text that begins with a letter is a name.
+
+    Raises:
+        ValueError: the text is neither.
+    """
+    return text if text[:1].isalpha() and text.lower() not in ("nan", "inf", "infinity") else float(text)
 
 
 @dataclass(frozen=True)
@@ -61,9 +119,12 @@ class Rulers:
     Attributes:
         rulers: kinds of the rulers to use; None for all. ``vehanchor.records.ruler_kinds`` lists them.
         metadata: use the camera's metadata in the file; False is the paper's case.
-        known_lengths: lines of known length: x1, y1, x2, y2 in pixels, and metres.
+        known_lengths: lines of known length: x1, y1, x2, y2 in pixels, metres or the name of a thing of known
+            size, and optionally the basis and the tolerance; see ``KnownLength``.
         height_m: height of the camera above the ground, metres; the view is at nadir unless metadata or courts show a
             tilt.
+        height_basis: how the height is known.
+        height_tolerance_m: half of the 95 % interval of the height, metres; None for the default of its basis.
         focal_35mm: 35 mm equivalent focal length, millimetres; None takes the file's.
 
     Raises:
@@ -82,8 +143,8 @@ class Rulers:
     known_lengths: tuple[KnownLength, ...] = field(
         default=(),
         metadata=option(
-            "Lines of known length on the ground.",
-            metavar="X1 Y1 X2 Y2 METRES",
+            "Lines of known length; basis measured: by tape, plan, survey; what: not metres, e.g. iso_container_20ft.",
+            metavar="X1 Y1 X2 Y2 METRES[+-M] [measured]|NAME",
             flag="known-length",
         ),
     )
@@ -94,6 +155,14 @@ class Rulers:
             _HEIGHT_M,
             metavar="M",
         ),
+    )
+    height_basis: Basis = field(
+        default="assumed",
+        metadata=option("With the height: assumed, or measured above this ground.", _BASES),
+    )
+    height_tolerance_m: float | None = field(
+        default=None,
+        metadata=option("With the height: half of its 95 % interval, metres.", _HEIGHT_M, metavar="M"),
     )
     focal_35mm: float | None = field(
         default=None,
@@ -106,8 +175,11 @@ class Rulers:
         if self.rulers is not None:
             set_frozen(self, "rulers", _ruler_names(self.rulers))
         set_frozen(self, "known_lengths", _lines(self.known_lengths))
-        if self.focal_35mm is not None and self.height_m is None:
-            raise InvalidParameterError("focal_35mm needs height_m: also give the height above the ground")
+        about_height = {"focal_35mm": self.focal_35mm, "height_tolerance_m": self.height_tolerance_m}
+        lonely = [name for name, value in about_height.items() if value is not None]
+        lonely += ["height_basis"] if self.height_basis == "measured" else []
+        if lonely and self.height_m is None:
+            raise InvalidParameterError(f"{lonely[0]} needs height_m: also give the height above the ground")
         check_fields(self)
 
     def check_lengths(self) -> None:
@@ -154,12 +226,7 @@ def _ruler_names(names: Any) -> tuple[str, ...]:
 def _lines(lines: Any) -> tuple[KnownLength, ...]:
     if isinstance(lines, str) or not isinstance(lines, Iterable):
         raise KnownLengthError(f"known_lengths is {lines!r}: give lines of x1, y1, x2, y2, metres")
-    checked = []
-    for line in lines:
-        try:
-            x1, y1, x2, y2, metres = (_COORDINATE.check("known_lengths", each) for each in line)
-            LINE_LENGTH_M.check("the line's length in metres", metres)
-        except (TypeError, ValueError) as error:
-            raise KnownLengthError(f"the known length {line!r} is not x1, y1, x2, y2, metres: {error}") from None
-        checked.append(KnownLength(x1, y1, x2, y2, metres))
-    return tuple(checked)
+    try:
+        return tuple(map(KnownLength.of, lines))
+    except TypeError:
+        raise KnownLengthError(f"known_lengths is {lines!r}: give lines of x1, y1, x2, y2, metres") from None

@@ -12,7 +12,7 @@ from vehanchor.options.method import Method, with_preset
 from vehanchor.options.option import Option, keyword_of, option_of
 from vehanchor.options.reading import Reading
 from vehanchor.options.reference import Reference
-from vehanchor.options.rulers import KnownLength, Rulers
+from vehanchor.options.rulers import Rulers
 from vehanchor.options.search import Search
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class ScaleOptions:
         extent = self.frame.extent(width_px, height_px)
         across, down = picture[0] / extent[0], picture[1] / extent[1]
         lines = tuple(
-            KnownLength(line.x1 * across, line.y1 * down, line.x2 * across, line.y2 * down, line.metres)
+            line._replace(x1=line.x1 * across, y1=line.y1 * down, x2=line.x2 * across, y2=line.y2 * down)
             for line in self.rulers.known_lengths
         )
         told = self

@@ -27,12 +27,13 @@ ADVICE: Mapping[Reason, Advice] = {
     "too_few": Advice("too little evidence", "include more cars: fly higher, or over streets and car parks"),
     "not_cars": Advice("the vehicles may not be cars", "look at the overlay, or give a known length or the height"),
     "disagree": Advice(
-        "sizes or rulers contradict each other", "look at the overlay, or give a known length or the height"
+        "sizes or rulers contradict each other", "look at the overlay, or give a measured length or height"
     ),
     "lost": Advice(
         "the scene is unlike the training data", "photograph streets or houses, or give the height above ground"
     ),
     "imprecise": Advice("the interval is too wide", "give a known length, or include cars"),
+    "assumed": Advice("it rests on one assumed fact", "say that it is measured, if it is, or give a second fact"),
 }
 """Advice by the ``reason`` of a record."""
 

@@ -32,6 +32,7 @@ class NoticeCode(StrEnum):
     TILT_SUSPECTED = "tilt_suspected"
     CAMERA_CROPPED = "camera_cropped"
     CAMERA_UNUSABLE = "camera_unusable"
+    UNIT_MISTYPED = "unit_mistyped"
     KNOWN_LENGTHS_DISAGREE = "known_lengths_disagree"
     FOCAL_LENGTH_MISSING = "focal_length_missing"
     # of a flight

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 AGREEMENT = 0.1
 _CHECK = "Check which of them is wrong before using either."
+_SETTLED = "The measured fact leads."
 
 
 def agrees(ruler: Evidence, gsd_m_per_px: float) -> bool:
@@ -31,27 +32,31 @@ def agrees(ruler: Evidence, gsd_m_per_px: float) -> bool:
     return in_interval or abs(math.log(ruler.gsd_m_per_px / gsd_m_per_px)) <= math.log1p(AGREEMENT)
 
 
-def disagreements(evidence: Sequence[Evidence], outvoted: Collection[str] = ()) -> list[Notice]:
+def disagreements(
+    evidence: Sequence[Evidence], outvoted: Collection[str] = (), *, settled: bool = False
+) -> list[Notice]:
     """Warn of outvoted rulers, and of other pairs that disagree.
 
     Args:
         evidence: of all rulers. Rulers without evidence and priors never disagree.
         outvoted: kinds of the rulers that disagree with the fused scale.
+        settled: whether measured facts decide which of them is wrong.
 
     Returns:
         One notice per outvoted ruler, and one per other pair.
     """
     found = [each for each in evidence if each.sets_scale]
     kept = [each for each in found if each.kind not in outvoted] or found
+    remedy = _SETTLED if settled else _CHECK
     notices = []
     for wrong in (each for each in found if each not in kept):
         if len(kept) == 1:
-            notices.append(_pair(*sorted((wrong, kept[0]), key=found.index)))
+            notices.append(_pair(*sorted((wrong, kept[0]), key=found.index), remedy=remedy))
         else:
             others = ", ".join(map(_says, kept))
-            message = f"{_says(wrong).capitalize()} m/px, and the other rulers disagree: {others} m/px. {_CHECK}"
+            message = f"{_says(wrong).capitalize()} m/px, and the other rulers disagree: {others} m/px. {remedy}"
             notices.append(Notice(code=NoticeCode.RULERS_DISAGREE, message=message))
-    return notices + [_pair(*pair) for pair in combinations(kept, 2) if not _compatible(*pair)]
+    return notices + [_pair(*pair, remedy=remedy) for pair in combinations(kept, 2) if not _compatible(*pair)]
 
 
 def outvoted_priors(evidence: Sequence[Evidence]) -> dict[str, Notice]:
@@ -85,10 +90,10 @@ def _compatible(one: Evidence, other: Evidence) -> bool:
     return one.interval.low <= other.interval.high and other.interval.low <= one.interval.high
 
 
-def _pair(one: Evidence, other: Evidence) -> Notice:
+def _pair(one: Evidence, other: Evidence, *, remedy: str) -> Notice:
     return Notice(
         code=NoticeCode.RULERS_DISAGREE,
-        message=f"Two rulers disagree: {_says(one)}, {_says(other)} m/px. {_CHECK}",
+        message=f"Two rulers disagree: {_says(one)}, {_says(other)} m/px. {remedy}",
     )
 
 

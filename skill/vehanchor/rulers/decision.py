@@ -9,20 +9,16 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
 from vehanchor.detection.convergence import Convergence
 from vehanchor.records.notices import FLEET_DOUBTS, NoticeCode
 from vehanchor.rulers.agreement import agrees, disagreements, outvoted_priors
+from vehanchor.rulers.stated import MOST_SURE, Verdict, leading_evidence, verdict
 from vehanchor.scale.fusion import (
-    GRID,
-    LOG_STEP,
     TOLERANCE,
     USABLE_CHANCE,
-    credible_interval,
     fuse,
     mass_within,
-    product,
+    strongest_mode,
 )
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES, Z95, Interval, statistical_log_sds
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX, UNSURE_CONFIDENCE, WIDEST_USABLE
@@ -30,14 +26,13 @@ from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX, 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from vehanchor.records import Reason
     from vehanchor.rulers.evidence import Evidence
     from vehanchor.rulers.vehicles import VehicleEvidence
 
-_BASIN = 0.25  # of log scale on either side of the highest cell: extent of one mode
-_WINDOW = 0.2  # of log scale on either side: window to compare the strength of modes
 _WIDEST_OF_UNCALIBRATED = 3.0  # high over low of an interval if the votes are uncalibrated
 _LOST_WIDTH = 5.0  # high over low of a prior's interval for a scene unlike its training data
 _PRIOR_REACH, _PRIOR_SUPPORT = 0.4, 0.1  # a prior supports a scale if it holds a tenth within +-40 %
@@ -79,6 +74,7 @@ class ScaleDecision(NamedTuple):
         reason: why the scale is not usable; None if it is.
         source: kind of the ruler with the largest weight that sets the scale; None without a scale.
         rulers: each ruler's part; none without a scale.
+        led_by_measured: whether measured facts lead.
     """
 
     gsd_m_per_px: float | None
@@ -88,6 +84,7 @@ class ScaleDecision(NamedTuple):
     reason: Reason | None
     source: str | None = None
     rulers: tuple[RulerShare, ...] = ()
+    led_by_measured: bool = False
 
 
 class Posterior(NamedTuple):
@@ -111,22 +108,31 @@ def decide(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> ScaleDecisi
     """
     evidence = (vehicles, *others)
     alone = not any(each.sets_scale and each.fusable_density is not None for each in others)
-    posterior = _posterior_of_vehicles(vehicles, others) if alone else fuse_rulers(evidence)
+    image_gsd = None if alone else _usable_without_facts(vehicles, others)
+    leading = None if alone else leading_evidence(evidence, image_gsd)
+    posterior = _posterior_of_vehicles(vehicles, others) if alone else fuse_rulers(leading or evidence)
     if posterior is None:
         return ScaleDecision(None, None, None, vehicles.confidence, _vehicle_reason(vehicles, others))
     gsd, interval, chance, multiplied = posterior
+    rulers = shares(evidence, gsd, multiplied)
+    limit = Verdict() if leading else verdict(evidence, gsd, image_gsd)
+    if chance is not None:
+        chance = min(chance, limit.chance, MOST_SURE)
     confidence = vehicles.confidence if chance is None else chance
+    if not leading:
+        confidence = min(confidence, _undisputed_confidence(vehicles, others, rulers))
     if alone and not vehicles.exact:
         confidence = min(confidence, vehicles.largest_confidence)
     widest = WIDEST_USABLE if chance is not None else _WIDEST_OF_UNCALIBRATED
     uncertain = (chance is not None and chance < USABLE_CHANCE) or interval.high > widest * interval.low
-    if uncertain and not vehicles.exact:
-        confidence = min(confidence, UNSURE_CONFIDENCE)
-    rulers = shares(evidence, gsd, multiplied)
+    if not vehicles.exact:
+        confidence = min(confidence, UNSURE_CONFIDENCE if uncertain or limit.reason else MOST_SURE)
     reason: Reason | None = None
     if confidence < FALLBACK_CONFIDENCE:
-        reason = _vehicle_reason(vehicles, others, chance) if alone else _fused_reason(evidence, rulers)
-    return ScaleDecision(gsd, interval, chance, confidence, reason, _leading(evidence, rulers), rulers)
+        own = _vehicle_reason(vehicles, others, chance) if alone else _fused_reason(evidence, rulers)
+        reason = limit.reason or own
+    led = leading is not None
+    return ScaleDecision(gsd, interval, chance, confidence, reason, _leading(evidence, rulers), rulers, led)
 
 
 def convergence(vehicles: VehicleEvidence, priors: Sequence[Evidence]) -> Convergence:
@@ -179,10 +185,7 @@ def fuse_rulers(evidence: Sequence[Evidence]) -> Posterior | None:
     densities = ruler_densities(each for each in evidence if each.kind not in outvoted)
     if not any(each.sets_scale and each.kind in densities for each in evidence):
         return None
-    posterior = product(*densities.values())
-    gsd = _strongest(posterior)
-    low, high = credible_interval(_not_all_wrong(list(densities.values())))
-    interval = Interval(min(low, gsd), max(high, gsd))
+    gsd, interval, posterior = strongest_mode(list(densities.values()))
     return Posterior(gsd, interval, mass_within(posterior, gsd, TOLERANCE), frozenset(densities))
 
 
@@ -219,6 +222,29 @@ def shares(evidence: Sequence[Evidence], gsd_m_per_px: float, multiplied: frozen
         for each, gsd, interval in found
         if gsd is not None and interval is not None
     )
+
+
+def _usable_without_facts(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> float | None:
+    """Return the scale that the image gives without stated facts if it is usable, else None."""
+    unstated = [each for each in others if not each.facts]
+    if len(unstated) == len(others):
+        return None
+    decision = decide(vehicles, unstated)
+    return decision.gsd_m_per_px if decision.reason is None else None
+
+
+def _undisputed_confidence(
+    vehicles: VehicleEvidence, others: Sequence[Evidence], rulers: Sequence[RulerShare]
+) -> float:
+    """Compute the confidence without the rulers that disagree: a contradiction never raises it."""
+    outvoted = {ruler.kind for ruler in rulers if not ruler.agrees}
+    kept = [each for each in others if not each.sets_scale or each.kind not in outvoted]
+    if not outvoted or (len(kept) == len(others) and vehicles.kind not in outvoted):
+        return 1.0
+    if vehicles.kind not in outvoted and vehicles.gsd_m_per_px is not None:
+        return decide(vehicles, kept).confidence
+    posterior = fuse_rulers(kept)
+    return 1.0 if posterior is None or posterior.p_within_20 is None else posterior.p_within_20
 
 
 def _posterior_of_vehicles(vehicles: VehicleEvidence, priors: Sequence[Evidence]) -> Posterior | None:
@@ -267,29 +293,6 @@ def _vehicle_reason(vehicles: VehicleEvidence, priors: Sequence[Evidence], chanc
 
 def _supports(prior: Evidence, gsd_m_per_px: float) -> bool:
     return prior.density is None or mass_within(prior.density, gsd_m_per_px, _PRIOR_REACH) >= _PRIOR_SUPPORT
-
-
-def _not_all_wrong(densities: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Multiply densities, given that not all rulers are wrong at once.
-
-    A ruler that may be wrong has an outlier floor. The case that all are wrong lowers the chance; in the interval, it
-    would cover the whole grid.
-    """
-    logs = np.sum([np.log(np.maximum(density, 1e-300)) for density in densities], axis=0)
-    all_wrong = sum(math.log(max(float(density.min()), 1e-300)) for density in densities)
-    right = np.maximum(np.exp(logs - logs.max()) - math.exp(all_wrong - logs.max()), 0.0)
-    return np.asarray(right / right.sum())
-
-
-def _strongest(posterior: NDArray[np.float64]) -> float:
-    """Compute the median of the strongest mode of the posterior, metres per pixel."""
-    reach = round(_WINDOW / LOG_STEP)
-    below = np.concatenate([np.zeros(reach + 1), np.cumsum(posterior), np.full(reach, posterior.sum())])
-    middle = int(np.argmax(below[2 * reach + 1 :] - below[: len(posterior)]))
-    inside = slice(max(0, middle - reach), middle + reach + 1)
-    peak = GRID[inside][int(np.argmax(posterior[inside]))]
-    mode = np.where(np.abs(GRID - peak) <= _BASIN, posterior, 0.0)
-    return credible_interval(mode / mode.sum(), probability=0.0).low
 
 
 def _precision(interval: Interval) -> float:

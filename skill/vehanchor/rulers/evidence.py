@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.imagery.raster import Raster
     from vehanchor.models.runtime import Runtime
-    from vehanchor.options import ScaleOptions
+    from vehanchor.options import Basis, ScaleOptions
     from vehanchor.records import Notice
     from vehanchor.scale.lengths import Interval
     from vehanchor.scale.plane import GroundPlane
@@ -104,6 +104,24 @@ class Mark(NamedTuple):
         return cls(((image.width_px / 2, image.height_px / 2),), f"{height_m:.4g} m up")
 
 
+class Fact(NamedTuple):
+    """Fact about the scale from the caller.
+
+    Attributes:
+        name: noun with its value, as "known length of 60 m".
+        basis: how the fact is known.
+        gsd_m_per_px: scale by this fact alone.
+        interval: its 95 % interval.
+        chance: 0..1, chance of an error below 20 % by this fact alone.
+    """
+
+    name: str
+    basis: Basis
+    gsd_m_per_px: float
+    interval: Interval
+    chance: float
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """Result of one ruler.
@@ -118,6 +136,7 @@ class Evidence:
         density: probabilities on ``vehanchor.scale.fusion.GRID``; None without any.
         explanation: the measurement in a sentence; None if not needed.
         marks: measured lines, for pictures.
+        facts: facts from the caller behind it; empty for a ruler that measures the image.
     """
 
     kind: str
@@ -129,6 +148,7 @@ class Evidence:
     density: NDArray[np.float64] | None = None
     explanation: str | None = None
     marks: tuple[Mark, ...] = ()
+    facts: tuple[Fact, ...] = ()
 
     @property
     def fusable_density(self) -> NDArray[np.float64] | None:

@@ -12,14 +12,20 @@ from vehanchor.rulers.camera import coarsening, cropped
 from vehanchor.rulers.evidence import Mark
 from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
 from vehanchor.rulers.ruler import Ruler
-from vehanchor.scale.height import GIVEN_HEIGHT_LOG_SD
+from vehanchor.scale.height import ASSUMED_HEIGHT_LOG_SD, GIVEN_HEIGHT_LOG_SD
+from vehanchor.scale.lengths import Z95
 
 if TYPE_CHECKING:
     from vehanchor.imagery.metadata.lens import Lens
+    from vehanchor.options import Basis
     from vehanchor.rulers.evidence import View
     from vehanchor.rulers.lognormal import LognormalEvidence
 
-_CHANCE_WRONG = 0.05
+_SPREADS: dict[Basis, tuple[float, float]] = {
+    "measured": (GIVEN_HEIGHT_LOG_SD, 0.05),
+    "assumed": (ASSUMED_HEIGHT_LOG_SD, 0.15),
+}
+"""Standard deviation of the log, and chance of an outlier; that of assumed facts is our assumption."""
 _NO_LENS_OF_A_CROP = (
     "no focal length of the whole photograph holds for it, and the given height is not usable. If focal_35mm is that "
     "of the crop, leave out the metadata"
@@ -58,7 +64,7 @@ class GivenHeight(Ruler):
             return no_evidence(self.kind, _FOCAL_LENGTH_MISSING)
         coarser, tilt_log_sd = coarsening(0.0 if view.plane is None else view.plane.tilt_deg)
         gsd = chosen.height_m / seen.pixels * coarser
-        said = f"The given height gives {{}}: {chosen.height_m:g} m and {seen.source}."
+        said = f"The given height, {chosen.height_basis}, gives {{}}: {chosen.height_m:g} m and {seen.source}."
         said += " This is the scale of the image's centre." if view.plane else ""
         if not on_grid(gsd):
             return no_evidence(
@@ -69,6 +75,10 @@ class GivenHeight(Ruler):
                     f"{gsd:.3g} m/px.",
                 ),
             )
-        log_sd = math.hypot(GIVEN_HEIGHT_LOG_SD, seen.log_sd, tilt_log_sd)
+        height_log_sd, chance_wrong = _SPREADS[chosen.height_basis]
+        if chosen.height_tolerance_m is not None:
+            height_log_sd = chosen.height_tolerance_m / chosen.height_m / Z95
+        log_sd = math.hypot(height_log_sd, seen.log_sd, tilt_log_sd)
         marks = [Mark.of_height(image, chosen.height_m)]
-        return lognormal_evidence(self.kind, gsd, log_sd, _CHANCE_WRONG, said, marks=marks)
+        found = lognormal_evidence(self.kind, gsd, log_sd, chance_wrong, said, marks=marks)
+        return found.stated(f"given height of {chosen.height_m:g} m", chosen.height_basis)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, TypeAlias
 from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.sources.addresses import is_address
 from vehanchor.imagery.sources.files import where_it_is
-from vehanchor.options.rulers import KnownLength, Rulers
+from vehanchor.options.rulers import KnownLength, Rulers, number_or_name
+from vehanchor.rulers.standards import check_name
 
 if TYPE_CHECKING:
     import os
@@ -22,11 +23,15 @@ KnownLengthTable: TypeAlias = "Mapping[str, tuple[KnownLength, ...]]"
 """Lines by the absolute path or address of their image."""
 
 _COLUMNS = ("file", "x1", "y1", "x2", "y2", "metres")
+_OPTIONAL = ("basis", "tolerance_m", "what")
 _MOST_BYTES = 64 << 20
 
 
 def read_known_lengths(path: str | os.PathLike[str]) -> dict[str, tuple[KnownLength, ...]]:
     """Read a CSV with the columns ``file``, ``x1``, ``y1``, ``x2``, ``y2`` and ``metres``.
+
+    A name of ``vehanchor.rulers.standards`` may stand for the metres. The columns ``basis``, ``tolerance_m`` and
+    ``what`` are optional; an empty cell is the default.
 
     Args:
         path: path of the table; an image may have several lines. Files are relative to the table, or addresses.
@@ -93,8 +98,12 @@ def _line(table: Path, number: int, row: Mapping[str, str | None]) -> KnownLengt
     try:
         if not row["file"]:
             raise KnownLengthError("the file is not named")
-        values = [float(row[name] or "") for name in _COLUMNS[1:]]
-        rulers = Rulers(known_lengths=(KnownLength(*values),))
+        basis, tolerance, what = (row.get(name) or None for name in _OPTIONAL)
+        ends = [float(row[name] or "") for name in _COLUMNS[1:5]]
+        length = what if what and not row["metres"] else number_or_name(row["metres"] or "")
+        line = KnownLength.of((*ends, length, basis or "assumed", float(tolerance) if tolerance else None))
+        check_name(line.what)
+        rulers = Rulers(known_lengths=(line,))
         rulers.check_lengths()
     except (ValueError, KnownLengthError) as error:
         raise KnownLengthError(f"{str(table)!r}, line {number}: {error}") from None

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.records.ruler_kinds import RULERS
+from vehanchor.rulers.standards import check_name
 
 if TYPE_CHECKING:
     from vehanchor.options import Rulers
@@ -26,11 +27,14 @@ def ruler_class(kind: str) -> type[Ruler]:
 
 
 def check_rulers(options: Rulers) -> None:
-    """Check that all named rulers exist.
+    """Check that all named rulers and things of known size exist.
 
     Raises:
         InvalidParameterError: a ruler does not exist.
+        KnownLengthError: a thing of known size is not in the catalogue.
     """
+    for line in options.known_lengths:
+        check_name(line.what)
     unknown = [name for name in options.rulers or () if name not in RULERS]
     if unknown:
         raise InvalidParameterError(f"rulers is {options.rulers!r}: use some of {', '.join(RULERS)}")

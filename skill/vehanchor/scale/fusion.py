@@ -13,6 +13,8 @@ import numpy as np
 from vehanchor.scale.lengths import Interval
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike, NDArray
 
 LOG_STEP = 0.005
@@ -24,6 +26,8 @@ _FINEST, _COARSEST = 0.003, 3.0  # metres per pixel
 GRID: NDArray[np.float64] = np.arange(np.log(_FINEST), np.log(_COARSEST), LOG_STEP)
 """``[g]`` natural logs of metres per pixel."""
 
+_BASIN = 0.25  # of log scale on either side of the highest cell: extent of one mode
+_WINDOW = 0.2  # of log scale on either side: window to compare the strength of modes
 _SHARE_LEVELS = 24  # votes are binned by their weight, so that the cost is independent of their number
 _KERNEL_REACH_SDS = 6.0
 _LEAST_SHARE = 1e-3
@@ -153,6 +157,44 @@ def product(*densities: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     logs = np.sum([np.log(np.maximum(density, 1e-300)) for density in densities], axis=0)
     return _normalised(np.exp(logs - logs.max()))
+
+
+def strongest_mode(densities: Sequence[NDArray[np.float64]]) -> tuple[float, Interval, NDArray[np.float64]]:
+    """Multiply densities; find the median of the strongest mode, and the interval of all modes.
+
+    Args:
+        densities: ``[g]`` probabilities each, at least one.
+
+    Returns:
+        The median, metres per pixel; the 95 % interval, extended to contain it; and the product, ``[g]``.
+    """
+    posterior = product(*densities)
+    gsd = _mode_median(posterior)
+    low, high = credible_interval(_not_all_wrong(densities))
+    return gsd, Interval(min(low, gsd), max(high, gsd)), posterior
+
+
+def _not_all_wrong(densities: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Multiply densities, given that not all rulers are wrong at once.
+
+    A ruler that may be wrong has an outlier floor. The case that all are wrong lowers the chance; in the interval, it
+    would cover the whole grid.
+    """
+    logs = np.sum([np.log(np.maximum(density, 1e-300)) for density in densities], axis=0)
+    all_wrong = sum(np.log(max(float(density.min()), 1e-300)) for density in densities)
+    right = np.maximum(np.exp(logs - logs.max()) - np.exp(all_wrong - logs.max()), 0.0)
+    return np.asarray(right / right.sum())
+
+
+def _mode_median(posterior: NDArray[np.float64]) -> float:
+    """Compute the median of the strongest mode of the posterior, metres per pixel."""
+    reach = round(_WINDOW / LOG_STEP)
+    below = np.concatenate([np.zeros(reach + 1), np.cumsum(posterior), np.full(reach, posterior.sum())])
+    middle = int(np.argmax(below[2 * reach + 1 :] - below[: len(posterior)]))
+    inside = slice(max(0, middle - reach), middle + reach + 1)
+    peak = GRID[inside][int(np.argmax(posterior[inside]))]
+    mode = np.where(np.abs(GRID - peak) <= _BASIN, posterior, 0.0)
+    return credible_interval(mode / mode.sum(), probability=0.0).low
 
 
 def vehicle_density(

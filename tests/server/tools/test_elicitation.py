@@ -82,7 +82,7 @@ async def test_what_is_known_or_would_not_help_is_not_asked(server: MCPServer[ob
         await client.call_tool("estimate_gsd", {**by_path(images / "two.png"), "region": "europe", "height_m": 30})
         await client.call_tool("estimate_gsd", {**by_path(images / "two.png"), "known_lengths": [line]})
     asked = [list(form.requested_schema["properties"]) for form in person.asked]
-    assert asked == [["height_m", "focal_35mm", "known_length"], ["known_length"]]
+    assert asked == [["height_m", "height_basis", "focal_35mm", "known_length"], ["known_length"]]
     assert "320 x 256" in person.asked[0].requested_schema["properties"]["known_length"]["description"]
 
 
@@ -128,7 +128,7 @@ async def test_the_second_call_needs_nothing_of_the_first_so_that_any_server_of_
             {"known_length": "from the door to the gate"},
             "known_length: the known length is 'from the",
         ),
-        ({"known_length": "0 0 100 0 -5"}, "metres: Input should be greater than 0"),
+        ({"known_length": "0 0 100 0 -5"}, "metres is -5: use a finite number > 0"),
         ({"height_m": -3}, "height_m: Input should be greater than 0"),
         ({"region": "atlantis"}, "region"),
         ({"colour": "red"}, "colour"),

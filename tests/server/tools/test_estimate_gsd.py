@@ -109,7 +109,7 @@ async def test_lines_of_known_length_are_read_in_the_callers_frame_and_held_agai
     async with Client(server) as client:
         heard = await client.call_tool("estimate_gsd", arguments)
         refused = await client.call_tool("estimate_gsd", {**arguments, "known_lengths": [{**line, "x2": 11}]})
-    assert "The given line gives 1 m/px" in text_of(heard)  # 2 m/px of the frame, which is half as large
+    assert "The given line, assumed, gives 1 m/px" in text_of(heard)  # 2 m/px of the frame, which is half as large
     assert heard.structured_content is not None
     assert "rulers_disagree" in [warning["code"] for warning in heard.structured_content["warnings"]]
     assert refused.is_error
@@ -117,7 +117,7 @@ async def test_lines_of_known_length_are_read_in_the_callers_frame_and_held_agai
 
 
 async def test_a_height_is_a_ruler_and_makes_a_scale_without_vehicles(server: MCPServer[object], images: Path) -> None:
-    arguments = {**by_path(images / "empty.png"), "height_m": 30, "focal_35mm": 24}
+    arguments = {**by_path(images / "empty.png"), "height_m": 30, "height_basis": "measured", "focal_35mm": 24}
     async with Client(server) as client:
         heard = await client.call_tool("estimate_gsd", arguments)
         refused = await client.call_tool("estimate_gsd", {**by_path(images / "empty.png"), "focal_35mm": 24})

@@ -599,7 +599,7 @@ def test_lines_of_one_image_scale_all_where_all_are_of_one_scale(folder: Path, d
     images, lines = [table.with_name("a.png"), table.with_name("b.png")], table.with_name("lines.csv")
     for image in images:
         image.write_bytes((folder / "empty.png").read_bytes())
-    lines.write_text("file,x1,y1,x2,y2,metres\na.png,100,50,500,50,48\n")
+    lines.write_text("file,x1,y1,x2,y2,metres,basis\na.png,100,50,500,50,48,measured\n")
     common = (*images, "--detector", detector, "--same-scale", "--known-lengths")
     result = _batch(*common, lines, "-o", table)
     assert result.exit_code == 0, result.output
@@ -638,6 +638,7 @@ def test_images_may_be_addresses(folder: Path, detector: Path, table: Path) -> N
         ("file,x1,y1,x2,y2,metres\ncars.png,1,2,300,4,-40\n", "line 2"),
         ("file,x1,y1,x2,y2,metres\ncars.png,1,2,300,4,nan\n", "line 2"),
         ("file,x1,y1,x2,y2,metres\n,1,2,300,4,40\n", "not named"),
+        ("file,x1,y1,x2,y2,metres,basis\ncars.png,1,2,300,4,40,guessed\n", "use one of assumed, measured"),
         ("file,x1,y1,x2,y2,metres\ncar.png,1,2,300,4,40\n", "not one of the images"),
         ("file,x1,y1,x2,y2,metres\n", "no line"),
         ("", "no column file"),

@@ -83,8 +83,8 @@ def test_the_reason_is_too_few_only_where_few_leave_a_doubt(cars: int, reason: s
     assert (record.status, record.reason) == ("low_confidence", reason)
 
 
-def _line(gsd: float) -> list[tuple[float, float, float, float, float]]:
-    return [(100, 100, 1100, 100, 1000 * gsd)]
+def _line(gsd: float) -> list[tuple[Any, ...]]:
+    return [(100, 100, 1100, 100, 1000 * gsd, "measured")]
 
 
 @pytest.mark.parametrize("votes", [VOTES, None])

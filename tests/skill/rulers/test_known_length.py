@@ -29,7 +29,7 @@ def _view(camera: CameraMetadata | None = None, **options: Any) -> View:
 
 
 def test_a_line_says_its_metres_over_its_pixels() -> None:
-    evidence = KnownLengths().measure(_view(known_lengths=[(100, 100, 400, 500, 25)]))
+    evidence = KnownLengths().measure(_view(known_lengths=[(100, 100, 400, 500, 25, "measured")]))
     assert evidence.gsd_m_per_px == pytest.approx(25 / 500)
     assert evidence.log_sd == pytest.approx(math.hypot(math.sqrt(2) / 500, 0.01))
     assert (evidence.kind, evidence.n) == ("known_length", 1)
@@ -37,20 +37,20 @@ def test_a_line_says_its_metres_over_its_pixels() -> None:
 
 
 def test_a_line_drawn_in_a_copy_is_read_in_its_pixels() -> None:
-    line = [(25, 25, 100, 125, 25)]
+    line = [(25, 25, 100, 125, 25, "measured")]
     evidence = KnownLengths().measure(_view(known_lengths=line, frame_width_px=1000, frame_height_px=750))
     assert evidence.gsd_m_per_px == pytest.approx(25 / 500)
     assert evidence.log_sd == pytest.approx(math.hypot(math.sqrt(2) / 125, 0.01))
 
 
 def test_several_lines_are_weighed_by_what_their_pixels_tell() -> None:
-    lines = [(0, 0, 1000, 0, 50.0), (0, 0, 20, 0, 1.1)]
+    lines = [(0, 0, 1000, 0, 50.0, "measured"), (0, 0, 20, 0, 1.1, "measured")]
     both = KnownLengths().measure(_view(known_lengths=lines))
     assert both.gsd_m_per_px == pytest.approx(0.05, rel=0.01)
     assert both.n == 2
     assert both.notices == ()
     assert both.explanation is not None
-    assert both.explanation.startswith("The 2 given lines give 0.05")
+    assert both.explanation.startswith("The 2 given lines, measured, give 0.05")
 
 
 def test_lines_that_contradict_each_other_are_told_and_believed_less() -> None:
@@ -75,8 +75,8 @@ def test_a_line_that_would_make_an_impossible_scale_is_refused() -> None:
 
 
 def test_a_given_height_measures_with_a_given_focal_length_or_the_files() -> None:
-    given = GivenHeight().measure(_view(height_m=100, focal_35mm=26))
-    of_file = GivenHeight().measure(_view(MAVIC, height_m=100))
+    given = GivenHeight().measure(_view(height_m=100, height_basis="measured", focal_35mm=26))
+    of_file = GivenHeight().measure(_view(MAVIC, height_m=100, height_basis="measured"))
     assert given.gsd_m_per_px == of_file.gsd_m_per_px == pytest.approx(100 * 43.27 / (26 * 5000), rel=1e-3)
     assert given.log_sd == pytest.approx(math.hypot(0.05, 0.04))
 
@@ -108,16 +108,16 @@ def test_without_a_word_from_the_caller_both_are_silent() -> None:
         assert (ruler.measure(_view()).gsd_m_per_px, ruler.measure(_view()).notices) == (None, ())
 
 
-def _beside_cars(metres: float) -> vehanchor.ScaleAnalysis:
+def _beside_cars(metres: float, basis: str = "assumed") -> vehanchor.ScaleAnalysis:
     """Cars of 50 px and 5 m beside a line of 100 px."""
     boxes = np.array([[99.0 * k, 50, 50.0, 18, 0] for k in range(6)])
-    options = ScaleOptions.of({"known_lengths": [(0, 0, 100, 0, metres)]})
+    options = ScaleOptions.of({"known_lengths": [(0, 0, 100, 0, metres, basis)]})
     found = Detections(boxes, np.full(6, 0.8))
     return analyse_found(found, made_card(5.0), options, image_width_px=800, image_height_px=600)
 
 
 def test_rulers_that_agree_within_a_fifth_are_both_heard() -> None:
-    analysis = _beside_cars(11.0)
+    analysis = _beside_cars(11.0, "measured")
     assert [each.kind for each in analysis.others if each.gsd_m_per_px] == ["known_length"]
     assert analysis.estimate.warnings == ()
     assert [ruler.agrees for ruler in analysis.estimate.rulers] == [True, True]

@@ -283,7 +283,7 @@ def test_photographs_with_a_height_need_no_georeference_and_what_the_height_may_
         "--out",
         tmp_path / "c.json",
     ]
-    result = _run("calibrate", *common, "--height", GSD * focal_px, "--focal-35mm", 24)
+    result = _run("calibrate", *common, "--height", GSD * focal_px, "--height-basis", "measured", "--focal-35mm", 24)
     assert result.exit_code == 0, result.stderr
     by_height, by_table = load_calibration(tmp_path / "c.json"), load_calibration(calibration)
     assert by_height.reference_length_m == pytest.approx(by_table.reference_length_m, rel=1e-3)

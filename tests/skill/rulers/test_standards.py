@@ -1,0 +1,161 @@
+"""The catalogue of things of known size: complete, sourced, and measured by every name."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from tests.skill.rulers.test_decision import _record
+from tests.skill.rulers.test_known_length import _view
+from vehanchor.cli.rulers import rulers
+from vehanchor.errors import KnownLengthError
+from vehanchor.options import KnownLength
+from vehanchor.options.rulers import Rulers
+from vehanchor.rulers.known_length import KnownLengths
+from vehanchor.rulers.known_length_table import read_known_lengths
+from vehanchor.rulers.registry import check_rulers
+from vehanchor.rulers.standards import lengths_of, standards
+
+WIDEST_CUSTOM = 0.25
+EXACT = {  # metres by rules that the catalogue must repeat to the centimetre
+    "iso_container_20ft": 6.058,
+    "iso_container_40ft": 12.192,
+    "football_penalty_area_width": 40.32,
+    "football_penalty_area_depth": 16.5,
+    "football_centre_circle": 2 * 9.15,
+    "tennis_court_length": 23.77,
+    "american_football_field_length": 120 * 0.9144,
+    "american_football_field_width": 160 * 0.3048,
+    "volleyball_court_length": 18.0,
+    "padel_court_width": 10.0,
+}
+
+
+def _evidence(what: str, *lengths_px: float, **options: Any) -> Any:
+    lines = [(100, 100 + 10 * k, 100 + px, 100 + 10 * k, what) for k, px in enumerate(lengths_px)]
+    return KnownLengths().measure(_view(known_lengths=lines, **options))
+
+
+def test_the_catalogue_has_twenty_five_things_and_more() -> None:
+    assert len(standards()) >= 25
+
+
+@pytest.mark.parametrize("name", standards())
+def test_a_thing_has_a_source_its_ends_a_spread_and_measures(name: str) -> None:
+    thing = standards()[name]
+    assert name.isidentifier()
+    assert name.islower()
+    assert any(character.isdigit() for character in thing.source) or thing.source.startswith("as ")
+    assert len(thing.between) > 10
+    assert 0.05 <= thing.chance_wrong <= 0.3
+    assert sum(each.weight for each in thing.of_places(frozenset())) == pytest.approx(1)
+    for each in thing.variants:
+        assert 1 <= each.metres <= 120
+        assert 0.005 <= each.log_sd <= WIDEST_CUSTOM
+        assert all(len(code) == 2 and code.isupper() for code in each.countries)
+        country = f"/{each.countries[0]}" if each.countries else ""
+        found = _evidence(f"{name}{country}", 200.0)
+        chosen = thing.of_places(frozenset(each.countries[:1]))
+        if len(chosen) == 1:
+            assert found.gsd_m_per_px == pytest.approx(each.metres / 200, rel=0.01)
+        assert found.facts[0].basis == "assumed"
+
+
+@pytest.mark.parametrize(("name", "metres"), EXACT.items())
+def test_lengths_by_rule_are_exact(name: str, metres: float) -> None:
+    (variant,) = standards()[name].variants
+    assert variant.metres == pytest.approx(metres, abs=0.005)
+
+
+def test_the_country_or_the_region_chooses_and_without_one_the_mixture_stays() -> None:
+    assert [each.metres for each in lengths_of("railway_gauge/RU")[1]] == [1.52]
+    assert [each.metres for each in lengths_of("lane_dash_cycle", "north_america")[1]] == [12.19]
+    assert {each.metres for each in lengths_of("railway_gauge", "europe")[1]} == {1.435, 1.52, 1.668, 1.6}
+    everywhere, american = (
+        _evidence("lane_dash_cycle", 200.0),
+        _evidence("lane_dash_cycle", 200.0, region="north_america"),
+    )
+    assert american.gsd_m_per_px == pytest.approx(12.19 / 200, rel=0.01)
+    width = math.log(american.interval.high / american.interval.low)
+    assert math.log(everywhere.interval.high / everywhere.interval.low) > 3 * width
+    assert everywhere.confidence < 0.6 < american.confidence
+
+
+def test_things_of_one_kind_share_their_size() -> None:
+    one, many = _evidence("parking_bay_width/DE", 50.0), _evidence("parking_bay_width/DE", 50.0, 50.2, 49.9, 50.1)
+    assert len(many.facts) == 1
+    assert many.n == 4
+    assert many.interval.high / many.interval.low > 1.12  # the custom's spread stays
+    assert many.interval.high / many.interval.low < one.interval.high / one.interval.low
+    both = KnownLengths().measure(
+        _view(known_lengths=[(0, 0, 50, 0, "parking_bay_width/DE"), (0, 9, 242, 9, "iso_container_40ft")])
+    )
+    assert len(both.facts) == 2
+    assert both.confidence > many.confidence
+
+
+def test_one_thing_alone_is_usable_only_if_its_kind_allows() -> None:
+    def status(what: str) -> str:
+        return _record(0, known_lengths=[(100, 100, 300, 100, what)]).status
+
+    assert status("football_penalty_area_width") == "ok"
+    assert status("railway_gauge/DE") == "ok"
+    assert status("railway_gauge") == "low_confidence"
+    assert status("parking_bay_length") == "low_confidence"
+
+
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        ("parking_width", "the nearest are parking_bay_width"),
+        ("Container", "the nearest are iso_container"),
+        ("railway_gauge/Spain", "use two capital letters, as in railway_gauge/DE"),
+    ],
+)
+def test_a_wrong_name_is_refused_before_the_work_with_the_nearest(what: str, words: str) -> None:
+    with pytest.raises(KnownLengthError, match=words):
+        check_rulers(Rulers(known_lengths=(KnownLength.of((0, 0, 50, 0, what)),)))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [(0, 0, 50, 0, None), (0, 0, 50, 0, 5.0, "assumed", None, "pool_50m"), (0, 0, 50, 0, "pool_50m", "measured")],
+)
+def test_a_line_has_metres_or_a_name(line: tuple[Any, ...]) -> None:
+    with pytest.raises(KnownLengthError):
+        KnownLength.of(line)
+
+
+def test_a_table_takes_names(tmp_path: Any) -> None:
+    table = tmp_path / "lines.csv"
+    table.write_text("file,x1,y1,x2,y2,metres,what\na.png,0,0,50,0,pool_50m,\na.png,0,9,50,9,,railway_gauge/ES\n")
+    (lines,) = read_known_lengths(table).values()
+    assert [line.what for line in lines] == ["pool_50m", "railway_gauge/ES"]
+    table.write_text("file,x1,y1,x2,y2,metres\na.png,0,0,50,0,pool_51m\n")
+    with pytest.raises(KnownLengthError, match="line 2: there is no thing of known size 'pool_51m'"):
+        read_known_lengths(table)
+
+
+def test_the_command_prints_the_catalogue() -> None:
+    app = typer.Typer()
+    app.command()(rulers)
+    listed = CliRunner().invoke(app, [], env={"COLUMNS": "100"}).stdout
+    assert all(name in listed for name in standards())
+    one = CliRunner().invoke(app, ["railway_gauge"], env={"COLUMNS": "100"}).stdout
+    assert "1.668 m +- 1 %: ES, PT" in one
+    rows = [json.loads(line) for line in CliRunner().invoke(app, ["--json"]).stdout.splitlines()]
+    assert [row["name"] for row in rows] == list(standards())
+    assert CliRunner().invoke(app, ["pool"]).exit_code == 2
+
+
+def test_a_wrong_variant_of_a_mixture_is_left_by_the_cars() -> None:
+    spread = np.array([12.19, 18.0])
+    record = _record(30, known_lengths=[(100, 100, 100 + spread[1] / 0.1, 100, "lane_dash_cycle")])  # cars: 0.1 m/px
+    assert record.status == "ok"
+    assert record.gsd_m_per_px == pytest.approx(0.1, rel=0.03)
