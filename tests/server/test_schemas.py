@@ -195,6 +195,8 @@ async def test_what_strict_mode_makes_a_model_send_is_accepted(
         "known_lengths": None,
         "height_m": None,
         "focal_35mm": None,
+        "height_basis": "assumed",
+        "height_tolerance_m": None,
         "coordinates": "pixels",
         "detail": "short",
     }

@@ -20,7 +20,8 @@ def rulers(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per thing and line.")] = False,
 ) -> None:
     """List the rulers, and the things of known size for --known-length X1 Y1 X2 Y2 NAME."""
-    from vehanchor.rulers.registry import RULERS, ruler_class
+    from vehanchor.records.ruler_kinds import RULERS
+    from vehanchor.rulers.registry import ruler_class
     from vehanchor.rulers.standards import check_name, standards
 
     with exit_on_error():

@@ -6,12 +6,13 @@ import tomllib
 from difflib import get_close_matches
 from functools import cache
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import KnownLengthError
+from vehanchor.scale.countries import COUNTRY_REGIONS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
 _NEAREST = 3
 _CUTOFF = 0.4  # of likeness, so that nearly every wrong name has a nearest one
@@ -24,13 +25,23 @@ class Variant(NamedTuple):
         metres: mean length.
         log_sd: standard deviation of its log.
         weight: relative to the other variants.
-        countries: two-letter codes; empty for all countries.
+        countries: ISO 3166-1 codes, and regions of ``vehanchor.scale.countries``; empty for all countries.
     """
 
     metres: float
     log_sd: float
     weight: float = 1.0
     countries: tuple[str, ...] = ()
+
+    def is_of(self, place: str) -> bool:
+        """Tell whether the length is that of a country or region, by name; a region has those of its countries."""
+        code = place.upper()
+        return (
+            place in self.countries
+            or code in self.countries
+            or COUNTRY_REGIONS.get(code) in self.countries
+            or any(COUNTRY_REGIONS.get(country) == place for country in self.countries)
+        )
 
 
 class Standard(NamedTuple):
@@ -55,10 +66,9 @@ class Standard(NamedTuple):
         """Name in messages."""
         return self.name.replace("_", " ")
 
-    def of_places(self, countries: frozenset[str]) -> tuple[Variant, ...]:
-        """Select the variants of some countries, with weights that add up to 1; all variants if none is theirs."""
-        known = [each for each in self.variants if countries & set(each.countries)]
-        chosen = known or self.variants
+    def lengths_in(self, place: str | None) -> tuple[Variant, ...]:
+        """Select the lengths of a country or region, with weights that add up to 1; all lengths if none is of it."""
+        chosen = [each for each in self.variants if place and each.is_of(place)] or self.variants
         total = sum(each.weight for each in chosen)
         return tuple(each._replace(weight=each.weight / total) for each in chosen)
 
@@ -66,15 +76,17 @@ class Standard(NamedTuple):
 @cache
 def standards() -> Mapping[str, Standard]:
     """Read the catalogue, by name."""
-    regions, table = _catalogue()
-    found = {}
-    for name, entry in table.items():
-        variants = tuple(
-            Variant(**{**each, "countries": _expanded(each.get("countries", ()), regions)})
-            for each in entry["variants"]
+    table = tomllib.loads(files("vehanchor.rulers").joinpath("standards.toml").read_text(encoding="utf-8"))
+    return {
+        name: Standard(
+            name,
+            entry["between"],
+            entry["chance_wrong"],
+            entry["source"],
+            tuple(Variant(**{**each, "countries": tuple(each.get("countries", ()))}) for each in entry["variants"]),
         )
-        found[name] = Standard(name, **{**entry, "variants": variants})
-    return found
+        for name, entry in table.items()
+    }
 
 
 def lengths_of(what: str, region: str | None = None) -> tuple[Standard, tuple[Variant, ...]]:
@@ -82,16 +94,15 @@ def lengths_of(what: str, region: str | None = None) -> tuple[Standard, tuple[Va
 
     Args:
         what: its name, with an optional country, as "railway_gauge/ES".
-        region: region of the image; the country is used instead if it is named.
+        region: country or region of the image; the country in the name is used instead if there is one.
 
     Raises:
         KnownLengthError: the thing is not in the catalogue, or the country is no two-letter code.
     """
     check_name(what)
     name, _, country = what.partition("/")
-    countries = frozenset((country,)) if country else frozenset(_catalogue()[0].get(region or "", ()))
     standard = standards()[name]
-    return standard, standard.of_places(countries)
+    return standard, standard.lengths_in(country or region)
 
 
 def check_name(what: str | None) -> None:
@@ -111,15 +122,3 @@ def check_name(what: str | None) -> None:
         )
     if slash and not (len(country) == 2 and country.isascii() and country.isupper()):
         raise KnownLengthError(f"the country in {what!r} is {country!r}: use two capital letters, as in {name}/DE")
-
-
-@cache
-def _catalogue() -> tuple[dict[str, tuple[str, ...]], dict[str, dict[str, Any]]]:
-    text = files("vehanchor.rulers").joinpath("standards.toml").read_text(encoding="utf-8")
-    table = tomllib.loads(text)
-    return table.pop("regions"), table
-
-
-def _expanded(countries: Iterable[str], regions: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
-    """Replace regions by their countries."""
-    return tuple(code for each in countries for code in regions.get(each, (each,)))

@@ -40,8 +40,8 @@ async def test_at_low_confidence_a_person_is_asked_once_and_the_answer_makes_the
     server: MCPServer[object], images: Path
 ) -> None:
     arguments = by_path(images / "two.png")
-    person = Person("accept", known_length="100, 50, 300, 50, 28", region="europe")
-    line = {"x1": 100, "y1": 50, "x2": 300, "y2": 50, "metres": 28}
+    person = Person("accept", known_length="100, 50, 300, 50, 28 measured", region="europe")
+    line = {"x1": 100, "y1": 50, "x2": 300, "y2": 50, "metres": 28, "basis": "measured"}
     async with at(server, person) as client:
         asked = await client.call_tool("estimate_gsd", arguments)
     async with Client(server) as client:
@@ -52,7 +52,8 @@ async def test_at_low_confidence_a_person_is_asked_once_and_the_answer_makes_the
     assert told.structured_content["status"] == "ok"
     (form,) = person.asked
     assert form.message.startswith(text_of(untold))  # the person reads what was found, and why it is not enough
-    assert list(form.requested_schema["properties"]) == ["region", "height_m", "focal_35mm", "known_length"]
+    fields = list(form.requested_schema["properties"])
+    assert fields == ["region", "height_m", "height_basis", "focal_35mm", "known_length"]
     assert "pixels of the image of 640 x 512 px" in form.requested_schema["properties"]["known_length"]["description"]
     assert not form.requested_schema.get("required")
 

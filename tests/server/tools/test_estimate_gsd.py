@@ -126,7 +126,7 @@ async def test_a_height_is_a_ruler_and_makes_a_scale_without_vehicles(server: MC
     assert heard.structured_content["leading_ruler"] == "height"
     assert heard.structured_content["n_vehicles"] == 0
     assert "from given height: safe to use." in text_of(heard)
-    assert "The given height gives" in text_of(heard)
+    assert "The given height, measured, gives" in text_of(heard)
     assert refused.is_error
     assert "height_m" in text_of(refused)
     assert impossible.is_error

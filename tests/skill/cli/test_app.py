@@ -537,7 +537,7 @@ def test_a_line_may_be_one_text_and_one_with_a_number_missing_is_named_whole(run
     (line,) = json.loads(
         _estimate(run, "--known-length", 0, 0, 300, 0, "90+-9", "measured", "--json", "none.png").stdout
     )["rulers"]
-    assert line["explanation"].startswith("The given line, measured, gives 0.3 m/px (0.27 to 0.33")
+    assert line["explanation"].startswith("The given line, measured, gives 0.3 m/px (0.271 to 0.332")
     short = _estimate(run, "cars.png", "--known-length", 0, 0, 300, 90)
     assert "the known length is '0 0 300 90'" in short.stderr
 

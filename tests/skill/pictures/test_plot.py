@@ -143,7 +143,7 @@ def _with_line(n: int, metres: float) -> ScaleAnalysis:
     return analyse_found(
         Detections(boxes, np.full(n, 0.8)),
         made_card(),
-        ScaleOptions.of({"known_lengths": [(0, 0, 500, 0, metres)]}),
+        ScaleOptions.of({"known_lengths": [(0, 0, 500, 0, metres, "measured")]}),
         image_width_px=800,
         image_height_px=600,
     )

@@ -77,7 +77,8 @@ def test_a_line_that_would_make_an_impossible_scale_is_refused() -> None:
 def test_a_given_height_measures_with_a_given_focal_length_or_the_files() -> None:
     given = GivenHeight().measure(_view(height_m=100, height_basis="measured", focal_35mm=26))
     of_file = GivenHeight().measure(_view(MAVIC, height_m=100, height_basis="measured"))
-    assert given.gsd_m_per_px == of_file.gsd_m_per_px == pytest.approx(100 * 43.27 / (26 * 5000), rel=1e-3)
+    assert given.gsd_m_per_px == pytest.approx(100 * 43.27 / (26 * 5000), rel=1e-3)
+    assert of_file.gsd_m_per_px == pytest.approx(given.gsd_m_per_px, rel=0.03)  # its lens is in the table of cameras
     assert given.log_sd == pytest.approx(math.hypot(0.05, 0.04))
 
 

@@ -21,6 +21,7 @@ from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.known_length_table import read_known_lengths
 from vehanchor.rulers.registry import check_rulers
 from vehanchor.rulers.standards import lengths_of, standards
+from vehanchor.scale.countries import COUNTRY_REGIONS
 
 WIDEST_CUSTOM = 0.25
 EXACT = {  # metres by rules that the catalogue must repeat to the centimetre
@@ -54,14 +55,13 @@ def test_a_thing_has_a_source_its_ends_a_spread_and_measures(name: str) -> None:
     assert any(character.isdigit() for character in thing.source) or thing.source.startswith("as ")
     assert len(thing.between) > 10
     assert 0.05 <= thing.chance_wrong <= 0.3
-    assert sum(each.weight for each in thing.of_places(frozenset())) == pytest.approx(1)
+    assert sum(each.weight for each in thing.lengths_in(None)) == pytest.approx(1)
     for each in thing.variants:
         assert 1 <= each.metres <= 120
         assert 0.005 <= each.log_sd <= WIDEST_CUSTOM
-        assert all(len(code) == 2 and code.isupper() for code in each.countries)
-        country = f"/{each.countries[0]}" if each.countries else ""
-        found = _evidence(f"{name}{country}", 200.0)
-        chosen = thing.of_places(frozenset(each.countries[:1]))
+        assert all((len(code) == 2 and code.isupper()) or code in COUNTRY_REGIONS.values() for code in each.countries)
+        found = _evidence(name, 200.0, region=each.countries[0] if each.countries else None)
+        chosen = thing.lengths_in(each.countries[0] if each.countries else None)
         if len(chosen) == 1:
             assert found.gsd_m_per_px == pytest.approx(each.metres / 200, rel=0.01)
         assert found.facts[0].basis == "assumed"
@@ -76,7 +76,10 @@ def test_lengths_by_rule_are_exact(name: str, metres: float) -> None:
 def test_the_country_or_the_region_chooses_and_without_one_the_mixture_stays() -> None:
     assert [each.metres for each in lengths_of("railway_gauge/RU")[1]] == [1.52]
     assert [each.metres for each in lengths_of("lane_dash_cycle", "north_america")[1]] == [12.19]
-    assert {each.metres for each in lengths_of("railway_gauge", "europe")[1]} == {1.435, 1.52, 1.668, 1.6}
+    assert [each.metres for each in lengths_of("lane_dash_cycle", "us")[1]] == [12.19]
+    assert [each.metres for each in lengths_of("city_bus", "SE")[1]] == [12.0]
+    assert [each.metres for each in lengths_of("railway_gauge/RU", "us")[1]] == [1.52]
+    assert {each.metres for each in lengths_of("railway_gauge", "europe")[1]} == {1.435, 1.52, 1.6, 1.668}
     everywhere, american = (
         _evidence("lane_dash_cycle", 200.0),
         _evidence("lane_dash_cycle", 200.0, region="north_america"),
@@ -154,7 +157,7 @@ def test_the_command_prints_the_catalogue() -> None:
     assert CliRunner().invoke(app, ["pool"]).exit_code == 2
 
 
-def test_a_wrong_variant_of_a_mixture_is_left_by_the_cars() -> None:
+def test_the_cars_choose_among_the_lengths_of_a_mixture() -> None:
     spread = np.array([12.19, 18.0])
     record = _record(30, known_lengths=[(100, 100, 100 + spread[1] / 0.1, 100, "lane_dash_cycle")])  # cars: 0.1 m/px
     assert record.status == "ok"
