@@ -100,7 +100,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         max_tiles: MaxTilesArgument = None,
         max_seconds: MaxSecondsArgument = None,
     ) -> Annotated[CallToolResult, GsdEstimate] | InputRequiredResult:
-        question = ScaleQuestion(
+        told = ScaleQuestion(
             region,
             reference_length_m,
             frame,
@@ -114,8 +114,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
             max_tiles,
             max_seconds,
         )
-        question = with_user_input(ctx, question)
-        paged = client_supports_apps(ctx)
+        question, paged = with_user_input(ctx, told), client_supports_apps(ctx)
         wanted = PictureRequest(include_overlay, paged)
         if more_images:
             check_flight_question(question)

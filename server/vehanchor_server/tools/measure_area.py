@@ -119,11 +119,10 @@ def measure_area_tool(services: Services) -> StrictTool:
         by = ScaleArguments(gsd_m_per_px, scale, question, object_height_m)
         asked = _Question(_merge_targets(target, targets), by, wanted)
         answer = await run_call(services, ctx, image, _measure, asked)
-        first = answer.record
         words = [
             numbered([_area_of_object(record) for record in answer.records]),
             *warnings(_distinct_warnings(answer.records), detail),
-            *copy_hint(_places(asked.targets), question, first.image_width_px, first.image_height_px),
+            *copy_hint(_places(asked.targets), question, *_size(answer.record)),
         ]
         return answer.to_result(" ".join(words), detail=detail, paged=paged)
 
@@ -156,6 +155,10 @@ def _places(targets: Iterable[Target]) -> Iterator[tuple[float, float]]:
 def _distinct_warnings(records: Sequence[AreaMeasurement]) -> list[Notice]:
     """Collect the warnings of all records without duplicates."""
     return list(dict.fromkeys(notice for record in records for notice in record.warnings))
+
+
+def _size(record: AreaMeasurement) -> tuple[int, int]:
+    return record.image_width_px, record.image_height_px
 
 
 @work(_Question, AreaMeasurement)
