@@ -128,7 +128,7 @@ def test_rulers_that_agree_within_a_fifth_are_both_heard() -> None:
 
 @pytest.mark.parametrize("metres", [7.0, 15.0, 170.0])
 def test_a_ruler_that_disagrees_with_the_cars_is_told_with_both_scales(metres: float) -> None:
-    record = _beside_cars(metres).estimate
+    record = _beside_cars(metres, "measured").estimate
     assert [notice.code for notice in record.warnings] == ["rulers_disagree"]
     assert "the vehicles say 0.1, the known length says" in record.warnings[-1].message
     assert f"{metres / 100:.2g} m/px" in record.warnings[-1].message
