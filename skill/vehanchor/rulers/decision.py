@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from vehanchor.rulers.vehicles import VehicleEvidence
 
 _WIDEST_OF_UNCALIBRATED = 3.0  # high over low of an interval if the votes are uncalibrated
-_LOST_WIDTH = 5.0  # high over low of a prior's interval for a scene unlike its training data
+_LOST_WIDTH = 10.0  # high over low of a prior's interval for an unknown scene: 19 % of the held-out tenth
 _PRIOR_REACH, _PRIOR_SUPPORT = 0.4, 0.1  # a prior supports a scale if it holds a tenth within +-40 %
 
 
