@@ -49,5 +49,5 @@ def advice_for(estimate: GsdEstimate | None) -> Advice | None:
     if estimate is None or estimate.reason is None:
         return None
     advice = ADVICE[estimate.reason]
-    searched = estimate.stopped_because is not None
+    searched = estimate.stopped_because is not None or estimate.n_detections > 0
     return advice if searched or estimate.reason not in _MORE_CARS else advice._replace(helps=_WITHOUT_SEARCH)
