@@ -110,11 +110,13 @@ def mutated(data: bytes, others: list[bytes], random: np.random.Generator) -> by
     return bytes(out[: 1 << 20])
 
 
-def drive_blindly(checked: Checked, corpus: list[bytes], seconds: float, seed: int) -> None:
-    """Mutate at random until the time is over; failures are counted."""
+def drive_blindly(
+    checked: Checked, corpus: list[bytes], seconds: float, seed: int, n_inputs: int | None = None
+) -> None:
+    """Mutate at random until the time is over, or for a number of inputs; failures are counted."""
     random = np.random.default_rng(seed)
     ends = time.monotonic() + seconds
-    while time.monotonic() < ends:
+    while time.monotonic() < ends and checked.n_inputs != n_inputs:
         data = mutated(corpus[int(random.integers(0, len(corpus)))], corpus, random)
         try:
             checked(data)
@@ -151,6 +153,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("targets", nargs="*", help="all, where none is named; with --coverage exactly one")
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--inputs", type=int, help="end a target after so many inputs, too")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--findings", type=Path, default=Path("fuzz-findings"))
     parser.add_argument("--coverage", action="store_true", help="be guided by coverage: needs atheris")
@@ -163,7 +166,7 @@ def main() -> int:
     failures = 0
     for name in names:
         checked = Checked(TARGETS[name], asked.findings)
-        drive_blindly(checked, CORPUS[name](), asked.seconds / len(names), asked.seed)
+        drive_blindly(checked, CORPUS[name](), asked.seconds / len(names), asked.seed, asked.inputs)
         failures += checked.n_failures
         print(
             f"{name}: {checked.n_inputs} inputs, {checked.n_failures} failures, slowest {checked.slowest_s:.2f} s, "

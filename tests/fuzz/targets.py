@@ -12,6 +12,7 @@ import io
 import json
 import logging
 import math
+import struct
 import warnings
 from collections.abc import Callable
 from functools import cache
@@ -29,6 +30,7 @@ from rasterio.transform import Affine
 
 from tests import bombs
 from tests.skill.imagery import metadata_bytes as blocks
+from vehanchor import estimate_gsd
 from vehanchor.detection.card import FleetCard, VerifierCard, read_auxiliary_card, read_detector_card
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.formats.header import read_header
@@ -40,8 +42,27 @@ from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.files import external_locations
 from vehanchor.options import ImageLimits
+from vehanchor.records import GsdEstimate
 from vehanchor.scale.calibration import Calibration, load_calibration
+from vehanchor_scenes import render_scene
+from vehanchor_server.calls.messages import (
+    MAX_ANSWER_BYTES,
+    MAX_WORDS,
+    Answered,
+    Broken,
+    Entered,
+    Exhausted,
+    Failed,
+    Loaded,
+    MessageError,
+    Progressed,
+    Refused,
+    read_answer,
+    receive,
+)
+from vehanchor_server.calls.task import Task, named_work
 from vehanchor_server.errors import CallError
+from vehanchor_server.images.argument import PathImage
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.registry import create_tools
@@ -300,6 +321,68 @@ def _metadata() -> list[bytes]:
     ]
 
 
+class _Lost:
+    """A connection on which a worker that was taken over has sent bytes."""
+
+    def __init__(self, sent: bytes) -> None:
+        self._sent = sent
+
+    def recv_bytes(self, most: int) -> bytes:
+        if len(self._sent) > most:
+            raise OSError("bad message length")  # as the connection does
+        return self._sent
+
+
+def messages(data: bytes) -> None:
+    """Take a worker's message, as its bytes and as parts with right lengths; the parts end at zero bytes."""
+    parts = data.split(b"\0")
+    lengths = struct.pack(f"<{1 + len(parts)}Q", len(parts), *map(len, parts))
+    for sent in (data, lengths + b"".join(parts)):
+        try:
+            message, rest = receive(_Lost(sent))  # type: ignore[arg-type] # as far as it is used
+            if not isinstance(message, Answered):
+                assert len(message.model_dump_json()) <= 12 * MAX_WORDS
+                continue
+        except MessageError:
+            continue
+        for task in _tasks():
+            with contextlib.suppress(MessageError):
+                answer = read_answer(message, rest, task)
+                assert len(answer.to_result("found").model_dump_json()) <= 8 * MAX_ANSWER_BYTES
+
+
+@cache
+def _tasks() -> list[Task[Any]]:
+    names = ("estimate_gsd:_estimate", "measure_area:_measure", "measure_distance:_measure", "view_image:_view")
+    image = PathImage(kind="path", path="/images/a.png")
+    return [Task(named_work(f"vehanchor_server.tools.{name}"), None, image, None) for name in names]
+
+
+def _messages() -> list[bytes]:
+    header = Answered(overlay=True, page_picture=False, histogram=None, drawing=None).model_dump_json().encode()
+    plain = [
+        Loaded(failure=None, landlock=6, seccomp=True, lacks=""),
+        Broken(traceback="Traceback"),
+        Entered(stage="decode"),
+        Progressed(percent=50, message="searched 1 of 2 tiles"),
+        Refused(code="image_too_large", message="smaller"),
+        Exhausted(),
+        Failed(traceback="Traceback"),
+    ]
+    box = {"x_min": 0, "y_min": 0, "x_max": 20, "y_max": 20}
+    seen = {"image_width_px": 20, "image_height_px": 20, "part": box, "grid_px": 5}
+    records = [json.dumps([record]).encode() for record in (seen, _estimate().model_dump(mode="json"))]
+    return [
+        *(each.model_dump_json().encode() for each in plain),
+        *(header + b"\0" + record + b"\0\xff\xd8\xff" for record in records),
+    ]
+
+
+def _estimate() -> GsdEstimate:
+    """Measure a rendered scene, as a worker does."""
+    return estimate_gsd(render_scene(0.15, width_px=256, height_px=256, seed=5).image)
+
+
 def _arguments() -> list[bytes]:
     image = {"kind": "base64", "data": base64.b64encode(_images()[2]).decode()}
     path = {"kind": "path", "path": "/images/a.png"}
@@ -345,6 +428,7 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "graph": graph,
     "metadata": metadata,
     "arguments": arguments,
+    "messages": messages,
 }
 
 CORPUS: dict[str, Callable[[], list[bytes]]] = {
@@ -355,4 +439,5 @@ CORPUS: dict[str, Callable[[], list[bytes]]] = {
     "graph": _graphs,
     "metadata": _metadata,
     "arguments": _arguments,
+    "messages": _messages,
 }
