@@ -24,11 +24,14 @@ from __future__ import annotations
 
 from mcp.server.mcpserver.exceptions import ToolError
 
+from vehanchor.records.foreign_text import on_one_line
+
 _SHOWN_CHARS = 80
 
 
 def shortened(name: str) -> str:
-    """Shorten a name from a request to its end, for use in a message."""
+    """Shorten a name from a request to its end, on one line, for use in a message."""
+    name = on_one_line(name)
     return name if len(name) <= _SHOWN_CHARS else f"...{name[-_SHOWN_CHARS:]}"
 
 

@@ -7,6 +7,7 @@ import io
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import OutputError
+from vehanchor.records.foreign_text import in_cell
 from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.reliability import LEAST_ESTIMATES
 
@@ -82,7 +83,7 @@ def write_table(path: Path, rows: Sequence[Mapping[str, object]], columns: Seque
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, fieldnames=list(rows[0]) if rows else columns, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows({name: in_cell(value) for name, value in row.items()} for row in rows)
     return _write(path, text.getvalue())
 
 

@@ -6,6 +6,8 @@ import logging
 import threading
 from typing import TYPE_CHECKING
 
+from vehanchor.records.foreign_text import on_one_line
+
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
@@ -30,7 +32,7 @@ def forward_log(log: Connection, pid: int) -> threading.Thread:
 def printable(line: bytes) -> str:
     """Convert a worker's line to text without control characters, cut at 2,000 bytes."""
     text = line[:_MAX_LINE_BYTES].decode("utf-8", "replace").rstrip("\r\n")
-    shown = "".join(char if char.isprintable() else f"\\x{ord(char):02x}" for char in text)
+    shown = on_one_line(text)
     return f"{shown} [cut]" if len(line) > _MAX_LINE_BYTES else shown
 
 

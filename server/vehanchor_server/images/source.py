@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, BinaryIO, TypeAlias
 
 from vehanchor.errors import VehAnchorError
+from vehanchor.records.foreign_text import on_one_line
 from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import AnyImage, Base64Image, PathImage, UrlImage
 
@@ -120,4 +121,4 @@ def library_errors(source: OpenedImage) -> Iterator[None]:
         message = str(error)
         if isinstance(source, str):
             message = message.replace(repr(source), "image").replace(source, "image")
-        raise CallError(error.code, message if message.endswith(".") else f"{message}.") from error
+        raise CallError(error.code, on_one_line(message if message.endswith(".") else f"{message}.")) from error

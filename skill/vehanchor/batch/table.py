@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from vehanchor.batch.row import COLUMNS
 from vehanchor.errors import MissingExtraError, OutputError
+from vehanchor.records.foreign_text import in_cell
 from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def _write_csv(path: Path, rows: Iterable[BatchRow]) -> None:
         writer = csv.DictWriter(file, list(COLUMNS), lineterminator="\n")
         writer.writeheader()
         for row in rows:
-            writer.writerow(row.flat())
+            writer.writerow({name: in_cell(value) for name, value in row.flat().items()})
 
 
 def _write_parquet(path: Path, rows: Iterable[BatchRow]) -> None:

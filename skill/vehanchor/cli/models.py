@@ -42,7 +42,7 @@ def list_models(
                 if as_json:
                     print_json(failure(str(path), error))
                 else:
-                    print(printable(f"{name}: {path}\n  not a detector: {error}"))
+                    print(printable(f"{name}: {path}") + "\n" + printable(f"  not a detector: {error}"))
                 continue
             if as_json:
                 print_json({"kind": "detector", "file": str(path), "default": default, **card.model_dump(mode="json")})

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeAlias
 import typer
 
 from vehanchor.errors import OutOfMemoryError, VehAnchorError
+from vehanchor.records.foreign_text import on_one_line
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -54,7 +55,7 @@ def report(error: VehAnchorError, about: str = "") -> None:
     """Print an error in one line on stderr, with its subject if the message does not name it."""
     message = str(error)
     prefix = f"{about}: " if about and about not in message else ""
-    print(f"error[{error.code}]: {prefix}{message}", file=sys.stderr, flush=True)
+    print(printable(f"error[{error.code}]: {prefix}{message}"), file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -75,7 +76,7 @@ def exit_on_error() -> Iterator[None]:
     except Exception as error:
         if os.environ.get("VEHANCHOR_TRACEBACK"):
             raise
-        reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        reason = printable(f"{type(error).__name__}: {error}".splitlines()[0])
         print(
             f"error[internal_error]: {reason}. This is a defect of vehanchor; for details, set VEHANCHOR_TRACEBACK=1",
             file=sys.stderr,
@@ -126,9 +127,9 @@ def print_json(record: Mapping[str, Any]) -> None:
     print(json.dumps(record, allow_nan=False), flush=True)  # ASCII: the same bytes in every locale
 
 
-def printable(text: str) -> str:
-    """Replace undecodable bytes, which file names may contain."""
-    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+def printable(text: str, *, lines: bool = False) -> str:
+    """Escape what a terminal would obey; ``lines`` keeps line ends, in texts of ours."""
+    return "\n".join(map(on_one_line, text.split("\n"))) if lines else on_one_line(text)
 
 
 def print_table(table: Table) -> None:
@@ -173,7 +174,7 @@ def print_warnings(record: GsdEstimate | AreaMeasurement | DistanceMeasurement |
     """Print the warnings of a record on stderr, one per line."""
     prefix = f"{about}: " if about else ""
     for notice in record.warnings:
-        print(f"warning[{notice.code}]: {prefix}{notice.message}", file=sys.stderr)
+        print(printable(f"warning[{notice.code}]: {prefix}{notice.message}"), file=sys.stderr)
 
 
 @contextmanager

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
+from vehanchor.records.foreign_text import on_one_line
 from vehanchor.records.record import Record
 
 
@@ -60,4 +62,6 @@ class Notice(Record):
     """Warning about a valid result."""
 
     code: str = Field(description="Stable identifier of the warning.")
-    message: str = Field(description="The fact with its value, and its meaning for the result.")
+    message: Annotated[str, AfterValidator(on_one_line)] = Field(
+        description="The fact with its value, and its meaning for the result."
+    )

@@ -101,7 +101,7 @@ def evaluate_gsd(request: ScaleRequest, chosen: ParsedOptions) -> None:
     benchmark = request.benchmark(chosen)
     report = report_scale(benchmark)
     text = scale_markdown(report)
-    print(printable(text))
+    print(printable(text, lines=True))
     _print_written(
         [
             *write_results(request.out, "gsd", report, [row.model_dump() for row in report.rows], text),
@@ -125,7 +125,7 @@ def evaluate_reliability(request: ScaleRequest, chosen: ParsedOptions) -> None:
     benchmark = request.benchmark(chosen)
     report = report_reliability(benchmark.data.source, benchmark.detector.name, benchmark.trials)
     text = reliability_markdown(report)
-    print(printable(text))
+    print(printable(text, lines=True))
     groups = {"vehicles": (*report.by_vehicles, report.whole), "true m/px": report.by_resolution}
     rows = [{"by": by, **row.model_dump()} for by, some in groups.items() for row in some]
     _print_written(write_results(request.out, "reliability", report, rows, text))
@@ -143,7 +143,7 @@ def evaluate_ablation(request: ScaleRequest, chosen: ParsedOptions) -> None:
 
     report = ablate(request.benchmark(chosen))
     text = ablation_markdown(report)
-    print(printable(text))
+    print(printable(text, lines=True))
     _print_written(write_results(request.out, "ablation", report, [row.flat() for row in report.rows], text))
 
 
