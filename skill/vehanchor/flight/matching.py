@@ -19,6 +19,7 @@ _TOLERANCE_PX = 4.0  # of the reduced copies: displacement by relief and lens
 _CONFIDENCE, _TRIALS = 0.999, 2000
 _WIDEST_RATIO = 6.0
 _LOG_SD = 0.01  # relief, lens, slight tilt
+_DIGITS = 9  # of the fit; the digits behind them depend on threads and memory layout
 _SHAPE_SHARE = 0.25  # of the difference between the scales along and across, a sign of tilt
 
 
@@ -66,12 +67,13 @@ def match(first: Features, second: Features) -> Match | None:
     n = int(inlier.sum())
     if n < _LEAST_INLIERS or n < _LEAST_INLIER_SHARE * len(pairs):
         return None
-    turn: NDArray[np.float64] = np.asarray(found, dtype=np.float64)
+    turn: NDArray[np.float64] = np.asarray(found, dtype=np.float64).round(_DIGITS)
     scale = math.hypot(turn[0, 0], turn[1, 0])
     if not 1 / _WIDEST_RATIO <= scale <= _WIDEST_RATIO:
         return None
     here, there = here[inlier], there[inlier]
-    return Match(math.log(scale), _spread(here, there, turn), n, turn, here.mean(axis=0), there.mean(axis=0))
+    log_sd = round(_spread(here, there, turn), _DIGITS)
+    return Match(math.log(scale), log_sd, n, turn, here.mean(axis=0), there.mean(axis=0))
 
 
 def _nearest(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> NDArray[np.intp]:

@@ -62,6 +62,13 @@ def test_a_match_gives_the_ratio_of_the_scales_and_the_place(turn_deg: float, sc
     assert found.turn[:, :2] @ [250, 250] + found.turn[:, 2] == pytest.approx(expected, abs=3)
 
 
+def test_a_match_keeps_only_the_digits_that_do_not_depend_on_threads(seen: list[Features]) -> None:
+    found = match(seen[0], seen[1])
+    assert found is not None
+    assert np.array_equal(found.turn, found.turn.round(9))
+    assert found.log_sd == round(found.log_sd, 9)
+
+
 def test_photographs_of_other_places_do_not_match(seen: list[Features]) -> None:
     assert match(seen[0], seen[5]) is None
     nothing = features_of(np.full((200, 200, 3), 90, np.uint8))
