@@ -65,6 +65,25 @@ def test_what_selects_the_pods_finds_them() -> None:
     assert target == {"apiVersion": "apps/v1", "kind": "Deployment", "name": of_kind("Deployment")["metadata"]["name"]}
 
 
+def test_only_the_namespace_reaches_the_server_and_the_server_reaches_nothing() -> None:
+    policy, pod = of_kind("NetworkPolicy")["spec"], of_kind("Deployment")["spec"]["template"]
+    assert policy["podSelector"]["matchLabels"] == pod["metadata"]["labels"]
+    assert set(policy["policyTypes"]) == {"Ingress", "Egress"}
+    assert policy["egress"] == []
+    (rule,) = policy["ingress"]
+    assert rule["from"] == [{"podSelector": {}}]
+    (container,) = pod["spec"]["containers"]
+    assert [port["port"] for port in rule["ports"]] == [port["name"] for port in container["ports"]]
+
+
+def test_the_documents_advise_a_token_that_others_cannot_read() -> None:
+    (secret,) = (each for each in of_kind("Deployment")["spec"]["template"]["spec"]["volumes"] if "secret" in each)
+    assert secret["secret"]["defaultMode"] & 0o007 == 0
+    for text in (DEPLOY / "compose.yml", ROOT / "docs/how-to/deploy.md"):
+        assert "umask 077" in text.read_text()
+        assert "chmod 644" not in text.read_text()
+
+
 def _settings(variables: dict[str, str], tmp_path: Path) -> Settings:
     """The server's options from a manifest's variables and the image's, with a token file that exists."""
     token = tmp_path / "token"
@@ -100,6 +119,7 @@ def test_compose_runs_two_replicas_locked_down_and_shows_only_nginx_on_loopback(
     for service in services.values():
         assert service["read_only"]
         assert service["cap_drop"] == ["ALL"]
+        assert service["security_opt"] == ["no-new-privileges:true", "seccomp=builtin"]
     linted = [sys.executable, "-m", "compose_lint", "--fail-on", "high", str(DEPLOY / "compose.yml")]
     found = subprocess.run(linted, capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stdout

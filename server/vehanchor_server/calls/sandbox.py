@@ -70,9 +70,25 @@ def confine(readable: Iterable[Path]) -> Confinement:
         seccomp = True
     except OSError as error:
         lacks.append(f"seccomp: {error.strerror}, so that a worker can open sockets and start programs")
+    lacks += _missing_rights(landlock, seccomp=seccomp)
     if lacks:
         lacks.append(f"kernel {platform.release()}")
     return Confinement(landlock, seccomp, "; ".join(lacks))
+
+
+def _missing_rights(landlock: int, *, seccomp: bool) -> list[str]:
+    """Name the rights that this version of Landlock does not handle. The filter of system calls refuses them, too."""
+    missing = [what for since, what in _RIGHTS_SINCE.items() if 0 < landlock < since]
+    return [] if seccomp or not missing else [f"Landlock {landlock}: a worker can {', '.join(missing)}"]
+
+
+_RIGHTS_SINCE = {
+    3: "empty files (truncate: Linux 6.2)",
+    4: "connect over TCP (6.7)",
+    5: "control devices (ioctl: 6.10)",
+    6: "signal other processes and use their abstract sockets (6.12)",
+}
+"""Rights by the version of Landlock that handles them. Version 1 refuses to move files between folders, too."""
 
 
 def _drop_capabilities(libc: ctypes.CDLL) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import hmac
 import logging
+import os
+import stat
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -45,11 +47,14 @@ def token_verifier(settings: Settings) -> TokenVerifier | None:
 def read_tokens(path: Path) -> list[str]:
     """Read the tokens of a file, one per line; ignore blank lines and lines that begin with ``#``.
 
+    Log a warning if every user can read the file.
+
     Raises:
         SettingsError: the file is unreadable, has no token, or has a short token.
     """
     try:
         lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+        readable_by_all = os.name == "posix" and path.stat().st_mode & stat.S_IROTH
     except (OSError, UnicodeDecodeError) as error:
         raise SettingsError(f"token file {path} cannot be read: {error}") from None
     tokens = [line for line in lines if line and not line.startswith("#")]
@@ -57,6 +62,8 @@ def read_tokens(path: Path) -> list[str]:
         raise SettingsError(f"token file {path} has no token; write one with: openssl rand -hex 32 > {path}")
     if any(len(token) < MIN_TOKEN_CHARS for token in tokens):
         raise SettingsError(f"token file {path}: a token is shorter than {MIN_TOKEN_CHARS} characters; use longer ones")
+    if readable_by_all:
+        _logger.warning("every user of this machine can read the token file %s: chmod o-rwx it", path)
     return tokens
 
 

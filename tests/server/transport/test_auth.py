@@ -3,6 +3,7 @@ from __future__ import annotations
 import base64
 import hmac
 import json
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -185,3 +186,15 @@ async def test_an_issuer_that_is_not_itself_or_not_there_is_told_in_the_log(
     issuer.broken = True
     assert await issuer.verifier().verify_token(issuer.token()) is None
     assert [word in caplog.text for word in ("evil.test", "not https", "unreachable")] == [True] * 3
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other permissions")
+@pytest.mark.parametrize(("mode", "warned"), [(0o600, False), (0o640, False), (0o644, True)])
+def test_a_token_file_that_everyone_can_read_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, mode: int, warned: bool
+) -> None:
+    path = tmp_path / "token"
+    path.write_text("0123456789abcdef0123456789abcdef")
+    path.chmod(mode)
+    assert len(read_tokens(path)) == 1
+    assert ("every user of this machine can read the token file" in caplog.text) == warned
