@@ -66,6 +66,8 @@ class Detections:
             within a class, not between classes.
         n_tiles_total: number of tiles of the image at all resolutions; None if it was not counted.
         stopped_because: reason for the end of the search; None without a search.
+        stretch_sigmas: how surely the image is too wide (above 0) or too high, see ``vehanchor.detection.proportions``;
+            None for few vehicles, without a verifier, or before the end of the search.
     """
 
     boxes: NDArray[np.float64]
@@ -78,6 +80,7 @@ class Detections:
     others: Objects = field(default_factory=Objects.joined)
     n_tiles_total: int | None = None
     stopped_because: Stopped | None = None
+    stretch_sigmas: float | None = None
 
 
 NOT_SEARCHED = Detections(np.zeros((0, 5)), np.zeros(0), 0, n_tiles_total=0)

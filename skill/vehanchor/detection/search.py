@@ -20,6 +20,7 @@ from vehanchor.detection.convergence import ANYTIME_PIXELS, has_converged, next_
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.levels import search_levels
 from vehanchor.detection.nms import oriented_nms
+from vehanchor.detection.proportions import stretch_sigmas
 from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_chances, level_shares
 from vehanchor.detection.tile_prior import tile_prior_map, tile_prior_of
 from vehanchor.detection.verifier import Weights
@@ -240,6 +241,9 @@ class _Work:
         factors = np.repeat(visited, [len(part.vehicles) for part in parts])
         vehicles = Objects.joined([part.vehicles for part in parts])
         kept = _merged(vehicles, self._min_score, self._nms_iou)
+        stretch = None
+        if because and self._verifier:
+            stretch = stretch_sigmas(self._raster, vehicles.boxes[kept], self._verifier)
         if because and self._car_verifier and len(kept) <= _FEW_VEHICLES:
             candidates = _merged(vehicles, self._least_score, self._nms_iou)[:_MOST_CANDIDATES]
             vehicles, factors = self._verified(self._car_verifier, vehicles.take(candidates)), factors[candidates]
@@ -257,6 +261,7 @@ class _Work:
             _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
             len(self.visits),
             because,
+            stretch,
         )
 
     def _verified(self, car_verifier: CarVerifier, candidates: Objects) -> Objects:

@@ -143,9 +143,12 @@ class Verifier(AuxiliaryModel[VerifierCard]):
         """
         logits = [np.zeros(0)]
         for start in range(0, len(found), _BATCH):
-            chips = surroundings(pixels, found.boxes[start : start + _BATCH])
-            planes = np.ascontiguousarray(chips.transpose(0, 3, 1, 2))
-            batch: NDArray[np.float32] = np.divide(planes, np.float32(255), dtype=np.float32)
-            logits.append(self.predict(batch)[0])
+            logits.append(self.logits(surroundings(pixels, found.boxes[start : start + _BATCH])))
         scores = Weights(*self.card.weights).score(found.scores, np.concatenate(logits), size_odds)
         return Objects(found.boxes, scores, found.classes)
+
+    def logits(self, chips: NDArray[np.uint8]) -> NDArray[np.float64]:
+        """Predict the logits of cars ``[n]`` from chips ``[n, 48, 48, 3]``, see ``surroundings``."""
+        planes = np.ascontiguousarray(chips.transpose(0, 3, 1, 2))
+        batch: NDArray[np.float32] = np.divide(planes, np.float32(255), dtype=np.float32)
+        return self.predict(batch)[0]

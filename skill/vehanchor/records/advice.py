@@ -26,6 +26,7 @@ ADVICE: Mapping[Reason, Advice] = {
     "too_coarse": Advice("the vehicles have too little detail", "fly lower, or send the full-resolution image"),
     "too_few": Advice("too little evidence", "include more cars: fly higher, or over streets and car parks"),
     "not_cars": Advice("the vehicles may not be cars", "look at the overlay, or give a known length or the height"),
+    "stretched": Advice("the image is stretched in one direction", "send the original image, or keep its aspect ratio"),
     "disagree": Advice(
         "sizes or rulers contradict each other", "look at the overlay, or give a measured length or height"
     ),

@@ -13,7 +13,7 @@ from vehanchor.records.ruler_kinds import RulerKind
 from vehanchor.scale.defaults import Aggregation, Stopped
 
 Status = Literal["ok", "low_confidence", "no_scale"]
-Reason = Literal["too_coarse", "too_few", "not_cars", "disagree", "lost", "imprecise", "assumed"]
+Reason = Literal["too_coarse", "too_few", "not_cars", "stretched", "disagree", "lost", "imprecise", "assumed"]
 ReferenceSource = Literal["model", "appearance", "region", "given", "calibration"]
 
 
@@ -104,8 +104,9 @@ class GsdEstimate(Record):
     )
     reason: Reason | None = Field(
         description="Why the scale is not usable; null for a usable one. too_coarse: vehicles of too few pixels. "
-        "too_few: too few vehicles. not_cars: the vehicles may not be cars. disagree: sizes or rulers. lost: the scene "
-        "is unlike the training data. imprecise: the interval is too wide. assumed: one assumed fact alone."
+        "too_few: too few vehicles. not_cars: the vehicles may not be cars. stretched: width and height differ in "
+        "scale. disagree: sizes or rulers. lost: the scene is unlike the training data. imprecise: the interval is too "
+        "wide. assumed: one assumed fact alone."
     )
     scene_scale: SceneScaleEstimate | None = Field(
         description="Scale from the appearance of the scene, a prior; null if it was not computed."

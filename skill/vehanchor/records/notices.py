@@ -21,7 +21,8 @@ class NoticeCode(StrEnum):
     GEOREFERENCE_DIFFERS = "georeference_differs"
     # of the search
     DETECTIONS_CAPPED = "detections_capped"
-    # doubts that the vehicles are cars
+    # doubts that the vehicles are cars of true proportions
+    STRETCHED = "stretched"
     LENGTHS_DISAGREE = "lengths_disagree"
     LENGTHS_ALIKE = "lengths_alike"
     SCORES_UNCLEAR = "scores_unclear"
@@ -49,13 +50,14 @@ class NoticeCode(StrEnum):
 
 
 FLEET_DOUBTS = (
+    NoticeCode.STRETCHED,
     NoticeCode.LENGTHS_DISAGREE,
     NoticeCode.LENGTHS_ALIKE,
     NoticeCode.SCORES_UNCLEAR,
     NoticeCode.LOOKS_ALIKE,
     NoticeCode.LOOKS_UNLIKE_CARS,
 )
-"""Doubts that the vehicles are cars; each caps the confidence below 0.5."""
+"""Doubts that the vehicles are cars of true proportions; each caps the confidence below 0.5."""
 
 
 class Notice(Record):

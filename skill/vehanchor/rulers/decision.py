@@ -21,7 +21,13 @@ from vehanchor.scale.fusion import (
     strongest_mode,
 )
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES, Z95, Interval, statistical_log_sds
-from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, GUARD_GSD_M_PER_PX, UNSURE_CONFIDENCE, WIDEST_USABLE
+from vehanchor.scale.thresholds import (
+    DISPUTE_CONFIDENCE,
+    FALLBACK_CONFIDENCE,
+    GUARD_GSD_M_PER_PX,
+    UNSURE_CONFIDENCE,
+    WIDEST_USABLE,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -127,10 +133,12 @@ def decide(vehicles: VehicleEvidence, others: Sequence[Evidence]) -> ScaleDecisi
     uncertain = (chance is not None and chance < USABLE_CHANCE) or interval.high > widest * interval.low
     if not vehicles.exact:
         confidence = min(confidence, UNSURE_CONFIDENCE if uncertain or limit.reason else MOST_SURE)
+    if vehicles.stretched:  # no ruler gives one scale for both directions
+        confidence = min(confidence, DISPUTE_CONFIDENCE)
     reason: Reason | None = None
     if confidence < FALLBACK_CONFIDENCE:
         own = _vehicle_reason(vehicles, others, chance) if alone else _fused_reason(evidence, rulers)
-        reason = limit.reason or own
+        reason = "stretched" if vehicles.stretched else limit.reason or own
     led = leading is not None
     return ScaleDecision(gsd, interval, chance, confidence, reason, _leading(evidence, rulers), rulers, led)
 

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 _LEAST_SCORE = 1e-3  # floor of the scores, so that a detection counts
 _MODE_REACH, _MODE_SHARE = 0.25, 0.3  # of log scale, and of the density
 _DOUBTS: dict[NoticeCode, str] = {
+    NoticeCode.STRETCHED: "The vehicles have a car's proportions only if the image is made narrower or wider: it was "
+    "stretched in one direction, or taken at a tilt, and its width and height have different scales.",
     NoticeCode.LENGTHS_DISAGREE: "Vehicles of two sizes were found, with nearly equal evidence. One group is not cars: "
     "the scale may be wrong by the ratio of the sizes.",
     NoticeCode.LENGTHS_ALIKE: "The vehicles have nearly equal lengths, unlike cars: they may be equal lorries, "
@@ -180,6 +182,11 @@ class VehicleEvidence(Evidence):
         return any(each.code in FLEET_DOUBTS for each in self.notices)
 
     @property
+    def stretched(self) -> bool:
+        """Whether the image's width and height have different scales."""
+        return any(each.code == NoticeCode.STRETCHED for each in self.notices)
+
+    @property
     def largest_confidence(self) -> float:
         """Limit of the confidence of a scale from these vehicles alone."""
         return largest_confidence(guarded=self.guarded, disputed=self.disputed)
@@ -214,7 +221,7 @@ class Vehicles(Ruler):
         exact = view.options.method.preset == "paper"  # only what the paper has
         unresolved = not exact and seen_px >= guard_px > seen_px * resolved
         guarded = seen_px < guard_px or unresolved
-        doubts = _doubts(fleet, card)
+        doubts = _doubts(fleet, card, None if plane else detections.stretch_sigmas)
         terms = confidence_terms(
             fleet.lengths,
             fleet.scores,
@@ -285,7 +292,7 @@ def _density(detections: Detections, card: DetectorCard, reference: ReferenceLen
     return vehicle_density(detections.boxes[:, 2], detections.scores, reference.length_m, reference.log_sds, card.votes)
 
 
-def _doubts(fleet: Fleet, card: DetectorCard) -> list[Notice]:
+def _doubts(fleet: Fleet, card: DetectorCard, stretch_sigmas: float | None) -> list[Notice]:
     """List doubts that the vehicles are cars, after a search over scales, which accepts objects of any size."""
     if fleet.detections.scales is None:
         return []
@@ -295,6 +302,7 @@ def _doubts(fleet: Fleet, card: DetectorCard) -> list[Notice]:
         rival_share=fleet.rival_share,
         clear_score=card.clear_score,
         fleet_log_odds=None if fleet.appearance is None else fleet.appearance.log_odds,
+        stretch_sigmas=stretch_sigmas,
     )
     return [Notice(code=doubt, message=_DOUBTS[doubt]) for doubt in doubts]
 

@@ -1,0 +1,104 @@
+"""Stretched images, and images unlike a clear day at nadir: refused, or right."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from vehanchor import estimate_gsd
+from vehanchor_scenes.render import render_scene
+
+_GSD = 0.1
+_BARREL = 0.35  # share of the squared distance from the centre, in half sides
+_Image = NDArray[np.uint8]
+
+
+@pytest.fixture(scope="module")
+def photograph() -> _Image:
+    return render_scene(_GSD, width_px=900, height_px=900, seed=9011, mean_vehicle_length_m=4.4, layout="parking").image
+
+
+def _resized(image: _Image, across: float, down: float) -> _Image:
+    size = (round(image.shape[1] * across), round(image.shape[0] * down))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def test_true_proportions_have_no_notice(photograph: _Image) -> None:
+    estimate = estimate_gsd(photograph)
+    assert estimate.status == "ok"
+    assert "stretched" not in {notice.code for notice in estimate.warnings}
+
+
+@pytest.mark.parametrize(("across", "down"), [(1.5, 1.0), (1.0, 1.5), (0.67, 1.0)])
+def test_a_stretched_image_is_never_ok_and_says_why(photograph: _Image, across: float, down: float) -> None:
+    estimate = estimate_gsd(_resized(photograph, across, down))
+    assert estimate.status != "ok"
+    assert estimate.reason == "stretched"
+    assert "stretched" in {notice.code for notice in estimate.warnings}
+
+
+def test_a_scale_does_not_hide_a_stretch(photograph: _Image) -> None:
+    estimate = estimate_gsd(_resized(photograph, 1.5, 1.0), known_lengths=[(100, 100, 400, 100, 30.0)])
+    assert estimate.status != "ok"
+
+
+def _grey(image: _Image) -> _Image:
+    return np.asarray(cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB), np.uint8)
+
+
+def _noisy(image: NDArray[np.float64], sd: float) -> _Image:
+    noise = np.random.default_rng(0).normal(0, sd, image.shape)
+    return np.clip(image + noise, 0, 255).astype(np.uint8)
+
+
+def _fisheye(image: _Image) -> _Image:
+    """Distort like a wide lens: the centre has 0.6 of the scale, the corners are kept."""
+    height, width = image.shape[:2]
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    along, down = (x - width / 2) / (width / 2), (y - height / 2) / (height / 2)
+    factor = (1 + _BARREL * (along**2 + down**2)) / (1 + 2 * _BARREL)
+    mapped = (along * factor + 1) * width / 2, (down * factor + 1) * height / 2
+    return np.asarray(cv2.remap(image, *mapped, cv2.INTER_LINEAR), np.uint8)
+
+
+def _mean_scale_of_fisheye() -> float:
+    """Compute the root of the mean area of a pixel, by the determinant of the distortion."""
+    along, down = np.meshgrid(*[np.linspace(-1, 1, 400)] * 2)
+    squared = along**2 + down**2
+    areas = (1 + _BARREL * squared) * (1 + 3 * _BARREL * squared) / (1 + 2 * _BARREL) ** 2
+    return float(np.sqrt(areas.mean()))
+
+
+CONDITIONS: dict[str, Callable[[_Image], _Image]] = {
+    "thermal": lambda image: 255 - cv2.GaussianBlur(_grey(image), (0, 0), 1.2).astype(np.uint8),
+    "night": lambda image: _noisy(0.12 * image.astype(np.float64), 6.0),
+    "snow": lambda image: np.clip(170 + 0.4 * image.astype(np.float64), 0, 255).astype(np.uint8),
+    "haze": lambda image: _noisy(130 + 0.25 * cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float64), 1.5),
+    "fisheye": _fisheye,
+}
+
+
+@pytest.mark.parametrize("condition", CONDITIONS)
+def test_an_unusual_image_is_refused_or_right(photograph: _Image, condition: str) -> None:
+    estimate = estimate_gsd(CONDITIONS[condition](photograph))
+    true = _GSD * (_mean_scale_of_fisheye() if condition == "fisheye" else 1)
+    assert estimate.status != "ok" or estimate.gsd_m_per_px == pytest.approx(true, rel=0.2)
+
+
+@pytest.mark.parametrize("condition", ["thermal", "night", "snow", "haze"])
+def test_an_unusual_photograph_is_refused_or_right(real_data: Path, condition: str) -> None:
+    table = real_data / "gsd" / "upright.csv"
+    with table.open(newline="") as handle:
+        rows = [row for row in csv.DictReader(handle) if row["split"] == "val"][::5]
+    for row in rows:
+        image = np.asarray(Image.open(table.parent / row["file"]).convert("RGB"), np.uint8)
+        estimate = estimate_gsd(CONDITIONS[condition](image))
+        true = float(row["gsd_m_per_px"])
+        assert estimate.status != "ok" or estimate.gsd_m_per_px == pytest.approx(true, rel=0.2), row["file"]
