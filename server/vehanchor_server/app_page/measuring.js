@@ -168,26 +168,33 @@ function measuredRow({ kind, record }, remove) {
   );
 }
 
-// Ask for the length of a drawn line, then repeat all measurements with it.
+// Ask for the length of a drawn line, or for what it measures, then repeat all measurements with it.
 function lengthForm(record, words) {
   const metres = html("input", { type: "number", min: "0.01", max: "100000", step: "any", "aria-label": "Metres between both ends" });
+  const things = byId("known-sizes").content.cloneNode(true);
+  const what = html("select", { "aria-label": "What the line measures" }, html("option", { value: "" }, "a length"), things);
+  const measured = html("input", { type: "checkbox" });
+  const basis = html("label", {}, measured, " measured by tape, plan or survey ");
+  const length = html("label", {}, metres, " m ");
   const measure = html("button", { type: "button" }, "Measure again");
   // No form element: hosts' sandboxes block forms.
-  const row = html("div", { class: "row asked", hidden: true }, html("label", {}, "Length ", metres, " m "), measure);
+  const row = html("div", { class: "row asked", hidden: true }, what, " ", length, basis, measure);
+  what.addEventListener("change", () => { length.hidden = basis.hidden = Boolean(what.value); });
   let line;
   metres.addEventListener("keydown", (event) => {
     if (event.key === "Enter") measure.click();
   });
   measure.addEventListener("click", async () => {
     const value = Number(metres.value);
-    if (!(value > 0)) {
-      words.textContent = "Enter the length in metres.";
+    if (!what.value && !(value > 0)) {
+      words.textContent = "Enter the length in metres, or choose what the line measures.";
       return;
     }
+    const size = what.value ? { what: what.value } : { metres: value, ...(measured.checked ? { basis: "measured" } : {}) };
     measure.disabled = true;
     words.textContent = "Measuring again.";
     try {
-      const known = { known_lengths: [...(call.arguments.known_lengths ?? []), knownLine(record, line, value)] };
+      const known = { known_lengths: [...(call.arguments.known_lengths ?? []), { ...knownLine(record, line), ...size }] };
       const result = await askAgain(record, known);
       call.arguments = { ...call.arguments, ...known };
       call.result = result;
@@ -212,9 +219,9 @@ async function measureAllAgain(result) {
 }
 
 // Lines are in pixels of the caller's frame, if the call has one.
-function knownLine(record, [one, other], metres) {
+function knownLine(record, [one, other]) {
   const copy = call.arguments.frame;
   const across = copy ? copy.width_px / record.image_width_px : 1;
   const down = copy ? copy.height_px / record.image_height_px : 1;
-  return { x1: one[0] * across, y1: one[1] * down, x2: other[0] * across, y2: other[1] * down, metres };
+  return { x1: one[0] * across, y1: one[1] * down, x2: other[0] * across, y2: other[1] * down };
 }

@@ -9,12 +9,16 @@ import base64
 import hashlib
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mcp.server.apps import Apps, ResourceCsp
 
+from vehanchor.rulers.standards import standards
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M
 from vehanchor.scale.defaults import REGIONS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 APP_URI = "ui://vehanchor/panel.html"
 APP_META: dict[str, Any] = {"ui": {"resourceUri": APP_URI}}
@@ -55,17 +59,20 @@ def app_extension() -> Apps:
 @cache
 def page_html() -> str:
     """Return the page for MCP App hosts, an HTML5 document."""
-    return _assembled("panel.html", ("panel.css",), _HOST_PARTS, "img-src data:")
+    page = _assembled("panel.html", ("panel.css",), _HOST_PARTS, "img-src data:")
+    return page.replace("{{known_sizes}}", _options(standards()))
 
 
 @cache
 def view_html() -> str:
     """Return the page of ``vehanchor view``: the shared parts and a list of photographs."""
     page = _assembled("view.html", ("panel.css", "view.css"), _VIEW_PARTS, "img-src data:", "connect-src 'self'")
-    options = "".join(
-        f'<option value="{name}">{name.replace("_", " ")}</option>' for name in (*REGIONS, *COUNTRY_LENGTHS_M)
-    )
-    return page.replace("{{regions}}", options)
+    page = page.replace("{{regions}}", _options((*REGIONS, *COUNTRY_LENGTHS_M)))
+    return page.replace("{{known_sizes}}", _options(standards()))
+
+
+def _options(names: Iterable[str]) -> str:
+    return "".join(f'<option value="{name}">{name.replace("_", " ")}</option>' for name in names)
 
 
 def _assembled(template: str, styles: tuple[str, ...], scripts: tuple[str, ...], *allowed: str) -> str:

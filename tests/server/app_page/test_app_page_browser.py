@@ -473,6 +473,30 @@ def test_a_known_length_is_drawn_with_two_clicks_and_measured_with(
     host.page.locator(".drawn path.mark").wait_for(state="attached")  # a level line has no height
 
 
+@pytest.mark.parametrize("thing", ["iso_container_20ft", ""])
+def test_a_drawn_line_is_a_thing_of_known_size_or_a_measured_length(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]], thing: str
+) -> None:
+    host.show(tools=True)
+    host.result(calls["good"], results["good"])
+    host.tab.evaluate("(result) => { answer = { result }; }", results["rulers"])
+    host.page.get_by_role("button", name="Draw a known length").click()
+    click_at(host, 100, 200)
+    click_at(host, 500, 400)
+    if thing:
+        host.page.get_by_label("What the line measures").select_option(thing)
+        assert not host.page.get_by_role("spinbutton").is_visible()
+    else:
+        host.page.get_by_role("spinbutton").fill("38.5")
+        host.page.get_by_label("measured by tape, plan or survey").check()
+    host.page.get_by_role("button", name="Measure again").click()
+    host.says("#sentence", results["rulers"]["content"][0]["text"])
+    (asked,) = tool_calls(host)
+    (line,) = asked["arguments"]["known_lengths"]
+    size = {"what": thing} if thing else {"metres": 38.5, "basis": "measured"}
+    assert {key: line[key] for key in line if len(key) > 2} == size
+
+
 def test_a_distance_is_two_clicks_and_an_area_a_box_and_neither_searches_again(
     host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
 ) -> None:
