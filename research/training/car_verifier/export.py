@@ -10,7 +10,6 @@ import argparse
 from pathlib import Path
 
 import torch
-from torch import nn
 
 from research.training.car_verifier.measure import fitted_fusion
 from research.training.car_verifier.network import CarVerifierNet
@@ -19,7 +18,6 @@ from research.training.loop import load_average
 from research.training.onnx_file import LICENCE, write_metadata
 from vehanchor.models.zoo import DEFAULT_DETECTOR
 
-_LOG_LENGTH, _LONGER = 13, 0.0125  # held-out cars of known scale keep the mean length of the detector's boxes, by set
 _LEAST_SCORE = 0.15  # of the search, as in ``measured.json``
 
 
@@ -34,9 +32,6 @@ def main() -> None:
     network = CarVerifierNet()
     load_average(network, options.weights)
     network.eval()
-    last = network.head[-1]
-    assert isinstance(last, nn.Linear)
-    last.bias.data[_LOG_LENGTH] += _LONGER
     fusion = fitted_fusion(options.run, network)
     export(network, options.out)
     metadata = {

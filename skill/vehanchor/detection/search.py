@@ -240,13 +240,15 @@ class _Work:
         visited = [self.visits[k][0].factor for k in sorted(self._found)]
         factors = np.repeat(visited, [len(part.vehicles) for part in parts])
         vehicles = Objects.joined([part.vehicles for part in parts])
+        boxes = vehicles.boxes  # the fleet network is calibrated to the detector's boxes
         kept = _merged(vehicles, self._min_score, self._nms_iou)
         stretch = None
         if because and self._verifier:
             stretch = stretch_sigmas(self._raster, vehicles.boxes[kept], self._verifier)
         if because and self._car_verifier and len(kept) <= _FEW_VEHICLES:
             candidates = _merged(vehicles, self._least_score, self._nms_iou)[:_MOST_CANDIDATES]
-            vehicles, factors = self._verified(self._car_verifier, vehicles.take(candidates)), factors[candidates]
+            boxes, factors = boxes[candidates], factors[candidates]
+            vehicles = self._verified(self._car_verifier, vehicles.take(candidates))
             kept = _merged(vehicles, self._min_score, self._nms_iou)
         vehicles = vehicles.take(kept)
         fleet = self._detector.fleet
@@ -256,7 +258,7 @@ class _Work:
             len(parts),
             sum(part.ran_out for part in parts),
             1 / factors[kept] if self._search_scales else None,
-            fleet.appearance(self._raster, vehicles.boxes) if fleet else None,
+            fleet.appearance(self._raster, boxes[kept]) if fleet else None,
             vehicles.classes,
             _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
             len(self.visits),

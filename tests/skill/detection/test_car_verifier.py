@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.models import blank_image, paint_vehicles, write_car_verifier, write_detector
+from tests.models import blank_image, paint_vehicles, write_car_verifier, write_detector, write_fleet_network
+from vehanchor.detection.appearance import FleetLengths
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.car_verifier import CHIP_LENGTH_PX, CarVerifier, candidate_chips, corrected_boxes
 from vehanchor.detection.detector import Detector, load_detector
@@ -151,6 +152,7 @@ def test_few_vehicles_are_scored_again_and_their_boxes_corrected(tmp_path: Path)
     write_car_verifier(
         path, gain=8.0, correction=(0, 0, -0.1, np.log(0.4), 0), metadata={"vehanchor.weights": "1,1,-3"}
     )
+    write_fleet_network(path, FleetLengths((-1.0, 1.0), (4.0, 5.0), 0.1, 1.0))
     pixels, boxes = _scene(4, [0.3, 0.9, 0.9, 0.1])
     detector = load_detector(path)
     found = _found(detector, pixels)
@@ -161,6 +163,8 @@ def test_few_vehicles_are_scored_again_and_their_boxes_corrected(tmp_path: Path)
     plain = _found(detector, pixels, Search(verify=False))
     assert sorted(plain.boxes[:, 0]) == pytest.approx([230, 380])
     assert plain.boxes[:, 2] == pytest.approx(boxes[1:3, 2])
+    looks = [each.fleet.log_odds[each.boxes[:, 0].argmax()] for each in (found, plain) if each.fleet]
+    assert looks[0] == looks[1]  # the appearance is read from the detector's own box
 
 
 def test_many_vehicles_are_left_as_they_are(tmp_path: Path) -> None:
