@@ -6,11 +6,10 @@ language model takes part in the measurement.
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.analysis.measured import AreaAnalysis
-from vehanchor.measure.resolved_scale import interval_around, resolve_scale
+from vehanchor.measure.resolved_scale import resolve_scale
 from vehanchor.options import ScaleOptions
 from vehanchor.records import (
     AreaMeasurement,
@@ -20,7 +19,6 @@ from vehanchor.records import (
     OutlinePolygon,
     OutlineRing,
 )
-from vehanchor.scale.lengths import Interval
 from vehanchor.segmentation.doubts import mask_notices
 from vehanchor.segmentation.prompt import prompt_in_image
 from vehanchor.segmentation.segmenter import Segmenter
@@ -40,8 +38,10 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster
     from vehanchor.measure.resolved_scale import ResolvedScale, ScaleInput
+    from vehanchor.measure.spread import Spread
     from vehanchor.options import Frame
     from vehanchor.records import Status
+    from vehanchor.scale.lengths import Interval
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
 
@@ -107,7 +107,7 @@ def _conclude(
     measured = scale.gsd_over(mask, left, top)  # an empty mask has no size, not a size of zero
     size = _Size()
     if measured is not None and circle is not None:
-        size = _size(n_px, outline_px, circle.diameter, measured, scale.log_sd, card.mask_area_log_sd)
+        size = _size(n_px, outline_px, circle.diameter, measured, scale.spread, card.mask_area_log_sd)
     box = None if bounds is None else _moved_box((bounds.x1, bounds.y1, bounds.x2, bounds.y2), left, top)
     return AreaMeasurement(
         status=_status(scale, found.score, card, n_px),
@@ -153,17 +153,15 @@ class _Size(NamedTuple):
     diameter_interval: Interval | None = None
 
 
-def _size(
-    n_px: int, outline_px: float, diameter_px: float, gsd: float, scale_log_sd: float, mask_log_sd: float
-) -> _Size:
+def _size(n_px: int, outline_px: float, diameter_px: float, gsd: float, scale: Spread, mask_log_sd: float) -> _Size:
     """Compute ``A = N_px * GSD^2`` (paper, section III-G) and the largest circle inside."""
     area, diameter = n_px * gsd**2, diameter_px * gsd
     diameter_log_sd = _diameter_log_sd(mask_log_sd, n_px, outline_px, diameter_px)
     return _Size(
         area,
-        _interval(area, math.hypot(2 * scale_log_sd, mask_log_sd)),
+        scale.times(2).plus(mask_log_sd).around(area),
         diameter,
-        _interval(diameter, math.hypot(scale_log_sd, diameter_log_sd)),
+        scale.plus(diameter_log_sd).around(diameter),
     )
 
 
@@ -171,10 +169,6 @@ def _status(scale: ResolvedScale, score: float, card: SegmenterCard, n_px: int) 
     if scale.status != "ok":
         return scale.status
     return "low_confidence" if score < card.min_score or n_px == 0 else "ok"
-
-
-def _interval(value: float, log_sd: float) -> Interval:
-    return Interval(*interval_around(value, log_sd))
 
 
 def _diameter_log_sd(area_log_sd: float, area_px: float, perimeter_px: float, diameter_px: float) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 
 from vehanchor.analysis.measured import DistanceAnalysis
 from vehanchor.errors import PromptError
-from vehanchor.measure.resolved_scale import interval_around, resolve_scale
+from vehanchor.measure.resolved_scale import resolve_scale
 from vehanchor.options import ScaleOptions
 from vehanchor.options.coordinates import CoordinateFrame
 from vehanchor.records import DistanceMeasurement, ImagePoint
@@ -121,9 +121,7 @@ def _conclude(places: Sequence[Place], coordinates: CoordinateFrame, scale: Reso
     length_px, gsd, estimate = _length(places), scale.gsd_m_per_px, scale.estimate
     distance, low, high = scale.length_m(places), None, None
     if distance is not None:
-        low, high = interval_around(
-            distance, math.hypot(scale.log_sd, _length_sd(places, coordinates.unit_px) / length_px)
-        )
+        low, high = scale.spread.plus(_length_sd(places, coordinates.unit_px) / length_px).around(distance)
     return DistanceMeasurement(
         status=scale.status,
         distance_m=distance,

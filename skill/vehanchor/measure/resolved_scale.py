@@ -14,11 +14,11 @@ from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliq
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens
+from vehanchor.measure.spread import Spread
 from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT_M
 from vehanchor.records import KnownScale
 from vehanchor.records.known_scale import known_scale
 from vehanchor.scale.height import GIVEN_HEIGHT_LOG_SD, height_log_sd
-from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor.tilt.camera_tilt import metadata_tilt, plane_of_record
@@ -59,7 +59,7 @@ class ResolvedScale:
 
     Attributes:
         gsd_m_per_px: metres per pixel of the full image; None without a scale.
-        log_sd: standard deviation of its log; 0 for a number from the caller.
+        spread: of its log; 0 for a number from the caller.
         confidence: 0..1; None for a number from the caller.
         source: source of the scale.
         analysis: the analysis behind it; None without a search.
@@ -69,7 +69,7 @@ class ResolvedScale:
     """
 
     gsd_m_per_px: float | None
-    log_sd: float
+    spread: Spread
     confidence: float | None
     source: ScaleSource
     analysis: ScaleAnalysis | None
@@ -173,10 +173,12 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
     if isinstance(scale, Detector):
         analysis = analyse_raster(raster, scale, options)
         found = analysis.estimate
-        log_sd = _log_sd(found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px)
+        spread = Spread()
+        if found.gsd_m_per_px is not None:
+            spread = Spread.of_interval(found.gsd_m_per_px, found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px)
         plane = plane_of_record(found)
         return ResolvedScale(
-            found.gsd_m_per_px, log_sd, found.confidence, "estimated", analysis, found.warnings, plane, found.scale
+            found.gsd_m_per_px, spread, found.confidence, "estimated", analysis, found.warnings, plane, found.scale
         )
     told = image_notices(raster.warnings)
     own = raster.georeference_gsd_m_per_px
@@ -187,12 +189,12 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
                 f"the scale was measured on another image ({scale.image_id}), this one is {seen}: estimate the scale "
                 "of this image, or leave scale out"
             )
-        log_sd = _log_sd(scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)
+        spread = Spread.of_interval(scale.gsd_m_per_px, scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px)
         notices = (*told, *georeference_notice(own, scale.gsd_m_per_px, "the scale given back is"))
         plane = _given_plane(raster, scale) or _plane(raster, options, scale.gsd_m_per_px)
-        return ResolvedScale(scale.gsd_m_per_px, log_sd, scale.confidence, "reused", None, notices, plane, scale)
+        return ResolvedScale(scale.gsd_m_per_px, spread, scale.confidence, "reused", None, notices, plane, scale)
     notices = (*told, *georeference_notice(own, scale, "the given scale is"))
-    return ResolvedScale(scale, 0.0, None, "given", None, notices, _plane(raster, options, scale))
+    return ResolvedScale(scale, Spread(), None, "given", None, notices, _plane(raster, options, scale))
 
 
 def _plane(raster: Raster, options: ScaleOptions, gsd_m_per_px: float | None) -> GroundPlane | None:
@@ -254,22 +256,12 @@ def raised(found: ResolvedScale, object_height_m: float, camera: CameraAbove) ->
         )
     if focal_px:  # scale less height over focal length: the relative error grows with height
         lens_log_sd = camera.lens.log_sd if camera.lens else 0.0
-        log_sd = math.hypot(found.log_sd, share * lens_log_sd) / (1 - share)
+        spread = found.spread.plus(share * lens_log_sd).times(1 / (1 - share))
     else:
-        log_sd = math.hypot(found.log_sd, share / (1 - share) * camera.height_log_sd)
+        spread = found.spread.plus(share / (1 - share) * camera.height_log_sd)
     return replace(
         found,
         gsd_m_per_px=found.gsd_m_per_px * (1 - share),
-        log_sd=log_sd,
+        spread=spread,
         plane=None if found.plane is None else found.plane.raised(object_height_m),
     )
-
-
-def _log_sd(low: float | None, high: float | None) -> float:
-    return math.log(high / low) / (2 * Z95) if low and high else 0.0
-
-
-def interval_around(value: float, log_sd: float) -> tuple[float, float]:
-    """Compute the 95 % interval of a lognormal quantity."""
-    reach = math.exp(Z95 * log_sd)
-    return value / reach, value * reach

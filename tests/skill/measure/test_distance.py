@@ -162,6 +162,27 @@ def estimate(detector: Detector) -> vehanchor.GsdEstimate:
     return vehanchor.estimate_gsd(_place(), detector=detector)
 
 
+def test_a_distance_and_an_area_have_the_skewed_interval_of_their_scale(
+    estimate: vehanchor.GsdEstimate, tmp_path: Path
+) -> None:
+    assert estimate.scale is not None
+    scale = estimate.scale.model_copy(
+        update={"gsd_m_per_px": 0.136, "gsd_ci95_low_m_per_px": 0.121, "gsd_ci95_high_m_per_px": 0.185}
+    )
+    line = vehanchor.measure_distance(_place(), [(20, 580), (780, 580)], scale=scale)
+    pointing = math.sqrt(2) / 760 * 1.96
+    low, high = math.hypot(math.log(136 / 121), pointing), math.hypot(math.log(185 / 136), pointing)
+    assert line.distance_ci95_low_m == pytest.approx(760 * 0.136 * math.exp(-low), rel=1e-4)
+    assert line.distance_ci95_high_m == pytest.approx(760 * 0.136 * math.exp(high), rel=1e-4)
+    exact = write_sam(tmp_path, metadata={"vehanchor.mask_area_log_sd": "0"})
+    roof = vehanchor.measure_area(_place(), box=BOX, segmenter=exact, scale=scale)
+    assert roof.area_m2 is not None
+    assert roof.area_ci95_low_m2 == pytest.approx(roof.area_m2 * (121 / 136) ** 2)
+    assert roof.area_ci95_high_m2 == pytest.approx(roof.area_m2 * (185 / 136) ** 2)
+    assert roof.inscribed_diameter_m is not None
+    assert roof.inscribed_diameter_ci95_high_m == pytest.approx(roof.inscribed_diameter_m * 185 / 136)
+
+
 @pytest.mark.parametrize("form", ["estimate", "scale", "json"])
 def test_a_scale_given_back_needs_no_detector_and_keeps_interval_and_confidence(
     estimate: vehanchor.GsdEstimate, detector: Detector, segmenter: Segmenter, form: str

@@ -13,6 +13,7 @@ from tests.models import blank_image
 from vehanchor.cli import app as cli
 from vehanchor.errors import InvalidParameterError, TooObliqueError
 from vehanchor.measure.resolved_scale import CameraAbove, ResolvedScale, raised
+from vehanchor.measure.spread import Spread
 from vehanchor.pictures.scale import write_picture
 from vehanchor.scale.plane import GroundPlane
 
@@ -52,7 +53,7 @@ def test_an_area_on_a_roof_is_smaller_by_the_square() -> None:
 
 def test_under_a_camera_that_looked_aside_the_whole_plane_is_raised() -> None:
     plane = GroundPlane(GROUND, 40.0, FOCAL_PX, 1000, 750)
-    found = ResolvedScale(GROUND, 0.05, 0.9, "estimated", None, (), plane)
+    found = ResolvedScale(GROUND, Spread(0.05, 0.05), 0.9, "estimated", None, (), plane)
     up = raised(found, 5.0, CameraAbove(None, 999.0))
     share = 5.0 / plane.height_m
     assert up.gsd_m_per_px == pytest.approx(GROUND * (1 - share))
