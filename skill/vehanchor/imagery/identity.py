@@ -1,4 +1,8 @@
-"""Image identity: the state of a file, and a checksum of the pixels, equal for a path, its bytes and its array."""
+"""Image identity: the state of a file, and a checksum of the image, equal for a path and its bytes.
+
+Up to 4096 px per side, and for every image that is decoded whole, the checksum covers all pixels, so that it equals
+that of the array. For a larger image that is read by windows it covers 64 windows and the encoded file.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from vehanchor.errors import ImageDecodeError
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.addresses import is_address
 
@@ -16,6 +21,7 @@ if TYPE_CHECKING:
 _WINDOWS_PER_SIDE = 8
 _WINDOW_PX = 512  # 8 x 8 windows cover 4096 x 4096 px
 _DIGITS = 16
+_BLOCKS, _BLOCK_BYTES = 512, 1 << 20
 
 
 class Source(NamedTuple):
@@ -45,16 +51,48 @@ class Source(NamedTuple):
 
 
 def image_id(raster: Raster) -> str:
-    """Hash size and pixels to 16 hexadecimal digits; above 4096 px per side, hash 64 evenly spaced windows."""
+    """Hash size and content to 16 hexadecimal digits.
+
+    Of a file of more than 512 MiB that is read by windows, 512 evenly spaced blocks of 1 MiB count; of one on a web
+    server its size; of the caller's rasterio dataset the windows alone.
+    """
     digest = hashlib.sha256(f"{raster.width_px} x {raster.height_px}".encode())
-    rows, columns = _spans(raster.height_px), _spans(raster.width_px)
+    step = _WINDOW_PX if raster.in_memory else None
+    rows, columns = _spans(raster.height_px, step), _spans(raster.width_px, step)
+    if not raster.in_memory and max(raster.width_px, raster.height_px) > _WINDOWS_PER_SIDE * _WINDOW_PX:
+        _update_with_file(digest, raster.encoded)
     for y, height in rows:
         for x, width in columns:
             digest.update(raster.read(Window(x, y, width, height)).data)
     return digest.hexdigest()[:_DIGITS]
 
 
-def _spans(side_px: int) -> list[tuple[int, int]]:
+def _update_with_file(digest: hashlib._Hash, encoded: str | bytes | int | None) -> None:
+    """Hash an encoded image: its path, its bytes, or its size alone."""
+    if isinstance(encoded, str):
+        try:
+            with Path(encoded).open("rb") as file:
+                size = os.fstat(file.fileno()).st_size
+                digest.update(str(size).encode())
+                for start in _blocks(size):
+                    file.seek(start)
+                    digest.update(file.read(_BLOCK_BYTES))
+        except OSError as error:
+            raise ImageDecodeError(f"cannot read the image {encoded!r} again: {error.strerror}") from error
+    elif isinstance(encoded, bytes):
+        digest.update(str(len(encoded)).encode())
+        for start in _blocks(len(encoded)):
+            digest.update(encoded[start : start + _BLOCK_BYTES])
+    elif encoded is not None:
+        digest.update(str(encoded).encode())
+
+
+def _blocks(size: int) -> range:
+    """Compute the starts of the blocks of a file that are hashed."""
+    return range(0, size, max(_BLOCK_BYTES, -(-size // _BLOCKS)))
+
+
+def _spans(side_px: int, step: int | None = None) -> list[tuple[int, int]]:
     """Compute the start and length of each window along a side."""
-    step = max(_WINDOW_PX, -(-side_px // _WINDOWS_PER_SIDE))
+    step = step or max(_WINDOW_PX, -(-side_px // _WINDOWS_PER_SIDE))
     return [(start, min(_WINDOW_PX, side_px - start)) for start in range(0, side_px, step)]

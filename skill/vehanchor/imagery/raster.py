@@ -67,10 +67,14 @@ class Raster(ABC):
         warnings: notices for the user.
         camera: camera metadata of the file; None if it has none or the source is no file.
         ground: georeference of the image; None without one.
+        in_memory: whether all pixels are decoded.
+        encoded: path or bytes of the file that is read by windows, or its size on a web server; None if unknown.
     """
 
     camera: CameraMetadata | None = None
     ground: Ground | None = None
+    in_memory = False
+    encoded: str | bytes | int | None = None
 
     def __init__(
         self,

@@ -36,6 +36,8 @@ class ArrayRaster(Raster):
         ImageFormatError: the image cannot be measured.
     """
 
+    in_memory = True
+
     def __init__(
         self,
         pixels: NDArray[Any],

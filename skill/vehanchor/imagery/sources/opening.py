@@ -128,6 +128,7 @@ def _open_address(address: str, bands: BandChoice, limits: ImageLimits) -> Raste
         return _open_bytes(file.fetch(), address, bands, limits)
     header = read_checked_header(file.read_at, limits)
     raster = open_file(file, address, header, bands, limits)
+    raster.encoded = file.size
     raster.camera = read_camera(file.read_at)
     return raster
 
@@ -180,6 +181,7 @@ def _open_by_windows(
     """Open an image that is too large to decode whole, or that OpenCV does not decode."""
     opened = open_large_jpeg if header.format == "JPEG" else open_file
     raster = opened(file, source, header, bands, limits)
+    raster.encoded = file
     raster.camera = read_camera(read_at)
     return raster
 
