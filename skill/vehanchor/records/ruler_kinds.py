@@ -17,6 +17,7 @@ RULERS: dict[str, str] = {
     "known_length": "vehanchor.rulers.known_length:KnownLengths",
     "height": "vehanchor.rulers.given_height:GivenHeight",
     "courts": "vehanchor.rulers.courts:Courts",
+    "parking_bays": "vehanchor.rulers.parking_bays:ParkingBays",
     "positions": "vehanchor.rulers.positions:Positions",
 }
 """Class of each ruler by its kind, as ``module:Class``; imported on first use."""

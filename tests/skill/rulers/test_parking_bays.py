@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.analyses import made_card
+from vehanchor.detection.detections import NOT_SEARCHED
+from vehanchor.detection.scene_scale import load_scene_scale
+from vehanchor.imagery.facts import ImageFacts
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.options import ScaleOptions
+from vehanchor.rulers.bay_rows import BayRow
+from vehanchor.rulers.evidence import View
+from vehanchor.rulers.parking_bays import ParkingBays
+from vehanchor_scenes import render_scene
+
+
+def _row(pitch_px: float, n: int = 8) -> BayRow:
+    x = 100 + pitch_px * np.arange(n)
+    ends = np.stack([np.stack([x, np.full(n, 100.0)], axis=1), np.stack([x, np.full(n, 150.0)], axis=1)], axis=1)
+    return BayRow(ends, pitch_px, 0.002, 50.0)
+
+
+def _view(*rows: BayRow) -> View:
+    facts = ImageFacts(1000, 800)
+    options = ScaleOptions.of({})
+    return View(facts, NOT_SEARCHED, made_card(5.0), options, lambda *_: 1.0, found={"parking_bays": rows})
+
+
+def test_the_width_of_bays_makes_a_scale_whose_interval_holds_the_widths_of_many_countries() -> None:
+    evidence = ParkingBays().measure(_view(_row(25.0), _row(25.2)))
+    assert evidence.interval is not None
+    for width_m in (2.4, 2.5, 2.59, 2.743):
+        assert evidence.interval.low < width_m / 25.1 < evidence.interval.high
+    assert (evidence.n, evidence.kind) == (16, "parking_bays")
+    assert evidence.explanation is not None
+    assert "16 lines of parking bays" in evidence.explanation
+
+
+def test_a_country_chooses_the_width() -> None:
+    view = _view(_row(25.0))
+    american, german = (
+        ParkingBays().measure(replace(view, options=ScaleOptions.of({"region": region}))) for region in ("US", "DE")
+    )
+    assert american.gsd_m_per_px == pytest.approx(2.68 / 25, rel=1e-3)
+    assert german.gsd_m_per_px == pytest.approx(2.5 / 25, rel=1e-3)
+    anywhere = ParkingBays().measure(view)
+    assert american.log_sd is not None
+    assert anywhere.log_sd is not None
+    assert american.log_sd < anywhere.log_sd
+
+
+def test_a_row_of_another_width_is_left_out() -> None:
+    alone, beside = ParkingBays().measure(_view(_row(25.0))), ParkingBays().measure(_view(_row(25.0), _row(35.0, 6)))
+    assert beside.gsd_m_per_px == alone.gsd_m_per_px
+    assert beside.n == 8
+
+
+def test_the_marks_show_the_lines_and_one_width() -> None:
+    width, *lines = ParkingBays().measure(_view(_row(25.0))).marks
+    assert width.label == "bay"
+    assert len(lines) == 8
+    (x0, y0), (x1, y1) = width.points
+    assert math.hypot(x1 - x0, y1 - y0) == pytest.approx(25.0)
+    assert 100 <= x1 <= 275
+
+
+def test_without_rows_or_without_pixels_or_without_a_prior_there_is_no_evidence() -> None:
+    assert ParkingBays().measure(_view()).gsd_m_per_px is None
+    assert ParkingBays().measure(replace(_view(), found={})).gsd_m_per_px is None
+
+
+def test_an_empty_car_park_has_a_scale() -> None:
+    scene = render_scene(0.2, width_px=700, height_px=700, seed=5, n_vehicles=0, layout="parking")
+    with open_raster(scene.image) as raster:
+        network = load_scene_scale()
+        assert network is not None
+        view = replace(_view(), raster=raster, prior=network.predict(raster), found={})
+        evidence = ParkingBays().measure(view)
+    assert evidence.gsd_m_per_px == pytest.approx(0.2, rel=0.06)
+    assert evidence.interval is not None
+    assert evidence.interval.low < 0.2 < evidence.interval.high
