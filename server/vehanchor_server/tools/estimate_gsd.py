@@ -127,7 +127,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
             asked = request_scale_input(ctx, question, answer.record, words)
             if asked is not None:
                 return asked
-        return answer.to_result(words, detail=detail, paged=paged)
+        return answer.to_result(words, services.seal, detail=detail, paged=paged)
 
     return StrictTool.read_only(
         estimate_gsd,

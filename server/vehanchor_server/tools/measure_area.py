@@ -116,7 +116,7 @@ def measure_area_tool(services: Services) -> StrictTool:
         )
         paged = client_supports_apps(ctx)
         wanted = PictureRequest(include_overlay, paged)
-        by = ScaleArguments(gsd_m_per_px, scale, question, object_height_m)
+        by = ScaleArguments(gsd_m_per_px, services.seal.opened(scale), question, object_height_m)
         asked = _Question(_merge_targets(target, targets), by, wanted)
         answer = await run_call(services, ctx, image, _measure, asked)
         words = [
@@ -124,7 +124,7 @@ def measure_area_tool(services: Services) -> StrictTool:
             *warnings(_distinct_warnings(answer.records), detail),
             *copy_hint(_places(asked.targets), question, *_size(answer.record)),
         ]
-        return answer.to_result(" ".join(words), detail=detail, paged=paged)
+        return answer.to_result(" ".join(words), services.seal, detail=detail, paged=paged)
 
     return StrictTool.read_only(
         measure_area,

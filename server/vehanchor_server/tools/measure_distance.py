@@ -112,7 +112,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
             focal_35mm,
             coordinates,
         )
-        asked = _Question(lines, ScaleArguments(gsd_m_per_px, scale, question, object_height_m))
+        asked = _Question(lines, ScaleArguments(gsd_m_per_px, services.seal.opened(scale), question, object_height_m))
         answer = await run_call(services, ctx, image, _measure, asked)
         first = answer.record
         places = ((point.x, point.y) for line in lines for point in line.points)
@@ -121,7 +121,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
             *warnings(first.warnings, detail),
             *copy_hint(places, question, first.image_width_px, first.image_height_px),
         ]
-        return answer.to_result(" ".join(words), detail=detail)
+        return answer.to_result(" ".join(words), services.seal, detail=detail)
 
     return StrictTool.read_only(
         measure_distance,

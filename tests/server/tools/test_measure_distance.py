@@ -74,8 +74,9 @@ async def test_a_scale_that_is_given_back_needs_no_detector(settings: Settings, 
     assert searched["scale"] == scale
     blind = create_server(create_services(replace(settings, detector="/nowhere.onnx")))
     again = await asked(blind, "measure_distance", images / "pool.png", lines=[LINE], scale=scale, detail="short")
-    same = ("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "status", "confidence")
+    same = ("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "status")
     assert [record_of(again)[name] for name in same] == [searched[name] for name in same]
+    assert record_of(again)["confidence"] <= min(0.85, searched["confidence"]), "without a key it counts as assumed"
     assert "reused, confidence " in text_of(again)
     area = await asked(blind, "measure_area", images / "pool.png", targets=[{"box": POOL_BOX}] * 2, scale=scale)
     assert [each["scale_source"] for each in record_of(area)["measurements"]] == ["reused", "reused"]

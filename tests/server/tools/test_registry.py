@@ -43,7 +43,7 @@ def image_size_tool(services: Services) -> StrictTool:
         image: ImageArgument, ctx: Context[Any, Any], detail: DetailArgument = "short"
     ) -> Annotated[CallToolResult, Size]:
         answer = await run_call(services, ctx, image, _image_size, None)
-        return answer.to_result(f"{answer.record.width_px} px wide.")
+        return answer.to_result(f"{answer.record.width_px} px wide.", services.seal)
 
     return StrictTool.read_only(image_size, title="Tell an image's size", description="Tells the size of an image.")
 
