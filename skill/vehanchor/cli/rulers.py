@@ -52,7 +52,7 @@ def _facts(standard: Standard) -> list[tuple[str, str]]:
     ]
     return [
         ("between", standard.between),
-        ("lengths", "\n".join(lengths)),
+        *(("length", length) for length in lengths),
         ("chance of another thing", f"{100 * standard.chance_wrong:.0f} %"),
         ("source", standard.source),
     ]

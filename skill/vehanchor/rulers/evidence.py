@@ -113,6 +113,7 @@ class Fact(NamedTuple):
         gsd_m_per_px: scale by this fact alone.
         interval: its 95 % interval.
         chance: 0..1, chance of an error below 20 % by this fact alone.
+        family: facts of one family are recognised together, and may be wrong together; empty for an independent fact.
     """
 
     name: str
@@ -120,6 +121,7 @@ class Fact(NamedTuple):
     gsd_m_per_px: float
     interval: Interval
     chance: float
+    family: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -115,10 +115,10 @@ def _evidence(drawn: Sequence[_Drawn], region: str | None) -> LognormalEvidence:
         log_sd, chance_wrong = _SPREADS[line.basis]
         if line.tolerance_m is not None:
             log_sd = line.tolerance_m / line.metres / Z95
-        variants, name = (Variant(line.metres, log_sd),), f"known length of {line.metres:g} m"
+        variants, name, family = (Variant(line.metres, log_sd),), f"known length of {line.metres:g} m", ""
     else:
         standard, variants = lengths_of(line.what, region)
-        chance_wrong, name = standard.chance_wrong, standard.label
+        chance_wrong, name, family = standard.chance_wrong, standard.label, standard.family
     length_px, drawn_log_sd = _mean_length(drawn)
     possible = [each for each in variants if on_grid(each.metres / length_px)]
     if not possible:
@@ -129,7 +129,7 @@ def _evidence(drawn: Sequence[_Drawn], region: str | None) -> LognormalEvidence:
         )
         for each in possible
     ]
-    return mixture(found, [each.weight for each in possible]).stated(name, line.basis)
+    return mixture(found, [each.weight for each in possible]).stated(name, line.basis, family)
 
 
 def _mean_length(drawn: Sequence[_Drawn]) -> tuple[float, float]:

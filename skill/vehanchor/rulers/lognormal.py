@@ -34,11 +34,11 @@ class LognormalEvidence(Evidence):
     log_sd: float | None = None
     chance_wrong: float = 0.0
 
-    def stated(self, name: str, basis: Basis) -> LognormalEvidence:
+    def stated(self, name: str, basis: Basis, family: str = "") -> LognormalEvidence:
         """Mark the evidence as that of one fact from the caller (``Fact``)."""
         assert self.gsd_m_per_px is not None
         assert self.interval is not None
-        return replace(self, facts=(Fact(name, basis, self.gsd_m_per_px, self.interval, self.confidence),))
+        return replace(self, facts=(Fact(name, basis, self.gsd_m_per_px, self.interval, self.confidence, family),))
 
 
 def lognormal(gsd_m_per_px: float, log_sd: float) -> NDArray[np.float64]:

@@ -84,18 +84,19 @@ def verdict(evidence: Sequence[Evidence], gsd_m_per_px: float, image_gsd: float 
         return Verdict()
     others = [each for each in evidence if each.sets_scale and not each.facts]
     supporting = [fact for fact in stated if _near(fact, gsd_m_per_px)]
-    supporters = len(supporting) + sum(agrees(each, gsd_m_per_px) for each in others)
+    independent = _independent(supporting)
+    supporters = independent + sum(agrees(each, gsd_m_per_px) for each in others)
     measured_aside = any(fact.basis == "measured" and fact not in supporting for fact in stated)
     if measured_aside or _mistyped(evidence):
         return Verdict(_CONTRADICTED, "disagree")
     outvoted = image_gsd is not None and any(not agrees(each, gsd_m_per_px) for each in others)
     contradicted = outvoted or len(supporting) < len(stated)
     far_from_image = image_gsd is not None and _ratio(gsd_m_per_px, image_gsd) > LEAD_FACTOR
-    only_facts = supporters == len(supporting)
+    only_facts = supporters == independent
     if contradicted and (supporters < 2 or (only_facts and far_from_image)):
         return Verdict(_CONTRADICTED, "disagree")
-    if supporters == len(supporting) == 1:
-        alone = supporting[0].chance
+    if supporters == independent == 1:
+        alone = max(fact.chance for fact in supporting)
         return Verdict(alone, "assumed" if alone < USABLE_CHANCE else None)
     return Verdict()
 
@@ -125,6 +126,12 @@ def _mistyped(evidence: Sequence[Evidence]) -> list[tuple[Fact, float]]:
         if logs and (all(map(_is_unit, logs)) or all(_is_unit(-log) for log in logs)):
             found.append((fact, others[0]))
     return found
+
+
+def _independent(supporting: Sequence[Fact]) -> int:
+    """Count facts that are not wrong together: those of one family count once."""
+    families = {fact.family for fact in supporting if fact.family}
+    return len(families) + sum(not fact.family for fact in supporting)
 
 
 def _is_unit(log_ratio: float) -> bool:

@@ -113,6 +113,18 @@ def test_one_thing_alone_is_usable_only_if_its_kind_allows() -> None:
     assert status("parking_bay_length") == "low_confidence"
 
 
+def test_two_things_of_one_family_are_one_witness() -> None:
+    def record(*whats: str) -> Any:
+        metres = {what: standards()[what].variants[0].metres for what in whats}
+        lines = [(100, 100 + 9 * k, 100 + metres[what] / 0.05, 100 + 9 * k, what) for k, what in enumerate(whats)]
+        return _record(0, known_lengths=lines)
+
+    same = record("iso_container_20ft", "iso_container_width")
+    assert (same.status, same.gsd_m_per_px) == ("ok", pytest.approx(0.05, rel=0.01))
+    assert same.p_within_20 <= 0.91  # no more than the surer of both
+    assert record("iso_container_20ft", "semi_trailer").p_within_20 > 0.95
+
+
 @pytest.mark.parametrize(
     ("what", "words"),
     [

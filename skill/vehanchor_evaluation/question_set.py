@@ -1,0 +1,151 @@
+"""Forty planner questions with what the planner recognises, traps among them: ``question_set.json``.
+
+Half of the images are rendered, half are val photographs. Facts are lines along things that the planner recognises:
+right ones, and in traps wrong ones. A planner acts on a scale that is ``ok``, and abstains otherwise. To abstain is
+right where no careful person would act; to act is right if the interval contains the truth.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+from pydantic import BaseModel, ConfigDict
+
+from vehanchor.errors import InvalidParameterError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from vehanchor_evaluation.agent_tools import ToolCaller
+
+Deed: TypeAlias = Literal["acted rightly", "acted wrongly", "abstained rightly", "abstained needlessly"]
+_ENDS = ((0.1, 0.5), (0.9, 0.5))  # of the asked distance, as fractions of the sides
+
+
+class SceneOf(BaseModel):
+    """Arguments of ``vehanchor_scenes.render_scene``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    gsd_m_per_px: float
+    layout: Literal["urban", "parking", "countryside", "sports"]
+    seed: int
+    width_px: int = 800
+    height_px: int = 640
+
+
+class SetQuestion(BaseModel):
+    """Question about one image: how wide it is between the left and the right tenth.
+
+    Attributes:
+        scene: the scene to render; None for a photograph.
+        file: photograph below the folder of data, or name of the rendered picture.
+        sha256: of the file's bytes.
+        gsd_m_per_px: true scale.
+        expected: what a careful person does with the facts.
+        why: reason for that, in words.
+        facts: recognised lines, ends as fractions of the sides; arguments of ``known_lengths``.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    scene: SceneOf | None = None
+    file: str
+    sha256: str
+    gsd_m_per_px: float
+    expected: Literal["act", "abstain"]
+    why: str
+    facts: tuple[dict[str, Any], ...] = ()
+
+
+@dataclass(frozen=True)
+class Answered:
+    """Result of a question: what the planner did, the tool's status, and the ratio of its distance to the truth."""
+
+    question: SetQuestion
+    deed: Deed
+    status: str
+    ratio: float | None
+
+
+def question_set() -> tuple[SetQuestion, ...]:
+    """Read the questions."""
+    text = files("vehanchor_evaluation").joinpath("question_set.json").read_text(encoding="utf-8")
+    return tuple(SetQuestion.model_validate(each) for each in json.loads(text))
+
+
+def image_of(question: SetQuestion, data: Path, rendered: Path) -> Path:
+    """Find the photograph of a question, or render its scene.
+
+    Args:
+        question: the question.
+        data: folder of photographs.
+        rendered: folder for rendered scenes.
+
+    Raises:
+        InvalidParameterError: the file is missing, or its bytes are others than those of the set.
+    """
+    path = data / question.file
+    if question.scene is not None:
+        from vehanchor_scenes import render_scene
+
+        path = rendered / question.file
+        told = question.scene
+        if not path.is_file():
+            scene = render_scene(
+                told.gsd_m_per_px,
+                width_px=told.width_px,
+                height_px=told.height_px,
+                seed=told.seed,
+                layout=told.layout,
+            )
+            scene.write(path)
+    if not path.is_file():
+        raise InvalidParameterError(f"{str(path)!r} is missing: give the folder of the photographs")
+    if hashlib.sha256(path.read_bytes()).hexdigest() != question.sha256:
+        raise InvalidParameterError(f"{str(path)!r} is another file than that of the question set")
+    return path
+
+
+def ask_set(
+    questions: Iterable[SetQuestion], tools: ToolCaller, data: Path, rendered: Path, *, catalogue: bool
+) -> list[Answered]:
+    """Answer questions with tools.
+
+    Args:
+        questions: the questions.
+        tools: the tools; they may read both folders.
+        data: folder of photographs.
+        rendered: folder for rendered scenes.
+        catalogue: whether the planner gives the tool what it recognises.
+    """
+    return [_ask(each, tools, image_of(each, data, rendered), catalogue=catalogue) for each in questions]
+
+
+def _ask(question: SetQuestion, tools: ToolCaller, image: Path, *, catalogue: bool) -> Answered:
+    points = [{"x": x, "y": y} for x, y in _ENDS]
+    arguments: dict[str, Any] = {
+        "image": {"kind": "path", "path": str(image.resolve())},
+        "coordinates": "fraction",
+        "lines": [{"points": points}],
+        "detail": "full",
+    }
+    if catalogue and question.facts:
+        arguments["known_lengths"] = list(question.facts)
+    answer, is_error = tools.call("measure_distance", arguments)
+    record: dict[str, Any] = {} if is_error else json.loads(answer.splitlines()[-1])
+    record = record.get("measurements", [record])[0]
+    status = record.get("status") or "error"
+    if status != "ok":
+        rightly = question.expected == "abstain"
+        return Answered(question, "abstained rightly" if rightly else "abstained needlessly", status, None)
+    truth = math.dist(*((x * record["image_width_px"], y * record["image_height_px"]) for x, y in _ENDS))
+    truth *= question.gsd_m_per_px
+    holds = record["distance_ci95_low_m"] <= truth <= record["distance_ci95_high_m"]
+    return Answered(question, "acted rightly" if holds else "acted wrongly", status, record["distance_m"] / truth)
