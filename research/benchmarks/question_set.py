@@ -12,7 +12,20 @@ from collections import Counter
 from pathlib import Path
 
 from vehanchor_evaluation.agent_tools import open_agent_tools
-from vehanchor_evaluation.question_set import ask_set, question_set
+from vehanchor_evaluation.question_set import SetQuestion, ask_set, question_set
+from vehanchor_scenes import render_scene
+
+
+def picture_of(question: SetQuestion, data: Path, rendered: Path) -> Path:
+    """Name the photograph of a question, or render its scene."""
+    if question.scene is None:
+        return data / question.file
+    path = rendered / question.file
+    if not path.is_file():
+        told = question.scene
+        size = {"width_px": told.width_px, "height_px": told.height_px}
+        render_scene(told.gsd_m_per_px, **size, seed=told.seed, layout=told.layout).write(path)
+    return path
 
 
 def main() -> None:
@@ -22,9 +35,10 @@ def main() -> None:
     parser.add_argument("rendered", type=Path)
     folders = parser.parse_args()
     folders.rendered.mkdir(parents=True, exist_ok=True)
+    asked = [(each, picture_of(each, folders.data, folders.rendered)) for each in question_set()]
     with open_agent_tools([folders.data.resolve(), folders.rendered.resolve()]) as tools:
         for catalogue in (True, False):
-            answers = ask_set(question_set(), tools, folders.data, folders.rendered, catalogue=catalogue)
+            answers = ask_set(asked, tools, catalogue=catalogue)
             name = "with the catalogue" if catalogue else "without it"
             for each in answers:
                 ratio = "" if each.ratio is None else f"{each.ratio:.3f}"

@@ -12,7 +12,6 @@ import json
 import math
 from dataclasses import dataclass
 from importlib.resources import files
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict
@@ -21,6 +20,7 @@ from vehanchor.errors import InvalidParameterError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from pathlib import Path
 
     from vehanchor_evaluation.agent_tools import ToolCaller
 
@@ -80,32 +80,12 @@ def question_set() -> tuple[SetQuestion, ...]:
     return tuple(SetQuestion.model_validate(each) for each in json.loads(text))
 
 
-def image_of(question: SetQuestion, data: Path, rendered: Path) -> Path:
-    """Find the photograph of a question, or render its scene.
-
-    Args:
-        question: the question.
-        data: folder of photographs.
-        rendered: folder for rendered scenes.
+def checked_file(question: SetQuestion, path: Path) -> Path:
+    """Check that a photograph or rendered picture is that of the question; return its path.
 
     Raises:
         InvalidParameterError: the file is missing, or its bytes are others than those of the set.
     """
-    path = data / question.file
-    if question.scene is not None:
-        from vehanchor_scenes import render_scene
-
-        path = rendered / question.file
-        told = question.scene
-        if not path.is_file():
-            scene = render_scene(
-                told.gsd_m_per_px,
-                width_px=told.width_px,
-                height_px=told.height_px,
-                seed=told.seed,
-                layout=told.layout,
-            )
-            scene.write(path)
     if not path.is_file():
         raise InvalidParameterError(f"{str(path)!r} is missing: give the folder of the photographs")
     if hashlib.sha256(path.read_bytes()).hexdigest() != question.sha256:
@@ -113,19 +93,18 @@ def image_of(question: SetQuestion, data: Path, rendered: Path) -> Path:
     return path
 
 
-def ask_set(
-    questions: Iterable[SetQuestion], tools: ToolCaller, data: Path, rendered: Path, *, catalogue: bool
-) -> list[Answered]:
+def ask_set(asked: Iterable[tuple[SetQuestion, Path]], tools: ToolCaller, *, catalogue: bool) -> list[Answered]:
     """Answer questions with tools.
 
     Args:
-        questions: the questions.
-        tools: the tools; they may read both folders.
-        data: folder of photographs.
-        rendered: folder for rendered scenes.
+        asked: the questions with their pictures.
+        tools: the tools; they may read the pictures.
         catalogue: whether the planner gives the tool what it recognises.
+
+    Raises:
+        InvalidParameterError: a picture is missing or another one.
     """
-    return [_ask(each, tools, image_of(each, data, rendered), catalogue=catalogue) for each in questions]
+    return [_ask(each, tools, checked_file(each, path), catalogue=catalogue) for each, path in asked]
 
 
 def _ask(question: SetQuestion, tools: ToolCaller, image: Path, *, catalogue: bool) -> Answered:

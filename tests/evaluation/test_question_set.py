@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections import Counter
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options import KnownLength
 from vehanchor.rulers.standards import check_name
-from vehanchor_evaluation.question_set import SceneOf, ask_set, image_of, question_set
+from vehanchor_evaluation.question_set import SetQuestion, ask_set, checked_file, question_set
 
 RENDERED = [each for each in question_set() if each.scene is not None]
 
@@ -31,6 +32,13 @@ class Told:
         self.asked.append(arguments)
         size = {"image_width_px": 800, "image_height_px": 640}
         return f"words\n{json.dumps({**size, **self._record})}", False
+
+
+def _here(question: SetQuestion, folder: Path) -> tuple[SetQuestion, Path]:
+    """The question about a small file."""
+    path = folder / "a.png"
+    path.write_bytes(b"a picture")
+    return question.model_copy(update={"sha256": hashlib.sha256(b"a picture").hexdigest()}), path
 
 
 def test_there_are_forty_half_of_them_rendered_and_traps_among_them() -> None:
@@ -64,7 +72,7 @@ def test_a_deed_is_judged_by_the_interval_and_by_what_was_known(
     question = RENDERED[0].model_copy(update={"expected": expected})
     truth = 0.8 * 800 * question.gsd_m_per_px
     told = {key: value * truth if isinstance(value, float) else value for key, value in record.items()}
-    (answered,) = ask_set([question], Told(**told, distance_m=truth), tmp_path, tmp_path, catalogue=True)
+    (answered,) = ask_set([_here(question, tmp_path)], Told(**told, distance_m=truth), catalogue=True)
     assert answered.deed == deed
 
 
@@ -72,13 +80,14 @@ def test_without_the_catalogue_no_fact_is_given(tmp_path: Path) -> None:
     question = next(each for each in RENDERED if each.facts)
     for catalogue in (True, False):
         tools = Told(status="no_scale")
-        ask_set([question], tools, tmp_path, tmp_path, catalogue=catalogue)
+        ask_set([_here(question, tmp_path)], tools, catalogue=catalogue)
         assert ("known_lengths" in tools.asked[0]) == catalogue
 
 
-def test_another_file_is_refused(tmp_path: Path) -> None:
-    question = RENDERED[0].model_copy(
-        update={"scene": SceneOf(gsd_m_per_px=0.1, layout="urban", seed=1, width_px=64, height_px=64)}
-    )
+def test_a_missing_file_and_another_one_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    with pytest.raises(InvalidParameterError, match="is missing"):
+        checked_file(RENDERED[0], path)
+    path.write_bytes(b"a picture")
     with pytest.raises(InvalidParameterError, match="another file"):
-        image_of(question, tmp_path, tmp_path)
+        checked_file(RENDERED[0], path)

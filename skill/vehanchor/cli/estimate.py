@@ -203,7 +203,7 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
         ("vehicles", f"{record.n_vehicles} kept of {record.n_detections} found" if searched else "not searched"),
     ]
     if fused:
-        facts.append(("rulers", "\n".join(map(_ruler_text, record.rulers))))
+        facts += [("" if row else "rulers", _ruler_text(ruler)) for row, ruler in enumerate(record.rulers)]
     if advice := advice_for(record):
         facts.append(("not usable", f"{advice.why}: {advice.helps}"))
     size = f"{record.image_width_px} x {record.image_height_px} px"
