@@ -23,8 +23,10 @@ def picture_of(question: SetQuestion, data: Path, rendered: Path) -> Path:
     path = rendered / question.file
     if not path.is_file():
         told = question.scene
-        size = {"width_px": told.width_px, "height_px": told.height_px}
-        render_scene(told.gsd_m_per_px, **size, seed=told.seed, layout=told.layout).write(path)
+        scene = render_scene(
+            told.gsd_m_per_px, width_px=told.width_px, height_px=told.height_px, seed=told.seed, layout=told.layout
+        )
+        scene.write(path)
     return path
 
 
