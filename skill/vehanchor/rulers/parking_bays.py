@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vehanchor.rulers.bay_rows import find_bay_rows
 from vehanchor.rulers.evidence import Mark
-from vehanchor.rulers.lognormal import lognormal_evidence, mixture, no_evidence, on_grid
+from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.rulers.standards import lengths_of
 from vehanchor.scale.fusion import credible_interval
@@ -65,18 +64,28 @@ class ParkingBays(Ruler):
         spread = math.sqrt(float(np.average((widths[kept] - width) ** 2, weights=lines[kept])))
         spread = math.hypot(spread, min(row.pitch_log_sd for row in rows))
         n, width_px = int(lines[kept].sum()), math.exp(width)
-        _, variants = lengths_of(_STANDARD, view.options.reference.region)
-        possible = [each for each in variants if on_grid(each.metres / width_px)]
-        if not possible:
+        log_width, log_sd = _standard_width(view.options.reference.region)
+        gsd = math.exp(log_width) / width_px
+        if not on_grid(gsd):
             return no_evidence(self.kind)
-        marks = [mark for row, good in zip(rows, kept, strict=True) if good for mark in _marks(row)]
-        found = []
-        for each in possible:
-            gsd, log_sd = each.metres / width_px, math.hypot(each.log_sd, spread)
-            found.append(lognormal_evidence(self.kind, gsd, log_sd, _CHANCE_WRONG, "{}", n=n, marks=marks))
-        mixed = mixture(found, [each.weight for each in possible])
-        said = f"{n} lines of parking bays, {width_px:.1f} px apart, say {mixed.explanation}."
-        return replace(mixed, explanation=said)
+        return lognormal_evidence(
+            self.kind,
+            gsd,
+            math.hypot(log_sd, spread),
+            _CHANCE_WRONG,
+            f"{n} lines of parking bays, {width_px:.1f} px apart, say {{}}.",
+            n=n,
+            marks=[mark for row, good in zip(rows, kept, strict=True) if good for mark in _marks(row)],
+        )
+
+
+def _standard_width(region: str | None) -> tuple[float, float]:
+    """Compute mean and standard deviation of the log of a bay's width over the widths of a region, or of all."""
+    _, variants = lengths_of(_STANDARD, region)
+    logs, weights = np.log([each.metres for each in variants]), [each.weight for each in variants]
+    mean = float(np.average(logs, weights=weights))
+    variances = np.array([each.log_sd**2 for each in variants]) + (logs - mean) ** 2
+    return mean, math.sqrt(float(np.average(variances, weights=weights)))
 
 
 def _marks(row: BayRow) -> list[Mark]:
