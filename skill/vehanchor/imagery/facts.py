@@ -20,7 +20,7 @@ class ImageFacts(NamedTuple):
         georeference_gsd_m_per_px: the scale in the file's georeference; None without one.
         notices: warnings from reading the image.
         camera: the camera's metadata; None without any.
-        image_id: checksum of the pixels; empty if they were not read.
+        image_id: checksum of the image; empty if it was not read.
     """
 
     width_px: int

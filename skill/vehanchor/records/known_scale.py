@@ -30,7 +30,7 @@ class KnownScale(Record, strict=True):  # input from callers: true is not a numb
     gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its 95 % interval.")
     gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its 95 % interval.")
     confidence: float = Field(ge=0, le=1, description="Confidence in the scale.")
-    image_id: str = Field(max_length=64, description="Checksum of the pixels; the scale is for this image only.")
+    image_id: str = Field(max_length=64, description="Identifies the image; the scale is for this image only.")
     model_id: str = Field(max_length=64, description="First digits of the detector's checksum.")
     plane: KnownPlane | None = Field(
         default=None,
