@@ -19,7 +19,7 @@ from tests.conftest import ROOT
 from tests.docs.documents import DOCUMENTS
 from tests.packaging.dockerfile import read_dockerfile
 from vehanchor.engine import AreaKeywords, Engine
-from vehanchor.options import Frame, Lengths, Reading, Reference, Search
+from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Search
 from vehanchor.records import AreaMeasurement, GsdEstimate
 from vehanchor_server.settings import Settings
 
@@ -54,7 +54,7 @@ def test_the_commands_options_and_variables_it_names_exist(document: Path) -> No
     records = set(GsdEstimate.model_fields) | set(AreaMeasurement.model_fields)
     measured = re.findall(r"`(\w+_(?:m|m2|px|m_per_px|m2|ci95_\w+))`", text)
     choices = {field.name for group in (Search, Lengths, Reference, Frame, Reading) for field in fields_of(group)}
-    choices |= set(AreaKeywords.__annotations__)
+    choices |= {*AreaKeywords.__annotations__, *KnownLength._fields}
     if document.name != "records-names.md":  # has former names; test_records_names.py reads it
         assert not set(measured) - records - choices
 
