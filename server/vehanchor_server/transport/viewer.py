@@ -35,6 +35,7 @@ from starlette.routing import Route
 from vehanchor_server.app import create_server
 from vehanchor_server.app_page import view_html
 from vehanchor_server.services import create_services
+from vehanchor_server.tools.scale_seal import MIN_KEY_BYTES, ScaleSeal
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -93,7 +94,7 @@ def create_viewer(settings: Settings, address: Address, dropped: Path) -> ASGIAp
         address: address of the page.
         dropped: folder for dropped photographs.
     """
-    services = create_services(settings)
+    services = replace(create_services(settings), seal=ScaleSeal(secrets.token_bytes(MIN_KEY_BYTES)))
     shows_pages = [advertise(EXTENSION_ID, {"mimeTypes": [APP_MIME_TYPE]})]
 
     @asynccontextmanager

@@ -111,6 +111,16 @@ def test_a_call_tells_how_far_it_is_and_its_result_last(address: Address, images
     assert panel["record"]["n_vehicles"] == len(panel["drawing"]["vehicles"]) == 24
 
 
+def test_the_page_gives_its_own_scale_back_with_full_confidence(address: Address, images: Path) -> None:
+    image = by_path(images / "pool.png")
+    scale = ask(address, "estimate_gsd", image)[-1]["result"]["structuredContent"]["scale"]
+    arguments = {**image, "lines": [{"points": [{"x": 10, "y": 20}, {"x": 300, "y": 120}]}], "scale": scale}
+    measured = ask(address, "measure_distance", arguments)[-1]["result"]["structuredContent"]
+    assert measured["confidence"] == scale["confidence"] > 0.85
+    raised = {**arguments, "scale": {**scale, "confidence": 1.0}}
+    assert ask(address, "measure_distance", raised)[-1]["result"]["structuredContent"]["confidence"] <= 0.85
+
+
 def test_an_error_of_a_tool_is_a_result_and_an_unknown_tool_too(address: Address) -> None:
     for name, arguments in (("measure_area", {"x": 1}), ("no_such_tool", {}), ("estimate_gsd", by_path("/etc/passwd"))):
         *_, last = ask(address, name, arguments)
