@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from vehanchor.rulers.lognormal import LognormalEvidence
 
 _STANDARD = "parking_bay_width"
-_CHANCE_WRONG = 0.05  # no false row in 1,100 photographs; bays of other widths exist
+_CHANCE_WRONG = 0.05  # no false row in 1,429 photographs; but some bays have other widths
 _RESOLVED = (0.01, 0.33)  # metres per pixel: paint is 0.1 m wide
 _PRIOR_SHARE = 0.9  # of the scene-scale prior, between whose scales bays are sought
 _FARTHEST = 1.7  # from the prior's median, as a factor: two bays are not one
