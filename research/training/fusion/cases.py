@@ -43,7 +43,7 @@ _RENDERED = 80
 _SEEDS = {"fit": 300_000, "val": 400_000}
 _RENDERED_M_PER_PX = (0.03, 0.25)
 _NO_CARS_SHARE = 0.3
-_WITHOUT_CARS = ("harbor", "storagetanks", "runway", "tenniscourt", "baseballdiamond")  # kinds of ``ucm_more``
+_WITHOUT_CARS = ("harbor", "runway")  # kinds of ``ucm_more``
 _CARS = "labelled_small_vehicles"
 
 

@@ -3,10 +3,11 @@
 Reads the searches that ``research.training.fusion.cases`` has kept in ``RUN``. A box of a car's length in metres is
 taken for a car: the chance of that follows from the score by logistic regression. The other numbers
 (``vehanchor.scale.fusion.Votes``) are those under which the true scales are likeliest, few vehicles and many counting
-alike. The 95 % intervals must hold 95 of 100 true scales of both, and of 100 usable scales from few vehicles at most
-one may be wrong. The result becomes ``vehanchor.votes`` of the detector's file.
+alike. The 95 % intervals must hold 95 of 100 true scales of both, and of 100 photographs with a usable scale from few
+vehicles at most two may be wrong. The result becomes ``vehanchor.votes`` of the detector's file.
 
-Prints what each limit of the certainty of a box brings, with each place left out in turn, and the reliability on
+In a place without training images a box is less often a car than on the held-out tenth: the log odds fall.
+Prints what each fall brings, with each place left out in turn, and the reliability on
 ``fit`` and ``val``. Without a detector, it only reports.
 """
 
@@ -37,6 +38,7 @@ from vehanchor.scale.fusion import (
     Votes,
     credible_interval,
     mass_within,
+    median_near,
     product,
     recalibrated,
     vehicle_density,
@@ -53,10 +55,12 @@ from vehanchor_evaluation.table import read_table
 
 _CAR_M = (3.0, 6.3)  # between these a box of known scale is taken for a car
 _COVER = 0.95
-_WRONG_SHARE = 0.01  # of usable scales from few vehicles
-_SHARPNESSES = tuple(np.arange(0.5, 2.51, 0.05).round(2).tolist())
-_LOG_SDS, _CLUTTER, _TRUST, _WRONG = (0.07, 0.10), (0.6, 1.0), (0.6, 0.8, 1.0), (0.02, 0.05)
-_LARGEST_SHARES = (0.75, 0.85, 0.9, 0.95, 0.995)
+_WRONG_SHARE = 0.02  # of photographs with a usable scale from few vehicles
+_SHARPNESSES = tuple(np.arange(1.0, 2.51, 0.05).round(2).tolist())  # less would blunt the chances of many cars
+_LOG_SDS, _TRUST = (0.07, 0.10), (0.6, 0.8, 1.0)
+_CLUTTER, _WRONG = 1.0, 0.02
+_STEEPER = (1.0, 1.25, 1.5)  # factor on the log odds of a car
+_NEW_PLACE = (0.0, 1.5, 3.0, 4.5)  # the log odds of a car fall by this much in a place of no training image
 
 
 class Searched(NamedTuple):
@@ -71,26 +75,27 @@ class Case(NamedTuple):
 
     Attributes:
         set: its place.
+        photograph: from which it was cut; windows of one photograph err alike.
         gsd_m_per_px: its true scale.
         vehicles: their evidence.
         scene: ``[g]`` density of the scene-scale prior.
     """
 
     set: str
+    photograph: str
     gsd_m_per_px: float
     vehicles: VehicleEvidence
     scene: NDArray[np.float64]
 
     @property
-    def estimate_m_per_px(self) -> float:
-        """The scale from the vehicles."""
-        assert self.vehicles.gsd_m_per_px is not None
-        return self.vehicles.gsd_m_per_px
-
-    @property
     def few(self) -> bool:
         """Whether the vehicles are fewer than five."""
         return self.vehicles.n < MIN_KDE_VEHICLES
+
+    def estimate_m_per_px(self, posterior: NDArray[np.float64]) -> float:
+        """Choose the scale as the library does."""
+        assert self.vehicles.gsd_m_per_px is not None
+        return median_near(self.vehicles.gsd_m_per_px, posterior) if self.few else self.vehicles.gsd_m_per_px
 
 
 class Outcomes(NamedTuple):
@@ -132,6 +137,13 @@ def kept_searches(run: Path, split: str, detector: Detector) -> list[Searched]:
     return [Searched(image, each) for image, each in found if each is not None]
 
 
+def photograph_of(picture: Path) -> str:
+    """Name the photograph of a window or of a reduced copy; see ``research.training.fusion.cases``."""
+    if picture.suffix != ".png":
+        return picture.stem
+    return picture.stem.rsplit("_", 1)[0].split("_", 1)[1].removeprefix("crops_").removeprefix("copies_")
+
+
 def cases_of(searched: Sequence[Searched], card: DetectorCard) -> list[Case]:
     """Measure the vehicles of each image; leave out images without any, and doubtful ones, which are limited anyway."""
     cases = []
@@ -139,7 +151,7 @@ def cases_of(searched: Sequence[Searched], card: DetectorCard) -> list[Case]:
         vehicles = found.analysis(card, ScaleOptions()).vehicles
         if vehicles.gsd_m_per_px is None or found.prior is None or vehicles.guarded or vehicles.disputed:
             continue
-        cases.append(Case(image.set, image.gsd_m_per_px, vehicles, found.prior.density))
+        cases.append(Case(image.set, photograph_of(image.path), image.gsd_m_per_px, vehicles, found.prior.density))
     return cases
 
 
@@ -166,7 +178,8 @@ def outcomes(cases: Sequence[Case], votes: Votes) -> Outcomes:
     for case in cases:
         found, reference = case.vehicles.fleet.detections, case.vehicles.reference
         said = vehicle_density(found.boxes[:, 2], found.scores, reference.length_m, reference.log_sds, votes)
-        density, estimate = product(said, case.scene), case.estimate_m_per_px
+        density = product(said, case.scene)
+        estimate = case.estimate_m_per_px(density)
         low, high = credible_interval(density)
         low, high = min(low, estimate), max(high, estimate)
         rows.append(
@@ -192,27 +205,32 @@ def best_sharpness(chances: NDArray[np.float64], right: NDArray[np.bool_]) -> fl
     return max(_SHARPNESSES, key=likelihood)
 
 
-def candidates(cases: Sequence[Case]) -> dict[Votes, Outcomes]:
-    """Apply all candidate votes."""
-    zero, slope = car_chance(cases)
-    grid = itertools.product(_LOG_SDS, _CLUTTER, _TRUST, _WRONG, _LARGEST_SHARES)
-    votes = [
-        Votes(zero, slope, log_sd, clutter, trust, wrong, largest_share=share)
-        for log_sd, clutter, trust, wrong, share in grid
-    ]
-    return {each: outcomes(cases, each) for each in votes}
+def candidates(cases: Sequence[Case]) -> dict[Votes, tuple[float, Outcomes]]:
+    """Apply all candidate votes; with the fall of the log odds in a new place."""
+    zero, slope = car_chance([case for case in cases if case.few])
+    print(f"log odds of a car among few boxes: {zero:.2f} + {slope:.2f} score")
+    found = {}
+    for log_sd, trust, steeper, fall in itertools.product(_LOG_SDS, _TRUST, _STEEPER, _NEW_PLACE):
+        votes = Votes(steeper * zero - fall, steeper * slope, log_sd, _CLUTTER, trust, _WRONG)
+        found[votes] = (fall, outcomes(cases, votes))
+    return found
 
 
 def best_votes(
-    applied: dict[Votes, Outcomes], few: NDArray[np.bool_], among: NDArray[np.bool_], share: float | None = None
+    applied: dict[Votes, tuple[float, Outcomes]],
+    few: NDArray[np.bool_],
+    among: NDArray[np.bool_],
+    photographs: NDArray[np.str_],
+    fall: float | None = None,
 ) -> Votes:
     """Choose votes from the outcomes of some cases.
 
     Args:
-        applied: outcomes by votes.
+        applied: fall of the log odds and outcomes by votes.
         few: ``[n]`` whether a case has fewer than five vehicles.
         among: ``[n]`` the cases to choose from.
-        share: the ``largest_share``; None for any.
+        photographs: ``[n]`` of the cases.
+        fall: of the log odds in a new place; None for any.
 
     Returns:
         The likeliest votes of those that keep the limits; if none does, those of the widest intervals.
@@ -223,18 +241,19 @@ def best_votes(
 
     def wrong_share(votes: Votes, seen: Outcomes) -> float:
         usable = seen.usable(votes.sharpness) & among & few
-        return float((usable & ~seen.right).sum() / max(1, usable.sum()))
+        wrong = np.unique(photographs[usable & ~seen.right])
+        return len(wrong) / max(1, len(np.unique(photographs[usable])))
 
     some = {
-        votes._replace(sharpness=best_sharpness(seen.mass[among & few], seen.right[among & few])): seen
-        for votes, seen in applied.items()
-        if share is None or votes.largest_share == share
+        votes._replace(sharpness=best_sharpness(seen.mass[among], seen.right[among])): seen
+        for votes, (own_fall, seen) in applied.items()
+        if fall is None or fall == own_fall
     }
     enough = {
         votes: seen
         for votes, seen in some.items()
         if all(seen.held[among & group].mean() >= _COVER for group in (few, ~few) if (among & group).any())
-        and (share is not None or wrong_share(votes, seen) <= _WRONG_SHARE)
+        and (fall is not None or wrong_share(votes, seen) <= _WRONG_SHARE)
     }
     if not enough:
         return max(some, key=lambda votes: mean(some[votes].held))
@@ -254,17 +273,21 @@ def told(name: str, seen: Outcomes, chances: NDArray[np.float64], among: NDArray
 
 
 def report_left_out(
-    cases: Sequence[Case], applied: dict[Votes, Outcomes], few: NDArray[np.bool_], share: float | None
+    cases: Sequence[Case],
+    applied: dict[Votes, tuple[float, Outcomes]],
+    few: NDArray[np.bool_],
+    fall: float | None,
 ) -> None:
     """Print outcomes of few and of many vehicles, each place judged by votes that the others chose."""
     places = np.array([case.set.split("_")[0] for case in cases])
-    left_out, chances = next(iter(applied.values())), np.ones(len(cases))
+    photographs = np.array([case.photograph for case in cases])
+    left_out, chances = next(iter(applied.values()))[1], np.ones(len(cases))
     for place in np.unique(places):
-        votes = best_votes(applied, few, places != place, share)
-        seen = applied[votes._replace(sharpness=1.0)]
+        votes = best_votes(applied, few, places != place, photographs, fall)
+        seen = applied[votes._replace(sharpness=1.0)][1]
         left_out = left_out.replaced(places == place, seen)
         chances[places == place] = recalibrated(seen.mass, votes.sharpness)[places == place]
-    print(f"each place left out, largest share {share or 'chosen'}")
+    print(f"each place left out, log odds fall by {'a chosen number' if fall is None else fall}")
     for name, group in (("few", few), ("five and more", ~few)):
         print(told(name, left_out, chances, group))
 
@@ -306,9 +329,9 @@ def main() -> None:
         cases = cases_of(searched["fit"], card)
         few = np.array([case.few for case in cases])
         applied = candidates(cases)
-        for share in (*_LARGEST_SHARES, None):
-            report_left_out(cases, applied, few, share)
-        votes = best_votes(applied, few, np.ones(len(cases), bool))
+        for fall in (*_NEW_PLACE, None):
+            report_left_out(cases, applied, few, fall)
+        votes = best_votes(applied, few, np.ones(len(cases), bool), np.array([case.photograph for case in cases]))
         print(votes)
         card = card.model_copy(update={"votes": votes})
         for path in options.detectors:

@@ -99,11 +99,8 @@ class DetectorCard(_Card):
             min(value.log_sd, value.clutter_density, value.sharpness) > 0
             and 0 < value.trust <= 1
             and 0 < value.chance_wrong < 1
-            and 0 < value.largest_share < 1
         ):
-            raise ValueError(
-                "expected log_sd, clutter_density and sharpness > 0, trust, chance_wrong and largest_share in 0..1"
-            )
+            raise ValueError("expected log_sd, clutter_density and sharpness > 0, trust and chance_wrong in 0..1")
         return value
 
     @field_validator("length_range_px")

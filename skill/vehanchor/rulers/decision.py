@@ -1,7 +1,9 @@
 """Decide on a scale: from the evidence of all rulers to one value, interval, chance and reason.
 
 The densities of all rulers are multiplied into one posterior. If only vehicles set a scale, the value is the paper's,
-``L_ref / P_mode``, and the posterior gives its chance. Otherwise the value is the median of the strongest mode.
+``L_ref / P_mode``, and the posterior gives its chance. With fewer than five vehicles it is the posterior's median near
+that value: the lengths of few cars vary as much as the scene-scale prior errs, and together they err less. Otherwise
+the value is the median of the strongest mode.
 """
 
 from __future__ import annotations
@@ -18,6 +20,8 @@ from vehanchor.scale.fusion import (
     USABLE_CHANCE,
     fuse,
     mass_within,
+    median_near,
+    product,
     strongest_mode,
 )
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES, Z95, Interval, statistical_log_sds
@@ -256,15 +260,17 @@ def _undisputed_confidence(
 
 
 def _posterior_of_vehicles(vehicles: VehicleEvidence, priors: Sequence[Evidence]) -> Posterior | None:
-    """Take the paper's value, with a chance from the product of the vehicles' and the priors' densities."""
+    """Choose the value of vehicles alone, with a chance from the product of their density and the priors'."""
     gsd, interval = vehicles.gsd_m_per_px, vehicles.interval
     if gsd is None or interval is None:
         return None
     multiplied = frozenset({vehicles.kind})
     if vehicles.density is None:
         return Posterior(gsd, interval, None, multiplied)
-    densities = [prior.density for prior in priors if prior.density is not None]
-    judged = fuse(gsd, vehicles.density, *densities, sharpness=vehicles.sharpness)
+    found = {prior.kind: prior.density for prior in priors if prior.density is not None}
+    if found and vehicles.n < MIN_KDE_VEHICLES:
+        gsd, multiplied = median_near(gsd, product(vehicles.density, *found.values())), multiplied | set(found)
+    judged = fuse(gsd, vehicles.density, *found.values(), sharpness=vehicles.sharpness)
     return Posterior(gsd, judged.interval, judged.p_within_20, multiplied)
 
 

@@ -30,22 +30,20 @@ _BASIN = 0.25  # of log scale on either side of the highest cell: extent of one 
 _WINDOW = 0.2  # of log scale on either side: window to compare the strength of modes
 _SHARE_LEVELS = 24  # votes are binned by their weight, so that the cost is independent of their number
 _KERNEL_REACH_SDS = 6.0
-_LEAST_SHARE = 1e-3
+_LEAST_SHARE, _MOST_SHARE = 1e-3, 0.995
 
 
 class Votes(NamedTuple):
     """Vote model of a detector, fitted by ``research/training/fusion/fit.py`` on images of known scale.
 
     Attributes:
-        share_at_zero: log odds that a box of score 0 is a car.
+        share_at_zero: log odds that a box of score 0 is a car; in a new place less than where the detector was trained.
         share_slope: increase of these log odds from score 0 to 1.
         log_sd: standard deviation of the log of a car's measured length, from the box and from makes and models.
         clutter_density: density of false alarms per unit of log length.
         trust: exponent on the product of the votes, because the errors of boxes in one image are correlated.
         chance_wrong: weight of the flat density: probability that no box is a car.
         sharpness: see ``recalibrated``.
-        largest_share: limit of the probability that a box is a car. In a new place even a clear box may be none: one
-            box alone is never certain, boxes that agree are.
     """
 
     share_at_zero: float
@@ -55,12 +53,11 @@ class Votes(NamedTuple):
     trust: float
     chance_wrong: float
     sharpness: float = 1.0
-    largest_share: float = 0.85
 
     def car_shares(self, scores: ArrayLike) -> NDArray[np.float64]:
         """Compute the probability that each box is a car from its score."""
         odds = self.share_at_zero + self.share_slope * np.asarray(scores, dtype=np.float64)
-        return np.clip(1.0 / (1.0 + np.exp(-odds)), _LEAST_SHARE, self.largest_share)
+        return np.clip(1.0 / (1.0 + np.exp(-odds)), _LEAST_SHARE, _MOST_SHARE)
 
 
 class Fused(NamedTuple):
@@ -192,8 +189,12 @@ def _mode_median(posterior: NDArray[np.float64]) -> float:
     below = np.concatenate([np.zeros(reach + 1), np.cumsum(posterior), np.full(reach, posterior.sum())])
     middle = int(np.argmax(below[2 * reach + 1 :] - below[: len(posterior)]))
     inside = slice(max(0, middle - reach), middle + reach + 1)
-    peak = GRID[inside][int(np.argmax(posterior[inside]))]
-    mode = np.where(np.abs(GRID - peak) <= _BASIN, posterior, 0.0)
+    return median_near(float(np.exp(GRID[inside][int(np.argmax(posterior[inside]))])), posterior)
+
+
+def median_near(gsd_m_per_px: float, posterior: NDArray[np.float64]) -> float:
+    """Compute the median of the mode around a scale: of a posterior, ``[g]``, within 25 % of it, metres per pixel."""
+    mode = np.where(np.abs(GRID - np.log(gsd_m_per_px)) <= _BASIN, posterior, 0.0)
     return credible_interval(mode / mode.sum(), probability=0.0).low
 
 

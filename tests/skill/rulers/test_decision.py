@@ -17,8 +17,11 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
-from vehanchor.rulers.evidence import View
-from vehanchor.scale.fusion import Votes
+from vehanchor.rulers.decision import ScaleDecision, decide
+from vehanchor.rulers.evidence import Evidence, View
+from vehanchor.rulers.lognormal import lognormal
+from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.scale.fusion import Votes, credible_interval
 
 VOTES = Votes(
     share_at_zero=-2.0, share_slope=6.0, log_sd=0.12, clutter_density=0.3, trust=0.5, chance_wrong=0.05
@@ -81,6 +84,35 @@ def test_the_reason_is_too_few_only_where_few_leave_a_doubt(cars: int, reason: s
     assert record.p_within_20 is not None
     assert record.p_within_20 < 0.9
     assert (record.status, record.reason) == ("low_confidence", reason)
+
+
+def _with_prior(cars: int, ratio: float) -> ScaleDecision:
+    """Cars that say 0.1 m/px, and a prior that says so many times as much."""
+    spread = np.exp(0.08 * np.linspace(-1.5, 1.5, cars)) if cars > 1 else np.ones(cars)
+    boxes = np.array([[99.0 + 90 * k, 90, 50.0 * each, 20.0, 0] for k, each in enumerate(spread)])
+    card = made_card(5.0).model_copy(update={"votes": VOTES})
+    found = Detections(boxes, np.full(cars, 0.8))
+    vehicles = Vehicles().measure(View(ImageFacts(4000, 3000), found, card, ScaleOptions(), lambda *_: 1.0))
+    density = lognormal(0.1 * ratio, 0.15)
+    prior = Evidence("scene_scale", 0.1 * ratio, credible_interval(density), 9, 0.0, (), density)
+    return decide(vehicles, [prior])
+
+
+def test_the_prior_moves_the_scale_of_few_cars_only() -> None:
+    few, many = _with_prior(1, 1.15), _with_prior(30, 1.15)
+    assert few.gsd_m_per_px is not None
+    assert 0.103 < few.gsd_m_per_px < 0.112
+    assert {ruler.kind: ruler.weight > 0.1 for ruler in few.rulers} == {"vehicles": True, "scene_scale": True}
+    assert few.source == "vehicles"
+    assert many.gsd_m_per_px == _with_prior(30, 1.0).gsd_m_per_px
+    assert {ruler.kind: ruler.weight for ruler in many.rulers} == {"vehicles": 1.0, "scene_scale": 0.0}
+
+
+def test_a_prior_far_off_moves_few_cars_by_a_quarter_at_most_and_makes_them_unusable() -> None:
+    far = _with_prior(2, 3.0)
+    assert far.gsd_m_per_px is not None
+    assert 0.1 <= far.gsd_m_per_px <= 0.1 * math.exp(0.26)
+    assert (far.confidence < 0.5, far.reason) == (True, "disagree")
 
 
 def _line(gsd: float) -> list[tuple[Any, ...]]:
