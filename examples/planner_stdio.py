@@ -34,6 +34,8 @@ REMEDIES = {  # by the record's reason
     "disagree": "use another ruler",
     "lost": "fly to streets or houses, and take another image",
     "imprecise": "include more cars, or give a known length",
+    "stretched": "send the original image, or keep its aspect ratio",
+    "assumed": "give a measured length or height",
 }
 
 log = logging.getLogger("planner")
