@@ -199,7 +199,7 @@ def test_a_worker_of_one_thread_wakes_no_other_core(folder: Path, monkeypatch: p
         assert worker.row(Task.of(str(folder / "empty.png"))).estimate is not None
     finally:
         cv2.setNumThreads(before)
-    assert opened == [1] * 5  # the detector, the two networks beside it, the ground's and that of courts
+    assert opened == [1] * 6  # the detector, the three networks beside it, the ground's and that of courts
 
 
 def test_a_worker_refuses_another_model_than_the_runs(detector: Path) -> None:
