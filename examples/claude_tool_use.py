@@ -18,9 +18,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import anthropic
-from anthropic.lib.tools.mcp import async_mcp_tool
-from mcp import Client, StdioServerParameters
+try:
+    import anthropic
+    from anthropic.lib.tools.mcp import async_mcp_tool
+    from mcp import Client, StdioServerParameters
+except ModuleNotFoundError as missing:
+    sys.exit(f"this example needs the package {missing.name!r}: pip install -r examples/requirements.txt")
 
 MAX_TOKENS = 2048
 MAX_TURNS = 8
@@ -111,6 +114,14 @@ def from_environment(name: str, what: str) -> str:
     return value
 
 
+def leave(errors: BaseExceptionGroup[Any], base_url: str) -> None:
+    """End with the first error of the API in one sentence."""
+    error: BaseException = errors
+    while isinstance(error, BaseExceptionGroup):  # task groups wrap errors
+        error = error.exceptions[0]
+    sys.exit(f"the API gives no answer: {error} Check the network, the key and {base_url}.")
+
+
 async def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Ask Claude about an aerial image.")
@@ -122,11 +133,17 @@ async def main() -> None:
     key = from_environment("ANTHROPIC_API_KEY", "your key, from console.anthropic.com")
     model = from_environment("ANTHROPIC_MODEL", "a Claude model's name")
     server = StdioServerParameters(command="vehanchor", args=["serve", "--root", str(image.parent)])
-    async with anthropic.AsyncAnthropic(api_key=key) as claude, Client(server) as tools:
-        ask = by_mcp if options.way == "mcp" else by_schemas
-        question = f"{options.question}\nThe image is the file {image}."
-        print(f"asked {question}")
-        print(f"says  {await ask(claude, model, tools, question)}")
+    ask = by_mcp if options.way == "mcp" else by_schemas
+    question = f"{options.question}\nThe image is the file {image}."
+    print(f"asked {question}")
+    failed = None
+    try:
+        async with anthropic.AsyncAnthropic(api_key=key) as claude, Client(server) as tools:
+            print(f"says  {await ask(claude, model, tools, question)}")
+    except* anthropic.APIError as errors:
+        failed = errors
+    if failed is not None:
+        leave(failed, "ANTHROPIC_BASE_URL")
 
 
 if __name__ == "__main__":

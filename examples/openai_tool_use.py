@@ -90,6 +90,14 @@ def from_environment(name: str, what: str) -> str:
     return value
 
 
+def leave(errors: BaseExceptionGroup[Any], base_url: str) -> None:
+    """End with the first error of the API in one sentence."""
+    error: BaseException = errors
+    while isinstance(error, BaseExceptionGroup):  # task groups wrap errors
+        error = error.exceptions[0]
+    sys.exit(f"the API gives no answer: {error} Check the network, the key and {base_url}.")
+
+
 async def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Ask an OpenAI model about an aerial image.")
@@ -103,7 +111,13 @@ async def main() -> None:
     ask = by_agents if options.way == "agents" else by_responses
     question = f"{options.question}\nThe image is the file {image}."
     print(f"asked {question}")
-    print(f"says  {await ask(model, image.parent, question)}")
+    failed = None
+    try:
+        print(f"says  {await ask(model, image.parent, question)}")
+    except* openai.APIError as errors:
+        failed = errors
+    if failed is not None:
+        leave(failed, "OPENAI_BASE_URL")
 
 
 if __name__ == "__main__":

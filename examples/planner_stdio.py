@@ -22,7 +22,10 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from mcp import Client, StdioServerParameters
+try:
+    from mcp import Client, StdioServerParameters
+except ModuleNotFoundError as missing:
+    sys.exit(f"this example needs the package {missing.name!r}: pip install .")
 
 FALLBACK_CONFIDENCE = 0.5
 ALTITUDE_ERROR = 0.10  # relative error of the barometer's height above ground

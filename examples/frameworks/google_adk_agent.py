@@ -8,11 +8,14 @@ import os
 import sys
 from pathlib import Path
 
-from google.adk.agents import LlmAgent
-from google.adk.runners import InMemoryRunner
-from google.adk.tools.mcp_tool.mcp_session_manager import StdioConnectionParams
-from google.adk.tools.mcp_tool.mcp_toolset import McpToolset
-from mcp import StdioServerParameters
+try:
+    from google.adk.agents import LlmAgent
+    from google.adk.runners import InMemoryRunner
+    from google.adk.tools.mcp_tool.mcp_session_manager import StdioConnectionParams
+    from google.adk.tools.mcp_tool.mcp_toolset import McpToolset
+    from mcp import StdioServerParameters
+except ModuleNotFoundError as missing:
+    sys.exit(f"this example needs the package {missing.name!r}: pip install -r google_adk_agent.requirements.txt")
 
 SYSTEM = "Every distance and area comes from a tool. Below a confidence of 0.5, say that the image allows no answer."
 

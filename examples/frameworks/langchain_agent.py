@@ -9,9 +9,12 @@ import os
 import sys
 from pathlib import Path
 
-from langchain.agents import create_agent
-from langchain_mcp_adapters.client import MultiServerMCPClient
-from langchain_openai import ChatOpenAI
+try:
+    from langchain.agents import create_agent
+    from langchain_mcp_adapters.client import MultiServerMCPClient
+    from langchain_openai import ChatOpenAI
+except ModuleNotFoundError as missing:
+    sys.exit(f"this example needs the package {missing.name!r}: pip install -r langchain_agent.requirements.txt")
 
 SYSTEM = "Every distance and area comes from a tool. Below a confidence of 0.5, say that the image allows no answer."
 

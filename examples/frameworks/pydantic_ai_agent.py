@@ -8,9 +8,12 @@ import os
 import sys
 from pathlib import Path
 
-from fastmcp.client.transports import StdioTransport
-from pydantic_ai import Agent
-from pydantic_ai.mcp import MCPToolset
+try:
+    from fastmcp.client.transports import StdioTransport
+    from pydantic_ai import Agent
+    from pydantic_ai.mcp import MCPToolset
+except ModuleNotFoundError as missing:
+    sys.exit(f"this example needs the package {missing.name!r}: pip install -r pydantic_ai_agent.requirements.txt")
 
 SYSTEM = "Every distance and area comes from a tool. Below a confidence of 0.5, say that the image allows no answer."
 

@@ -136,12 +136,31 @@ def view(
         given = {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
         chosen: dict[str, Any] = {name: value for name, value in given.items() if _is_given(value)}
         settings = Settings(roots=roots, deadline_s=_VIEW_DEADLINE_S, in_process=True, **chosen)
+        if selected is not None:
+            _check_photograph(selected, settings)
         serve_viewer(settings, selected, port, opened)
     except SettingsError as error:
         typer.echo(f"error[invalid_settings]: {error}", err=True)
         raise typer.Exit(2) from None
     except OSError as error:
         typer.echo(f"error[port_taken]: cannot listen on port {port}: {error.strerror}; use another --port", err=True)
+        raise typer.Exit(2) from None
+
+
+def _check_photograph(path: Path, settings: Settings) -> None:
+    """Refuse a file that cannot be shown, such as a video, before a browser opens."""
+    from vehanchor.errors import VehAnchorError
+    from vehanchor.imagery.limits import read_checked_header
+
+    def read_at(offset: int, count: int) -> bytes:
+        file.seek(offset)
+        return file.read(count)
+
+    try:
+        with path.open("rb") as file:
+            read_checked_header(read_at, settings.image_limits)
+    except VehAnchorError as error:
+        typer.echo(f"error[{error.code}]: {path} cannot be shown: {error}", err=True)
         raise typer.Exit(2) from None
 
 

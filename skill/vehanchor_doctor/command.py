@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.terminal import FAILED_TEST, exit_on_error, facts_table, print_table, seldom
+from vehanchor.cli.terminal import FAILED, exit_on_error, facts_table, print_table, seldom
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -61,7 +61,7 @@ def doctor(
                 facts_table(f"{len(chosen)} of {len(images)} images", _advice(_check(chosen, engine, max_megapixels)))
             )
         if not passed:
-            raise typer.Exit(FAILED_TEST)
+            raise typer.Exit(FAILED)
 
 
 def _check(images: Sequence[str], engine: Engine, max_megapixels: float | None) -> FolderCheck:

@@ -16,6 +16,7 @@ REASONS = {  # why a block is not run here, told to readers in its title
     "needs Kubernetes",
     "needs Ray",
     "needs files of your own",
+    "needs pipx and uvx",
     "needs ultralytics",
     "runs the tests",
     "runs until it is stopped",

@@ -158,6 +158,25 @@ def test_without_a_key_or_a_model_it_says_what_to_set(
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("script", "way", "prefix"),
+    [
+        ("claude_tool_use.py", "mcp", "ANTHROPIC"),
+        ("claude_tool_use.py", "schemas", "ANTHROPIC"),
+        ("openai_tool_use.py", "agents", "OPENAI"),
+        ("openai_tool_use.py", "responses", "OPENAI"),
+    ],
+)
+def test_an_unreachable_api_ends_in_a_sentence(with_mcp_2: Path, script: str, way: str, prefix: str) -> None:
+    nowhere = {"API_KEY": KEY, "MODEL": "model", "BASE_URL": "http://127.0.0.1:9"}  # discard: nothing listens
+    settings = {f"{prefix}_{name}": value for name, value in nowhere.items()}
+    done = run_example(with_mcp_2, script, "--way", way, **settings)
+    assert done.returncode == 1
+    assert "the API gives no answer: Connection error" in done.stderr.splitlines()[-1]
+    assert f"{prefix}_BASE_URL" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
 @pytest.mark.parametrize("stand_in", [CALLS], indirect=True, ids=["all tools"])
 def test_a_langchain_agent_in_its_own_environment_measures(with_mcp_1: Path, stand_in: StandIn) -> None:
     version = subprocess.run(

@@ -35,8 +35,10 @@ function drawing(label, draw) {
 
 // ---- Numbers and words ----
 
-const threeDigits = new Intl.NumberFormat("en", { maximumSignificantDigits: 3 });
-const number = (value) => threeDigits.format(value);
+const threeDigits = new Intl.NumberFormat("en", { minimumSignificantDigits: 3, maximumSignificantDigits: 3 });
+const roundNumber = new Intl.NumberFormat("en", { maximumSignificantDigits: 3 });
+const number = (value) => threeDigits.format(value); // measured: its zeros say how exactly
+const round = (value) => roundNumber.format(value); // chosen: ticks and scale bars
 const whole = (value) => new Intl.NumberFormat("en").format(value);
 const pixels = (value) => `${value.toFixed(1)} px`;
 const counted = (n, noun) => `${whole(n)} ${noun}${n === 1 ? "" : "s"}`;

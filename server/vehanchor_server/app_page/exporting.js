@@ -69,7 +69,7 @@ function painted(record, image, drawing) {
     const metres = roundSteps(BAR_SHARE * width * each, 1);
     pen.fillStyle = "#ffffff";
     pen.fillRect(letters, height - 1.5 * letters, metres / each, letters / 2);
-    write(`${number(metres)} m`, letters, height - 2 * letters);
+    write(`${round(metres)} m`, letters, height - 2 * letters);
   }
   write(byId("sentence").textContent.split(": ")[0] + (usable(record) ? "" : ": do not use"), letters, height + 2 * letters);
   return canvas;

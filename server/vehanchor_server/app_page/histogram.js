@@ -27,7 +27,7 @@ function histogramSection(scale, histogram) {
     }
     const stepX = roundSteps(end - start, Math.max(2, width / 80));
     for (let px = Math.ceil(start / stepX) * stepX; px <= end + 1e-9; px += stepX) {
-      shapes.push(line("axis", x(px), y(0), x(px), y(0) + 4), text("", "middle", x(px), y(0) + 17, number(px)));
+      shapes.push(line("axis", x(px), y(0), x(px), y(0) + 4), text("", "middle", x(px), y(0) + 17, round(px)));
     }
     shapes.push(text("", "middle", (left + right) / 2, height - 5, "vehicle length, px"));
     if (guard > start) {
@@ -57,14 +57,14 @@ function histogramSection(scale, histogram) {
   };
 
   const label =
-    `Histogram of ${counted(scale.n_detections, "vehicle length")} from ${number(start)} to ${number(end)} pixels. ` +
+    `Histogram of ${counted(scale.n_detections, "vehicle length")} from ${round(start)} to ${round(end)} pixels. ` +
     `The modal length is ${pixels(mode)}, the resolution guard's ${pixels(guard)}.${guarded}`;
   const rows = bins
     .map((each, i) => ({ ...each, from: start + bin * i }))
     .filter((each) => each.kept || each.dropped)
     .map((each) =>
       html(
-        "tr", {}, html("td", {}, `${number(each.from)} to ${number(each.from + bin)}`), html("td", {}, whole(each.kept)),
+        "tr", {}, html("td", {}, `${round(each.from)} to ${round(each.from + bin)}`), html("td", {}, whole(each.kept)),
         html("td", {}, whole(each.dropped)),
       ),
     );
@@ -78,7 +78,7 @@ function histogramSection(scale, histogram) {
       html("span", { class: "line mode" }, density.length ? "density with its peak P_mode" : `P_mode, the ${scale.aggregation}`),
       html("span", { class: "line guard" }, "resolution guard: shorter lengths are unreliable"),
     ),
-    beyond ? html("p", { class: "legend" }, `${counted(beyond, "outlier")} longer than ${number(end)} px not shown.`) : undefined,
+    beyond ? html("p", { class: "legend" }, `${counted(beyond, "outlier")} longer than ${round(end)} px not shown.`) : undefined,
     html("details", {}, html("summary", {}, "As a table"), html("table", {}, html("tr", {}, ...heads), ...rows)),
   );
 }

@@ -108,7 +108,7 @@ function scaleBar(metresPerPixel) {
   const fit = (view) => {
     const each = metresPerPixel / view.perPixel; // metres per screen pixel
     const metres = roundSteps(BAR_SHARE * view.frame.clientWidth * each, 1);
-    bar.textContent = `${number(metres)} m`;
+    bar.textContent = `${round(metres)} m`;
     bar.style.width = `${metres / each}px`;
   };
   return { bar, fit };

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from vehanchor.records.advice import advice_for
+from vehanchor.records.digits import significant
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -28,7 +29,7 @@ STATUS_RULES = (
 
 def rounded(value: float) -> str:
     """Format a number with three significant digits; from 100 without decimals."""
-    return f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
+    return significant(value)
 
 
 def interval(low: float | None, high: float | None) -> str:

@@ -32,6 +32,8 @@ from starlette.applications import Starlette
 from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, StreamingResponse
 from starlette.routing import Route
 
+from vehanchor.errors import VehAnchorError
+from vehanchor.imagery.limits import read_checked_header
 from vehanchor_server.app import create_server
 from vehanchor_server.app_page import view_html
 from vehanchor_server.services import create_services
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
     from starlette.responses import Response
     from starlette.types import ASGIApp, Receive, Scope, Send
 
+    from vehanchor.options import ImageLimits
     from vehanchor_server.settings import Settings
 
 _LOOPBACK = "127.0.0.1"
@@ -118,7 +121,7 @@ def create_viewer(settings: Settings, address: Address, dropped: Path) -> ASGIAp
         return StreamingResponse(lines, media_type="application/x-ndjson", headers=_HEADERS)
 
     async def photographs(request: Request) -> Response:
-        return await _keep(request, dropped, settings.image_limits.max_bytes)
+        return await _keep(request, dropped, settings.image_limits)
 
     below = f"/{address.token}"
     routes = [
@@ -235,7 +238,7 @@ def _on_the_wire(result: CallToolResult) -> dict[str, Any]:
     return result.model_dump(mode="json", by_alias=True, exclude_none=True)
 
 
-async def _keep(request: Request, folder: Path, max_bytes: int) -> Response:
+async def _keep(request: Request, folder: Path, limits: ImageLimits) -> Response:
     """Store a dropped photograph below the hash of its content, so that duplicates are stored once."""
     if request.headers.get("content-type") != "application/octet-stream":
         return PlainTextResponse("send the photograph's bytes", 400)
@@ -244,8 +247,12 @@ async def _keep(request: Request, folder: Path, max_bytes: int) -> Response:
     data = bytearray()
     async for chunk in request.stream():
         data += chunk
-        if len(data) > max_bytes:
-            return PlainTextResponse(f"{name} has more than {max_bytes >> 20} MiB: reduce it", 413)
+        if len(data) > limits.max_bytes:
+            return PlainTextResponse(f"{name} has more than {limits.max_bytes >> 20} MiB: reduce it", 413)
+    try:
+        read_checked_header(lambda offset, count: bytes(data[offset : offset + count]), limits)
+    except VehAnchorError as error:
+        return PlainTextResponse(f"{name} is no photograph to measure: {error}", 415)
     below = folder / hashlib.sha256(data).hexdigest()[:16]
     if len(list(folder.iterdir())) >= _MAX_DROPPED and not below.exists():
         return PlainTextResponse(f"more than {_MAX_DROPPED} photographs: open their folder with 'vehanchor view'", 413)

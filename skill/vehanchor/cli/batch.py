@@ -13,7 +13,7 @@ import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.cli.given_scale import KnownLengthsFile
-from vehanchor.cli.terminal import INTERRUPTED, exit_on_error, image_progress, printable
+from vehanchor.cli.terminal import FAILED, INTERRUPTED, exit_on_error, image_progress, printable
 from vehanchor.errors import InvalidParameterError
 
 if TYPE_CHECKING:
@@ -78,6 +78,9 @@ def batch(
                 print("interrupted: finished rows are kept; run the same command to resume", file=sys.stderr)
                 raise typer.Exit(INTERRUPTED) from None
         print(_summary_text(summary, time.monotonic() - started), file=sys.stderr)
+        if summary.statuses.get("error", 0) == summary.n_rows:
+            print("no image could be used: the columns error_code and error say why", file=sys.stderr)
+            raise typer.Exit(FAILED)
 
 
 def _run(

@@ -20,6 +20,7 @@ from vehanchor.cli.terminal import (
     print_json,
     print_table,
     print_warnings,
+    quantity_text,
     tile_progress,
 )
 from vehanchor.errors import VehAnchorError
@@ -113,11 +114,8 @@ def _write_files(analysis: DistanceAnalysis, line: Path | None, overlay: Path | 
 
 def _facts(record: DistanceMeasurement) -> list[tuple[str, str]]:
     """List the facts of the record, results first and sources last."""
-    distance = "none: there is no scale"
-    if record.distance_m is not None:
-        distance = (
-            f"{record.distance_m:.4g} m   (95 %: {record.distance_ci95_low_m:.4g} to {record.distance_ci95_high_m:.4g})"
-        )
+    low, high = record.distance_ci95_low_m, record.distance_ci95_high_m
+    distance = quantity_text(record.distance_m, low, high, "m") or "none: there is no scale"
     facts = [("distance", distance), ("line", f"{len(record.path)} points, {record.length_px:.1f} px")]
     if record.gsd_m_per_px is not None:
         facts.append(("scale", f"{record.gsd_m_per_px:.4g} m/px, {record.scale_source}"))

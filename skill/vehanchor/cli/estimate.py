@@ -31,6 +31,7 @@ from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAncho
 from vehanchor.export.formats import check_vector_path, vectors_help
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.records.advice import advice_for
+from vehanchor.records.digits import significant
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -211,10 +212,10 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
         found_at = f", found at {record.working_scale:g} of the size" if record.working_scale not in (None, 1) else ""
         told = " by the vehicles' appearance" if record.reference_source == "appearance" else ""
         found = f"{record.mode_length_px:.1f} px ({record.aggregation})"
-        facts.append(("modal length", f"{found} = {record.reference_length_m:.4g} m{told}{found_at}"))
+        facts.append(("modal length", f"{found} = {significant(record.reference_length_m, 4)} m{told}{found_at}"))
     if record.gsd_m_per_px is not None and record.tilt is None:
         width_m, height_m = (side * record.gsd_m_per_px for side in (record.image_width_px, record.image_height_px))
-        size += f" = {width_m:.4g} x {height_m:.4g} m"
+        size += f" = {significant(width_m, 4)} x {significant(height_m, 4)} m"
     if record.tilt is not None:
         facts.append(("tilt", _tilt_text(record.tilt)))
     facts.append(("image", size))
@@ -223,7 +224,7 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
         scale = scale_text(seen.gsd_m_per_px, seen.gsd_ci95_low_m_per_px, seen.gsd_ci95_high_m_per_px)
         facts.append(("your frame", f"{seen.width_px} x {seen.height_px} px: {scale}"))
     if record.georeference_gsd_m_per_px is not None:
-        facts.append(("file's own scale", f"{record.georeference_gsd_m_per_px:.4g} m/px"))
+        facts.append(("file's own scale", f"{significant(record.georeference_gsd_m_per_px, 4)} m/px"))
     facts.append(("model", f"{record.model} ({record.model_sha256[:_SHORT_SHA]})"))
     return facts_table(source, facts)
 
@@ -231,7 +232,7 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
 def _ruler_text(ruler: RulerScale) -> str:
     """Describe a ruler's scale and its weight."""
     part = f"weight {100 * ruler.weight:.0f} %" if ruler.agrees else "disagrees, outvoted"
-    return f"{ruler.label} {ruler.gsd_m_per_px:.4g} m/px, {part}"
+    return f"{ruler.label} {significant(ruler.gsd_m_per_px, 4)} m/px, {part}"
 
 
 def _tilt_text(tilt: TiltEstimate) -> str:
@@ -239,8 +240,8 @@ def _tilt_text(tilt: TiltEstimate) -> str:
     text += f"by {tilt.source}"
     if tilt.gsd_least_m_per_px is None or tilt.gsd_largest_m_per_px is None:
         return text
-    least, largest = tilt.gsd_least_m_per_px, tilt.gsd_largest_m_per_px
-    return f"{text}; the scale is that of the centre, {least:.4g} to {largest:.4g} m/px over the image"
+    least, largest = (significant(each, 4) for each in (tilt.gsd_least_m_per_px, tilt.gsd_largest_m_per_px))
+    return f"{text}; the scale is that of the centre, {least} to {largest} m/px over the image"
 
 
 def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:
@@ -261,8 +262,8 @@ def _summary_table(rows: Sequence[tuple[str, GsdEstimate]]) -> Table:
         low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
         table.add_row(
             Text(printable(name)),
-            "-" if record.gsd_m_per_px is None else f"{record.gsd_m_per_px:.4g}",
-            "-" if low is None or high is None else f"{low:.4g} to {high:.4g}",
+            "-" if record.gsd_m_per_px is None else significant(record.gsd_m_per_px, 4),
+            "-" if low is None or high is None else f"{significant(low, 4)} to {significant(high, 4)}",
             f"{record.confidence:.2f}",
             str(record.n_vehicles),
             record.status,

@@ -23,6 +23,7 @@ from vehanchor.cli.terminal import (
     scale_text,
 )
 from vehanchor.errors import InvalidParameterError
+from vehanchor.records.digits import significant
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -170,8 +171,8 @@ def _photographs_table(photographs: Sequence[FlightPhotograph], names: Sequence[
         low, high = each.gsd_ci95_low_m_per_px, each.gsd_ci95_high_m_per_px
         table.add_row(
             Text(printable(name)),
-            "-" if each.gsd_m_per_px is None else f"{each.gsd_m_per_px:.4g}",
-            "-" if low is None or high is None else f"{low:.4g} to {high:.4g}",
+            "-" if each.gsd_m_per_px is None else significant(each.gsd_m_per_px, 4),
+            "-" if low is None or high is None else f"{significant(low, 4)} to {significant(high, 4)}",
             "-" if each.confidence is None else f"{each.confidence:.2f}",
             Text(printable(_support(each))),
             each.status if each.error_code is None else f"error: {each.error_code}",

@@ -20,12 +20,14 @@ from vehanchor.cli.terminal import (
     print_json,
     print_table,
     print_warnings,
+    quantity_text,
     scale_text,
     tile_progress,
 )
 from vehanchor.errors import InvalidParameterError, OutputError, VehAnchorError
 from vehanchor.export.formats import check_vector_path, vectors_help
 from vehanchor.options.models import SEGMENTER
+from vehanchor.records.digits import significant
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -166,18 +168,21 @@ def _write_files(
 
 def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
     """List the facts of the record, results first and sources last."""
-    facts = [("area", _quantity(record.area_m2, record.area_ci95_low_m2, record.area_ci95_high_m2, "m2"))]
+    area = quantity_text(record.area_m2, record.area_ci95_low_m2, record.area_ci95_high_m2, "m2")
+    facts = [("area", area or "none: there is no scale, or no mask")]
     if record.area_m2 is not None:
+        length, width, perimeter = (record.length_m or 0, record.width_m or 0, record.perimeter_m or 0)
         facts += [
-            ("size", f"{record.length_m:.4g} x {record.width_m:.4g} m, perimeter {record.perimeter_m:.4g} m"),
+            ("size", f"{significant(length, 4)} x {significant(width, 4)} m, perimeter {significant(perimeter, 4)} m"),
             (
                 "largest circle",
-                _quantity(
+                quantity_text(
                     record.inscribed_diameter_m,
                     record.inscribed_diameter_ci95_low_m,
                     record.inscribed_diameter_ci95_high_m,
                     "m",
-                ),
+                )
+                or "none",
             ),
         ]
     facts.append(("mask", f"{record.mask_area_px} px, score {record.mask_score:.2f}"))
@@ -193,10 +198,3 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
     facts.append(("status", record.status))
     facts.append(("segmenter", f"{record.segmenter} ({record.segmenter_sha256[:_SHORT_SHA]})"))
     return facts
-
-
-def _quantity(value: float | None, low: float | None, high: float | None, unit: str) -> str:
-    if value is None:
-        return "none: there is no scale, or no mask"
-    interval = "" if low is None or high is None else f"   (95 %: {low:.4g} to {high:.4g})"
-    return f"{value:.4g} {unit}{interval}"

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeAlias
 import typer
 
 from vehanchor.errors import OutOfMemoryError, VehAnchorError
+from vehanchor.records.digits import with_interval
 from vehanchor.records.foreign_text import on_one_line
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 BAD_INPUT, UNFORESEEN, INTERRUPTED = 2, 1, 130  # exit statuses
 NOT_OK = 3  # with --strict: a result that is not usable
-FAILED_TEST = 1
+FAILED = 1  # a self-test, or every image of a batch
 _LINE_EVERY_S = 10.0  # if stderr is not a terminal
 
 Strict: TypeAlias = Annotated[
@@ -157,10 +158,12 @@ def facts_table(title: str, facts: Sequence[tuple[str, str]]) -> Table:
 
 def scale_text(gsd: float | None, low: float | None, high: float | None) -> str:
     """Format a scale with its interval."""
-    if gsd is None:
-        return "none: nothing of known size found"
-    interval = "" if low is None or high is None else f"   (95 %: {low:.4g} to {high:.4g})"
-    return f"{gsd:.4g} m/px{interval}"
+    return quantity_text(gsd, low, high, "m/px") or "none: nothing of known size found"
+
+
+def quantity_text(value: float | None, low: float | None, high: float | None, unit: str) -> str:
+    """Format a quantity with its interval; empty without a value."""
+    return "" if value is None else with_interval(value, low, high, unit)
 
 
 STATUS_TEXTS = {

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from vehanchor.errors import OutputError
 from vehanchor.flight.track import draw_tracks
 from vehanchor.imagery.names import under_one_folder
+from vehanchor.records.digits import significant
 from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
@@ -136,7 +137,9 @@ def _ruler(ruler: FlightRuler, of: FlightPhotograph) -> str:
 def _scale(gsd: float | None, low: float | None, high: float | None) -> str:
     if gsd is None:
         return "none"
-    return f"{gsd:.4g} m/px" + (f" ({low:.4g} to {high:.4g})" if low and high else "")
+    return f"{significant(gsd, 4)} m/px" + (
+        f" ({significant(low, 4)} to {significant(high, 4)})" if low and high else ""
+    )
 
 
 def _list(lines: Iterable[str]) -> str:

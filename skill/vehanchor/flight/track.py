@@ -7,6 +7,8 @@ from html import escape
 from pathlib import PurePath
 from typing import TYPE_CHECKING, NamedTuple
 
+from vehanchor.records.digits import significant
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -89,7 +91,7 @@ def _draw(panel: _Panel, record: FlightEstimate, bounds: tuple[float, float]) ->
 
 
 def _disc(each: FlightPhotograph, at: tuple[float, float], bounds: tuple[float, float]) -> str:
-    scale = "no scale" if each.gsd_m_per_px is None else f"{each.gsd_m_per_px:.4g} m/px"
+    scale = "no scale" if each.gsd_m_per_px is None else f"{significant(each.gsd_m_per_px, 4)} m/px"
     tooltip = f"{each.photograph}: {scale}, {each.status}, supported by {_supporters(each)}"
     fill = "none" if each.gsd_m_per_px is None else _colour(each.gsd_m_per_px, bounds)
     return (
@@ -159,8 +161,8 @@ def _legend(bounds: tuple[float, float]) -> Sequence[str]:
     parts = [
         f'<defs><linearGradient id="scale">{stops}</linearGradient></defs>',
         f'<rect x="14" y="{row}" width="180" height="12" fill="url(#scale)"/>',
-        f'<text class="name" x="14" y="{row + 27}">{bounds[0]:.3g} m/px</text>',
-        f'<text class="name" x="194" y="{row + 27}" text-anchor="end">{bounds[1]:.3g} m/px</text>',
+        f'<text class="name" x="14" y="{row + 27}">{significant(bounds[0])} m/px</text>',
+        f'<text class="name" x="194" y="{row + 27}" text-anchor="end">{significant(bounds[1])} m/px</text>',
     ]
     for number, (name, colour) in enumerate(_RINGS.items()):
         x, y = 240 + 210 * (number % 3), row + 6 + 24 * (number // 3)

@@ -16,8 +16,9 @@ from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens
 from vehanchor.measure.spread import Spread
 from vehanchor.options.given_scale import GSD_M_PER_PX, OBJECT_HEIGHT_M
-from vehanchor.records import KnownScale
+from vehanchor.records import KnownScale, Notice
 from vehanchor.records.known_scale import known_scale
+from vehanchor.records.notices import NoticeCode
 from vehanchor.scale.height import GIVEN_HEIGHT_LOG_SD, height_log_sd
 from vehanchor.scale.plane import GroundPlane
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
@@ -33,7 +34,10 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.lens import Lens
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import GsdEstimate, Notice, ScaleSource, Status
+    from vehanchor.records import GsdEstimate, ScaleSource, Status
+
+_COARSE_M_PER_PX = 3.0
+"""From here on a car has fewer than two pixels: 5 to 30 cm are usual for aerial photographs, and easily typed."""
 
 ScaleInput: TypeAlias = Detector | float | KnownScale
 """The detector that finds the scale, or the known scale."""
@@ -193,8 +197,22 @@ def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> 
         notices = (*told, *georeference_notice(own, scale.gsd_m_per_px, "the scale given back is"))
         plane = _given_plane(raster, scale) or _plane(raster, options, scale.gsd_m_per_px)
         return ResolvedScale(scale.gsd_m_per_px, spread, scale.confidence, "reused", None, notices, plane, scale)
-    notices = (*told, *georeference_notice(own, scale, "the given scale is"))
+    notices = (*told, *_unit_notice(scale, own), *georeference_notice(own, scale, "the given scale is"))
     return ResolvedScale(scale, Spread(), None, "given", None, notices, _plane(raster, options, scale))
+
+
+def _unit_notice(gsd_m_per_px: float, own_m_per_px: float | None) -> tuple[Notice, ...]:
+    """Ask about a number that looks like centimetres, unless the file has the same scale."""
+    alike = own_m_per_px is not None and 0.1 < gsd_m_per_px / own_m_per_px < 10
+    if gsd_m_per_px < _COARSE_M_PER_PX or alike:
+        return ()
+    return (
+        Notice(
+            code=NoticeCode.UNIT_MISTYPED,
+            message=f"The given scale is {gsd_m_per_px:g} metres per pixel. Were centimetres meant? Then give "
+            f"{gsd_m_per_px / 100:g}.",
+        ),
+    )
 
 
 def _plane(raster: Raster, options: ScaleOptions, gsd_m_per_px: float | None) -> GroundPlane | None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from vehanchor.pictures.marks import draw_marks
 from vehanchor.pictures.measured import MEASURED_RGB, finish, open_canvas, size_in_words
+from vehanchor.records.digits import significant
 from vehanchor.rulers.evidence import Mark
 
 if TYPE_CHECKING:
@@ -31,9 +32,8 @@ def draw_distance(image: NDArray[np.uint8], analysis: DrawableDistance) -> NDArr
     record = analysis.measurement
     canvas = open_canvas(image, record, analysis.scale)
     usable = record.status == "ok" and record.distance_m is not None
-    line = Mark(
-        tuple((point.x_px, point.y_px) for point in record.path), f"{record.distance_m:.3g} m" if usable else ""
-    )
+    label = f"{significant(record.distance_m or 0)} m" if usable else ""
+    line = Mark(tuple((point.x_px, point.y_px) for point in record.path), label)
     draw_marks(canvas.picture, [line], canvas.scale, MEASURED_RGB)
     length = size_in_words(
         record.distance_m, record.distance_ci95_low_m, record.distance_ci95_high_m, "m", f"{record.length_px:.0f} px"

@@ -12,10 +12,10 @@ from vehanchor.pictures.scale import (
     draw_scale_bar,
     draw_vehicles,
     fit_for_eyes,
-    with_interval,
     with_margins,
 )
 from vehanchor.records.advice import ADVICE
+from vehanchor.records.digits import significant, with_interval
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def finish(canvas: Canvas, analysis: DrawableMeasurement, size: str, doubt: str 
     lines.append([(MEASURED_RGB, size)])
     if record.gsd_m_per_px is not None:
         source = "given" if record.confidence is None else f"confidence {record.confidence:.2f}"
-        lines.append([(None, f"{record.gsd_m_per_px:.4g} m/px, {source}{doubt}")])
+        lines.append([(None, f"{significant(record.gsd_m_per_px, 4)} m/px, {source}{doubt}")])
     return np.concatenate([picture, caption_panel(picture.shape[1], lines)])
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from vehanchor.errors import MissingExtraError
 from vehanchor.pictures.ruler_plot import has_densities, plot_rulers
 from vehanchor.pictures.scale import write_picture
+from vehanchor.records.digits import significant, with_interval
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES, modal_density
 
 if TYPE_CHECKING:
@@ -84,10 +85,8 @@ def plot_scale(analysis: DrawableScale) -> Figure:
 def _title(estimate: GsdEstimate) -> str:
     if estimate.gsd_m_per_px is None:
         return "no scale: nothing of known size found"
-    interval = ""
-    if estimate.gsd_ci95_low_m_per_px is not None and estimate.gsd_ci95_high_m_per_px is not None:
-        interval = f" (95 %: {estimate.gsd_ci95_low_m_per_px:.4g} to {estimate.gsd_ci95_high_m_per_px:.4g})"
-    return f"{estimate.gsd_m_per_px:.4g} m/px{interval},  confidence {estimate.confidence:.2f}"
+    low, high = estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
+    return f"{with_interval(estimate.gsd_m_per_px, low, high, 'm/px')},  confidence {estimate.confidence:.2f}"
 
 
 def _plot_lengths(figure: Figure, axes: Axes, analysis: DrawableScale) -> None:
@@ -109,7 +108,7 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: DrawableScale) -> None:
     left, right = max(0.0, min(ends) - pad), shown + pad
     axes.set_xlim(left, right)
     _draw_lengths(axes, analysis, right)
-    rule = f"$P_{{mode}}$ {mode:.1f} px ({_RULES[estimate.aggregation]}) = {estimate.reference_length_m:.3g} m"
+    rule = f"$P_{{mode}}$ {mode:.1f} px ({_RULES[estimate.aggregation]}) = {significant(estimate.reference_length_m)} m"
     axes.axvline(mode, color=_INK, lw=1.6, label=rule)
     axes.axvline(guard, color=_GUARD, lw=1.6, ls="--", label=f"resolution guard {guard:.1f} px")
     axes.set_xlabel("vehicle length, pixels")

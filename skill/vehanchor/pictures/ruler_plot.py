@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.records.digits import significant
 from vehanchor.rulers.decision import ruler_densities
 from vehanchor.rulers.registry import ruler_class
 from vehanchor.rulers.vehicles import Vehicles
@@ -43,14 +44,14 @@ def plot_rulers(axes: Axes, analysis: DrawableScale) -> None:
     for kind, density in densities.items():
         colour, name = ruler_class(kind).colour, ruler_class(kind).label
         gsd = next(each.gsd_m_per_px for each in evidence if each.kind == kind)
-        label = f"{name} {gsd:.3g}{' (disagrees)' if kind in outvoted else ''}"
+        label = f"{name} {significant(gsd or 0)}{' (disagrees)' if kind in outvoted else ''}"
         curve = density / density.max()
         shown = np.where(curve > _DRAWN, curve, 0.0)
         axes.fill_between(scales, shown, color=colour, alpha=0.18, lw=0)
         axes.plot(scales, shown, color=colour, lw=1.6, ls="--" if kind in outvoted else "-", label=label)
     if estimate.gsd_m_per_px is not None:
         posterior = product(*densities.values())
-        label = f"together {estimate.gsd_m_per_px:.3g}"
+        label = f"together {significant(estimate.gsd_m_per_px)}"
         axes.plot(scales, posterior / posterior.max(), color=_INK, lw=2.2, label=label)
         axes.axvline(estimate.gsd_m_per_px, color=_INK, lw=1.0, ls=":")
         if low is not None and high is not None:

@@ -15,6 +15,7 @@ from vehanchor.imagery.raster import Window
 from vehanchor.pictures.lettering import FONT, font_scale, stroke_px, text_px, text_width, write_on
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
 from vehanchor.records.advice import advice_for
+from vehanchor.records.digits import significant, with_interval
 from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
@@ -216,12 +217,6 @@ def _headline(estimate: GsdEstimate) -> str:
     return with_interval(estimate.gsd_m_per_px, low, high, "m/px")
 
 
-def with_interval(value: float, low: float | None, high: float | None, unit: str) -> str:
-    """Format a quantity, with its interval if it has one."""
-    interval = "" if low is None or high is None else f"  (95 %: {low:.4g} to {high:.4g})"
-    return f"{value:.4g} {unit}{interval}"
-
-
 def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
     """Compose the caption: the reason against an unusable scale, scale, interval, confidence, and the legend."""
     estimate = analysis.estimate
@@ -256,7 +251,7 @@ def _rulers_line(analysis: DrawableScale) -> CaptionLine:
     return [
         (
             MARK_RGB if ruler.kind in marked else None,
-            f"{ruler.label} {ruler.gsd_m_per_px:.3g} m/px{'' if ruler.agrees else ', disagrees'}",
+            f"{ruler.label} {significant(ruler.gsd_m_per_px)} m/px{'' if ruler.agrees else ', disagrees'}",
         )
         for ruler in rulers
     ]

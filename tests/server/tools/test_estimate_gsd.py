@@ -15,6 +15,7 @@ from tests.server.test_models import calibration_file
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.records import GsdEstimate, Notice
+from vehanchor.records.digits import significant
 from vehanchor.records.notices import FLEET_DOUBTS
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
@@ -33,7 +34,7 @@ async def test_a_call_gives_the_librarys_record_and_a_sentence(
     assert not result.is_error
     assert result.structured_content == expected.model_dump(mode="json")
     assert len(result.content) == 1
-    assert text_of(result).startswith(f"{expected.gsd_m_per_px:.3g} m/px (95 % interval ")
+    assert text_of(result).startswith(f"{significant(expected.gsd_m_per_px or 0)} m/px (95 % interval ")
     assert f"confidence {expected.confidence:.2f} from 24 vehicles: safe to use." in text_of(result)
 
 

@@ -16,6 +16,7 @@ from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path, error_of, text_of
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
+from vehanchor.records.digits import significant
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -45,7 +46,7 @@ async def test_a_call_gives_the_librarys_record_and_a_sentence(
     )
     result = await asked(server, "measure_distance", images / "cars.png", lines=[LINE])
     assert record_of(result) == expected.model_dump(mode="json")
-    assert text_of(result).startswith(f"{expected.distance_m:.3g} m (95 % interval ")
+    assert text_of(result).startswith(f"{significant(expected.distance_m or 0)} m (95 % interval ")
     assert f"confidence {expected.confidence:.2f} from 24 vehicles: safe to use." in text_of(result)
 
 

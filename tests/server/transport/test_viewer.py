@@ -151,6 +151,13 @@ def drop(address: Address, name: str, data: bytes) -> httpx.Response:
     return WEB.post(f"{address.url()}photographs", params={"name": name}, content=data, headers=headers)
 
 
+def test_what_is_no_photograph_is_not_kept(address: Address) -> None:
+    for name, data in (("notes.txt", b"no picture"), ("empty.jpg", b""), ("v.mp4", b"\0\0\0\x18ftypmp42" + bytes(100))):
+        reply = drop(address, name, data)
+        assert reply.status_code == 415, name
+        assert reply.text.startswith(f"{name} is no photograph to measure: ")
+
+
 def test_a_photograph_above_the_limit_is_not_kept(detector_path: Path, tmp_path: Path) -> None:
     settings = Settings(detector=str(detector_path), max_image_mb=1)
     with viewing(settings, tmp_path / "dropped") as address:
@@ -181,3 +188,11 @@ def test_a_folder_that_is_not_there_and_a_port_that_is_taken_are_told(tmp_path: 
     assert (missing.exit_code, "give an existing directory" in missing.stderr) == (2, True)
     taken = CliRunner().invoke(app, ["view", str(tmp_path), "--no-browser", "--port", str(address.port)])
     assert (taken.exit_code, "use another --port" in taken.stderr) == (2, True)
+
+
+def test_a_video_is_no_photograph_to_view(tmp_path: Path) -> None:
+    video = tmp_path / "v.mp4"
+    video.write_bytes(b"\0\0\0\x18ftypmp42" + bytes(100))
+    refused = CliRunner().invoke(app, ["view", str(video), "--no-browser"])
+    assert (refused.exit_code, "v.mp4 cannot be shown: " in refused.stderr) == (2, True)
+    assert "this is a video" in refused.stderr

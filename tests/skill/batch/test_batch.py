@@ -546,6 +546,9 @@ def test_the_command_tells_what_it_did(detector: Path, table: Path, monkeypatch:
     assert lines == [f"{n} of 5 images" for n in range(6)]
     assert last.startswith(f"{table}: 5 rows (2 ok, 1 no_scale, 2 error); 5 images in ")
     assert _rows(table)[-1]["error_code"] == "image_not_found"
+    broken = _batch("broken.jpg", "--output", table, "--overwrite", "--detector", detector, "--workers", 1)
+    assert broken.exit_code == 1
+    assert broken.stderr.splitlines()[-1] == "no image could be used: the columns error_code and error say why"
     alone = _batch("empty.png", "--output", table, "--overwrite", "--detector", detector, "--workers", 1)
     assert alone.stderr.splitlines()[-1].startswith(f"{table}: 1 row (1 no_scale); 1 image in ")
 

@@ -85,7 +85,7 @@ def test_estimate_prints_a_readable_table(run: Any) -> None:
     assert result.exit_code == 0
     assert result.stderr == ""
     assert "cars.png" in result.stdout
-    assert "m/px   (95 %:" in result.stdout
+    assert "m/px  (95 %:" in result.stdout
     assert "19 kept of 20 found" in result.stdout
 
 

@@ -35,7 +35,7 @@ def run(*arguments: object) -> tuple[int, str, str]:
 def test_a_distance_is_told_with_its_interval(place: tuple[Path, Path]) -> None:
     code, out, _ = run("distance", place[0], *POINTS, "--gsd", "0.1")
     assert code == 0
-    assert "50 m   (95 %: " in out
+    assert "50.00 m  (95 %: " in out
     assert "2 points, 500.0 px" in out
 
 
@@ -43,6 +43,13 @@ def test_a_scale_without_meaning_is_bad_input_and_no_defect(place: tuple[Path, P
     code, _, err = run("distance", place[0], *POINTS, "--gsd", "1e308")
     assert code == 2
     assert "error[invalid_parameter]: gsd_m_per_px is 1e+308" in err
+
+
+def test_a_scale_that_looks_like_centimetres_is_asked_about(place: tuple[Path, Path]) -> None:
+    code, _, err = run("distance", place[0], *POINTS, "--gsd", "15")
+    assert code == 0
+    assert "15 metres per pixel. Were centimetres meant? Then give 0.15." in err
+    assert "centimetres" not in run("distance", place[0], *POINTS, "--gsd", "1.5")[2]
 
 
 def test_a_scale_is_estimated_once_and_taken_from_its_record_after_that(

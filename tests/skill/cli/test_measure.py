@@ -92,7 +92,7 @@ def test_a_readable_table_tells_area_circle_and_scale(run: Any) -> None:
     result = run("cars.png", "--box", *BOX)
     assert result.exit_code == 0, result.output
     assert result.stderr == ""
-    for fact in ("m2   (95 %:", "largest circle", "perimeter", "m/px   (95 %:", "20 kept of 20 found", "score 0.90"):
+    for fact in ("m2  (95 %:", "largest circle", "perimeter", "m/px  (95 %:", "20 kept of 20 found", "score 0.90"):
         assert fact in result.stdout
     given = run("none.png", "--box", *BOX, "--gsd", "0.2")
     assert "0.2 m/px, given" in given.stdout
