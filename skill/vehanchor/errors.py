@@ -12,6 +12,7 @@
     - ImageTooLargeError                 ``image_too_large``    more bytes or declared pixels than the limits allow
     - ImageFormatError                   ``image_unsupported``  decodable, not measurable: 1 x 1 px, NaN, wrong dtype
     - TooObliqueError                    ``too_oblique``        the horizon is in the image or close: no scale holds
+  x ReconstructionError (ValueError)     ``reconstruction_unusable``  no reconstruction, damaged, or without ground
   x ModelError
     - ModelNotFoundError                 ``model_not_found``    no such file, and no model of that name
     - ModelContractError (ValueError)    ``model_contract``     not ONNX, or not a model this code can read
@@ -101,6 +102,12 @@ class TooObliqueError(ImageError):
     """The image is too oblique for a scale: the horizon is visible, or a measured place is too close to it."""
 
     code = "too_oblique"
+
+
+class ReconstructionError(VehAnchorError, ValueError):
+    """The reconstruction cannot be read or measured: unknown format, damaged file, too few points, no photographs."""
+
+    code = "reconstruction_unusable"
 
 
 class ModelError(VehAnchorError):

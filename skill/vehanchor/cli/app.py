@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _GROUP = "vehanchor.commands"
 _PANELS = {
-    **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "scalebar", "view"), "Measure"),
+    **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "rescale", "scalebar", "view"), "Measure"),
     **dict.fromkeys(("serve", "schemas", "skill"), "For agents"),
     **dict.fromkeys(("doctor", "models", "rulers"), "This installation"),
 }
@@ -38,6 +38,7 @@ _FIRST = (
     "measure",
     "batch",
     "flight",
+    "rescale",
     "scalebar",
     "view",
     "doctor",

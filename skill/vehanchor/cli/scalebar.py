@@ -85,11 +85,8 @@ def _refusal(found: ResolvedScale) -> str:
 
 
 def _write_world(picture: Path, gsd_m: float) -> Path:
-    """Write the six lines of a world file; the first pixel's centre is half a pixel from the corner."""
-    from vehanchor.storage.atomic import whole_file
+    from vehanchor.export.geotiff import write_world_file
 
-    lines = "".join(f"{value:.10g}\n" for value in (gsd_m, 0, 0, -gsd_m, gsd_m / 2, -gsd_m / 2))
     path = picture.with_suffix(_WORLD_SUFFIXES[picture.suffix.lower()])
-    with whole_file(path) as partial:
-        partial.write_text(lines, encoding="ascii")
+    write_world_file(path, gsd_m)
     return path

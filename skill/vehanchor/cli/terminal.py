@@ -20,7 +20,7 @@ from vehanchor.records.foreign_text import on_one_line
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, ModelScale
 
 BAD_INPUT, UNFORESEEN, INTERRUPTED = 2, 1, 130  # exit statuses
 NOT_OK = 3  # with --strict: a result that is not usable
@@ -173,7 +173,9 @@ STATUS_TEXTS = {
 }
 
 
-def print_warnings(record: GsdEstimate | AreaMeasurement | DistanceMeasurement | FlightEstimate, about: str) -> None:
+def print_warnings(
+    record: GsdEstimate | AreaMeasurement | DistanceMeasurement | FlightEstimate | ModelScale, about: str
+) -> None:
     """Print the warnings of a record on stderr, one per line."""
     prefix = f"{about}: " if about else ""
     for notice in record.warnings:

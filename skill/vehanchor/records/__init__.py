@@ -19,6 +19,7 @@ from vehanchor.records.gsd_estimate import (
 )
 from vehanchor.records.known_scale import KnownPlane, KnownScale
 from vehanchor.records.measurement import ScaleSource
+from vehanchor.records.model_scale import ModelPhotograph, ModelRuler, ModelScale
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION
 
@@ -39,6 +40,9 @@ __all__ = [
     "ImagePoint",
     "KnownPlane",
     "KnownScale",
+    "ModelPhotograph",
+    "ModelRuler",
+    "ModelScale",
     "Notice",
     "OutlinePolygon",
     "OutlineRing",

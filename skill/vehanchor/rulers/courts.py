@@ -21,7 +21,9 @@ from vehanchor.tilt.focal import focal_of
 from vehanchor.tilt.posterior import tilt_posterior
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.courts.court import Court
     from vehanchor.imagery.facts import ImageFacts
@@ -63,6 +65,13 @@ class Courts(Ruler):
         if not found and likely and may_be_tilted(view.image, view.options, view.detections):
             found = self._found_tilted(view, view.raster)
         return found
+
+    def moved(self, found: tuple[Court, ...], places: Callable[[ArrayLike], NDArray[np.float64]]) -> tuple[Court, ...]:
+        """Move the corners of courts."""
+        return tuple(
+            replace(each, corners=places(each.corners), shape=None if each.shape is None else places(each.shape))
+            for each in found
+        )
 
     def tilt_cues(self, found: tuple[Court, ...], image: ImageFacts) -> list[CourtCue]:
         """Make tilt cues of courts in perspective."""

@@ -6,7 +6,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
+
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.rulers.evidence import Evidence, View
@@ -56,6 +59,15 @@ class Ruler:
             view: of the image, with the tilt from metadata.
         """
         return ()
+
+    def moved(self, found: tuple[Any, ...], places: Callable[[ArrayLike], NDArray[np.float64]]) -> tuple[Any, ...]:  # noqa: ARG002
+        """Move the results of ``find``, as to pixels of an ideal lens.
+
+        Args:
+            found: results of ``find``.
+            places: function of points ``[n, 2]`` in pixels to their new places.
+        """
+        return found
 
     def tilt_cues(self, found: tuple[Any, ...], image: ImageFacts) -> Sequence[TiltCue]:  # noqa: ARG002
         """Make tilt cues from the results of ``find``.

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from vehanchor.detection.detections import Detections
     from vehanchor.scale.plane import GroundPlane
 
@@ -29,14 +31,28 @@ def rectified(detections: Detections, plane: GroundPlane) -> Detections:
         plane: ground plane; its scale does not matter.
     """
     plane = replace(plane, gsd_m_per_px=1.0)
-    boxes = detections.boxes
-    along = np.column_stack([np.cos(boxes[:, 4]), np.sin(boxes[:, 4])])
-    across = np.column_stack([-along[:, 1], along[:, 0]])
-    sides = []
-    for column, direction in ((2, along), (3, across)):
-        reach = direction * boxes[:, column : column + 1] / 2
-        sides.append(plane.length(boxes[:, :2] - reach, boxes[:, :2] + reach))
-    measured = boxes.copy()
-    measured[:, 2] = sides[0] ** (1 - _BY_WIDTH) * (_LENGTH_OVER_WIDTH * sides[1]) ** _BY_WIDTH
+    lengths, widths = (plane.length(*ends) for ends in box_axes(detections.boxes))
+    measured = detections.boxes.copy()
+    measured[:, 2] = length_off_nadir(lengths, widths)
     measured[:, 3] = measured[:, 2] / _LENGTH_OVER_WIDTH
     return replace(detections, boxes=measured)
+
+
+def box_axes(boxes: NDArray[np.float64]) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]:
+    """Compute the ends of the long and of the short axis of boxes.
+
+    Args:
+        boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)``.
+
+    Returns:
+        Two pairs of ``[n, 2]`` points.
+    """
+    along = np.column_stack([np.cos(boxes[:, 4]), np.sin(boxes[:, 4])])
+    across = np.column_stack([-along[:, 1], along[:, 0]])
+    reaches = along * boxes[:, 2:3] / 2, across * boxes[:, 3:4] / 2
+    return tuple((boxes[:, :2] - reach, boxes[:, :2] + reach) for reach in reaches)
+
+
+def length_off_nadir(lengths: NDArray[np.float64], widths: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Combine lengths and widths ``[n]`` on the ground to lengths that do not depend on the car's direction."""
+    return np.asarray(lengths ** (1 - _BY_WIDTH) * (_LENGTH_OVER_WIDTH * widths) ** _BY_WIDTH)

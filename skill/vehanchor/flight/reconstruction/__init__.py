@@ -1,0 +1,1 @@
+"""Reconstructions (OpenSfM, OpenDroneMap, COLMAP) and the factor that gives them their size."""

@@ -1,0 +1,247 @@
+"""The factor that gives a reconstruction its size: one posterior over the rulers of all its photographs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from vehanchor.analysis.pipeline import checked_detector
+from vehanchor.errors import ImageNotFoundError, ReconstructionError, VehAnchorError
+from vehanchor.flight.photograph import chief_member
+from vehanchor.flight.pooling import pool
+from vehanchor.flight.reconstruction.ground import model_plane
+from vehanchor.flight.reconstruction.photograph import SeenPhotograph, distinct, search_photograph
+from vehanchor.flight.reconstruction.verdict import verdict
+from vehanchor.flight.record import Failure
+from vehanchor.records import ModelPhotograph, ModelRuler, ModelScale, Notice
+from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.known_length_table import lines_in, with_lines_of
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Sequence
+
+    from vehanchor.detection.detector import Detector
+    from vehanchor.flight.reconstruction.model import Reconstruction
+    from vehanchor.options import ScaleOptions
+    from vehanchor.records import GsdEstimate
+    from vehanchor.rulers.known_length_table import KnownLengthTable
+
+
+class _Scaled(NamedTuple):
+    """Scale over the units of the model.
+
+    Attributes:
+        factor: metres per unit.
+        low: lower end of its 95 % interval.
+        high: upper end.
+    """
+
+    factor: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, estimate: GsdEstimate, gsd: float) -> _Scaled | None:
+        """Divide a scale by ``gsd``, model units per pixel; None without a scale."""
+        found = estimate.gsd_m_per_px, estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
+        if found[0] is None or found[1] is None or found[2] is None:
+            return None
+        return cls(found[0] / gsd, found[1] / gsd, found[2] / gsd)
+
+
+def rescale(
+    model: Reconstruction,
+    images: Path,
+    detector: Detector,
+    options: ScaleOptions,
+    known_lengths: str | os.PathLike[str] | None = None,
+) -> ModelScale:
+    """Estimate the factor that gives a reconstruction its size.
+
+    Args:
+        model: the reconstruction.
+        images: folder of its photographs.
+        detector: finds the vehicles; photographs are reported to the progress of its runtime.
+        options: of the method. Metadata is not used: positions and heights in it may have made the wrong size.
+        known_lengths: table of lines of known length in the photographs; see ``read_known_lengths``.
+
+    Returns:
+        The record; ``factor`` is None if no ruler finds anything.
+
+    Raises:
+        ReconstructionError: the model has too few points, or none of its photographs is in the folder.
+        KnownLengthError: a line is invalid, or in a photograph that is not in the model.
+        VehAnchorError: as ``estimate_gsd``, if no photograph can be used.
+    """
+    checked_detector(detector, options)
+    options = replace(options, rulers=replace(options.rulers, metadata=False))
+    files = [images / _inside(shot.name) for shot in model.shots]
+    results = _searched(model, files, detector, options, lines_in(known_lengths, files))
+    seen = [each for each in results if isinstance(each, SeenPhotograph)]
+    if not seen:
+        raise _nothing_usable([each for each in results if isinstance(each, Failure)], images)
+    members = distinct(seen)
+    log_scales = np.log([each.sight.gsd for each in seen])
+    chief = chief_member(members)
+    pooled = pool(members, log_scales, chief).estimate
+    found = _Scaled.of(pooled, seen[chief].sight.gsd)
+    photographs = [_failed(each) if isinstance(each, Failure) else _photograph(each, found) for each in results]
+    return ModelScale(
+        status=pooled.status,
+        source=model.kind,
+        factor=found and found.factor,
+        factor_ci95_low=found and found.low,
+        factor_ci95_high=found and found.high,
+        gsd_m_per_px=None,
+        confidence=pooled.confidence,
+        reason=pooled.reason,
+        verdict=verdict("model", found, usable=pooled.status == "ok"),
+        n_photographs=len(model.shots),
+        n_vehicles=pooled.n_vehicles,
+        rulers=_rulers(pooled, seen[chief].sight.gsd),
+        photographs=tuple(photographs),
+        model=pooled.model,
+        model_sha256=pooled.model_sha256,
+        warnings=(*pooled.warnings, *_parts_notice(model)),
+    )
+
+
+def orthophoto_scale(estimate: GsdEstimate) -> ModelScale:
+    """Compare the scale of an orthophoto with the one that its file states.
+
+    Args:
+        estimate: of the orthophoto, with the scale of its georeference if it has one.
+    """
+    own = estimate.georeference_gsd_m_per_px
+    true = _Scaled.of(estimate, 1.0)
+    found = None if own is None else _Scaled.of(estimate, own)
+    warnings = [each for each in estimate.warnings if each.code != NoticeCode.GEOREFERENCE_DIFFERS]
+    return ModelScale(
+        status=estimate.status,
+        source="orthophoto",
+        factor=found and found.factor,
+        factor_ci95_low=found and found.low,
+        factor_ci95_high=found and found.high,
+        gsd_m_per_px=estimate.gsd_m_per_px,
+        confidence=estimate.confidence,
+        reason=estimate.reason,
+        verdict=verdict("orthophoto", found, usable=estimate.status == "ok", pixel=true),
+        n_photographs=1,
+        n_vehicles=estimate.n_vehicles,
+        rulers=() if own is None else _rulers(estimate, own),
+        photographs=(),
+        model=estimate.model,
+        model_sha256=estimate.model_sha256,
+        warnings=tuple(warnings),
+    )
+
+
+def _parts_notice(model: Reconstruction) -> list[Notice]:
+    if model.n_parts == 1:
+        return []
+    message = (
+        f"The model has {model.n_parts} parts that are not connected, each with a size of its own. This factor is that "
+        "of the largest part."
+    )
+    return [Notice(code=NoticeCode.NOT_LINKED, message=message)]
+
+
+def _searched(
+    model: Reconstruction,
+    files: Sequence[Path],
+    detector: Detector,
+    options: ScaleOptions,
+    lines: KnownLengthTable,
+) -> list[SeenPhotograph | Failure]:
+    """Search the photographs one by one."""
+    tell, silent = detector.runtime.tell, detector.under(replace(detector.runtime, progress=None))
+    whole = model_plane(model)
+    found: list[SeenPhotograph | Failure] = []
+    for number, (shot, file) in enumerate(zip(model.shots, files, strict=True)):
+        tell(number, len(files))
+        try:
+            own = with_lines_of(options, lines, file)
+            found.append(search_photograph(file, shot, model.points[shot.sees(model.points)], whole, silent, own))
+        except VehAnchorError as error:
+            found.append(Failure(shot.name, error))
+    tell(len(files), len(files))
+    return found
+
+
+def _inside(name: str) -> str:
+    """Check that the name of a photograph leads to a file inside the folder.
+
+    Raises:
+        ReconstructionError: it does not.
+    """
+    path = PurePosixPath(name)
+    if not path.parts or path.is_absolute() or ".." in path.parts or "\\" in name or "\0" in name:
+        raise ReconstructionError(f"the model names a photograph {name!r}: names must be relative to one folder")
+    return name
+
+
+def _nothing_usable(failures: Sequence[Failure], images: Path) -> VehAnchorError:
+    """Choose the error of a model without a usable photograph."""
+    if failures and all(isinstance(each.error, ImageNotFoundError) for each in failures):
+        return ReconstructionError(
+            f"none of the model's {len(failures)} photographs is in {str(images)!r}, as {failures[0].name!r}: name "
+            "their folder with --images"
+        )
+    return failures[0].error if failures else ReconstructionError("the model has no photographs")
+
+
+def _rulers(estimate: GsdEstimate, gsd: float) -> tuple[ModelRuler, ...]:
+    """List the rulers that can set a scale."""
+    return tuple(
+        ModelRuler(
+            kind=each.kind,
+            label=each.label,
+            factor=each.gsd_m_per_px / gsd,
+            factor_ci95_low=each.gsd_ci95_low_m_per_px / gsd,
+            factor_ci95_high=each.gsd_ci95_high_m_per_px / gsd,
+            n=each.n,
+            weight=each.weight,
+            agrees=each.agrees,
+        )
+        for each in estimate.rulers
+        if each.sets_scale
+    )
+
+
+def _photograph(seen: SeenPhotograph, whole: _Scaled | None) -> ModelPhotograph:
+    estimate = seen.alone().analysis.estimate
+    own = _Scaled.of(estimate, seen.sight.gsd)
+    apart = own is not None and whole is not None and (own.low > whole.high or own.high < whole.low)
+    return ModelPhotograph(
+        photograph=seen.name,
+        status="nothing" if own is None else "outlier" if apart else "used",
+        factor=own and own.factor,
+        factor_ci95_low=own and own.low,
+        factor_ci95_high=own and own.high,
+        rulers=tuple(each.kind for each in estimate.rulers if each.sets_scale),
+        n_vehicles=estimate.n_vehicles,
+        camera_height=seen.sight.height,
+        tilt_deg=seen.sight.tilt.tilt_deg,
+        error_code=None,
+        error=None,
+    )
+
+
+def _failed(failure: Failure) -> ModelPhotograph:
+    return ModelPhotograph(
+        photograph=failure.name,
+        status="error",
+        factor=None,
+        factor_ci95_low=None,
+        factor_ci95_high=None,
+        rulers=(),
+        n_vehicles=0,
+        camera_height=None,
+        tilt_deg=None,
+        error_code=failure.error.code,
+        error=str(failure.error),
+    )

@@ -1,0 +1,162 @@
+"""A reconstruction in its own units: lenses, shots and points.
+
+Camera frames are those of OpenCV: x to the right, y to the lower side, z along the axis. A point X of the model is at
+``rotation X + translation`` in the frame of a shot. Pixels have their origin at the upper left corner of the image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import cv2
+import numpy as np
+
+from vehanchor.errors import ReconstructionError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import ArrayLike, NDArray
+
+_ASPECT_TOLERANCE = 0.01
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Intrinsic calibration of a camera, in pixels of an image of a given size.
+
+    Attributes:
+        width_px: width of the image.
+        height_px: its height.
+        focal_x_px: focal length across.
+        focal_y_px: focal length down.
+        centre_x_px: principal point, from the left side.
+        centre_y_px: principal point, from the upper side.
+        distortion: coefficients in the order of OpenCV: k1, k2, p1, p2, k3 ..., or k1 to k4 of a fisheye.
+        fisheye: whether the lens is a fisheye.
+    """
+
+    width_px: float
+    height_px: float
+    focal_x_px: float
+    focal_y_px: float
+    centre_x_px: float
+    centre_y_px: float
+    distortion: tuple[float, ...] = ()
+    fisheye: bool = False
+
+    @property
+    def focal_px(self) -> float:
+        """Mean focal length."""
+        return float(np.sqrt(self.focal_x_px * self.focal_y_px))
+
+    def of_size(self, width_px: int, height_px: int) -> Lens:
+        """Convert the lens to a copy of the image of another size.
+
+        Raises:
+            ReconstructionError: the copy has another aspect ratio.
+        """
+        across, down = width_px / self.width_px, height_px / self.height_px
+        if abs(across / down - 1) > _ASPECT_TOLERANCE:
+            raise ReconstructionError(
+                f"the photograph has {width_px} x {height_px} px, and its camera in the model {self.width_px:g} x "
+                f"{self.height_px:g}: give the photographs from which the model was made, neither cropped nor turned"
+            )
+        return replace(
+            self,
+            width_px=width_px,
+            height_px=height_px,
+            focal_x_px=self.focal_x_px * across,
+            focal_y_px=self.focal_y_px * down,
+            centre_x_px=self.centre_x_px * across,
+            centre_y_px=self.centre_y_px * down,
+        )
+
+    def directions(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Compute the rays of pixels.
+
+        Args:
+            points: ``[n, 2]`` x, y in pixels.
+
+        Returns:
+            ``[n, 3]`` in the camera's frame, with z = 1; not finite beyond the reach of the lens model.
+        """
+        places = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+        matrix = np.array(
+            [[self.focal_x_px, 0, self.centre_x_px], [0, self.focal_y_px, self.centre_y_px], [0, 0, 1]], np.float64
+        )
+        plain: NDArray[np.float64] = (places - matrix[:2, 2]) / [self.focal_x_px, self.focal_y_px]
+        if len(places) and (self.fisheye or any(self.distortion)):
+            given = np.array(self.distortion)
+            if self.fisheye:
+                plain = np.asarray(cv2.fisheye.undistortPoints(places[:, None], matrix, given), np.float64).reshape(
+                    -1, 2
+                )
+            else:
+                plain = np.asarray(cv2.undistortPoints(places[:, None], matrix, given), np.float64).reshape(-1, 2)
+        return np.column_stack([plain, np.ones(len(plain))])
+
+    def ideal(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Convert pixels to those of a pinhole camera of the same size and focal length, ``[n, 2]``."""
+        return np.asarray(
+            self.directions(points)[:, :2] * self.focal_px + [self.width_px / 2, self.height_px / 2], dtype=np.float64
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """Photograph with its camera and pose.
+
+    Attributes:
+        name: file name, relative to the folder of the photographs.
+        lens: of its camera.
+        rotation: ``[3, 3]`` from the model's frame to the camera's.
+        translation: ``[3]`` of the model's origin in the camera's frame, model units.
+    """
+
+    name: str
+    lens: Lens
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+
+    @property
+    def centre(self) -> NDArray[np.float64]:
+        """``[3]`` position of the camera, model units."""
+        return np.asarray(-self.rotation.T @ self.translation)
+
+    def rays(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Compute the rays of pixels ``[n, 2]``: ``[n, 3]`` in the model's frame, one unit along the camera's axis."""
+        return np.asarray(self.lens.directions(points) @ self.rotation)
+
+    def sees(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell which points ``[n, 3]`` lie in the picture; the lens's distortion is ignored."""
+        x, y, z = (points @ self.rotation.T + self.translation).T
+        ahead = z > 0
+        depth = np.where(ahead, z, 1.0)
+        across = self.lens.focal_x_px * x / depth + self.lens.centre_x_px
+        down = self.lens.focal_y_px * y / depth + self.lens.centre_y_px
+        inside = (across >= 0) & (across <= self.lens.width_px) & (down >= 0) & (down <= self.lens.height_px)
+        return np.asarray(ahead & inside)
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """Largest connected part of a model.
+
+    Attributes:
+        kind: format of its files.
+        path: file or folder from which it was read.
+        shots: photographs with their poses.
+        points: ``[n, 3]`` float64, model units.
+        n_parts: connected parts in the files; each has its own scale.
+        origin: latitude, longitude (degrees) and altitude (metres) of the model's origin, whose axes then point to the
+            east, to the north and up; None if unknown.
+    """
+
+    kind: Literal["opensfm", "colmap_text", "colmap_binary"]
+    path: Path
+    shots: tuple[Shot, ...]
+    points: NDArray[np.float64]
+    n_parts: int = 1
+    origin: tuple[float, float, float] | None = None
