@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 from tests.conftest import ROOT
 from tests.docs.documents import DOCUMENTS, REASONS, blocks
+from tests.skill.flight.reconstruction.flights import Pose, write_opensfm
 from vehanchor.cli.app import app
 
 _WITH_CODE = [document for document in DOCUMENTS if any(block.reason is None for block in blocks(document))]
@@ -32,7 +33,7 @@ def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Our examples, a photograph, a flight, and a survey of known scale."""
+    """Our examples, a photograph, a flight, a survey of known scale, and a model at 92 % of its size."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     shutil.copy(ROOT / "examples/car_park.jpg", tmp_path / "photo.jpg")
     (tmp_path / "flight").mkdir()
@@ -46,6 +47,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     place = Affine(0.12, 0, 500_000, 0, -0.12, 5_300_000)  # the scale that examples/car_park.json tells
     with rasterio.open(tmp_path / "survey/site.tif", "w", "GTiff", crs="EPSG:32632", transform=place, **shape) as file:
         file.write(pixels[:, :, ::-1].transpose(2, 0, 1))
+    pose = Pose(width * 0.06, height * 0.06, 120)  # 0.12 m/px
+    write_opensfm(tmp_path / "project", [pose.photograph(pixels[:, :, ::-1], 0.12)], [pose], 1 / 0.92)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
