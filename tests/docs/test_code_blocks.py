@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 import rasterio
 from affine import Affine
@@ -47,8 +48,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     place = Affine(0.12, 0, 500_000, 0, -0.12, 5_300_000)  # the scale that examples/car_park.json tells
     with rasterio.open(tmp_path / "survey/site.tif", "w", "GTiff", crs="EPSG:32632", transform=place, **shape) as file:
         file.write(pixels[:, :, ::-1].transpose(2, 0, 1))
+    seen = np.asarray(pixels[:, :, ::-1], dtype=np.uint8)
     pose = Pose(width * 0.06, height * 0.06, 120)  # 0.12 m/px
-    write_opensfm(tmp_path / "project", [pose.photograph(pixels[:, :, ::-1], 0.12)], [pose], 1 / 0.92)
+    write_opensfm(tmp_path / "project", [pose.photograph(seen, 0.12)], [pose], 1 / 0.92)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
