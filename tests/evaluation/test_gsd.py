@@ -176,7 +176,7 @@ def test_lines_of_known_length_are_heard_where_they_lie(tmp_path: Path, detector
         paint(tmp_path / f"{name}.png", cars(20))
     truth = 0.9 * REFERENCE_M / 20
     (tmp_path / "t.csv").write_text(f"file,gsd_m_per_px\na.png,{truth}\nb.png,{truth}\n")
-    (tmp_path / "lines.csv").write_text(f"file,x1,y1,x2,y2,metres\na.png,20,220,420,220,{400 * truth}\n")
+    (tmp_path / "lines.csv").write_text(f"file,x1,y1,x2,y2,metres,basis\na.png,20,220,420,220,{400 * truth},measured\n")
     arguments = ["evaluate", "gsd", "--table", tmp_path / "t.csv", "--detector", detector, "--out", tmp_path]
     result = _run(*arguments, "--known-lengths", tmp_path / "lines.csv")
     assert result.exit_code == 0, result.stderr
