@@ -1,0 +1,327 @@
+"""Measure what the metadata of a flight's photographs are worth.
+
+``python -m research.benchmarks.flight_metadata {chia,oblique,outlines,rendered,cost} DATA [--cache FOLDER]``.
+
+``chia`` links the 26 nadir photographs of DATA/chia, with whole metadata, without positions, without heights and
+without both; then the seven photographs with the fewest vehicles. ``oblique`` compares the scales of its 31 oblique
+photographs with height, lens and pitch, with and without metadata. ``outlines`` compares areas on the ground in oblique
+photographs with the areas in nadir photographs. ``rendered`` links rendered flights of ten photographs without cars,
+with one false vehicle or without. ``cost`` measures flights of photographs of 12 Mpx.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import hashlib
+import json
+import math
+import resource
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from research.results.record import add_record_option, recording
+from vehanchor.detection.detections import Detections
+from vehanchor.engine import Engine
+from vehanchor.flight.estimate import conclude, search_flight
+from vehanchor.flight.features import find_features
+from vehanchor.flight.inputs import InputPhotograph
+from vehanchor.flight.photograph import Photograph, StoredPhotograph, photograph_codec
+from vehanchor.flight.record import Failure
+from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.runtime import Runtime
+from vehanchor.options import ScaleOptions
+from vehanchor.rulers.camera import Camera
+from vehanchor.tilt.camera_tilt import plane_of_record
+from vehanchor_scenes import render_scene
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from vehanchor.detection.detector import Detector
+    from vehanchor.imagery.sources.opening import ImageSource
+    from vehanchor.records import FlightEstimate
+
+_FEWEST = 7
+_POSITION: dict[str, Any] = {"latitude_deg": None, "longitude_deg": None}
+_HEIGHT: dict[str, Any] = {"height_m": None, "height_tag": "", "altitude_m": None}
+_STRIPPED = {
+    "whole": {},
+    "without positions": _POSITION,
+    "without heights": _HEIGHT,
+    "without both": {**_POSITION, **_HEIGHT},
+}
+_NADIR_DEG = -85.0
+_OUTLINES = Path(__file__).parent / "chia_outlines.json"
+_RENDERED_GSD = (0.015, 0.02, 0.03)
+_PHOTOGRAPHS, _SIZE, _STEP = 10, (2000, 1500), 600  # of a rendered flight; pixels, pixels from one to the next
+_FOCAL_SHARE = 0.7  # focal length over the width: 24 mm (35 mm equivalent)
+_POSITION_SD_M, _HEIGHT_SD = 1.0, 0.02  # of made-up metadata; the height's error is common to a flight
+_FALSE_RATIO = 3.4  # the scale by the false vehicle over the true scale, as in the flight of issue 32
+_METRES_A_DEGREE = 111_195.0
+
+
+class Truth(NamedTuple):
+    """A row of DATA/chia/table.csv, with the scale at the centre by height, lens and pitch."""
+
+    path: Path
+    pitch_deg: float
+    gsd_m_per_px: float
+
+
+def chia_table(data: Path) -> Iterator[Truth]:
+    """The photographs of DATA/chia."""
+    with (data / "chia" / "table.csv").open() as file:
+        for row in csv.DictReader(file):
+            pitch, height, focal = (
+                float(row[name]) for name in ("camera_pitch_deg", "height_above_takeoff_m", "focal_length_px")
+            )
+            coarser = math.cos(math.radians(90 + pitch)) ** -1.5
+            yield Truth(data / "chia" / row["file"], pitch, height / focal * coarser)
+
+
+def searched(
+    name: str, image: ImageSource, detector: Detector, cache: Path, options: ScaleOptions | None = None
+) -> Photograph:
+    """A photograph with its features; the search is kept under its name and options."""
+    chosen = options or ScaleOptions()
+    key = hashlib.sha256(f"{detector.card.sha256} {Path(name).name} {options or ''}".encode()).hexdigest()[:24]
+    known = cache / f"{key}.json"
+    if not known.exists():
+        (found,) = search_flight([InputPhotograph(name, image)], detector, chosen)
+        if isinstance(found, Failure):
+            raise found.error
+        cache.mkdir(parents=True, exist_ok=True)
+        known.write_text(json.dumps(photograph_codec().dump(StoredPhotograph.of(found.view, found.analysis))))
+    stored = photograph_codec().load(json.loads(known.read_text()))
+    with open_raster(image) as raster:
+        features = find_features(raster)
+    return Photograph.of(name, stored, detector.card, chosen, features)
+
+
+def with_camera(
+    photograph: Photograph, camera: CameraMetadata | None, detections: Detections | None = None
+) -> Photograph:
+    """A nadir photograph with other metadata or detections; what was measured in its pixels stays."""
+    view, analysis = photograph.view, photograph.analysis
+    others = tuple(each for each in analysis.others if each.kind != Camera.kind)
+    stored = StoredPhotograph(
+        view.image._replace(camera=camera), detections or view.detections, analysis.resolved, others, view.prior
+    )
+    return Photograph.of(photograph.name, stored, view.card, view.options, photograph.features)
+
+
+def row(label: str, record: FlightEstimate, truth: dict[str, float]) -> str:
+    """A row of a table: usable photographs, their errors, and the reasons of each component."""
+    usable, others = [], []
+    for each in record.photographs:
+        if each.gsd_m_per_px is not None:
+            error = each.gsd_m_per_px / truth[each.photograph] - 1
+            (usable if each.status == "ok" else others).append(error)
+    reasons = ", ".join(f"{each.n_photographs} {each.pooled.reason or 'ok'}" for each in record.components)
+    wrong = sum(abs(error) > 0.2 for error in usable)
+    n = len(record.photographs)
+    return f"| {label} | {len(usable)} of {n} | {_range(usable)} | {_range(others)} | {wrong} | {reasons} |"
+
+
+def _range(errors: Sequence[float]) -> str:
+    return f"{100 * min(errors):+.1f} to {100 * max(errors):+.1f}" if errors else "-"
+
+
+def _print_heads(first: str) -> None:
+    print(f"| {first} | ok | errors of the ok, % | errors of the others, % | ok and off by a fifth | components |")
+    print("|---|---|---|---|---|---|")
+
+
+def chia(data: Path, cache: Path) -> None:
+    """Print a row for each set of photographs and metadata."""
+    detector = Engine(runtime=Runtime(threads=1)).detector
+    rows = [each for each in chia_table(data) if each.pitch_deg < _NADIR_DEG]
+    truth = {str(each.path): each.gsd_m_per_px for each in rows}
+    photographs = [searched(name, name, detector, cache) for name in truth]
+    order = np.argsort([each.analysis.estimate.n_vehicles for each in photographs], kind="stable")[:_FEWEST]
+    _print_heads("photographs, metadata")
+    for kind, members in (
+        ("all", photographs),
+        ("fewest vehicles", [photographs[place] for place in sorted(order)]),
+    ):
+        for name, fields in _STRIPPED.items():
+            changed = [
+                with_camera(each, camera and replace(camera, **fields))
+                for each in members
+                for camera in (each.view.image.camera,)
+            ]
+            record = conclude(changed, detector.card, same_scale=False)
+            print(row(f"{kind}, {name}", record, truth), flush=True)
+
+
+def oblique(data: Path, cache: Path) -> None:
+    """Print a row with metadata, single and linked, and a row without."""
+    detector = Engine(runtime=Runtime(threads=1)).detector
+    rows = [each for each in chia_table(data) if each.pitch_deg > _NADIR_DEG]
+    truth = {str(each.path): each.gsd_m_per_px for each in rows}
+    whole = [searched(name, name, detector, cache) for name in truth]
+    bare_options = ScaleOptions.of({"metadata": False})
+    bare = [searched(name, name, detector, cache, bare_options) for name in truth]
+    _print_heads("photographs, metadata")
+    print(_own_row("each alone, whole", whole, truth))
+    print(row("linked, whole", conclude(whole, detector.card, same_scale=False), truth))
+    print(_own_row("each alone, without", bare, truth))
+    print(row("linked, without", conclude(bare, detector.card, same_scale=False), truth))
+
+
+def _own_row(label: str, photographs: Sequence[Photograph], truth: dict[str, float]) -> str:
+    own = [(each.analysis.estimate, truth[each.name]) for each in photographs]
+    errors = [(each.status, each.gsd_m_per_px / right - 1) for each, right in own if each.gsd_m_per_px is not None]
+    usable = [error for status, error in errors if status == "ok"]
+    others = [error for status, error in errors if status != "ok"]
+    reasons = [each.reason or "ok" for each, _ in own]
+    counts = ", ".join(f"{reasons.count(each)} {each}" for each in dict.fromkeys(reasons))
+    wrong = sum(abs(error) > 0.2 for error in usable)
+    return f"| {label} | {len(usable)} of {len(own)} | {_range(usable)} | {_range(others)} | {wrong} | {counts} |"
+
+
+def outlines(data: Path, cache: Path) -> None:
+    """Print the areas of each outline by the record of its nadir and of its oblique photograph."""
+    detector = Engine(runtime=Runtime(threads=1)).detector
+    print("| outline | nadir | oblique | nadir, m2 | oblique, m2 | difference, % |")
+    print("|---|---|---|---|---|---|")
+    off = []
+    for each in json.loads(_OUTLINES.read_text())["outlines"]:
+        areas = []
+        for kind in ("nadir", "oblique"):
+            name = str(data / "chia" / each[kind])
+            areas.append(_area(searched(name, name, detector, cache), np.array(each[f"{kind}_px"])))
+        off.append(areas[1] / areas[0] - 1)
+        print(
+            f"| {each['name']} | {each['nadir']} | {each['oblique']} | {areas[0]:.1f} | {areas[1]:.1f} | "
+            f"{100 * off[-1]:+.1f} |"
+        )
+    print(f"| median of {len(off)}, absolute | | | | | {100 * np.median(np.abs(off)):.1f} |")
+
+
+def _area(photograph: Photograph, outline: NDArray[np.float64]) -> float:
+    """Area of an outline by the scale of its photograph, square metres."""
+    record = photograph.analysis.estimate
+    plane = plane_of_record(record)
+    assert record.gsd_m_per_px is not None
+    above = outline if plane is None else plane.from_above(outline)
+    x, y = above.T * record.gsd_m_per_px
+    return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
+
+
+def rendered(cache: Path, flights: int) -> None:
+    """Print rows for each scale: no car, and one false vehicle in one photograph."""
+    detector = Engine(runtime=Runtime(threads=1)).detector
+    _print_heads("scale, flight, vehicles")
+    for gsd in _RENDERED_GSD:
+        for seed in range(flights):
+            photographs, truth = _rendered_flight(gsd, seed, detector, cache)
+            wrong = photographs[_PHOTOGRAPHS // 2]
+            false = _with_false_vehicle(wrong, truth[wrong.name])
+            for label, members in (
+                ("none", photographs),
+                ("one false", [false if each is wrong else each for each in photographs]),
+            ):
+                record = conclude(members, detector.card, same_scale=False)
+                print(row(f"{gsd:g}, {seed}, {label}", record, truth), flush=True)
+
+
+def _rendered_flight(
+    gsd: float, seed: int, detector: Detector, cache: Path
+) -> tuple[list[Photograph], dict[str, float]]:
+    """Photographs along a strip, with heights and positions that are as wrong as a small drone's."""
+    rng = np.random.default_rng([seed, round(1000 * gsd), 20261123])
+    width, height = _SIZE
+    margin = width // 5
+    size = width + _STEP * (_PHOTOGRAPHS - 1) + 2 * margin, height + 2 * margin
+    ground = render_scene(gsd, width_px=size[0], height_px=size[1], seed=3200 + seed, n_vehicles=0).image
+    common = float(np.exp(rng.normal(0, _HEIGHT_SD)))
+    photographs, truth = [], {}
+    for place in range(_PHOTOGRAPHS):
+        scale, turn = float(np.exp(rng.normal(0, 0.015))), float(rng.normal(0, 3))
+        x, y = margin + width / 2 + place * _STEP, size[1] / 2
+        move = cv2.getRotationMatrix2D((x, y), turn, 1 / scale)
+        move[:, 2] += np.array([width / 2 - x, height / 2 - y])
+        image = cv2.warpAffine(ground, move, _SIZE, flags=cv2.INTER_LINEAR)
+        noisy = np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
+        name = f"{gsd:g}_{seed}_{place}.png"
+        truth[name] = gsd * scale
+        focal = _FOCAL_SHARE * width
+        east, north = x * gsd + rng.normal(0, _POSITION_SD_M), -y * gsd + rng.normal(0, _POSITION_SD_M)
+        camera = CameraMetadata(
+            height_m=truth[name] * focal * common,
+            height_tag="rendered height",
+            focal_px=focal,
+            taken_width_px=width,
+            taken_height_px=height,
+            off_nadir_deg=0.0,
+            latitude_deg=5.0 + north / _METRES_A_DEGREE,
+            longitude_deg=-74.0 + east / (_METRES_A_DEGREE * math.cos(math.radians(5.0))),
+            altitude_m=2500.0 + truth[name] * focal * common,
+        )
+        photographs.append(with_camera(searched(name, noisy, detector, cache), camera))
+    return photographs, truth
+
+
+def _with_false_vehicle(photograph: Photograph, gsd: float) -> Photograph:
+    """One sure vehicle as long as makes the scale 3.4 times too coarse, and no other."""
+    length = 4.6 / (_FALSE_RATIO * gsd)
+    found = Detections(np.array([[900.0, 700.0, length, 0.42 * length, 0.3]]), np.array([0.8]))
+    return with_camera(photograph, photograph.view.image.camera, found)
+
+
+def cost(number: int) -> None:
+    """Print CPU seconds and memory of flights of a half and all of so many photographs of 12 Mpx."""
+    engine = Engine(runtime=Runtime(threads=1))
+    detector = engine.detector
+    print("| photographs | CPU s a photograph, search and features | peak MiB | again, from the journal: CPU s |")
+    print("|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        ground = render_scene(0.02, width_px=4000 + 1000 * number, height_px=3000, seed=3200).image
+        names = []
+        for place in range(number):
+            names.append(f"{folder}/{place:03}.jpg")
+            cv2.imwrite(names[-1], ground[:, 1000 * place : 1000 * place + 4000, ::-1])
+        del ground
+        for n in (number // 2, number):
+            spent = []
+            for _ in range(2):
+                begun = time.process_time()
+                search_flight(
+                    [InputPhotograph(name, name) for name in names[:n]], detector, ScaleOptions(), featured=True
+                )
+                spent.append(time.process_time() - begun)
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            print(f"| {n} | {spent[0] / n:.2f} | {peak:.0f} | {spent[1] / n:.2f} |", flush=True)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("chia", "oblique", "outlines", "rendered", "cost"))
+    parser.add_argument("data", type=Path, nargs="?", default=Path("../shared/data"))
+    parser.add_argument("--cache", type=Path, default=Path("flight_cache"), help="folder that keeps the searches")
+    parser.add_argument("--flights", type=int, default=2, help="rendered: flights of each scale")
+    parser.add_argument("--photographs", type=int, default=8, help="cost: photographs of the larger flight")
+    arguments = add_record_option(parser).parse_args()
+    with recording("flights", [arguments.what], arguments.record):
+        if arguments.what == "rendered":
+            rendered(arguments.cache, arguments.flights)
+        elif arguments.what == "cost":
+            cost(arguments.photographs)
+        else:
+            {"chia": chia, "oblique": oblique, "outlines": outlines}[arguments.what](arguments.data, arguments.cache)
+
+
+if __name__ == "__main__":
+    main()
