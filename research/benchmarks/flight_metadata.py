@@ -122,7 +122,8 @@ def with_camera(
 
 def row(label: str, record: FlightEstimate, truth: dict[str, float]) -> str:
     """A row of a table: usable photographs, their errors, and the reasons of each component."""
-    usable, others = [], []
+    usable: list[float] = []
+    others: list[float] = []
     for each in record.photographs:
         if each.gsd_m_per_px is not None:
             error = each.gsd_m_per_px / truth[each.photograph] - 1

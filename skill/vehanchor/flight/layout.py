@@ -13,6 +13,23 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+_STEPS = 8  # of the reweighted least squares
+_HEADING_REACH = 0.15  # of a unit vector: turns beyond lose weight
+_PLACE_REACH = 0.1  # of a photograph's diagonal: shifts beyond lose weight; walls and roofs cause smaller ones
+
+
+class Layout(NamedTuple):
+    """Layout of a component.
+
+    Attributes:
+        centres: ``[m]`` in pixels of the reference, x to the right as real and y down as imaginary part; the reference
+            is at 0.
+        off: ``[s]`` distance of each seam's shift to the shift in the layout, in diagonals of a photograph.
+    """
+
+    centres: NDArray[np.complex128]
+    off: NDArray[np.float64]
+
 
 class Seam(NamedTuple):
     """Two overlapping photographs of a component.
@@ -32,8 +49,8 @@ class Seam(NamedTuple):
 
 def lay_out(
     centres: NDArray[np.float64], offsets: NDArray[np.float64], reference: int, seams: Sequence[Seam]
-) -> NDArray[np.complex128]:
-    """Lay out the photographs of a component by their overlaps.
+) -> Layout:
+    """Lay out the photographs of a component by their overlaps; single wrong overlaps have little weight.
 
     Args:
         centres: ``[m, 2]`` x, y of each centre in the photograph's own pixels.
@@ -42,11 +59,11 @@ def lay_out(
         seams: overlaps that link all members.
 
     Returns:
-        ``[m]`` centres, x to the right as real and y down as imaginary part; the reference is at 0.
+        The layout.
     """
     m = len(centres)
     if not seams:
-        return np.zeros(m, np.complex128)
+        return Layout(np.zeros(m, np.complex128), np.zeros(0))
     first = np.array([seam.first for seam in seams])
     second = np.array([seam.second for seam in seams])
     weight = np.array([seam.weight for seam in seams], dtype=np.float64)
@@ -54,12 +71,20 @@ def lay_out(
     shift = np.array([seam.turn[0, 2] + 1j * seam.turn[1, 2] for seam in seams])
     # a_first = a_second * turn, rotations only: the graph of scales gives better lengths
     unit = factor / np.abs(factor)
-    headings = _tied(m, first, second, np.ones(len(seams)), unit, np.zeros(len(seams)), weight, reference, 1.0)
-    headings /= np.maximum(np.abs(headings), 1e-9)
     own = centres[:, 0] + 1j * centres[:, 1]
-    apart = headings[second] * np.exp(offsets[second]) * (factor * own[first] + shift - own[second])
-    ones = np.ones(len(seams))
-    return _tied(m, first, second, ones, ones, apart, weight, reference, 0.0)
+    diagonal = np.abs(own) * np.exp(offsets)
+    reach = diagonal[first] + diagonal[second]  # mean of the two diagonals: centres are halves
+    ones, nowhere = np.ones(len(seams)), np.zeros(len(seams))
+    trust = weight
+    for _ in range(_STEPS):
+        headings = _tied(m, first, second, ones, unit, nowhere, trust, reference, 1.0)
+        headings /= np.maximum(np.abs(headings), 1e-9)
+        apart = headings[second] * np.exp(offsets[second]) * (factor * own[first] + shift - own[second])
+        laid = _tied(m, first, second, ones, ones, apart, trust, reference, 0.0)
+        turned = np.abs(headings[first] - unit * headings[second])
+        off = np.abs(laid[first] - laid[second] - apart) / reach
+        trust = weight / ((1 + (turned / _HEADING_REACH) ** 2) * (1 + (off / _PLACE_REACH) ** 2)) ** 2
+    return Layout(laid, off)
 
 
 def _tied(

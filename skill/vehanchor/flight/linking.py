@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -25,10 +26,12 @@ if TYPE_CHECKING:
 
     from vehanchor.flight.components import Component
     from vehanchor.flight.features import Features
-    from vehanchor.flight.graph import Solution, Subgraph
+    from vehanchor.flight.graph import Subgraph
     from vehanchor.flight.matching import Match
     from vehanchor.flight.photograph import Photograph
 
+_MOST_MISPLACED = 0.3  # of a photograph's diagonal: an overlap whose shift is further off is dropped
+_MOST_SOLUTIONS = 4
 _LEAST_UNARY_SD = 0.06  # of a photograph's own evidence, without errors common to the flight
 
 
@@ -59,38 +62,83 @@ def link_photographs(
     """
     rulers = photographs[0].view.options.rulers
     places = places_of([each.view.image for each in photographs]) if uses(rulers, Positions.kind) else None
-    pairs = candidate_pairs(features, places)
-    found: list[tuple[int, int, Match]] = []
-    for first, second in pairs:
-        matched = match(features[first], features[second])
-        if matched is not None:
-            found.append((first, second, matched))
-    links = [
-        Link(
-            first,
-            second,
-            matched.log_ratio,
-            matched.log_sd,
-            _from_centre(photographs[first], matched.first_at),
-            _from_centre(photographs[second], matched.second_at),
-        )
-        for first, second, matched in found
-    ]
-    solution = solve(len(photographs), links, [_unary(each) for each in photographs])
-    made = [_component(subgraph, photographs, found, solution, places) for subgraph in solution.components]
-    return LinkedFlight(
-        tuple(made),
-        tuple(
+    found = _matches(photographs, features, places)
+    unaries = [_unary(each) for each in photographs]
+    misplaced: dict[int, float] = {}
+    for _ in range(_MOST_SOLUTIONS):
+        kept = [number for number in range(len(found)) if number not in misplaced]
+        solution = solve(len(photographs), [_link(found[number], photographs) for number in kept], unaries)
+        used = [number for number, agrees in zip(kept, solution.used, strict=True) if agrees]
+        components: list[Component] = []
+        wrong: dict[int, float] = {}
+        for subgraph in solution.components:
+            inside = set(subgraph.members.tolist())
+            numbers = [number for number in used if found[number].first in inside]
+            component, off = _component(subgraph, photographs, [found[number] for number in numbers], places)
+            components.append(component)
+            wrong |= {number: far for number, far in zip(numbers, off.tolist(), strict=True) if far > _MOST_MISPLACED}
+        if not wrong:
+            break
+        misplaced |= wrong
+    off_ratio = dict(zip(kept, solution.residuals.tolist(), strict=True))
+    links = []
+    for number, (first, second, matched) in enumerate(found):
+        dropped = None
+        if number in misplaced:
+            dropped = f"its shift is {misplaced[number]:.1f} photographs off the shift by the other overlaps"
+        elif number not in used:
+            dropped = contradiction(off_ratio[number])
+        links.append(
             FlightLink(
                 first=photographs[first].name,
                 second=photographs[second].name,
                 ratio=math.exp(matched.log_ratio),
                 ratio_log_sd=matched.log_sd * solution.inflation,
                 n_matches=matched.n,
-                dropped=None if used else contradiction(float(residual)),
+                dropped=dropped,
             )
-            for (first, second, matched), used, residual in zip(found, solution.used, solution.residuals, strict=True)
-        ),
+        )
+    return LinkedFlight(tuple(components), tuple(links))
+
+
+class _Overlap(NamedTuple):
+    """Two photographs with a match."""
+
+    first: int
+    second: int
+    match: Match
+
+
+def _matches(
+    photographs: Sequence[Photograph], features: Sequence[Features], places: NDArray[np.float64] | None
+) -> list[_Overlap]:
+    """Match the candidate pairs, on the ground plane of tilted photographs."""
+    pairs = candidate_pairs(features, places)
+    above = [_rectified(photograph, own) for photograph, own in zip(photographs, features, strict=True)]
+    matched = (
+        _Overlap(first, second, found) for first, second in pairs if (found := match(above[first], above[second]))
+    )
+    return list(matched)
+
+
+def _rectified(photograph: Photograph, features: Features) -> Features:
+    """Move the features of a tilted photograph to a nadir view with the scale of its centre."""
+    view = photograph.view
+    if view.tilt is None or not len(features):
+        return features
+    centre = np.array([view.image.width_px, view.image.height_px]) / 2
+    return replace(features, points=view.tilt.plane(view.image).from_above(features.points) + centre)
+
+
+def _link(overlap: _Overlap, photographs: Sequence[Photograph]) -> Link:
+    first, second, matched = overlap
+    return Link(
+        first,
+        second,
+        matched.log_ratio,
+        matched.log_sd,
+        _from_centre(photographs[first], matched.first_at),
+        _from_centre(photographs[second], matched.second_at),
     )
 
 
@@ -110,29 +158,21 @@ def _unary(photograph: Photograph) -> Unary | None:
 
 
 def _component(
-    subgraph: Subgraph,
-    photographs: Sequence[Photograph],
-    found: Sequence[tuple[int, int, Match]],
-    solution: Solution,
-    places: NDArray[np.float64] | None,
-) -> Component:
+    subgraph: Subgraph, photographs: Sequence[Photograph], found: Sequence[_Overlap], places: NDArray[np.float64] | None
+) -> tuple[Component, NDArray[np.float64]]:
+    """Make a component, and the distance of each overlap's shift to its layout."""
     members = subgraph.members
     own = [photographs[place] for place in members]
     reference = chief_member(own)
-    inside = set(members.tolist())
     at = {int(place): local for local, place in enumerate(members)}
-    seams = [
-        Seam(at[first], at[second], matched.turn, float(matched.n))
-        for (first, second, matched), used in zip(found, solution.used, strict=True)
-        if used and first in inside
-    ]
+    seams = [Seam(at[first], at[second], matched.turn, float(matched.n)) for first, second, matched in found]
     centres = np.array([(each.view.image.width_px / 2, each.view.image.height_px / 2) for each in own])
     offsets = subgraph.log_scales - subgraph.log_scales[reference]
-    layout = lay_out(centres, offsets, reference, seams)
+    layout, off = lay_out(centres, offsets, reference, seams)
     extra = None
     if places is not None:
         extra = baseline(layout, places[members], float(own[reference].view.image.width_px))
-    return Component(
+    component = Component(
         members,
         subgraph.log_scales,
         subgraph.sds_from(reference),
@@ -141,3 +181,4 @@ def _component(
         positions_evidence(extra),
         layout,
     )
+    return component, off

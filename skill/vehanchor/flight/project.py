@@ -39,7 +39,7 @@ def estimate_in_flight(flight: FlightEstimate, photograph: FlightPhotograph) -> 
             "confidence": photograph.confidence,
             "scale": photograph.scale,
             "p_within_20": pooled.p_within_20,
-            "reason": pooled.reason or ("imprecise" if photograph.status == "low_confidence" else None),
+            "reason": photograph.reason,
             "leading_ruler": pooled.leading_ruler,
             "rulers": tuple(_in_pixels(ruler, ratio) for ruler in pooled.rulers),
             "tilt": own_tilt and with_scale(own_tilt, photograph.own, photograph.gsd_m_per_px),

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from vehanchor.analysis.pipeline import model_id
+from vehanchor.flight.advice import carried_advice, component_advice
 from vehanchor.flight.heights import ground_below, heights_evidence
 from vehanchor.flight.pooling import pool
-from vehanchor.records import FlightComponent, FlightEstimate, FlightPhotograph, FlightRuler, KnownScale
+from vehanchor.flight.sorties import number_sorties
+from vehanchor.records import FlightComponent, FlightEstimate, FlightPhotograph, FlightRuler, KnownScale, Notice
+from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.positions import Positions, places_of
 from vehanchor.rulers.registry import uses
 from vehanchor.rulers.vehicles import Vehicles
@@ -20,7 +24,7 @@ from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE, UNSURE_CONFIDENCE, W
 from vehanchor.tilt.camera_tilt import known_plane
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -28,8 +32,9 @@ if TYPE_CHECKING:
     from vehanchor.detection.card import DetectorCard
     from vehanchor.errors import VehAnchorError
     from vehanchor.flight.components import Component
+    from vehanchor.flight.heights import Ground
     from vehanchor.flight.photograph import Photograph
-    from vehanchor.records import FlightLink, GsdEstimate, Status
+    from vehanchor.records import FlightLink, GsdEstimate, Reason, Status
 
 _MOST_RULERS = 4  # listed per photograph
 
@@ -75,26 +80,29 @@ def conclude_flight(
     Returns:
         The record.
     """
-    positions = _positions(results)
+    positions, sorties = _positions(results), _sorties(results)
     photographs: dict[int, FlightPhotograph] = {
         place: _failed(each) for place, each in enumerate(results) if isinstance(each, Failure)
     }
     pooled_components = []
-    for number, (component, pooled) in enumerate(_pooled(results, components)):
+    for number, (component, pooled) in enumerate(_pooled(results, components, sorties)):
         members = _members(results, component)
         estimate = pooled.estimate
+        advice = component_advice(estimate, unlinked=len(component) == 1 < len(sorties) and not same_scale)
         pooled_components.append(
             FlightComponent(
                 number=number,
                 n_photographs=len(component),
                 reference=members[component.reference].name,
                 pooled=estimate,
+                advice=advice,
             )
         )
         rulers = _supporting_rulers(members, component, pooled)
         for place, at in enumerate(component.members):
-            found = _photograph(members[place], component, place, number, estimate, rulers[place])
-            photographs[int(at)] = found.model_copy(update=_place(component, place, estimate, positions.get(int(at))))
+            found = _photograph(members[place], component, place, pooled_components[-1], rulers[place])
+            where = _place(component, place, estimate, positions.get(int(at)))
+            photographs[int(at)] = found.model_copy(update={**where, "sortie": sorties[int(at)]})
     ordered = tuple(photographs[place] for place in range(len(results)))
     whole = pooled_components[0].pooled if same_scale else None
     return FlightEstimate(
@@ -110,7 +118,7 @@ def conclude_flight(
         links=tuple(links),
         model=card.name,
         model_sha256=card.sha256,
-        warnings=whole.warnings if whole else (),
+        warnings=(*whole.warnings, *_several_sorties(sorties.values())) if whole else (),
     )
 
 
@@ -119,25 +127,55 @@ def _members(results: Sequence[Photograph | Failure], component: Component) -> l
 
 
 def _pooled(
-    results: Sequence[Photograph | Failure], components: Sequence[Component]
+    results: Sequence[Photograph | Failure], components: Sequence[Component], sorties: Mapping[int, int]
 ) -> list[tuple[Component, ScaleAnalysis]]:
-    """Pool each component; one without evidence takes the height of the ground below the others."""
-    found, grounds = [], []
+    """Pool each component; one without evidence takes the height of the ground below others of its sortie."""
+    found: list[tuple[Component, ScaleAnalysis]] = []
+    grounds: dict[int, list[Ground]] = {}
     for component in components:
         members = _members(results, component)
         pooled = pool(members, component.log_scales, component.reference, component.extra)
         found.append((component, pooled))
         if uses(members[0].view.options.rulers, Positions.kind):
-            grounds.append(ground_below(members, component.offsets, pooled.estimate))
-    known = [ground for ground in grounds if ground is not None]
-    for place, (component, pooled) in enumerate(found if known else ()):
+            sortie = sorties[int(component.members[component.reference])]
+            ground = ground_below(*_of_sortie(sortie, component, members, sorties), pooled.estimate)
+            grounds.setdefault(sortie, []).extend([] if ground is None else [ground])
+    for place, (component, pooled) in enumerate(found if any(grounds.values()) else ()):
         if pooled.estimate.gsd_m_per_px is None:
             members = _members(results, component)
-            by_height = replace(
-                component, extra=(*component.extra, *heights_evidence(known, members, component.offsets))
-            )
+            sortie = sorties[int(component.members[component.reference])]
+            heights = heights_evidence(grounds.get(sortie, []), *_of_sortie(sortie, component, members, sorties))
+            by_height = replace(component, extra=(*component.extra, *heights))
             found[place] = by_height, pool(members, component.log_scales, component.reference, by_height.extra)
     return found
+
+
+def _of_sortie(
+    sortie: int, component: Component, members: Sequence[Photograph], sorties: Mapping[int, int]
+) -> tuple[list[Photograph], NDArray[np.float64]]:
+    """Select the members of one sortie, whose altitudes have one zero, and their offsets."""
+    inside = np.array([sorties[int(place)] == sortie for place in component.members])
+    return [member for member, chosen in zip(members, inside, strict=True) if chosen], component.offsets[inside]
+
+
+def _sorties(results: Sequence[Photograph | Failure]) -> dict[int, int]:
+    """Number the sorties of the usable photographs, by index of the photograph."""
+    usable = [(place, result) for place, result in enumerate(results) if not isinstance(result, Failure)]
+    numbers = number_sorties([result.view.image for _, result in usable])
+    return {place: number for (place, _), number in zip(usable, numbers, strict=True)}
+
+
+def _several_sorties(numbers: Iterable[int]) -> tuple[Notice, ...]:
+    """Warn if photographs of a stated common scale are of several sorties."""
+    sizes = Counter(numbers)
+    if len(sizes) < 2:
+        return ()
+    counts = " and ".join(str(sizes[number]) for number in sorted(sizes))
+    message = (
+        f"By camera and time, these are {len(sizes)} sorties of {counts} photographs. Pool them only if all have the "
+        "same scale; otherwise give each sortie alone, or leave out same_scale."
+    )
+    return (Notice(code=NoticeCode.SEVERAL_SORTIES, message=message),)
 
 
 def _positions(results: Sequence[Photograph | Failure]) -> dict[int, tuple[float, float]]:
@@ -175,6 +213,9 @@ def _failed(failure: Failure) -> FlightPhotograph:
         gsd_ci95_low_m_per_px=None,
         gsd_ci95_high_m_per_px=None,
         confidence=None,
+        reason=None,
+        advice=None,
+        sortie=None,
         component=None,
         supported_by=(),
         scale=None,
@@ -191,11 +232,12 @@ def _photograph(
     photograph: Photograph,
     component: Component,
     place: int,
-    number: int,
-    pooled: GsdEstimate,
+    record: FlightComponent,
     rulers: tuple[FlightRuler, ...],
 ) -> FlightPhotograph:
     """Convert the scale of a component to one of its photographs."""
+    pooled, advice = record.pooled, record.advice
+    reason: Reason | None = pooled.reason
     gsd = low = high = None
     status, confidence = pooled.status, pooled.confidence
     if pooled.gsd_m_per_px is not None:
@@ -207,7 +249,9 @@ def _photograph(
             low, high = gsd * math.exp(-math.hypot(down, carried)), gsd * math.exp(math.hypot(up, carried))
             if high > WIDEST_USABLE * low:
                 confidence = min(confidence, UNSURE_CONFIDENCE)
-        status = "ok" if status == "ok" and confidence >= FALLBACK_CONFIDENCE else "low_confidence"
+        if status == "ok" and confidence < FALLBACK_CONFIDENCE:
+            status, reason = "low_confidence", "imprecise"
+            advice = carried_advice(len(rulers[0].through) + 1 if rulers else 1)
     return FlightPhotograph(
         photograph=photograph.name,
         status=status,
@@ -215,7 +259,10 @@ def _photograph(
         gsd_ci95_low_m_per_px=low,
         gsd_ci95_high_m_per_px=high,
         confidence=confidence,
-        component=number,
+        reason=reason,
+        advice=advice,
+        sortie=None,
+        component=record.number,
         supported_by=rulers,
         scale=_given_back(photograph, gsd, low, high, confidence),
         east_m=None,

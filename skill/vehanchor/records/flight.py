@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from vehanchor.records.gsd_estimate import GsdEstimate, Status
+from vehanchor.records.gsd_estimate import GsdEstimate, Reason, Status
 from vehanchor.records.known_scale import KnownScale
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
@@ -34,6 +34,11 @@ class FlightPhotograph(Record):
     gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
     gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
     confidence: float | None = Field(ge=0, le=1, description="Confidence in the scale; null if unreadable.")
+    reason: Reason | None = Field(description="Why the scale is not usable; null for ok and for an error.")
+    advice: str | None = Field(description="The problem and a remedy, one sentence; null for ok and for an error.")
+    sortie: int | None = Field(
+        description="Number of its sortie: one camera, no pause of more than 20 minutes; null if unreadable."
+    )
     component: int | None = Field(description="Number of its component; null if unreadable.")
     supported_by: tuple[FlightRuler, ...] = Field(description="Rulers behind its scale, the strongest first.")
     scale: KnownScale | None = Field(
@@ -57,6 +62,7 @@ class FlightComponent(Record):
     n_photographs: int = Field(ge=1, description="Number of its photographs.")
     reference: str = Field(description="The photograph whose pixels all evidence is converted to.")
     pooled: GsdEstimate = Field(description="Scale of the reference from all evidence of the component.")
+    advice: str | None = Field(description="If that scale is not usable, the problem and a remedy; null for ok.")
 
 
 class FlightLink(Record):

@@ -40,6 +40,7 @@ class NoticeCode(StrEnum):
     FOCAL_LENGTH_MISSING = "focal_length_missing"
     # of a flight
     NOT_LINKED = "not_linked"
+    SEVERAL_SORTIES = "several_sorties"
     # of the mask
     MASK_EMPTY = "mask_empty"
     MASK_SCORE_LOW = "mask_score_low"

@@ -126,6 +126,7 @@ class CameraMetadata:
         latitude_deg: latitude, positive to the north.
         longitude_deg: longitude, positive to the east.
         altitude_m: metres above sea level.
+        taken_at: local time of the photograph, as EXIF writes it (2025:10:05 16:40:31); empty if unknown.
         refused: why the metadata were refused, as a clause; empty if they were read.
     """
 
@@ -146,6 +147,7 @@ class CameraMetadata:
     longitude_deg: float | None = None
     altitude_m: float | None = None
     roll_deg: float | None = None
+    taken_at: str = ""
     refused: str = ""
 
 
@@ -195,6 +197,7 @@ def _combine(tags: ExifTags, properties: Mapping[tuple[str, str], str], refused:
         digital_zoom=_float(tags.get("DigitalZoomRatio")) or 1.0,  # 0 is "not used"
         roll_deg=_gimbal_roll(properties),
         **_position(tags),
+        taken_at=_text(tags.get("DateTimeOriginal")),
         refused=refused,
     )
 

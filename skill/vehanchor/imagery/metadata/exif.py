@@ -24,6 +24,7 @@ _NAMES = {
     0x010F: "Make",
     0x0110: "Model",
     0x02BC: "ApplicationNotes",  # XMP, in a TIFF
+    0x9003: "DateTimeOriginal",
     0x920A: "FocalLength",
     0xA002: "PixelXDimension",
     0xA003: "PixelYDimension",

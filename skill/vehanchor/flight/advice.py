@@ -1,0 +1,46 @@
+"""Advice for photographs and components of a flight without a usable scale."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from vehanchor.records.advice import Advice, advice_for
+
+if TYPE_CHECKING:
+    from vehanchor.records import GsdEstimate
+
+
+def component_advice(pooled: GsdEstimate, *, unlinked: bool) -> str | None:
+    """Give the advice for a component; None if its scale is usable.
+
+    Args:
+        pooled: its scale.
+        unlinked: whether it is a single photograph of a flight with more.
+    """
+    advice = advice_for(pooled)
+    if advice is None:
+        return None
+    if unlinked:
+        advice = Advice(
+            f"{advice.why}, and no other photograph overlaps it", f"{advice.helps}; or fly with more overlap"
+        )
+    return _sentence(advice)
+
+
+def carried_advice(n_between: int) -> str:
+    """Give the advice for a photograph whose interval is too wide because its scale comes from far away.
+
+    Args:
+        n_between: photographs between it and the nearest ruler.
+    """
+    distance = f"{n_between} photographs away" if n_between > 1 else "in another photograph"
+    return _sentence(
+        Advice(
+            f"the nearest ruler is {distance}, and the overlaps in between widen the interval",
+            "add photographs between them, or give the height",
+        )
+    )
+
+
+def _sentence(advice: Advice) -> str:
+    return f"{advice.why[0].upper()}{advice.why[1:]}: {advice.helps}."
