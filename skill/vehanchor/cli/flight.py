@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
+from collections.abc import Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
@@ -26,7 +28,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.records.digits import significant
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping
 
     from rich.table import Table
 
@@ -35,7 +37,8 @@ if TYPE_CHECKING:
     from vehanchor.records import FlightEstimate, FlightPhotograph
 
 _EVERY_S = 2.0
-_MOST_NAMED = 3  # dropped links in the table
+_MOST_NAMED = 3  # dropped links, photographs with one advice
+_STATUSES = {"ok": "ok", "low_confidence": "low", "no_scale": "none", "error": "error"}
 
 
 ReportFile: TypeAlias = Annotated[
@@ -85,7 +88,9 @@ def flight(
             check_report_path(page)
         limits = chosen.options().reading.limits
         images = _images(inputs, every, limits, () if out is None else (out,))
-        with image_progress() as progress, _kept(journal):
+        last = "pooling the evidence of" if same_scale else "linking"
+        counted = isinstance(images, Sequence)  # the length of a video is unknown
+        with image_progress(lambda done, n: last if counted and done == n else "searching") as progress, _kept(journal):
             record = engine.flight(images, same_scale=same_scale, journal=journal, progress=progress)
         if out is not None:
             write_record(out, record)
@@ -102,9 +107,10 @@ def _tell(record: FlightEstimate, *, as_json: bool) -> None:
 
     folder, names = under_one_folder([each.photograph for each in record.photographs])
     where = f" in {folder}" if folder else ""
-    print_table(facts_table(f"{len(record.photographs)} photographs{where}", _facts(record)))
+    short = {each.photograph: name for each, name in zip(record.photographs, names, strict=True)}
+    print_table(facts_table(f"{len(record.photographs)} photographs{where}", _facts(record, short)))
     if not record.same_scale:
-        print_table(_photographs_table(record.photographs, names))
+        print_table(_photographs_table(record.photographs, short))
     print_warnings(record, "")
 
 
@@ -133,7 +139,7 @@ def _kept(journal: Path | None) -> Iterator[None]:
         raise typer.Exit(INTERRUPTED) from None
 
 
-def _facts(record: FlightEstimate) -> list[tuple[str, str]]:
+def _facts(record: FlightEstimate, short: Mapping[str, str]) -> list[tuple[str, str]]:
     facts = []
     if record.same_scale:
         low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
@@ -149,42 +155,53 @@ def _facts(record: FlightEstimate) -> list[tuple[str, str]]:
         dropped = [link for link in record.links if link.dropped]
         facts.append(("overlaps", f"{len(record.links) - len(dropped)} used, {len(dropped)} dropped"))
         for link in dropped[:_MOST_NAMED]:
-            facts.append(("dropped", f"{link.first} and {link.second}: {link.dropped}"))
-    failed = [each.photograph for each in record.photographs if each.status == "error"]
-    if failed:
-        facts.append(("not readable", ", ".join(failed)))
+            facts.append(("dropped", f"{short[link.first]} and {short[link.second]}: {link.dropped}"))
+    sorties = Counter(each.sortie for each in record.photographs if each.sortie is not None)
+    if len(sorties) > 1:
+        facts.append(("sorties", f"{' and '.join(map(str, sorties.values()))} photographs, by camera and time"))
+    advice: dict[str, list[str]] = {}
+    for each in record.photographs:
+        remedy = each.advice if each.error is None else f"Not readable: {each.error}"
+        if remedy is not None:
+            advice.setdefault(remedy, []).append(short[each.photograph])
+    facts += [("not usable", f"{_names(names)}. {remedy}") for remedy, names in advice.items()]
     return facts
 
 
-def _photographs_table(photographs: Sequence[FlightPhotograph], names: Sequence[str]) -> Table:
+def _names(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return ", ".join(names[:_MOST_NAMED]) + more
+
+
+def _photographs_table(photographs: Sequence[FlightPhotograph], short: Mapping[str, str]) -> Table:
     from rich import box
     from rich.table import Table
     from rich.text import Text
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("photograph", overflow="fold")
-    for heading in ("m/px", "95 %", "confidence"):
+    for heading in ("m/px", "95 %", "conf."):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("supported by", overflow="fold")
     table.add_column("status", no_wrap=True)
-    for each, name in zip(photographs, names, strict=True):
+    for each in photographs:
         low, high = each.gsd_ci95_low_m_per_px, each.gsd_ci95_high_m_per_px
         table.add_row(
-            Text(printable(name)),
+            Text(printable(short[each.photograph])),
             "-" if each.gsd_m_per_px is None else significant(each.gsd_m_per_px, 4),
-            "-" if low is None or high is None else f"{significant(low, 4)} to {significant(high, 4)}",
+            "-" if low is None or high is None else f"{significant(low)} to {significant(high)}",
             "-" if each.confidence is None else f"{each.confidence:.2f}",
-            Text(printable(_support(each))),
-            each.status if each.error_code is None else f"error: {each.error_code}",
+            Text(printable(_support(each, short))),
+            _STATUSES[each.status],
         )
     return table
 
 
-def _support(photograph: FlightPhotograph) -> str:
+def _support(photograph: FlightPhotograph, short: Mapping[str, str]) -> str:
     if not photograph.supported_by:
         return "-"
     first = photograph.supported_by[0]
     if first.photograph == photograph.photograph:
-        return f"{first.ruler} of its own"
+        return f"its own {first.ruler}"
     between = f" through {len(first.through)} more" if first.through else ""
-    return f"{first.ruler} of {Path(first.photograph).name}{between}"
+    return f"{first.ruler} of {short[first.photograph]}{between}"

@@ -183,15 +183,28 @@ def print_warnings(
 
 
 @contextmanager
-def image_progress() -> Iterator[Callable[[int, int], None]]:
-    """Report finished images on stderr: a bar on a terminal, a line now and then in a log."""
+def image_progress(work: Callable[[int, int], str] | None = None) -> Iterator[Callable[[int, int], None]]:
+    """Report finished images on stderr: a bar on a terminal, a line now and then in a log.
+
+    Args:
+        work: names the present work by the numbers of finished and of all images; None for no name.
+    """
+    name = work or (lambda _done, _total: "")
     if not sys.stderr.isatty():
-        yield seldom(lambda done, total: f"{done} of {total} images", sys.stderr)
+        yield seldom(lambda done, total: f"{name(done, total)} {done} of {total} images".lstrip(), sys.stderr)
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
-    columns = (MofNCompleteColumn(), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    named = (TextColumn("{task.description}"),) if work else ()
+    columns = (*named, MofNCompleteColumn(), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
         task = bar.add_task("", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+        yield lambda done, total: bar.update(task, completed=done, total=total, description=name(done, total))

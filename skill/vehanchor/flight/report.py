@@ -104,7 +104,7 @@ def _components(record: FlightEstimate, short: Mapping[str, str]) -> str:
                 short[component.reference],
                 scale,
                 rulers,
-                pooled.status,
+                _status(pooled.status, component.advice),
             )
         )
     heads = ("component", "photographs", "reference", "scale of the reference", "rulers", "status")
@@ -119,12 +119,16 @@ def _photographs(photographs: Sequence[FlightPhotograph], short: Mapping[str, st
             "-" if each.confidence is None else f"{each.confidence:.2f}",
             "-" if each.component is None else str(each.component),
             "; ".join(_ruler(ruler, each) for ruler in each.supported_by) or "-",
-            each.status if each.error is None else f"{each.error_code}: {each.error}",
+            _status(each.status, each.advice) if each.error is None else f"{each.error_code}: {each.error}",
         )
         for each in photographs
     ]
     heads = ("photograph", "scale", "confidence", "component", "supported by", "status")
     return f"<h2>Photographs</h2>{_table(heads, rows)}"
+
+
+def _status(status: str, advice: str | None) -> str:
+    return status if advice is None else f"{status}: {advice}"
 
 
 def _ruler(ruler: FlightRuler, of: FlightPhotograph) -> str:

@@ -51,8 +51,20 @@ def test_json_is_the_record_and_nothing_else(run: Any, tmp_path: Path) -> None:
 
 def test_photographs_of_unknown_ratio_each_have_a_line(run: Any) -> None:
     done = run("flight", "0.png", "2.png")
-    assert "vehicles of its own" in done.stdout
-    assert "no_scale" in done.stdout
+    assert "its own vehicles" in done.stdout
+    assert "no other photograph overlaps it" in " ".join(done.stdout.split())
+
+
+def test_tables_fit_a_terminal_of_80_columns(run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    (tmp_path / "not_a_photograph.jpg").write_text("text")
+    for number in range(4):
+        (tmp_path / f"{number}.png").rename(tmp_path / f"a_survey_of_the_northern_fields_{number}.png")
+    done = run("flight", ".")
+    assert done.exit_code == 0, done.output
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    assert "\u2026" not in done.stdout
+    assert {"none", "error"} <= set(done.stdout.split())
 
 
 @pytest.mark.parametrize("out", ["flight.txt", "nowhere/flight.json"])

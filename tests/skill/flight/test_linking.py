@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from vehanchor.flight.photograph import Photograph, StoredPhotograph
 from vehanchor.flight.record import conclude_flight
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
+from vehanchor.tilt.camera_tilt import CameraTilt
 
 WORLD, OTHER = ground(seed=5), ground(seed=6)
 GROUND_M_PER_PX = 0.1
@@ -145,3 +147,33 @@ def test_positions_of_another_flight_are_no_ruler(seen: list[Features]) -> None:
     for number, place in enumerate(places):
         flight[number] = _photograph(str(number), facts_at(*place), np.zeros(0))
     assert link_photographs(flight, seen).components[0].extra == ()
+
+
+def test_an_overlap_with_a_copy_of_the_ground_elsewhere_is_dropped() -> None:
+    copied = WORLD.copy()
+    copied[650:950, 1200:1500] = photograph_of(WORLD, 250, 800, scale=0.92, side_px=300)
+    seen = [features_of(photograph_of(copied, x, 800)) for x in range(250, 1351, 157)]
+    flight = [_photograph(str(number), ImageFacts(500, 500), np.zeros(0)) for number in range(len(seen))]
+    linked = link_photographs(flight, seen)
+    (component,) = linked.components
+    dropped = {(link.first, link.second): link.dropped for link in linked.links if link.dropped is not None}
+    assert "off the shift by the other overlaps" in dropped["0", "7"]
+    assert all((int(link.second) - int(link.first) > 3) == (link.dropped is not None) for link in linked.links)
+    assert np.exp(component.offsets) == pytest.approx(np.ones(len(seen)), abs=0.01)
+
+
+def test_photographs_of_one_height_and_tilt_have_one_scale() -> None:
+    tilt = CameraTilt(35.0, 0.0, 700.0, "metadata")
+    plane = tilt.plane(ImageFacts(500, 500))
+    corners = np.array([(0.0, 0.0), (500.0, 0.0), (500.0, 500.0), (0.0, 500.0)])
+    flight, seen = [], []
+    for number, y in enumerate((900.0, 800.0, 700.0)):
+        there = plane.from_above(corners) + np.array([800.0, y])
+        move = cv2.getPerspectiveTransform(there.astype(np.float32), corners.astype(np.float32))
+        seen.append(features_of(np.asarray(cv2.warpPerspective(WORLD, move, (500, 500)), dtype=np.uint8)))
+        stored = StoredPhotograph(ImageFacts(500, 500), sighting_of(np.zeros(0)), 1.0, (), tilt=tilt)
+        flight.append(Photograph.of(str(number), stored, made_card(5.0), ScaleOptions()))
+    (component,) = link_photographs(flight, seen).components
+    assert np.exp(component.offsets) == pytest.approx(np.ones(3), abs=0.02)
+    assert component.layout is not None
+    assert np.diff(component.layout.imag) == pytest.approx([-100.0, -100.0], abs=4.0)

@@ -65,6 +65,26 @@ def test_what_is_carried_too_far_to_be_used_says_why() -> None:
     near, far = (estimate_in_flight(flight, each) for each in flight.photographs)
     assert (near.status, near.reason) == ("ok", None)
     assert (far.status, far.reason) == ("low_confidence", "imprecise")
+    assert flight.photographs[0].advice is None
+    assert flight.photographs[1].advice == (
+        "The nearest ruler is in another photograph, and the overlaps in between widen the interval: "
+        "add photographs between them, or give the height."
+    )
+
+
+def test_photographs_and_components_that_nothing_links_have_advice_of_their_own() -> None:
+    fleet = 50.0 * (1 + 0.05 * np.linspace(-1, 1, 12) ** 3)
+    photographs = [
+        _photograph("cars", ImageFacts(500, 500), sighting_of(fleet)),
+        _photograph("bare", ImageFacts(500, 400), NOTHING),
+    ]
+    components = [single_component([place], 0) for place in range(2)]
+    flight = conclude_flight(photographs, components, made_card(CAR_M), same_scale=False)
+    assert (flight.photographs[0].reason, flight.components[0].advice) == (None, None)
+    bare = flight.photographs[1]
+    assert (bare.status, bare.reason) == ("no_scale", "too_few")
+    assert bare.advice == flight.components[1].advice
+    assert "no other photograph overlaps it" in (bare.advice or "")
 
 
 def test_the_scale_of_what_was_pooled_has_its_plane() -> None:
