@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.convergence import Convergence
     from vehanchor.detection.detector import Detector
+    from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster, RasterNote
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import Frame, ScaleOptions
@@ -71,8 +72,17 @@ def analyse_raster(raster: Raster, detector: Detector, options: ScaleOptions) ->
     return analyse_detections(search_raster(raster, detector, options))
 
 
-def search_raster(raster: Raster, detector: Detector, options: ScaleOptions) -> View:
-    """Take the scene-scale prior of an open image, and search it: the first half of ``analyse_raster``."""
+def search_raster(
+    raster: Raster, detector: Detector, options: ScaleOptions, prior: SceneScalePrior | None = None
+) -> View:
+    """Take the scene-scale prior of an open image, and search it: the first half of ``analyse_raster``.
+
+    Args:
+        raster: the image.
+        detector: finds the vehicles.
+        options: of the method.
+        prior: known scene-scale prior; None takes the image's own, if it has a use.
+    """
     options.frame.check(raster.width_px, raster.height_px)
     options = options.in_pixels(raster.width_px, raster.height_px)
     rulers = active_rulers(options.rulers)
@@ -80,8 +90,9 @@ def search_raster(raster: Raster, detector: Detector, options: ScaleOptions) -> 
     tilt = metadata_tilt(facts, options)  # refuses an image with the horizon before the work
     kinds = {ruler.kind for ruler in rulers}
     weighed = detector.card.votes or Vehicles.kind not in kinds  # otherwise the prior has no use
-    network = load_scene_scale(detector.runtime) if weighed and SceneScale.kind in kinds else None
-    prior = None if network is None else network.predict(raster)
+    if prior is None and weighed and SceneScale.kind in kinds:
+        network = load_scene_scale(detector.runtime)
+        prior = None if network is None else network.predict(raster)
     resolved = partial(resolved_share, raster)
     view = View(facts, NOT_SEARCHED, detector.card, options, resolved, raster, detector.runtime, prior, tilt)
     if not any(ruler.needs_search for ruler in rulers):

@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 
 _GROUP = "vehanchor.commands"
 _PANELS = {
-    **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "rescale", "scalebar", "view"), "Measure"),
+    **dict.fromkeys(
+        ("estimate", "distance", "measure", "batch", "flight", "live", "rescale", "scalebar", "view"), "Measure"
+    ),
     **dict.fromkeys(("serve", "schemas", "skill"), "For agents"),
     **dict.fromkeys(("doctor", "models", "rulers"), "This installation"),
 }
@@ -38,6 +40,7 @@ _FIRST = (
     "measure",
     "batch",
     "flight",
+    "live",
     "rescale",
     "scalebar",
     "view",

@@ -8,7 +8,7 @@ roads.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -49,12 +49,12 @@ class SceneLevel(NamedTuple):
     """Network's prediction at one resolution.
 
     Attributes:
-        factor: reduction factor of the image.
+        factor: reduction factor of the image; a fraction in a prior that was ``scaled``.
         n_tiles: number of tiles.
         log_probs: ``[bins]`` mean of the tiles' log-probabilities; it is flat if the tiles disagree.
     """
 
-    factor: int
+    factor: float
     n_tiles: int
     log_probs: NDArray[np.float64]
 
@@ -106,6 +106,11 @@ class SceneScalePrior:
         per_log = blurred(self.density, _SIZES_LOG_SD) / (GRID[1] - GRID[0])
         odds = np.log(np.maximum(per_log * _OPEN_LOG_WIDTH, _LEAST_PROBABILITY))
         return np.asarray(np.clip(odds, -_MOST_SIZE_ODDS, _MOST_SIZE_ODDS))
+
+    def scaled(self, ratio: float) -> SceneScalePrior:
+        """Move the prior to another image of the same ground, with ``ratio`` times the metres per pixel."""
+        levels = tuple(level._replace(factor=level.factor / ratio) for level in self.levels)
+        return replace(self, levels=levels)
 
     def size_odds(self, lengths_px: ArrayLike) -> NDArray[np.float64]:
         """Compute how well lengths fit a car's length under this prior.

@@ -62,7 +62,7 @@ def sample_video(path: str, every_s: float, limits: ImageLimits | None = None) -
     step_s = Limits(above=0).check("every", every_s)
     if not Path(path).is_file():
         raise ImageNotFoundError(f"cannot open the video {path!r}: there is no such file")
-    with _opened(path) as film:
+    with opened_video(path) as film:
         rate = float(film.get(cv2.CAP_PROP_FPS))
         if not 0 < rate < 1e4:
             raise _unreadable(path)
@@ -90,8 +90,12 @@ def sample_video(path: str, every_s: float, limits: ImageLimits | None = None) -
 
 
 @contextmanager
-def _opened(path: str) -> Iterator[cv2.VideoCapture]:
-    """Open a video with the demuxer of its signature and no protocol but ``file``."""
+def opened_video(path: str) -> Iterator[cv2.VideoCapture]:
+    """Open a video with the demuxer of its signature and no protocol but ``file``.
+
+    Raises:
+        ImageDecodeError: the video cannot be read.
+    """
     demuxer = _demuxer(Path(path))
     if demuxer is None:
         raise _unreadable(path)

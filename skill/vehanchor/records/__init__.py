@@ -18,6 +18,7 @@ from vehanchor.records.gsd_estimate import (
     TiltEstimate,
 )
 from vehanchor.records.known_scale import KnownPlane, KnownScale
+from vehanchor.records.live import LiveScale
 from vehanchor.records.measurement import ScaleSource
 from vehanchor.records.model_scale import ModelPhotograph, ModelRuler, ModelScale
 from vehanchor.records.notices import Notice
@@ -40,6 +41,7 @@ __all__ = [
     "ImagePoint",
     "KnownPlane",
     "KnownScale",
+    "LiveScale",
     "ModelPhotograph",
     "ModelRuler",
     "ModelScale",
