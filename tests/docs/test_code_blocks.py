@@ -34,9 +34,10 @@ def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Our examples, a photograph, a flight, a survey of known scale, and a model at 92 % of its size."""
+    """Our examples, a photograph of known scale, a flight, a survey, and a model at 92 % of its size."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     shutil.copy(ROOT / "examples/car_park.jpg", tmp_path / "photo.jpg")
+    (tmp_path / "home.csv").write_text("file,gsd_m_per_px\nphoto.jpg,0.12\n")
     (tmp_path / "flight").mkdir()
     for name in ("safe.jpg", "no_cars.jpg"):
         shutil.copy(ROOT / "examples/scenes" / name, tmp_path / "flight")
@@ -76,7 +77,7 @@ def _run(command: str, document: Path) -> None:
 def test_it_runs(document: Path, request: pytest.FixtureRequest) -> None:
     request.getfixturevalue("clone" if document.name == "README.md" else "folder")
     for block in blocks(document):
-        if block.reason is not None or block.language == "text":  # text is what something printed
+        if block.reason is not None or block.language in {"text", "toml"}:  # what something printed, and settings
             continue
         if block.language == "python":
             exec(compile(block.text, f"{document.name}: {block.text.splitlines()[0]}", "exec"), {})
