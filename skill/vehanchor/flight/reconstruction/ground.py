@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,10 @@ _LEAST_POINTS = 20
 _MOST_POINTS = 4000  # for a fit
 _TRIALS = 400
 _SEED = 5
+_LEAST_CROSS = 1e-12  # three points in a line
 _THICKNESS = 0.015  # of the ground, as a share of the cameras' height above it
+_LOWER_SHARE = 0.2  # a plane below another is the ground if it has this share of its points: roofs are planes too
+_WHOLE_SHARE = 0.6  # the model's plane holds for a picture in which it has this share of the points of the own plane
 _STEEPEST = 0.26  # slope of the ground below one shot against that of the whole model: 15 degrees
 _NEAREST = 12  # points around an object
 _AROUND = 0.25  # they lie no farther away than this share of the camera's height
@@ -53,10 +57,9 @@ def model_plane(model: Reconstruction) -> Plane:
     if len(points) < _LEAST_POINTS:
         raise ReconstructionError(f"the model has {len(points)} points, too few for its ground: give the whole project")
     distance = float(np.median(np.linalg.norm(points - np.median(centres, axis=0), axis=1)))
-    found = _most_common(points, _THICKNESS * distance)
-    if np.median(found.heights(centres)) < 0:
-        found = Plane(-found.normal, -found.offset)
-    return found
+    thickness = _THICKNESS * distance
+    found = _upwards(_most_common(points, thickness), np.median(centres, axis=0))
+    return _lowest(found, points, thickness, found)
 
 
 def plane_below(shot: Shot, points: NDArray[np.float64], whole: Plane) -> Plane:
@@ -68,7 +71,7 @@ def plane_below(shot: Shot, points: NDArray[np.float64], whole: Plane) -> Plane:
         whole: plane of the model.
 
     Returns:
-        The fitted plane; that of the model if the picture has too few points or a steep face.
+        The plane of the model if it holds here, or if the picture has too few points; else the fitted one.
 
     Raises:
         ReconstructionError: the camera is not above the ground.
@@ -79,11 +82,10 @@ def plane_below(shot: Shot, points: NDArray[np.float64], whole: Plane) -> Plane:
     chosen = _thinned(points)
     if len(chosen) < _LEAST_POINTS:
         return whole
-    found = _most_common(chosen, _THICKNESS * height)
-    if found.normal @ whole.normal < 0:
-        found = Plane(-found.normal, -found.offset)
-    level = float(found.normal @ whole.normal) >= np.cos(np.arctan(_STEEPEST))
-    return found if level and found.heights(shot.centre[None])[0] > 0 else whole
+    thickness = _THICKNESS * height
+    found = _lowest(_upwards(_most_common(chosen, thickness, whole), shot.centre), chosen, thickness, whole)
+    holds = _support(whole, chosen, thickness) >= _WHOLE_SHARE * _support(found, chosen, thickness)
+    return whole if holds else found
 
 
 def local_heights(
@@ -92,7 +94,7 @@ def local_heights(
     """Measure the ground around objects, above the plane.
 
     Args:
-        places: ``[m, 3]`` positions of the objects on the plane.
+        places: ``[m, 3]`` positions of the objects.
         points: ``[n, 3]`` points of the model around them.
         plane: the plane.
         camera_height: height of the camera above it, model units.
@@ -105,7 +107,7 @@ def local_heights(
         return heights
     above = plane.heights(points)
     feet = points - above[:, None] * plane.normal
-    for k, place in enumerate(places):
+    for k, place in enumerate(places - plane.heights(places)[:, None] * plane.normal):
         apart = np.linalg.norm(feet - place, axis=1)
         near = np.argpartition(apart, _NEAREST - 1)[:_NEAREST]
         if apart[near].max() <= _AROUND * camera_height:
@@ -113,28 +115,54 @@ def local_heights(
     return heights
 
 
+def _lowest(plane: Plane, points: NDArray[np.float64], thickness: float, whole: Plane) -> Plane:
+    """Descend from a plane of roofs to the ground: the lowest plane with enough points."""
+    least = max(_LEAST_POINTS, _LOWER_SHARE * _support(plane, points, thickness))
+    while True:
+        below = points[plane.heights(points) < -2 * thickness]
+        if len(below) < least:
+            return plane
+        found = _most_common(below, thickness, whole)
+        if _support(found, below, thickness) < least:
+            return plane
+        plane = found if found.normal @ whole.normal > 0 else Plane(-found.normal, -found.offset)
+
+
+def _support(plane: Plane, points: NDArray[np.float64], thickness: float) -> int:
+    return int((np.abs(plane.heights(points)) <= thickness).sum())
+
+
+def _upwards(plane: Plane, above: NDArray[np.float64]) -> Plane:
+    """Turn the normal to the side of a point ``[3]``."""
+    return plane if plane.heights(above[None])[0] >= 0 else Plane(-plane.normal, -plane.offset)
+
+
 def _thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return points[:: -(-len(points) // _MOST_POINTS) or 1]
 
 
-def _most_common(points: NDArray[np.float64], thickness: float) -> Plane:
-    """Find the plane with most points within its thickness; a least-squares fit to them follows."""
+def _most_common(points: NDArray[np.float64], thickness: float, whole: Plane | None = None) -> Plane:
+    """Find the plane with most points within its thickness; a least-squares fit to them follows.
+
+    Args:
+        points: ``[n, 3]``, at least three.
+        thickness: half of the plane's thickness.
+        whole: plane whose slope the found one has, within 15 degrees: a house has faces; None for any slope.
+    """
     rng = np.random.default_rng(_SEED)
+    steepest = 0.0 if whole is None else math.cos(math.atan(_STEEPEST))
     best, most = np.ones(len(points), dtype=bool), 0
     for _ in range(_TRIALS):
         a, b, c = points[rng.choice(len(points), 3, replace=False)]
         normal = np.cross(b - a, c - a)
         size = float(np.linalg.norm(normal))
-        if size < 1e-12:
+        if size < _LEAST_CROSS or (whole is not None and abs(normal @ whole.normal) < steepest * size):
             continue
         inside = np.abs((points - a) @ (normal / size)) <= thickness
         if int(inside.sum()) > most:
             best, most = inside, int(inside.sum())
-    for _ in range(2):
-        centre = points[best].mean(axis=0)
-        normal = np.linalg.svd(points[best] - centre, full_matrices=False)[2][2]
-        inside = np.abs((points - centre) @ normal) <= thickness
-        if inside.sum() < 3:
-            break
-        best = inside
+    if whole is not None and most == 0:  # no slope fits: as steep as the model, at the middle height
+        return Plane(whole.normal, whole.offset + float(np.median(whole.heights(points))))
+    centre = points[best].mean(axis=0)
+    normal = np.linalg.svd(points[best] - centre, full_matrices=False)[2][2]
     return Plane(normal, float(normal @ centre))

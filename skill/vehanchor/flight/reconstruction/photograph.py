@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from vehanchor.options import KnownLength, ScaleOptions
     from vehanchor.rulers.evidence import Evidence, View
 
+_DESCENTS = 3  # a ray meets the ground around its foot
+_MOST_RELIEF = 0.3  # of the camera's height
 _SAME_PLACE = 0.5  # of a car's length: closer boxes show one car
 
 
@@ -221,12 +223,14 @@ def _on_ground(
     lengths, widths = sides[0][steep], sides[1][steep]
     if sight.tilted:
         lengths = length_off_nadir(lengths, widths)
-    heights = local_heights(places[steep], points, sight.plane, sight.height)
-    nearer = np.clip(1 - heights / sight.height, 0.5, 1.5)
+    centre, nearer = sight.shot.centre, np.ones((len(lengths), 1))
+    for _ in range(_DESCENTS):
+        heights = local_heights(centre + nearer * (places[steep] - centre), points, sight.plane, sight.height)
+        nearer = np.clip(1 - heights[:, None] / sight.height, 1 - _MOST_RELIEF, 1 + _MOST_RELIEF)
     measured = boxes.copy()
-    measured[steep, 2:4] = np.column_stack([lengths, widths]) * nearer[:, None] / sight.gsd
+    measured[steep, 2:4] = np.column_stack([lengths, widths]) * nearer / sight.gsd
     kept = _taken(replace(detections, boxes=measured), steep, measured[:, 2])
-    return kept, places[steep]
+    return kept, centre + nearer * (places[steep] - centre)
 
 
 def _taken(detections: Detections, kept: NDArray[np.bool_], lengths: NDArray[np.float64]) -> Detections:
