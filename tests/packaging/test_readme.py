@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
@@ -31,7 +30,7 @@ def shell(tmp_path_factory: pytest.TempPathFactory) -> Shell:
             (place / "clone" / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, place / "clone" / name)
     subprocess.run([sys.executable, "-m", "venv", str(place / "env")], check=True)
-    path = os.pathsep.join((str(place / "env/bin"), str(Path(sys.executable).parent), "/usr/bin:/bin"))
+    path = os.pathsep.join((str(place / "env/bin"), os.environ["PATH"]))
     alone = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
     alone |= {"PATH": path, "PYTEST_ADDOPTS": "--collect-only --quiet -n 0", "PIP_QUIET": "1"}
 

@@ -11,6 +11,9 @@ function download(name, data, type) {
 const stem = () => call.arguments.image.path.split(/[\\/]/).pop().replace(/\.[^.]+$/, "");
 const records = (record) => ({ image: call.arguments.image.path, estimate: record, measured: call.measured.map((each) => each.record) });
 
+// The reference system of vehanchor.export.layer: GIS programs would take pixels for degrees.
+const PIXELS = `LOCAL_CS["Pixels of the image, y down",LOCAL_DATUM["Image",0],UNIT["pixel",1],AXIS["x",EAST],AXIS["y",SOUTH]]`;
+
 // In image pixels, y down, like the records' __geo_interface__.
 function features(record, drawing) {
   const feature = (geometry, properties) => ({ type: "Feature", geometry, properties });
@@ -24,7 +27,8 @@ function features(record, drawing) {
     const rings = each.outline.map(({ exterior, holes }) => [exterior, ...holes].map((ring) => closed(ring.points.map(at))));
     return feature({ type: "MultiPolygon", coordinates: rings }, { kind, status: each.status, area_m2: each.area_m2 });
   });
-  return { type: "FeatureCollection", features: [...vehicles, ...measured] };
+  const crs = { type: "name", properties: { name: PIXELS } };
+  return { type: "FeatureCollection", crs, features: [...vehicles, ...measured] };
 }
 
 const INKS = {

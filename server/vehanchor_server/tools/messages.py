@@ -90,9 +90,9 @@ def no_scale_message(estimate: GsdEstimate | None) -> str:
 def scale_origin(measured: AreaMeasurement | DistanceMeasurement) -> str:
     """Name the source of a measurement's scale."""
     assert measured.gsd_m_per_px is not None
-    scale = f"scale {rounded(measured.gsd_m_per_px)} m/px"
     if measured.confidence is None:
-        return f"{scale} as given"
+        return f"scale {measured.gsd_m_per_px:g} m/px as given"
+    scale = f"scale {rounded(measured.gsd_m_per_px)} m/px"
     if measured.estimate is None:
         return f"{scale} reused, confidence {measured.confidence:.2f}"
     return f"{scale}, confidence {measured.confidence:.2f} from {ruler_names(measured.estimate)}"

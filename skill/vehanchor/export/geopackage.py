@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehanchor.export.layer import moved, on_ground, rings
+from vehanchor.export.layer import PIXELS_WKT, moved, on_ground, rings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -25,7 +25,8 @@ _WKB_KINDS = {"LineString": 2, "Polygon": 3, "MultiPolygon": 6}
 _COLUMN_TYPES = {bool: "BOOLEAN", str: "TEXT"}  # all others are DOUBLE
 
 _GPKG_ID, _GPKG_VERSION = 0x47504B47, 10300  # "GPKG", version 1.3
-_UNDEFINED_SRS = -1  # of the standard: undefined Cartesian
+_UNDEFINED_SRS = -1  # of the standard: undefined Cartesian, in metres to GDAL
+_CUSTOM_SRS = 100_000  # custom numbers begin here
 _WGS84 = (  # required in every GeoPackage
     'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],'
     'UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]'
@@ -48,14 +49,16 @@ def write_geopackage(path: Path, layer: Layer, ground: Ground | None) -> None:
         ("Undefined geographic", 0, "NONE", 0, "undefined"),
         ("WGS 84", 4326, "EPSG", 4326, _WGS84),
     ]
-    srs = _UNDEFINED_SRS
+    srs = _CUSTOM_SRS
     geometries = [feature["geometry"] for feature in layer.features]
     if ground is not None:
         geometries = [moved(geometry, lambda points: on_ground(points, ground)) for geometry in geometries]
         code = ground.crs.to_epsg()
-        srs = code or 100_000  # custom numbers begin here
+        srs = code or _CUSTOM_SRS
         named = (f"EPSG:{code}", srs, "EPSG") if code else ("the image's own", srs, "NONE")
         systems.append((*named, srs, ground.crs.to_wkt()))  # replaces the row of WGS 84 if it is the same
+    else:
+        systems.append(("Pixels of the image", srs, "NONE", srs, PIXELS_WKT))
     places = np.concatenate([np.empty((0, 2)), *(ring for geometry in geometries for ring in rings(geometry))])
     extent = [*places.min(axis=0).tolist(), *places.max(axis=0).tolist()] if len(places) else [None] * 4
     columns = "".join(f", {name} {_COLUMN_TYPES.get(kind, 'DOUBLE')}" for name, kind in layer.columns.items())

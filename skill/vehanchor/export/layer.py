@@ -14,6 +14,12 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.georeference import Ground
 
 
+PIXELS_WKT = (
+    'LOCAL_CS["Pixels of the image, y down",LOCAL_DATUM["Image",0],UNIT["pixel",1],AXIS["x",EAST],AXIS["y",SOUTH]]'
+)
+"""Reference system of an image without coordinates: GDAL and geopandas read the unit as pixels, not metres."""
+
+
 class Layer(NamedTuple):
     """Features of one file.
 

@@ -1,6 +1,6 @@
 """Vector files of boxes, outlines and lines, for maps and for training detectors.
 
-Coordinates are on the ground for a georeferenced file, else in pixels of the image, y down.
+Coordinates are on the ground for a georeferenced file, else in pixels of the image, y down, and the files say so.
 """
 
 from __future__ import annotations

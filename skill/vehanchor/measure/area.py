@@ -110,7 +110,7 @@ def _conclude(
         size = _size(n_px, outline_px, circle.diameter, measured, scale.spread, card.mask_area_log_sd)
     box = None if bounds is None else _moved_box((bounds.x1, bounds.y1, bounds.x2, bounds.y2), left, top)
     return AreaMeasurement(
-        status=_status(scale, found.score, card, n_px),
+        status=_status(scale, found.score, card, n_px, prompt),
         area_m2=size.area_m2,
         area_ci95_low_m2=size.area_interval and size.area_interval.low,
         area_ci95_high_m2=size.area_interval and size.area_interval.high,
@@ -165,10 +165,12 @@ def _size(n_px: int, outline_px: float, diameter_px: float, gsd: float, scale: S
     )
 
 
-def _status(scale: ResolvedScale, score: float, card: SegmenterCard, n_px: int) -> Status:
+def _status(scale: ResolvedScale, score: float, card: SegmenterCard, n_px: int, prompt: Prompt) -> Status:
+    """Conclude the status; points alone leave the extent of the object open, so they never give ``ok``."""
     if scale.status != "ok":
         return scale.status
-    return "low_confidence" if score < card.min_score or n_px == 0 else "ok"
+    doubtful = score < card.min_score or n_px == 0 or prompt.box is None
+    return "low_confidence" if doubtful else "ok"
 
 
 def _diameter_log_sd(area_log_sd: float, area_px: float, perimeter_px: float, diameter_px: float) -> float:

@@ -48,6 +48,7 @@ class NoticeCode(StrEnum):
     MASK_LEAVES_BOX = "mask_leaves_box"
     MASK_IN_PIECES = "mask_in_pieces"
     TARGET_SMALL = "target_small"
+    EXTENT_UNKNOWN = "extent_unknown"
 
 
 FLEET_DOUBTS = (

@@ -32,6 +32,14 @@ def mask_notices(
             )
         ]
     notices = []
+    if prompt.box is None:
+        notices.append(
+            Notice(
+                code=NoticeCode.EXTENT_UNKNOWN,
+                message="A point does not say where the object ends: the mask may be a part of it, or more. Look at "
+                "the outline, or give a box around the object.",
+            )
+        )
     if found.score < card.min_score:
         notices.append(
             Notice(

@@ -20,6 +20,7 @@ from vehanchor import Detector, ScaleAnalysis, analyse_area, analyse_scale
 from vehanchor.cli.app import app
 from vehanchor.detection.boxes import box_corners
 from vehanchor.errors import OutputError
+from vehanchor.export.layer import PIXELS_WKT
 from vehanchor.export.vectors import write_boxes, write_measured
 
 AFFINE = Affine(0.15, 0, 500_000, 0, -0.15, 5_000_000)
@@ -64,7 +65,18 @@ def test_geojson_of_a_georeferenced_file_is_in_degrees(on_ground: ScaleAnalysis,
 def test_geojson_of_a_plain_image_is_in_its_pixels(cars: np.ndarray, model: Path, tmp_path: Path) -> None:
     analysis = analyse_scale(cars, detector=Detector(model))
     written = json.loads(write_boxes(tmp_path / "a.geojson", analysis).read_text())
+    assert written.pop("crs") == {"type": "name", "properties": {"name": PIXELS_WKT}}
     assert written == json.loads(json.dumps(analysis.__geo_interface__))
+
+
+def test_a_geopackage_of_a_plain_image_says_that_its_unit_is_the_pixel(
+    cars: np.ndarray, model: Path, tmp_path: Path
+) -> None:
+    with sqlite3.connect(write_boxes(tmp_path / "a.gpkg", analyse_scale(cars, detector=Detector(model)))) as file:
+        ((srs,),) = file.execute("SELECT srs_id FROM gpkg_contents")
+        ((definition,),) = file.execute("SELECT definition FROM gpkg_spatial_ref_sys WHERE srs_id = ?", (srs,))
+    assert definition == PIXELS_WKT
+    assert 'UNIT["pixel",1' in rasterio.CRS.from_wkt(definition).to_wkt()  # as GDAL reads it
 
 
 def test_a_geopackage_has_the_tables_of_the_standard_and_polygons_in_the_files_system(
@@ -158,7 +170,7 @@ def test_a_measured_outline_is_written_in_every_form(tmp_path: Path) -> None:
     with sqlite3.connect(tmp_path / "roof.gpkg") as file:
         ((blob, area),) = file.execute("SELECT geom, area_m2 FROM outlines")
         ((kind, srs),) = file.execute("SELECT geometry_type_name, srs_id FROM gpkg_geometry_columns")
-    assert (kind, srs, area) == ("MULTIPOLYGON", -1, feature["properties"]["area_m2"])
+    assert (kind, srs, area) == ("MULTIPOLYGON", 100_000, feature["properties"]["area_m2"])
     _, _, _, _, order, code, n_polygons, ring_order, ring_code, n_rings, n = struct.unpack_from("<2sBBiBIIBIII", blob)
     assert (order, code, n_polygons, ring_order, ring_code, n_rings) == (1, 6, 1, 1, 3, 1)
     ring = np.frombuffer(blob, "<f8", offset=struct.calcsize("<2sBBiBIIBIII")).reshape(n, 2)
