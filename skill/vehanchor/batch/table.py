@@ -6,7 +6,7 @@ import csv
 import json
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from vehanchor.batch.row import COLUMNS
 from vehanchor.errors import MissingExtraError, OutputError
@@ -14,11 +14,17 @@ from vehanchor.records.foreign_text import in_cell
 from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from vehanchor.batch.row import BatchRow
+    from collections.abc import Callable, Iterable, Mapping
 
 _CHUNK_ROWS = 4096  # held in memory by the Parquet writer
+
+
+class FlatRow(Protocol):
+    """Row of a table."""
+
+    def flat(self) -> dict[str, Any]:
+        """Give the values by column."""
+        ...
 
 
 def check_table_path(path: Path) -> Path:
@@ -29,7 +35,10 @@ def check_table_path(path: Path) -> Path:
         MissingExtraError: pyarrow is not installed (Parquet).
     """
     if path.suffix.lower() not in _WRITERS:
-        raise OutputError(f"cannot write a table as {str(path)!r}: use one of {', '.join(_WRITERS)}")
+        raise OutputError(
+            f"cannot write a table as {str(path)!r}: use one of {', '.join(_WRITERS)}; .geojson and .gpkg hold the "
+            "targets of --measure"
+        )
     if not path.parent.is_dir():
         raise OutputError(f"there is no folder {str(path.parent)!r} for {path.name!r}: create it first")
     if path.is_dir():
@@ -39,38 +48,39 @@ def check_table_path(path: Path) -> Path:
     return path
 
 
-def write_table(path: Path, rows: Iterable[BatchRow]) -> None:
+def write_table(path: Path, rows: Iterable[FlatRow], columns: Mapping[str, type] = COLUMNS) -> None:
     """Write rows; an existing file is replaced when all are written.
 
     Args:
         path: ``.parquet``, ``.csv`` or ``.jsonl``, checked by ``check_table_path``.
         rows: in order; not all are held in memory.
+        columns: names and types of their values, in order.
 
     Raises:
         OutputError: the file cannot be written.
     """
     with whole_file(path) as partial:
-        _WRITERS[path.suffix.lower()](partial, rows)
+        _WRITERS[path.suffix.lower()](partial, rows, columns)
 
 
-def _write_jsonl(path: Path, rows: Iterable[BatchRow]) -> None:
+def _write_jsonl(path: Path, rows: Iterable[FlatRow], columns: Mapping[str, type]) -> None:  # noqa: ARG001 - named in each row
     with path.open("w", encoding="ascii", newline="\n") as file:
         for row in rows:
             file.write(json.dumps(row.flat(), allow_nan=False) + "\n")
 
 
-def _write_csv(path: Path, rows: Iterable[BatchRow]) -> None:
+def _write_csv(path: Path, rows: Iterable[FlatRow], columns: Mapping[str, type]) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(COLUMNS), lineterminator="\n")
+        writer = csv.DictWriter(file, list(columns), lineterminator="\n")
         writer.writeheader()
         for row in rows:
             writer.writerow({name: in_cell(value) for name, value in row.flat().items()})
 
 
-def _write_parquet(path: Path, rows: Iterable[BatchRow]) -> None:
+def _write_parquet(path: Path, rows: Iterable[FlatRow], columns: Mapping[str, type]) -> None:
     arrow, parquet = _require_pyarrow()
     types = {float: arrow.float64(), int: arrow.int64(), bool: arrow.bool_(), str: arrow.string()}
-    schema = arrow.schema([(name, types[kind]) for name, kind in COLUMNS.items()])
+    schema = arrow.schema([(name, types[kind]) for name, kind in columns.items()])
     remaining = iter(rows)
     with parquet.ParquetWriter(path, schema) as writer:
         while chunk := [row.flat() for row in islice(remaining, _CHUNK_ROWS)]:
@@ -88,7 +98,7 @@ def _require_pyarrow() -> tuple[Any, Any]:
     return pyarrow, pyarrow.parquet
 
 
-_WRITERS: dict[str, Callable[[Path, Iterable[BatchRow]], None]] = {
+_WRITERS: dict[str, Callable[[Path, Iterable[FlatRow], Mapping[str, type]], None]] = {
     ".parquet": _write_parquet,
     ".csv": _write_csv,
     ".jsonl": _write_jsonl,

@@ -7,7 +7,7 @@ import time
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
@@ -22,6 +22,16 @@ if TYPE_CHECKING:
     from vehanchor.batch import BatchSummary
 
 _STATUSES = ("ok", "low_confidence", "no_scale", "error")
+
+
+TargetsFile: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.csv",
+        help="Measure the targets of a CSV: file,kind,x1,y1,x2,y2,name (box, point or line; files relative to the "
+        "table). The output may also be .geojson or .gpkg.",
+    ),
+]
 
 
 class _Engine(StrEnum):
@@ -40,7 +50,7 @@ def batch(
         ),
     ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="Table to write: .parquet, .csv or .jsonl.")
+        Path, typer.Option("--output", "-o", metavar="FILE", help="File to write: .parquet, .csv or .jsonl.")
     ],
     engine: Annotated[
         _Engine, typer.Option(help="local: processes of this machine; ray: Ray Data (extra 'ray'). Same rows.")
@@ -61,26 +71,31 @@ def batch(
         bool, typer.Option("--same-scale", help="All images have one scale: pool their evidence (one worker).")
     ] = False,
     known_lengths: KnownLengthsFile = None,
+    measure: TargetsFile = None,
     *,
     chosen: ParsedOptions,
 ) -> None:
     """Estimate the scales of many images, and write a table with one row per image, errors included.
 
-    After an interruption, the same command resumes the run.
+    After an interruption, the same command resumes the run. With --measure, the table has one row per target.
     """
     with exit_on_error():
         started = time.monotonic()
         with image_progress() as progress:
+            if measure is not None:
+                if engine is not _Engine.local or workers or known_lengths or same_scale:
+                    raise InvalidParameterError("--measure excludes --engine, --workers, --known-lengths, --same-scale")
+                from vehanchor.cli.batch_targets import measure_table
+
+                measure_table(inputs, measure, output, chosen.engine(), progress, overwrite=overwrite)
+                return
             try:
                 run = partial(_run, inputs, output, chosen, progress, workers, overwrite=overwrite)
                 summary = run(engine, address, known_lengths, same_scale=same_scale)
             except KeyboardInterrupt:
                 print("interrupted: finished rows are kept; run the same command to resume", file=sys.stderr)
                 raise typer.Exit(INTERRUPTED) from None
-        print(_summary_text(summary, time.monotonic() - started), file=sys.stderr)
-        if summary.statuses.get("error", 0) == summary.n_rows:
-            print("no image could be used: the columns error_code and error say why", file=sys.stderr)
-            raise typer.Exit(FAILED)
+        _summarise(summary, time.monotonic() - started)
 
 
 def _run(
@@ -140,6 +155,14 @@ def _of_one_scale(
         known_lengths=known_lengths,
         overwrite=overwrite,
     )
+
+
+def _summarise(summary: BatchSummary, seconds: float) -> None:
+    """Print the summary; fail if every image did."""
+    print(_summary_text(summary, seconds), file=sys.stderr)
+    if summary.statuses.get("error", 0) == summary.n_rows:
+        print("no image could be used: the columns error_code and error say why", file=sys.stderr)
+        raise typer.Exit(FAILED)
 
 
 def _summary_text(summary: BatchSummary, seconds: float) -> str:

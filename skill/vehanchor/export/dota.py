@@ -10,16 +10,16 @@ import numpy as np
 from vehanchor.export.layer import rings
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from vehanchor.export.layer import Layer
-    from vehanchor.imagery.metadata.georeference import Ground
 
 
-def write_dota(path: Path, layer: Layer, ground: Ground | None) -> None:  # noqa: ARG001 - DOTA has pixels only
+def write_dota(path: Path, layers: Sequence[Layer]) -> None:
     """Write boxes, or the smallest rotated rectangles of other outlines, always in pixels."""
     lines = []
-    for feature in layer.features:
+    for layer, feature in ((each, feature) for each in layers for feature in each.features):
         found = rings(feature["geometry"])
         corners = np.array(found[0][:4])
         if layer.kind != "Polygon":

@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING, NamedTuple
 from vehanchor.errors import OutputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from vehanchor.export.layer import Layer
-    from vehanchor.imagery.metadata.georeference import Ground
 
 
 class VectorFormat(NamedTuple):
     """Format of boxes, outlines and lines.
 
     Attributes:
-        writer: function ``(path, layer, ground)`` as ``module:function``; imported on first use.
+        writer: function ``(path, layers)`` as ``module:function``; imported on first use.
         has_lines: whether it can store lines.
         note: what a reader of the help should know, or an empty string.
     """
@@ -28,11 +27,11 @@ class VectorFormat(NamedTuple):
     has_lines: bool = True
     note: str = ""
 
-    def write(self, path: Path, layer: Layer, ground: Ground | None) -> None:
-        """Write a layer, on the ground if the image is georeferenced and the format can say so."""
+    def write(self, path: Path, layers: Sequence[Layer]) -> None:
+        """Write layers, on the ground if their images are georeferenced and the format can say so."""
         module, _, name = self.writer.partition(":")
-        writer: Callable[[Path, Layer, Ground | None], None] = getattr(import_module(module), name)
-        writer(path, layer, ground)
+        writer: Callable[[Path, Sequence[Layer]], None] = getattr(import_module(module), name)
+        writer(path, layers)
 
 
 VECTOR_FORMATS: dict[str, VectorFormat] = {

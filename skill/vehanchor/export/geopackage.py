@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vehanchor.errors import OutputError
 from vehanchor.export.layer import PIXELS_WKT, moved, on_ground, rings
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from vehanchor.export.layer import Layer
@@ -31,6 +33,12 @@ _WGS84 = (  # required in every GeoPackage
     'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],'
     'UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]'
 )
+_SYSTEMS = (
+    ("Undefined Cartesian", _UNDEFINED_SRS, "NONE", _UNDEFINED_SRS, "undefined"),
+    ("Undefined geographic", 0, "NONE", 0, "undefined"),
+    ("WGS 84", 4326, "EPSG", 4326, _WGS84),
+)
+_INSERT_SYSTEM = "INSERT OR REPLACE INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, NULL)"
 _GPKG_TABLES = """
 CREATE TABLE gpkg_spatial_ref_sys (srs_name TEXT NOT NULL, srs_id INTEGER NOT NULL PRIMARY KEY,
   organization TEXT NOT NULL, organization_coordsys_id INTEGER NOT NULL, definition TEXT NOT NULL, description TEXT);
@@ -42,48 +50,60 @@ CREATE TABLE gpkg_geometry_columns (table_name TEXT NOT NULL PRIMARY KEY, column
 """
 
 
-def write_geopackage(path: Path, layer: Layer, ground: Ground | None) -> None:
-    """Write a layer in the reference system of the image, or in pixels without one."""
-    systems: list[tuple[str, int, str, int, str]] = [
-        ("Undefined Cartesian", _UNDEFINED_SRS, "NONE", _UNDEFINED_SRS, "undefined"),
-        ("Undefined geographic", 0, "NONE", 0, "undefined"),
-        ("WGS 84", 4326, "EPSG", 4326, _WGS84),
-    ]
-    srs = _CUSTOM_SRS
-    geometries = [feature["geometry"] for feature in layer.features]
-    if ground is not None:
-        geometries = [moved(geometry, lambda points: on_ground(points, ground)) for geometry in geometries]
-        code = ground.crs.to_epsg()
-        srs = code or _CUSTOM_SRS
-        named = (f"EPSG:{code}", srs, "EPSG") if code else ("the image's own", srs, "NONE")
-        systems.append((*named, srs, ground.crs.to_wkt()))  # replaces the row of WGS 84 if it is the same
-    else:
-        systems.append(("Pixels of the image", srs, "NONE", srs, PIXELS_WKT))
-    places = np.concatenate([np.empty((0, 2)), *(ring for geometry in geometries for ring in rings(geometry))])
-    extent = [*places.min(axis=0).tolist(), *places.max(axis=0).tolist()] if len(places) else [None] * 4
-    columns = "".join(f", {name} {_COLUMN_TYPES.get(kind, 'DOUBLE')}" for name, kind in layer.columns.items())
+def write_geopackage(path: Path, layers: Sequence[Layer]) -> None:
+    """Write layers in the reference system of their images, or in pixels; those of one name share a table."""
+    names = dict.fromkeys(layer.name for layer in layers)
     with closing(sqlite3.connect(path)) as file:
         file.executescript(_GPKG_TABLES)
-        file.execute(f"CREATE TABLE {layer.name} (fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, geom BLOB{columns})")
         file.execute(f"PRAGMA application_id = {_GPKG_ID}")
         file.execute(f"PRAGMA user_version = {_GPKG_VERSION}")
-        file.executemany("INSERT OR REPLACE INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, NULL)", systems)
-        file.execute(
-            "INSERT INTO gpkg_contents (table_name, data_type, identifier, min_x, min_y, max_x, max_y, srs_id) "
-            "VALUES (?, 'features', ?, ?, ?, ?, ?, ?)",
-            (layer.name, layer.name, *extent, srs),
-        )
-        file.execute(
-            "INSERT INTO gpkg_geometry_columns VALUES (?, 'geom', ?, ?, 0, 0)", (layer.name, layer.kind.upper(), srs)
-        )
-        file.executemany(
-            f"INSERT INTO {layer.name} (geom, {', '.join(layer.columns)}) VALUES (?{', ?' * len(layer.columns)})",
-            [
-                (_header(srs) + _wkb(geometry), *(feature["properties"][name] for name in layer.columns))
-                for geometry, feature in zip(geometries, layer.features, strict=True)
-            ],
-        )
+        for row in _SYSTEMS:
+            file.execute(_INSERT_SYSTEM, row)
+        for name in names:
+            _write_table(file, [layer for layer in layers if layer.name == name])
         file.commit()
+
+
+def _write_table(file: sqlite3.Connection, layers: Sequence[Layer]) -> None:
+    first = layers[0]
+    srs = _register_system(file, first.ground)
+    rows = []
+    for layer in layers:
+        if (layer.ground and layer.ground.crs) != (first.ground and first.ground.crs):
+            raise OutputError("the images have different reference systems: write .geojson, or one file for each")
+        rows += [(_geometry(feature["geometry"], layer.ground), feature["properties"]) for feature in layer.features]
+    places = np.concatenate([np.empty((0, 2)), *(ring for geometry, _ in rows for ring in rings(geometry))])
+    extent = [*places.min(axis=0).tolist(), *places.max(axis=0).tolist()] if len(places) else [None] * 4
+    columns = "".join(f", {name} {_COLUMN_TYPES.get(kind, 'DOUBLE')}" for name, kind in first.columns.items())
+    file.execute(f"CREATE TABLE {first.name} (fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, geom BLOB{columns})")
+    file.execute(
+        "INSERT INTO gpkg_contents (table_name, data_type, identifier, min_x, min_y, max_x, max_y, srs_id) "
+        "VALUES (?, 'features', ?, ?, ?, ?, ?, ?)",
+        (first.name, first.name, *extent, srs),
+    )
+    file.execute(
+        "INSERT INTO gpkg_geometry_columns VALUES (?, 'geom', ?, ?, 0, 0)", (first.name, first.kind.upper(), srs)
+    )
+    file.executemany(
+        f"INSERT INTO {first.name} (geom, {', '.join(first.columns)}) VALUES (?{', ?' * len(first.columns)})",
+        [(_header(srs) + _wkb(geometry), *(values[name] for name in first.columns)) for geometry, values in rows],
+    )
+
+
+def _register_system(file: sqlite3.Connection, ground: Ground | None) -> int:
+    """Add the reference system of an image; return its number."""
+    if ground is None:
+        file.execute(_INSERT_SYSTEM, ("Pixels of the image", _CUSTOM_SRS, "NONE", _CUSTOM_SRS, PIXELS_WKT))
+        return _CUSTOM_SRS
+    code = ground.crs.to_epsg()
+    srs: int = code or _CUSTOM_SRS
+    named = (f"EPSG:{code}", srs, "EPSG") if code else ("the image's own", srs, "NONE")
+    file.execute(_INSERT_SYSTEM, (*named, srs, ground.crs.to_wkt()))  # replaces the row of WGS 84 if it is the same
+    return srs
+
+
+def _geometry(geometry: dict[str, Any], ground: Ground | None) -> dict[str, Any]:
+    return geometry if ground is None else moved(geometry, lambda points: on_ground(points, ground))
 
 
 def _header(srs: int) -> bytes:

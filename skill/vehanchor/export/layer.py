@@ -21,7 +21,7 @@ PIXELS_WKT = (
 
 
 class Layer(NamedTuple):
-    """Features of one file.
+    """Features of one image.
 
     Attributes:
         name: name of the table.
@@ -29,6 +29,7 @@ class Layer(NamedTuple):
         columns: names and types of the properties.
         kind: kind of the geometries.
         category: DOTA's category of each.
+        ground: position of the image on the ground; None for pixels.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Layer(NamedTuple):
     columns: Mapping[str, type]
     kind: str
     category: str
+    ground: Ground | None
 
 
 def rings(geometry: dict[str, Any]) -> list[NDArray[np.float64]]:

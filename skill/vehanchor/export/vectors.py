@@ -5,13 +5,15 @@ Coordinates are on the ground for a georeferenced file, else in pixels of the im
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from vehanchor.errors import OutputError
 from vehanchor.export.formats import VECTOR_FORMATS, check_vector_path
 from vehanchor.export.layer import Layer
 from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from vehanchor.analysis.measured import AreaAnalysis, DistanceAnalysis
@@ -33,8 +35,8 @@ def write_boxes(path: str | Path, analysis: ScaleAnalysis) -> Path:
         OutputError: as ``check_vector_path``, or the file cannot be written.
     """
     columns = {"kept": bool, "score": float, "length_px": float}
-    layer = Layer("vehicles", analysis.__geo_interface__["features"], columns, "Polygon", "vehicle")
-    return _write(check_vector_path(path), layer, analysis.ground)
+    layer = Layer("vehicles", analysis.__geo_interface__["features"], columns, "Polygon", "vehicle", analysis.ground)
+    return _write(check_vector_path(path), [layer])
 
 
 def write_measured(path: str | Path, analysis: AreaAnalysis | DistanceAnalysis) -> Path:
@@ -55,11 +57,35 @@ def write_measured(path: str | Path, analysis: AreaAnalysis | DistanceAnalysis) 
     is_line = geometry["type"] == "LineString"
     columns = {name: str if name == "status" else float for name in feature["properties"]}
     features = [feature] if geometry["coordinates"] else []
-    layer = Layer("lines" if is_line else "outlines", features, columns, geometry["type"], "object")
-    return _write(check_vector_path(path, lines=is_line), layer, analysis.ground)
+    layer = Layer("lines" if is_line else "outlines", features, columns, geometry["type"], "object", analysis.ground)
+    return _write(check_vector_path(path, lines=is_line), [layer])
 
 
-def _write(target: Path, layer: Layer, ground: Ground | None) -> Path:
+def write_targets(
+    path: str | Path, placed: Sequence[tuple[dict[str, Any], Ground | None]], columns: Mapping[str, type]
+) -> Path:
+    """Write the outlines and lines of many images; the suffix chooses the format.
+
+    Args:
+        path: path of the file.
+        placed: features in pixels, each with the position of its image on the ground.
+        columns: names and types of values; those that no feature has are left out.
+
+    Raises:
+        OutputError: as ``check_vector_path``; or only some images are georeferenced.
+    """
+    if len({ground is None for _, ground in placed}) > 1:
+        raise OutputError("some images are georeferenced and others are not: write one file for each kind")
+    layers = []
+    for name, kind in (("outlines", "MultiPolygon"), ("lines", "LineString")):
+        own = [(feature, ground) for feature, ground in placed if feature["geometry"]["type"] == kind]
+        found = {key for feature, _ in own for key, value in feature["properties"].items() if value is not None}
+        used = {key: type_ for key, type_ in columns.items() if key in found}
+        layers += [Layer(name, [feature], used, kind, "object", ground) for feature, ground in own]
+    return _write(check_vector_path(path, lines=True), layers)
+
+
+def _write(target: Path, layers: Sequence[Layer]) -> Path:
     with whole_file(target) as partial:
-        VECTOR_FORMATS[target.suffix.lower()].write(partial, layer, ground)
+        VECTOR_FORMATS[target.suffix.lower()].write(partial, layers)
     return target

@@ -17,6 +17,12 @@ if TYPE_CHECKING:
 SMALL_TARGET_PX = 15.0  # smallest side of the objects on which the bundled segmenter was evaluated
 _OUTSIDE_SHARE = 0.10  # of the mask; a box that is 5 % off on one side leaves about as much outside
 
+_EXTENT_UNKNOWN = Notice(
+    code=NoticeCode.EXTENT_UNKNOWN,
+    message="A point does not say where the object ends: the mask may be a part of it, or more. Look at the outline, "
+    "or give a box around the object.",
+)
+
 
 def mask_notices(
     raster: Raster, found: Segmentation, prompt: Prompt, card: SegmenterCard, width_px: float
@@ -31,15 +37,7 @@ def mask_notices(
                 "point on the object.",
             )
         ]
-    notices = []
-    if prompt.box is None:
-        notices.append(
-            Notice(
-                code=NoticeCode.EXTENT_UNKNOWN,
-                message="A point does not say where the object ends: the mask may be a part of it, or more. Look at "
-                "the outline, or give a box around the object.",
-            )
-        )
+    notices = [] if prompt.box is not None else [_EXTENT_UNKNOWN]
     if found.score < card.min_score:
         notices.append(
             Notice(

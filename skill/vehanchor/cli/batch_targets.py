@@ -1,0 +1,94 @@
+"""``vehanchor batch --measure``: objects and lines of a table."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from vehanchor.analysis.pipeline import checked_detector
+from vehanchor.batch.table import check_table_path, write_table
+from vehanchor.cli.terminal import FAILED, printable, report
+from vehanchor.errors import OutputError, PromptError
+from vehanchor.export.formats import VECTOR_FORMATS, check_vector_path
+from vehanchor.export.vectors import write_targets
+from vehanchor.imagery.sources.files import find_images, where_it_is
+from vehanchor.measure.targets import TARGET_COLUMNS, TargetRow, measure_targets, read_targets
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from vehanchor.engine.engine import Engine
+
+_SHOWN_ERRORS = 10
+_OUTCOMES = ("ok", "low_confidence", "no_scale", "error")
+
+
+def measure_table(
+    inputs: Sequence[str],
+    table: Path,
+    output: Path,
+    engine: Engine,
+    tell: Callable[[int, int], None],
+    *,
+    overwrite: bool,
+) -> None:
+    """Measure the targets of a table with one search per image; write their results, and a summary on stderr.
+
+    Args:
+        inputs: directories, patterns and files; the targets lie in these images.
+        table: CSV of targets; see ``read_targets``.
+        output: a table, or the outlines and lines with their sizes as GeoJSON or GeoPackage.
+        engine: its models and options.
+        tell: receives the number of measured images and of all images.
+        overwrite: replace an existing file.
+
+    Raises:
+        PromptError: the table is invalid, or a target lies in another image.
+        OutputError: the file exists, or cannot be written.
+        ImageNotFoundError: as ``find_images``.
+    """
+    _check_output(output, overwrite=overwrite)
+    wanted, images = read_targets(table), find_images(inputs, leave_out=(output,))
+    strangers = sorted(set(wanted) - {where_it_is(image) for image in images})
+    if strangers:
+        raise PromptError(
+            f"a target is in {strangers[0]!r}, which is not one of the images: files are named relative to the table"
+        )
+    options, rows = engine.options, []
+    detector, segmenter = checked_detector(engine.detector, options), engine.segmenter
+    for number, (image, targets) in enumerate(wanted.items()):
+        tell(number, len(wanted))
+        rows += measure_targets(image, targets, detector, segmenter, options)
+    tell(len(wanted), len(wanted))
+    if output.suffix.lower() in VECTOR_FORMATS:
+        placed = [(feature, row.ground) for row in rows if (feature := row.feature()) is not None]
+        write_targets(output, placed, TARGET_COLUMNS)
+    else:
+        write_table(output, rows, TARGET_COLUMNS)
+    _summarise(output, rows)
+
+
+def _check_output(path: Path, *, overwrite: bool) -> None:
+    if path.suffix.lower() in VECTOR_FORMATS:
+        check_vector_path(path, lines=True)
+    else:
+        check_table_path(path)
+    if path.exists() and not overwrite:
+        raise OutputError(f"{str(path)!r} exists: name another file, or pass --overwrite")
+
+
+def _summarise(output: Path, rows: Sequence[TargetRow]) -> None:
+    """Print the first errors and the numbers by status; fail if nothing was measured."""
+    errors = [(row.target, row.error) for row in rows if row.error is not None]
+    for target, error in errors[:_SHOWN_ERRORS]:
+        report(error, f"{target.file} {target.name}".strip())
+    counts = Counter("error" if row.record is None else row.record.status for row in rows)
+    words = ", ".join(f"{counts[outcome]} {outcome}" for outcome in _OUTCOMES if outcome in counts)
+    print(f"{printable(str(output))}: {len(rows)} targets ({words})", file=sys.stderr)
+    if len(errors) == len(rows):
+        print("no target could be measured", file=sys.stderr)
+        raise typer.Exit(FAILED)

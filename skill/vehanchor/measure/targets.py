@@ -1,0 +1,211 @@
+"""Measurement of many objects and lines that a table names, such as the roofs of a town."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
+
+from vehanchor.errors import PromptError, VehAnchorError
+from vehanchor.imagery.sources.addresses import is_address
+from vehanchor.imagery.sources.files import where_it_is
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.measure.area import analyse_objects
+from vehanchor.measure.distance import analyse_paths, read_path
+from vehanchor.segmentation.prompt import prompt_in_image, read_prompt
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from vehanchor.detection.detector import Detector
+    from vehanchor.imagery.metadata.georeference import Ground
+    from vehanchor.imagery.raster import Raster
+    from vehanchor.measure.resolved_scale import ScaleInput
+    from vehanchor.options import ScaleOptions
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement
+    from vehanchor.segmentation.segmenter import Segmenter
+
+Kind: TypeAlias = Literal["box", "point", "line"]
+
+_NEEDED = ("file", "x1", "y1")
+_KINDS: tuple[Kind, ...] = ("box", "point", "line")
+_MOST_BYTES = 64 << 20
+_SIZES = (
+    *("area_m2", "area_ci95_low_m2", "area_ci95_high_m2", "length_m", "width_m", "perimeter_m"),
+    *("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "gsd_m_per_px", "confidence"),
+)
+TARGET_COLUMNS: dict[str, type] = {
+    **dict.fromkeys(("file", "name", "kind"), str),
+    **dict.fromkeys(("x1", "y1", "x2", "y2"), float),
+    "status": str,
+    **dict.fromkeys(_SIZES, float),
+    **dict.fromkeys(("warnings", "error_code", "error"), str),
+}
+"""Columns of the table of results and the types of their values, in order."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """Object or line to measure, in the coordinates of the options.
+
+    Attributes:
+        file: the image, as the table names it.
+        name: the caller's name of the target; may be empty.
+        kind: box around an object, point on it, or line.
+        numbers: x1, y1 of a point; x1, y1, x2, y2 of a box or line.
+    """
+
+    file: str
+    name: str
+    kind: Kind
+    numbers: tuple[float, ...]
+
+
+class TargetRow(NamedTuple):
+    """Result for one target: a record, or an error.
+
+    Attributes:
+        target: what was measured.
+        record: the measurement; None with an error.
+        ground: position of the image on the ground; None without a georeference.
+        error: why there is no record.
+    """
+
+    target: Target
+    record: AreaMeasurement | DistanceMeasurement | None = None
+    ground: Ground | None = None
+    error: VehAnchorError | None = None
+
+    def flat(self) -> dict[str, Any]:
+        """Give the values by column."""
+        given = (*self.target.numbers, None, None)[:4]
+        values = dict.fromkeys(TARGET_COLUMNS) | dict(zip(("x1", "y1", "x2", "y2"), given, strict=True))
+        values |= {"file": self.target.file, "name": self.target.name, "kind": self.target.kind}
+        if self.record is not None:
+            values |= {name: getattr(self.record, name, None) for name in ("status", *_SIZES)}
+            values["warnings"] = " ".join(each.code for each in self.record.warnings)
+        if self.error is not None:
+            values |= {"error_code": self.error.code, "error": str(self.error)}
+        return values
+
+    def feature(self) -> dict[str, Any] | None:
+        """Make the GeoJSON feature of the outline or line, in pixels; None without one."""
+        geometry = None if self.record is None else self.record.__geo_interface__
+        if geometry is None or not geometry["coordinates"]:
+            return None
+        hidden = ("x1", "y1", "x2", "y2", "error_code", "error")
+        properties = {name: value for name, value in self.flat().items() if name not in hidden}
+        return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+def read_targets(path: str | os.PathLike[str]) -> dict[str, tuple[Target, ...]]:
+    """Read a CSV with the columns ``file``, ``x1``, ``y1``, ``x2``, ``y2``, and optionally ``kind`` and ``name``.
+
+    The kind is ``box``, ``line`` or ``point``; an empty one is a point without ``x2``, else a box.
+
+    Args:
+        path: path of the table. Files are relative to the table, or addresses.
+
+    Returns:
+        The targets of each image, by its absolute path or address.
+
+    Raises:
+        PromptError: the table cannot be read, or a row is invalid; the message names the row.
+    """
+    table = Path(path)
+    found: dict[str, tuple[Target, ...]] = {}
+    try:
+        if table.stat().st_size > _MOST_BYTES:
+            raise PromptError(f"{str(table)!r} is larger than {_MOST_BYTES >> 20} MiB: give a table of targets")
+        with table.open(newline="", encoding="utf-8-sig") as handle:
+            reader = csv.DictReader(handle)
+            missing = [name for name in _NEEDED if name not in (reader.fieldnames or ())]
+            if missing:
+                raise PromptError(
+                    f"{str(table)!r} has no column {', '.join(missing)}: the first line must be file,kind,x1,y1,x2,y2"
+                )
+            for row in reader:
+                try:
+                    target = _target(row)
+                except (ValueError, PromptError) as error:
+                    raise PromptError(f"{str(table)!r}, line {reader.line_num}: {error}") from None
+                image = where_it_is(target.file if is_address(target.file) else table.parent / target.file)
+                found[image] = (*found.get(image, ()), target)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise PromptError(f"cannot read the targets in {str(table)!r}: {error}") from None
+    if not found:
+        raise PromptError(f"{str(table)!r} has no target: give at least one")
+    return found
+
+
+def measure_targets(
+    image: str, targets: Sequence[Target], detector: Detector, segmenter: Segmenter, options: ScaleOptions
+) -> list[TargetRow]:
+    """Measure all targets of an image with one search.
+
+    Args:
+        image: path or address.
+        targets: of this image.
+        detector: finds the vehicles.
+        segmenter: finds the objects.
+        options: all options of the method.
+
+    Returns:
+        One row per target, in order. An error of the image goes into each row.
+    """
+    reading = options.reading
+    try:
+        with open_raster(image, bands=reading.bands, limits=reading.limits) as raster:
+            return list(_rows(raster, targets, detector, segmenter, options))
+    except VehAnchorError as error:
+        return [TargetRow(target, error=error) for target in targets]
+
+
+def _target(row: Mapping[str, str | None]) -> Target:
+    file = row["file"]
+    if not file:
+        raise PromptError("the file is not named")
+    numbers = tuple(float(row.get(name) or "") for name in ("x1", "y1", "x2", "y2") if row.get(name) or name[1] == "1")
+    kind = row.get("kind") or ("point" if len(numbers) == 2 else "box")
+    if kind not in _KINDS:
+        raise PromptError(f"kind is {kind!r}: use {', '.join(_KINDS)}")
+    if len(numbers) != (2 if kind == "point" else 4):
+        raise PromptError(f"a {kind} has {len(numbers)} numbers: a point has x1, y1; a box or line has x1, y1, x2, y2")
+    return Target(file, row.get("name") or "", kind, numbers)
+
+
+def _rows(
+    raster: Raster, targets: Sequence[Target], detector: Detector, segmenter: Segmenter, options: ScaleOptions
+) -> Iterator[TargetRow]:
+    """Measure objects together, because their search and their decoding are shared; then lines with that scale."""
+    scale: ScaleInput = detector
+    rows: dict[Target, TargetRow] = {}
+    prompts = {}
+    for target in targets:
+        if target.kind == "line":
+            continue
+        try:
+            given: Any = target.numbers
+            prompt = read_prompt(given, None) if target.kind == "box" else read_prompt(None, [given])
+            prompt_in_image(prompt, options.frame, raster.width_px, raster.height_px)
+            prompts[target] = prompt
+        except PromptError as error:
+            rows[target] = TargetRow(target, error=error)
+    if prompts:
+        found = analyse_objects(raster, list(prompts.values()), segmenter, scale, options)
+        for target, each in zip(prompts, found, strict=True):
+            rows[target] = TargetRow(target, each.measurement, raster.ground)
+        scale = found[0].measurement.scale or scale
+    for target in targets:
+        if target.kind == "line":
+            try:
+                x1, y1, x2, y2 = target.numbers
+                path = read_path([(x1, y1), (x2, y2)])
+                (line,) = analyse_paths(raster, [path], scale, options)
+                rows[target] = TargetRow(target, line.measurement, raster.ground)
+                scale = line.measurement.scale or scale
+            except PromptError as error:
+                rows[target] = TargetRow(target, error=error)
+    return (rows[target] for target in targets)
