@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import nullcontext
 from typing import Annotated
 
 import typer
@@ -30,6 +31,11 @@ def live(
         float | None,
         typer.Option(metavar="S", help="End after so many seconds without a new frame. Default: never."),
     ] = None,
+    mavlink: Annotated[
+        str | None,
+        typer.Option(metavar="HOST:PORT", help="Also send MAVLink NAMED_VALUE_FLOAT over UDP (extra mavlink)."),
+    ] = None,
+    mavlink_system: Annotated[int, typer.Option(metavar="ID", help="MAVLink system of the vehicle, 1 to 255.")] = 1,
     precision: Annotated[
         Precision,
         typer.Option(help="Number format of the detector. Default: int8 where the processor is fast with it."),
@@ -41,13 +47,17 @@ def live(
     with exit_on_error():
         from vehanchor.flight.live.estimator import live_scales
         from vehanchor.flight.live.frames import open_frames
+        from vehanchor.flight.live.mavlink import MavlinkSender
 
         engine = ParsedOptions({**chosen.typed, "precision": precision}).engine()
-        engine.load()
         frames = open_frames(source, engine.options.reading, every_s=every, idle_s=idle, tell=_tell)
-        for record in live_scales(frames, engine.detector, engine.options, hold_s=hold):
-            print(record.model_dump_json(), flush=True)
+        with nullcontext() if mavlink is None else MavlinkSender(mavlink, _tell, system=mavlink_system) as sender:
+            for record in live_scales(frames, engine.detector, engine.options, hold_s=hold):
+                print(record.model_dump_json(), flush=True)
+                if sender is not None:
+                    sender.send(record)
 
 
 def _tell(sentence: str) -> None:
+    """Print a sentence on stderr."""
     print(printable(sentence), file=sys.stderr, flush=True)

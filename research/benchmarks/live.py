@@ -1,0 +1,160 @@
+"""Measure ``vehanchor live`` on rendered flights of exactly known scale.
+
+``python -m research.benchmarks.live [--flights N] [--precision P] [--out FLIGHTS.jsonl]``.
+
+A flight crosses one rendered place at five frames a second, 1280 x 720. It climbs, turns and shifts. For a second no
+frame arrives, and for another the frames are grey. The last line has the errors of all frames with a scale, the share
+of the intervals that hold the truth, the longest time of ``ok`` with an error above a fifth, and the processor seconds
+of a frame.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+import cv2
+import numpy as np
+
+from vehanchor.engine import Engine
+from vehanchor.flight.live.estimator import LiveEstimator
+from vehanchor.flight.live.frames import Frame
+from vehanchor.models.runtime import Runtime
+from vehanchor.options import ScaleOptions
+from vehanchor_scenes import render_scene
+from vehanchor_scenes.truth import Layout
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from vehanchor.records import LiveScale
+
+_WORLD_GSD, _WORLD_PX = 0.05, 3600
+_WIDTH_PX, _HEIGHT_PX, _FRAMES, _STEP_S = 1280, 720, 40, 0.2
+_LOST, _GREY = range(14, 19), range(27, 32)  # frames that do not arrive, frames that show nothing
+_WRONG = 0.2
+
+
+def frames_of(seed: int) -> Iterator[tuple[Frame, float]]:
+    """Render the frames of one flight, each with its metres per pixel."""
+    rng = np.random.default_rng(seed)
+    layouts = [each for each in get_args(Layout) if each != "sports"]
+    layout = layouts[seed % len(layouts)]
+    world = render_scene(_WORLD_GSD, width_px=_WORLD_PX, height_px=_WORLD_PX, seed=seed, layout=layout).image
+    low, climb, heading = rng.uniform(0.055, 0.08), rng.uniform(0.0, 0.35), rng.uniform(0, 2 * math.pi)
+    sway, turning = rng.uniform(0.1, 0.3), rng.uniform(-40, 40)
+    for number in range(_FRAMES):
+        at_s = number * _STEP_S
+        part = number / (_FRAMES - 1)
+        gsd = low * math.exp(climb * part + 0.1 * math.sin(2 * math.pi * part))
+        along = (part - 0.5) * 700
+        x = _WORLD_PX / 2 + along * math.cos(heading)
+        y = _WORLD_PX / 2 + along * math.sin(heading) + 100 * math.sin(sway * at_s * 5)
+        if number in _LOST:
+            continue
+        image = _view(world, x, y, gsd / _WORLD_GSD, turning * part, rng)
+        if number in _GREY:
+            image = np.full_like(image, 110)
+        yield Frame(f"{layout} {seed} at {at_s:.1f} s", image, at_s, time.monotonic(), 0), gsd
+
+
+def _view(
+    world: NDArray[np.uint8], x: float, y: float, scale: float, turn_deg: float, rng: np.random.Generator
+) -> NDArray[np.uint8]:
+    """Resample the world around a point: ``scale`` of its pixels a pixel."""
+    reach = math.ceil(math.hypot(_WIDTH_PX, _HEIGHT_PX) / 2 * scale) + 8
+    left, top = max(0, int(x) - reach), max(0, int(y) - reach)
+    part = world[top : int(y) + reach, left : int(x) + reach]
+    move = np.asarray(cv2.getRotationMatrix2D((x - left, y - top), turn_deg, 1 / scale), np.float64)
+    move[:, 2] += np.array([_WIDTH_PX / 2 - (x - left), _HEIGHT_PX / 2 - (y - top)])
+    soft = cv2.GaussianBlur(part, (0, 0), 0.4 * scale)
+    seen = cv2.warpAffine(soft, move, (_WIDTH_PX, _HEIGHT_PX), flags=cv2.INTER_LINEAR)
+    noise = rng.integers(-3, 4, seen.shape, dtype=np.int16)
+    return np.asarray(np.clip(seen.astype(np.int16) + noise, 0, 255), np.uint8)
+
+
+def fly(seed: int, engine: Engine) -> list[dict[str, Any]]:
+    """Estimate the scales of one flight."""
+    estimator = LiveEstimator(engine.detector, ScaleOptions())
+    rows = []
+    for frame, gsd in frames_of(seed):
+        before = time.process_time()
+        record = estimator.estimate(frame._replace(arrived_s=time.monotonic()))
+        rows.append(_row(record, gsd, time.process_time() - before))
+    return rows
+
+
+def _row(record: LiveScale, gsd: float, cpu_s: float) -> dict[str, Any]:
+    low, high = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
+    return {
+        "frame": record.frame,
+        "truth": gsd,
+        "error": None if record.gsd_m_per_px is None else record.gsd_m_per_px / gsd - 1,
+        "holds": None if low is None or high is None else low <= gsd <= high,
+        "width": None if low is None or high is None else high / low,
+        "status": record.status,
+        "confidence": record.confidence,
+        "n_vehicles": record.n_vehicles,
+        "linked": record.linked,
+        "cpu_s": cpu_s,
+        "latency_s": record.latency_s,
+    }
+
+
+def summary(flights: list[list[dict[str, Any]]]) -> dict[str, Any]:
+    """Summarise all flights."""
+    rows = [row for flight in flights for row in flight]
+    scaled = [row for row in rows if row["error"] is not None]
+    ok = [row for row in rows if row["status"] == "ok"]
+    return {
+        "flights": len(flights),
+        "frames": len(rows),
+        "with_scale": len(scaled),
+        "ok": len(ok),
+        "median_error": float(np.median([abs(row["error"]) for row in scaled])) if scaled else None,
+        "median_error_ok": float(np.median([abs(row["error"]) for row in ok])) if ok else None,
+        "holds": float(np.mean([row["holds"] for row in scaled])) if scaled else None,
+        "holds_ok": float(np.mean([row["holds"] for row in ok])) if ok else None,
+        "longest_wrong_s": max((_longest_wrong(flight) for flight in flights), default=0.0),
+        "median_cpu_s": float(np.median([row["cpu_s"] for row in rows])),
+        "p90_cpu_s": float(np.quantile([row["cpu_s"] for row in rows], 0.9)),
+        "median_latency_s": float(np.median([row["latency_s"] for row in rows])),
+    }
+
+
+def _longest_wrong(flight: list[dict[str, Any]]) -> float:
+    longest = run = 0
+    for row in flight:
+        run = run + 1 if row["status"] == "ok" and abs(row["error"]) > _WRONG else 0
+        longest = max(longest, run)
+    return longest * _STEP_S
+
+
+def main() -> None:
+    """Run the measurement."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--flights", type=int, default=16)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--precision", choices=("float32", "int8", "auto"), default="auto")
+    parser.add_argument("--out", type=Path)
+    chosen = parser.parse_args()
+    engine = Engine(runtime=Runtime(threads=2, precision=chosen.precision))
+    engine.load()
+    flights = []
+    for seed in range(chosen.first, chosen.first + chosen.flights):
+        flights.append(fly(seed, engine))
+        print(json.dumps({"seed": seed, **summary(flights[-1:])}), flush=True)
+        if chosen.out is not None:
+            with chosen.out.open("a", encoding="utf-8") as file:
+                file.writelines(json.dumps(row) + "\n" for row in flights[-1])
+    print(json.dumps(summary(flights)))
+
+
+if __name__ == "__main__":
+    main()
