@@ -26,6 +26,8 @@ from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.errors import InvalidParameterError
 from vehanchor.flight.estimate import analyse_flight
 from vehanchor.flight.inputs import check_many
+from vehanchor.flight.reconstruction.estimate import rescale
+from vehanchor.flight.reconstruction.files import images_of, read_model
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
 from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
@@ -38,6 +40,7 @@ from vehanchor.segmentation.prompt import read_prompt
 from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Iterator
     from typing import Unpack
 
@@ -49,6 +52,7 @@ if TYPE_CHECKING:
         EstimateKeywords,
         FlightKeywords,
         MeasureKeywords,
+        RescaleKeywords,
         SegmenterSource,
     )
     from vehanchor.flight.inputs import InputPhotograph
@@ -56,7 +60,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.measure.resolved_scale import ScaleInput
     from vehanchor.options.coordinates import Place
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, ModelScale
 
 T = TypeVar("T")
 _OWN_KEYWORDS = frozenset({"detector", "segmenter", *RuntimeKeywords.__annotations__})
@@ -305,6 +309,31 @@ class Engine:
         same_scale, journal = keywords.pop("same_scale", False), keywords.pop("journal", None)
         engine, chosen = self._call(options, keywords)
         return analyse_flight(images, engine.detector, chosen, same_scale=same_scale, journal=journal)
+
+    def rescale(
+        self,
+        model: str | os.PathLike[str],
+        options: ScaleOptions | None = None,
+        **keywords: Unpack[RescaleKeywords],
+    ) -> ModelScale:
+        """Estimate the factor that gives a reconstruction its size in metres.
+
+        Args:
+            model: folder of a project of OpenDroneMap, OpenSfM or COLMAP, or a ``reconstruction.json``.
+            options: as in ``estimate``. Metadata of the photographs is not used.
+            **keywords: see ``RescaleKeywords``.
+
+        Returns:
+            The record; ``factor`` is None if nothing of known size is found.
+
+        Raises:
+            ReconstructionError: the model cannot be read or measured, or its photographs are not found.
+            VehAnchorError: as ``estimate``.
+        """
+        images, lines = keywords.pop("images", None), keywords.pop("known_lengths_table", None)
+        engine, chosen = self._call(options, keywords)
+        read = read_model(model)
+        return rescale(read, images_of(read) if images is None else Path(images), engine.detector, chosen, lines)
 
     def _call(self, options: ScaleOptions | None, keywords: Mapping[str, object]) -> tuple[Engine, ScaleOptions]:
         """Apply the keywords of a call to the engine and its options."""

@@ -71,3 +71,15 @@ class FlightKeywords(EstimateKeywords, total=False):
 
     same_scale: bool
     journal: str | os.PathLike[str] | None
+
+
+class RescaleKeywords(EstimateKeywords, total=False):
+    """Keywords of a reconstruction.
+
+    Attributes:
+        images: folder of the photographs; None looks near the model's files.
+        known_lengths_table: CSV of lines of known length in the photographs; see ``read_known_lengths``.
+    """
+
+    images: str | os.PathLike[str] | None
+    known_lengths_table: str | os.PathLike[str] | None

@@ -9,6 +9,7 @@ import pytest
 from tests.models import write_detector
 from tests.skill.flight.reconstruction.flights import Pose, write_opensfm
 from vehanchor.detection.detector import Detector
+from vehanchor.engine import Engine
 from vehanchor.errors import ReconstructionError
 from vehanchor.flight.reconstruction.estimate import rescale
 from vehanchor.flight.reconstruction.files import images_of, read_model
@@ -89,6 +90,17 @@ def test_a_missing_photograph_is_told_and_the_others_count(tmp_path: Path) -> No
     assert record.factor == pytest.approx(1.0, rel=0.02)
     with pytest.raises(ReconstructionError, match="--images"):
         rescale(model, tmp_path, detector, OPTIONS)
+
+
+def test_an_engine_takes_a_project(tmp_path: Path) -> None:
+    write_opensfm(tmp_path / "project", [pose.painted(_cars()) for pose in GRID], GRID, 1 / 0.92)
+    engine = Engine(write_detector(tmp_path / "detector.onnx"))
+    record = engine.rescale(tmp_path / "project", reference_length_m=4.8)
+    assert record.factor == pytest.approx(1 / 0.92, rel=0.015)
+    (tmp_path / "project" / "images").rename(tmp_path / "elsewhere")
+    assert engine.rescale(tmp_path / "project", OPTIONS, images=tmp_path / "elsewhere").factor == record.factor
+    with pytest.raises(ReconstructionError, match="--images"):
+        engine.rescale(tmp_path / "project")
 
 
 def test_names_cannot_leave_the_folder(tmp_path: Path) -> None:
