@@ -18,7 +18,7 @@ from vehanchor_server.tools.portable_schema import portable_schema
 from vehanchor_server.tools.registry import create_tools
 from vehanchor_server.tools.strict_tool import StrictTool
 
-_NOT_IN_STRICT_MODE = ("default", "minLength", "maxLength", "minProperties", "maxProperties")
+_NOT_IN_STRICT_MODE = ("default", "examples", "pattern", "minLength", "maxLength", "minProperties", "maxProperties")
 
 
 def write_schemas(directory: Path) -> list[Path]:

@@ -218,6 +218,11 @@ class Settings:
             raise SettingsError(f"listening on {self.host} with an issuer: give --public-url, the address for callers")
 
     @property
+    def image_kinds(self) -> tuple[str, ...]:
+        """Kinds of images that models can name: by path and by URL, if allowed; models cannot write base64."""
+        return (*(["path"] if self.roots else []), *(["url"] if self.image_hosts else []))
+
+    @property
     def spelled_roots(self) -> tuple[Path, ...]:
         """The roots as given by the operator: absolute, with unresolved links."""
         spelled: tuple[Path, ...] = self.__dict__["_spelled"]

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from typing import Self
 
 KEY = "key-of-the-stand-in"
-GIVEN_BACK: dict[str, Any] = {"image_id": "as the tool said"}
-"""An argument that is taken from an earlier result; what else it holds is added to that."""
+GIVEN_BACK = "as the tool said"
+"""An argument that is taken from an earlier result."""
 
-_SCALE = re.compile(r'\{[^{}]*"image_id"[^{}]*\}')
+_SCALE = re.compile(r'pass scale "([^"]+)"')
 _NAME = re.compile(r"^[a-zA-Z0-9_-]{1,64}$")
 
 
@@ -134,8 +134,7 @@ class StandIn:
             return call
         found = _SCALE.findall(" ".join(results).replace('\\"', '"'))
         _require(bool(found), f"no tool told a scale that the model could read: {results}")
-        given_back = {**scale, **json.loads(found[-1])}
-        return ToolCall(call.name, {**call.arguments, "scale": given_back})
+        return ToolCall(call.name, {**call.arguments, "scale": found[-1]})
 
     def _with_thread(self, body: dict[str, Any]) -> dict[str, Any]:
         thread = body.pop("thread", None) or {}

@@ -48,8 +48,6 @@ def filled(call: ToolCall) -> ToolCall:
     tools = json.loads((ROOT / "schemas" / "openai.json").read_text(encoding="utf-8"))
     (needed,) = (tool["parameters"]["required"] for tool in tools if tool["name"] == call.name)
     arguments = {name: call.arguments.get(name, _USUAL.get(name)) for name in needed}
-    if arguments.get("scale"):
-        arguments["scale"] = {**GIVEN_BACK, "plane": None}
     return ToolCall(call.name, arguments)
 
 

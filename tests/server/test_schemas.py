@@ -103,7 +103,7 @@ async def test_real_results_are_valid(
     arguments = {**by_path(images / image), **more, "frame": frame}
     jsonschema.validate(arguments, files[f"{tool}.input.json"])
     listed = files["anthropic.json"][TOOLS.index(tool)]["input_schema"]
-    asked = {name: value for name, value in arguments.items() if name != "target"}
+    asked = {name: value for name, value in arguments.items() if name not in ("target", "detail")}
     asked |= {"targets": [arguments["target"]]} if "target" in arguments else {}
     jsonschema.validate(asked, listed)
     assert set(asked) <= set(listed["properties"])

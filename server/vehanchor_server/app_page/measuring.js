@@ -190,7 +190,7 @@ function lengthForm(record, words) {
       words.textContent = "Enter the length in metres, or choose what the line measures.";
       return;
     }
-    const size = what.value ? { what: what.value } : { metres: value, ...(measured.checked ? { basis: "measured" } : {}) };
+    const size = what.value ? { metres: what.value } : { metres: value, ...(measured.checked ? { basis: "measured" } : {}) };
     measure.disabled = true;
     words.textContent = "Measuring again.";
     try {

@@ -10,7 +10,7 @@ from mcp.types import Annotations, CallToolResult, TextContent
 from pydantic import BaseModel
 
 from vehanchor_server.app_page import panel_meta
-from vehanchor_server.calls.compact import scale_in_words, short_answer
+from vehanchor_server.calls.compact import scale_as_text, scale_in_words, short_answer
 
 if TYPE_CHECKING:
     from vehanchor_server.app_page.panel import Drawing, LengthHistogram
@@ -69,6 +69,8 @@ class Answer(Generic[Record]):
             paged: whether the host shows a page, which needs the whole record.
         """
         short = None if detail == "full" else seal.sealed(short_answer(self.records))
+        if short is not None and "scale" in short:
+            short["scale"] = scale_as_text(short["scale"])
         content: list[Any] = [TextContent(type="text", text=sentence)]
         if self.overlay is not None:
             content.append(Image(data=self.overlay, format="jpeg").to_image_content())

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 from typing import TYPE_CHECKING, Any
 
-from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
+from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, KnownScale
+from vehanchor.records.known_scale import KnownPlane
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -63,6 +63,9 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
 }
 """The fields of each record in a short answer, unless null."""
 
+_SCALE_FIELDS = tuple(name for name in KnownScale.model_fields if name != "plane")
+_PLANE_FIELDS = tuple(KnownPlane.model_fields)
+_ID_FIELDS = ("image_id", "model_id")
 _KEPT_WHEN_NULL = ("gsd_m_per_px", "area_m2", "distance_m")  # null means "no scale"
 _OMITTED_IN_FRAME = ("width_px", "height_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")
 
@@ -79,17 +82,51 @@ def short_answer(records: Sequence[BaseModel]) -> dict[str, Any]:
     return whole if scale is None else {**whole, "scale": scale}
 
 
+def scale_as_text(scale: Mapping[str, Any]) -> str:
+    """Write a scale as one text, which models and hosts give back unchanged; nested fields can get lost.
+
+    Args:
+        scale: ``KnownScale`` as JSON.
+    """
+    plane = scale.get("plane") or {}
+    return " ".join(str(value) for value in (*(scale[name] for name in _SCALE_FIELDS), *plane.values()))
+
+
+def scale_from_text(value: Any) -> Any:
+    """Read ``scale_as_text`` into the fields of a ``KnownScale``; return other values unchanged.
+
+    Raises:
+        ValueError: the text is not a scale.
+    """
+    if not isinstance(value, str):
+        return value
+    parts = value.split()
+    n_fields = len(_SCALE_FIELDS)
+    if len(parts) not in (n_fields, n_fields + len(_PLANE_FIELDS)):
+        raise ValueError("it is not the scale of an earlier answer. Give that text back unchanged, or leave scale out")
+    numbers = [part if name in _ID_FIELDS else _number(part) for name, part in zip(_SCALE_FIELDS, parts, strict=False)]
+    plane = dict(zip(_PLANE_FIELDS, map(_number, parts[n_fields:]), strict=False))
+    return {**dict(zip(_SCALE_FIELDS, numbers, strict=True)), "plane": plane or None}
+
+
+def _number(part: str) -> float:
+    try:
+        return float(part)
+    except ValueError:
+        raise ValueError(f"{part[:20]!r} is not a number. Give back the scale of an earlier answer unchanged") from None
+
+
 def scale_in_words(records: Sequence[BaseModel], short: Mapping[str, Any]) -> str:
-    """Return the scale as text, for hosts that show models only text; empty without a usable scale.
+    """Return the scale as text, for hosts that show models only text; empty without one.
 
     Args:
         records: records of one image.
         short: their ``short_answer``.
     """
     estimate = _estimate(records[0])
-    if "scale" not in short or estimate is None or estimate.status != "ok":
+    if "scale" not in short or estimate is None:
         return ""
-    return REUSE_SCALE + json.dumps(short["scale"], separators=(",", ":"))
+    return f'{REUSE_SCALE}"{short["scale"]}"'
 
 
 def _short(record: BaseModel) -> dict[str, Any]:

@@ -16,28 +16,31 @@ class PathImage(FrozenModel):
     """An image file on the server's machine."""
 
     kind: Literal["path"]
-    path: str = Field(
-        min_length=1,
-        max_length=MAX_PATH_CHARS,
-        description="Absolute path, or file:// URL.",
-    )
+    path: str = Field(min_length=1, max_length=MAX_PATH_CHARS)
 
 
 class Base64Image(FrozenModel):
     """An image within the call, for programs; models cannot write long base64."""
 
     kind: Literal["base64"]
-    data: str = Field(min_length=1, description="The encoded file, or a data: URI.")
+    data: str = Field(min_length=1)
 
 
 class UrlImage(FrozenModel):
     """An image on a web server that the operator allows."""
 
     kind: Literal["url"]
-    url: str = Field(min_length=1, max_length=MAX_URL_CHARS, description="https:// address.")
+    url: str = Field(min_length=1, max_length=MAX_URL_CHARS)
 
 
 AnyImage: TypeAlias = PathImage | Base64Image | UrlImage
 
-ImageArgument = Annotated[AnyImage, Field(discriminator="kind", description="Uncropped image; absolute path.")]
+ImageArgument = Annotated[
+    AnyImage,
+    Field(
+        discriminator="kind",
+        description="The uncropped image; path: absolute, or below the root.",
+        examples=[{"kind": "path", "path": "car_park.jpg"}],
+    ),
+]
 """The ``image`` of every tool; ``kind`` has no default, so that the schema requires it."""

@@ -39,6 +39,7 @@ _DIRECTORY_FLAGS = os.O_RDONLY | _NOFOLLOW | _CLOEXEC | getattr(os, "O_DIRECTORY
 
 
 _MAX_LINKS = 40  # the limit of Linux
+_MAX_NAMED = 4  # roots in an error
 _MAX_LISTED = 100_000  # visited names per list of images
 
 
@@ -59,7 +60,7 @@ class PathAccess:
         """Open a file for the duration of the context.
 
         Args:
-            named: an absolute path or a ``file://`` URL.
+            named: an absolute path, a ``file://`` URL, or a path below a root; the first root with such a file wins.
 
         Yields:
             The name of the descriptor, or a file object on systems without such names.
@@ -72,14 +73,7 @@ class PathAccess:
             raise CallError(
                 "source_disabled", "this server takes no images by path. Use another kind, or start it with --root DIR."
             )
-        path = _local_path(named)
-        root, below = self._below(path)
-        try:
-            descriptor = self._opened(root, below)
-        except (FileNotFoundError, NotADirectoryError):
-            raise _no_image(str(path)) from None
-        except (OSError, ValueError):  # a new link, a long name, or a directory without access
-            raise _refused() from None
+        descriptor = self._descriptor(self._local_path(named))
         with os.fdopen(descriptor, "rb") as file:
             yield f"/proc/self/fd/{descriptor}" if sys.platform == "linux" else file
 
@@ -110,6 +104,59 @@ class PathAccess:
         )
         return found[:count], len(found) > count
 
+    def _descriptor(self, path: Path) -> int:
+        """Open the file at an absolute path, or at a relative one below the first root that has it.
+
+        Raises:
+            CallError: ``path_not_allowed`` or ``image_not_found``.
+        """
+        missing: CallError | None = None
+        for place in [path] if path.is_absolute() else [root / path for root in self.roots]:
+            root, below = self._below(place)
+            try:
+                return self._opened(root, below)
+            except (FileNotFoundError, NotADirectoryError):
+                missing = _no_image(str(path))
+            except CallError as error:
+                if error.code != "image_not_found":
+                    raise
+                missing = error
+            except (OSError, ValueError):  # a new link, a long name, or a directory without access
+                raise self._refused() from None
+        assert missing is not None
+        raise missing
+
+    def _local_path(self, named: str) -> Path:
+        """Convert a path or file:// URL to a path without access to the file system."""
+        if named[:5].lower() == "file:":
+            try:
+                parts = urlsplit(named)
+            except ValueError:  # an unclosed [
+                raise self._refused() from None
+            if parts.netloc not in ("", "localhost") or parts.query or parts.fragment or not named[5:7] == "//":
+                raise CallError(
+                    "path_not_allowed",
+                    "a file:// URL must name this machine: file:///absolute/path, without query or fragment.",
+                )
+            try:
+                named = url2pathname(parts.path)
+            except OSError:
+                raise self._refused() from None
+        if "\0" in named or len(named) > MAX_PATH_CHARS:
+            raise self._refused()
+        path = Path(named)
+        if ".." in path.parts:
+            raise CallError("path_not_allowed", "the path contains '..'. Give the path without it.")
+        return path
+
+    def _refused(self) -> CallError:
+        roots = " or ".join(shortened(str(name)) for name, _ in self._named[-len(self.roots) :][:_MAX_NAMED])
+        return CallError(
+            "path_not_allowed",
+            f"the path is not below an allowed directory of this server: {roots}. Use a path below it, absolute or "
+            "relative to it; view_image without image lists the images.",
+        )
+
     def _below(self, path: Path) -> tuple[Path, tuple[str, ...]]:
         """Return the root of a path and the components below it, by its text alone.
 
@@ -119,7 +166,7 @@ class PathAccess:
         for name, root in self._named:
             if path.is_relative_to(name):
                 return root, path.relative_to(name).parts
-        raise _refused()
+        raise self._refused()
 
     def _opened(self, root: Path, below: tuple[str, ...]) -> int:
         """Open the regular file at the components below a root; return its descriptor.
@@ -129,7 +176,7 @@ class PathAccess:
             OSError: a component is missing, unreadable, or changed during the walk.
         """
         if os.open not in os.supports_dir_fd:
-            return _open_and_compare(self.roots, root.joinpath(*below))
+            return self._open_and_compare(root.joinpath(*below))
         n_links = 0
         pending = deque(below)
         walked = [os.open(root, _DIRECTORY_FLAGS)]  # descriptors from the root to the current directory
@@ -138,14 +185,14 @@ class PathAccess:
                 part = pending.popleft()
                 if part == "..":  # only in a link
                     if len(walked) == 1:
-                        raise _refused()
+                        raise self._refused()
                     os.close(walked.pop())
                     continue
                 mode = os.stat(part, dir_fd=walked[-1], follow_symlinks=False).st_mode
                 if stat.S_ISLNK(mode):
                     n_links += 1
                     if n_links > _MAX_LINKS:
-                        raise _refused()
+                        raise self._refused()
                     target = Path(os.readlink(part, dir_fd=walked[-1]))
                     parts = target.parts
                     if target.is_absolute():
@@ -164,6 +211,24 @@ class PathAccess:
         finally:
             for directory in walked:
                 os.close(directory)
+
+    def _open_and_compare(self, path: Path) -> int:
+        """Open a path on systems without directory descriptors (Windows), and check that it still names the same file.
+
+        Raises:
+            CallError: the path leaves the roots, or is not a regular file.
+            OSError: the file is missing, or changed during opening.
+        """
+        resolved = path.resolve(strict=False)
+        if not any(resolved.is_relative_to(root) for root in self.roots):
+            raise self._refused()
+        if not stat.S_ISREG(resolved.stat().st_mode):
+            raise _no_image(str(path))
+        descriptor = os.open(resolved, _FILE_FLAGS)
+        if resolved.resolve(strict=True) != resolved or not os.path.samestat(os.fstat(descriptor), resolved.stat()):
+            os.close(descriptor)
+            raise OSError("the path changed while it was opened")
+        return _regular(descriptor, str(path))
 
 
 def _images_below(root: Path, stop: Stop) -> Iterator[Path]:
@@ -186,38 +251,8 @@ def _images_below(root: Path, stop: Stop) -> Iterator[Path]:
                         yield path
 
 
-def _refused() -> CallError:
-    return CallError("path_not_allowed", "the path is not below an allowed directory of this server. Use one that is.")
-
-
 def _no_image(named: str) -> CallError:
     return CallError("image_not_found", f"there is no regular file at {shortened(named)!r}. Check the path.")
-
-
-def _local_path(named: str) -> Path:
-    """Convert a path or file:// URL to an absolute path without access to the file system."""
-    if named[:5].lower() == "file:":
-        try:
-            parts = urlsplit(named)
-        except ValueError:  # an unclosed [
-            raise _refused() from None
-        if parts.netloc not in ("", "localhost") or parts.query or parts.fragment or not named[5:7] == "//":
-            raise CallError(
-                "path_not_allowed",
-                "a file:// URL must name this machine: file:///absolute/path, without query or fragment.",
-            )
-        try:
-            named = url2pathname(parts.path)
-        except OSError:
-            raise _refused() from None
-    if "\0" in named or len(named) > MAX_PATH_CHARS:
-        raise _refused()
-    path = Path(named)
-    if not path.is_absolute():
-        raise CallError("path_not_allowed", f"{shortened(named)!r} is not an absolute path. Give the absolute path.")
-    if ".." in path.parts:
-        raise CallError("path_not_allowed", "the path contains '..'. Give the path without it.")
-    return path
 
 
 def _open_part(part: str, flags: int, directory: int) -> int:
@@ -235,22 +270,3 @@ def _regular(descriptor: int, named: str) -> int:
         os.close(descriptor)
         raise _no_image(named)
     return descriptor
-
-
-def _open_and_compare(roots: Sequence[Path], path: Path) -> int:
-    """Open a path on systems without directory descriptors (Windows), and check that it still names the same file.
-
-    Raises:
-        CallError: the path leaves the roots, or is not a regular file.
-        OSError: the file is missing, or changed during opening.
-    """
-    resolved = path.resolve(strict=False)
-    if not any(resolved.is_relative_to(root) for root in roots):
-        raise _refused()
-    if not stat.S_ISREG(resolved.stat().st_mode):
-        raise _no_image(str(path))
-    descriptor = os.open(resolved, _FILE_FLAGS)
-    if resolved.resolve(strict=True) != resolved or not os.path.samestat(os.fstat(descriptor), resolved.stat()):
-        os.close(descriptor)
-        raise OSError("the path changed while it was opened")
-    return _regular(descriptor, str(path))

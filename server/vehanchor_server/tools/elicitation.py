@@ -137,8 +137,9 @@ def _form(question: ScaleQuestion, estimate: GsdEstimate) -> dict[str, Any]:
 
 
 def _line(text: str) -> KnownLine:
-    line = KnownLength.from_text(text)
-    return KnownLine.model_validate(line._asdict())
+    line = KnownLength.from_text(text)._asdict()
+    what = line.pop("what")
+    return KnownLine.model_validate(line if what is None else {**line, "metres": what})
 
 
 def _supports_forms(ctx: Context[Any, Any]) -> bool:

@@ -41,9 +41,10 @@ from vehanchor_server.tools.messages import (
     unusable_scale,
     warnings,
 )
+from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_answer import scale_answer
 from vehanchor_server.tools.scale_question import (
-    EFFORT_ARGUMENTS,
+    UNLISTED_ARGUMENTS,
     CoordinatesArgument,
     DetailArgument,
     EffortArgument,
@@ -65,7 +66,7 @@ _DESCRIPTION = (
     "Measures the metric scale (metres per pixel) of a near-nadir aerial or satellite image from the cars in it. A "
     "known length, the camera height or the file's metadata also serve as rulers. Call it before any metric statement "
     "about such an image; never estimate the scale by eye. Needs cars at about 0.3 m/px or finer, or another ruler. "
-    f"{POLICY} For distances and areas call measure_distance and measure_area. Very large images take up to a minute."
+    f"{POLICY} For metres call measure_distance or measure_area."
 )
 
 
@@ -92,7 +93,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         height_basis: HeightBasisArgument = "assumed",
         height_tolerance_m: HeightToleranceArgument = None,
         coordinates: CoordinatesArgument = "pixels",
-        include_overlay: Annotated[Flag, Field(description="Also return a picture with the rulers.")] = False,
+        include_overlay: Annotated[Flag, Field(description="Also return a picture of the rulers.")] = False,
         detail: DetailArgument = "short",
         more_images: MoreImagesArgument = None,
         same_scale: SameScaleArgument = False,
@@ -135,7 +136,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         description=_DESCRIPTION,
         meta=APP_META,
         answered=("status", "gsd_m_per_px", "confidence"),
-        unlisted=("more_images", "same_scale", "height_tolerance_m", *EFFORT_ARGUMENTS),
+        listing=Listing(UNLISTED_ARGUMENTS, services.settings.image_kinds),
     )
 
 

@@ -2,6 +2,7 @@
 
 # No postponed annotations here: the SDK reads the result's schema from them.
 
+import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
@@ -34,6 +35,7 @@ from vehanchor_server.tools.messages import (
     unusable_scale,
     warnings,
 )
+from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_question import (
     UNLISTED_ARGUMENTS,
     CoordinatesArgument,
@@ -59,11 +61,14 @@ if TYPE_CHECKING:
 
 _DESCRIPTION = (
     "Measures the real area (square metres) and size of objects in a near-nadir aerial or satellite image: roof, pool, "
-    "field, clearing, car park, landing site. A segmenter outlines each object from your box or points; prefer a tight "
-    "box around the whole object. Call it instead of estimating an area by eye or multiplying a box's sides. "
-    "Also returns length, width, and inscribed_diameter_m, the largest circle inside, for landings. "
+    "field, clearing, car park, landing site. Give a tight box around each whole object. Call it instead of estimating "
+    "an area by eye. Also returns length, width, and inscribed_diameter_m, the largest "
+    "circle inside, for landings. "
     f"{STATUS_RULES}"
 )
+
+
+_EXAMPLE = [{"box": {"x_min": 255, "y_min": 160, "x_max": 535, "y_max": 470}}]
 
 
 @dataclass(frozen=True)
@@ -81,10 +86,10 @@ def measure_area_tool(services: Services) -> StrictTool:
     async def measure_area(
         image: ImageArgument,
         ctx: Context[Any, Any],
-        target: Annotated[Target | None, Field(description="The object: box or points.")] = None,
+        target: Annotated[Target | None, Field(description="The object: box or points.", examples=_EXAMPLE)] = None,
         targets: Annotated[
             tuple[Target, ...] | None,
-            Field(min_length=1, max_length=MAX_TARGETS, description="Box or points of each object, up to 16."),
+            Field(min_length=1, max_length=MAX_TARGETS, description="Box or points of each.", examples=[_EXAMPLE]),
         ] = None,
         coordinates: CoordinatesArgument = "pixels",
         frame: FrameArgument = None,
@@ -98,9 +103,7 @@ def measure_area_tool(services: Services) -> StrictTool:
         height_basis: HeightBasisArgument = "assumed",
         height_tolerance_m: HeightToleranceArgument = None,
         object_height_m: ObjectHeightArgument = None,
-        include_overlay: Annotated[
-            Flag, Field(description="Also return a picture with the first object's outline.")
-        ] = False,
+        include_overlay: Annotated[Flag, Field(description="Also return a picture of the outlines.")] = False,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, AreaMeasurement]:
         question = ScaleQuestion(
@@ -133,14 +136,14 @@ def measure_area_tool(services: Services) -> StrictTool:
         meta=APP_META,
         answered=("status", "area_m2", "confidence", "inscribed_diameter_m"),
         required=("targets",),
-        unlisted=("target", *UNLISTED_ARGUMENTS),
+        listing=Listing(("target", *UNLISTED_ARGUMENTS), services.settings.image_kinds),
     )
 
 
 def _merge_targets(target: Target | None, targets: tuple[Target, ...] | None) -> tuple[Target, ...]:
     if (target is None) == (targets is None):
-        problem = "target and targets are both given: give only one" if target else "targets: it is required"
-        raise CallError("invalid_arguments", f"{problem}.")
+        problem = "target and targets are both given: give targets" if target else "targets: it is required"
+        raise CallError("invalid_arguments", f"{problem}. Example: {json.dumps({'targets': _EXAMPLE})}")
     return (target,) if target is not None else targets or ()
 
 

@@ -29,6 +29,7 @@ from vehanchor_server.tools.messages import (
     unusable_scale,
     warnings,
 )
+from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_question import (
     UNLISTED_ARGUMENTS,
     CoordinatesArgument,
@@ -51,9 +52,12 @@ from vehanchor_server.tools.target import MAX_POINTS, MAX_TARGETS
 
 _DESCRIPTION = (
     "Measures distances on the ground (metres) in a near-nadir aerial or satellite image: how wide, how long, how far. "
-    "Give two points, or the vertices of a path in order; up to 16 lines per call. Call it instead of multiplying "
+    "Give two points, or the vertices of a path in order. Call it instead of multiplying "
     f"pixels yourself. {STATUS_RULES}"
 )
+
+
+_EXAMPLE = [{"points": [{"x": 120, "y": 300}, {"x": 480, "y": 310}]}]
 
 
 class Place(FrozenModel):
@@ -84,7 +88,9 @@ def measure_distance_tool(services: Services) -> StrictTool:
         image: ImageArgument,
         lines: Annotated[
             tuple[Line, ...],
-            Field(min_length=1, max_length=MAX_TARGETS, description="Each is measured separately."),
+            Field(
+                min_length=1, max_length=MAX_TARGETS, description="Each is measured separately.", examples=[_EXAMPLE]
+            ),
         ],
         ctx: Context[Any, Any],
         coordinates: CoordinatesArgument = "pixels",
@@ -128,7 +134,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
         title="Measure distances in an aerial image",
         description=_DESCRIPTION,
         answered=("status", "distance_m", "confidence"),
-        unlisted=UNLISTED_ARGUMENTS,
+        listing=Listing(UNLISTED_ARGUMENTS, services.settings.image_kinds),
     )
 
 

@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
 POLICY = (
     "Rule for planners: use the scale if confidence >= 0.5. Below 0.5 do not act on it: fall back to another ruler "
-    "(known altitude, visual odometry, an object of known size). Confidence 0 means that neither vehicles nor another "
-    "ruler were found: gsd_m_per_px is null, never a guess."
+    "(known altitude, an object of known size). Confidence 0 means that no ruler was found: gsd_m_per_px is null, "
+    "never a guess."
 )
 """The rule for planners in the description of ``estimate_gsd``."""
 
 STATUS_RULES = (
-    "status ok: use it. low_confidence: do not act on it. no_scale: no metres, only pixels. Pass the scale of an "
-    "earlier answer about this image to skip the search."
+    "status ok: use it. low_confidence: do not act on it. no_scale: no metres, only pixels. Arguments of the scale are "
+    "those of estimate_gsd."
 )
 """The meaning of ``status`` in the descriptions of the measuring tools."""
 

@@ -6,10 +6,10 @@ validators reject the first two; the titles waste the model's context.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _REFERENCE = "#/$defs/"
@@ -51,55 +51,64 @@ def _plain(node: Any, definitions: dict[str, Any]) -> Any:
     return result
 
 
-def listed_schema(schema: dict[str, Any], unlisted: Collection[str] = ()) -> dict[str, Any]:
-    """Reduce a portable schema to what a model needs: names, types and descriptions.
+def listed_schema(schema: dict[str, Any], listing: Listing) -> dict[str, Any]:
+    """Reduce a portable schema to what a model needs: names, types, required fields, numbers of items.
 
-    Optional arguments lose their null type. A union discriminated by ``kind`` becomes one object with all fields. The
-    server still checks the limits that are dropped here.
+    Optional arguments lose their null type. A union of an object and a text becomes the text, which every host passes
+    unchanged. The server still checks the limits of numbers and texts that are dropped here. What has the listed shape
+    has a valid shape.
 
     Args:
         schema: result of ``portable_schema``.
-        unlisted: arguments to hide from models.
+        listing: fields and kinds of images.
     """
-    listed = _listed(schema)
+    listed = listing.listed(schema)
     assert isinstance(listed, dict)
-    listed["properties"] = {name: each for name, each in listed["properties"].items() if name not in unlisted}
     return listed
 
 
-_NOT_LISTED = {"additionalProperties", "default", "exclusiveMinimum", "minimum", "maximum"}
-_NOT_LISTED |= {"minItems", "maxItems", "minLength", "maxLength", "minProperties", "maxProperties"}
-_MANY = 3  # an object with more fields keeps only its own description
+_NOT_LISTED = {"default", "examples", "exclusiveMinimum", "minimum", "maximum", "minLength", "maxLength", "pattern"}
 
 
-def _listed(node: dict[str, Any], *, describe: bool = True) -> dict[str, Any]:
-    options = [option for option in node.get("anyOf", ()) if option != {"type": "null"}]
-    if len(options) == 1 and "anyOf" in options[0]:
-        return _listed({**node, **options[0]}, describe=describe)
-    if len(options) > 1 and all("kind" in option.get("properties", {}) for option in options):
-        options = [_of_all_kinds(options)]
-    if len(options) == 1:
-        node = {**options[0], **{key: value for key, value in node.items() if key != "anyOf"}}
-    result: dict[str, Any] = {}
-    for key, value in node.items():
-        if key in _NOT_LISTED or (key == "description" and not describe):
-            continue
-        if key == "properties":
-            describe_each = "required" not in node or len(value) <= _MANY or "description" not in node
-            # Callers pass the other fields unchanged.
-            needed = [name for name in value if describe_each or name in node["required"]]
-            result[key] = {name: _listed(value[name], describe=describe_each) for name in needed}
-        elif key == "anyOf":
-            result[key] = [_listed(option, describe=False) for option in value]
-        elif key == "items":
-            result[key] = _listed(value, describe=False)
-        else:
-            result[key] = value
-    return result
+class Listing(NamedTuple):
+    """Content of a listed schema.
 
+    Attributes:
+        unlisted: optional fields to hide from models, at any depth.
+        kinds: kinds of images that the server accepts from models; an empty collection lists all.
+    """
 
-def _of_all_kinds(options: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Merge the variants of a union into one object."""
-    fields = {name: each for option in options for name, each in option["properties"].items() if name != "kind"}
-    kinds = [option["properties"]["kind"]["const"] for option in options]
-    return {"type": "object", "properties": {"kind": {"type": "string", "enum": kinds}, **fields}, "required": ["kind"]}
+    unlisted: Collection[str] = ()
+    kinds: Collection[str] = ()
+
+    def listed(self, node: dict[str, Any], *, described: bool = True) -> dict[str, Any]:
+        """Reduce a schema, see ``listed_schema``."""
+        options = [option for option in node.get("anyOf", ()) if option != {"type": "null"} and self._accepted(option)]
+        if {"object", "string"} == {option.get("type") for option in options}:
+            options = [option for option in options if option["type"] == "string"]
+        if len(options) == 1:
+            node = {**options[0], **{key: value for key, value in node.items() if key != "anyOf"}}
+            return self.listed(node, described=described)
+        result: dict[str, Any] = {}
+        for key, value in node.items():
+            if key in _NOT_LISTED or (key == "description" and not described):
+                continue
+            if key == "properties":
+                result[key] = {
+                    name: self.listed(each, described=described)
+                    for name, each in value.items()
+                    if name not in self.unlisted
+                }
+            elif key == "anyOf":
+                result[key] = [self.listed(option, described=False) for option in options]
+            elif key == "items":
+                result[key] = self.listed(value, described=False)
+            elif key == "const":
+                result["enum"] = [value]
+            else:
+                result[key] = value
+        return result
+
+    def _accepted(self, option: dict[str, Any]) -> bool:
+        kind = option.get("properties", {}).get("kind")
+        return kind is None or not self.kinds or kind["const"] in self.kinds

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeVar, cast
 
-from pydantic import ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field
 
 from vehanchor.options import (
     Basis,
@@ -24,6 +24,7 @@ from vehanchor.options.given_scale import GSD, OBJECT_HEIGHT
 from vehanchor.options.rulers import LINE_LENGTH_M
 from vehanchor.records import KnownScale
 from vehanchor_server.calls.answer import Detail
+from vehanchor_server.calls.compact import scale_from_text
 from vehanchor_server.frozen import FrozenModel, Number, WholeNumber
 from vehanchor_server.tools.option_field import limits_field, option_field
 
@@ -39,6 +40,9 @@ class FrameSize(FrozenModel):
     height_px: Annotated[WholeNumber, limits_field(FRAME_SIDE)]
 
 
+_Name = Annotated[str, Field(max_length=64, pattern="^[A-Za-z]")]
+
+
 class KnownLine(FrozenModel):
     """A straight line of known length on the ground."""
 
@@ -48,8 +52,7 @@ class KnownLine(FrozenModel):
     y1: Number
     x2: Number
     y2: Number
-    metres: Annotated[Number | None, limits_field(LINE_LENGTH_M)] = None
-    what: Annotated[str | None, Field(max_length=64)] = None
+    metres: Annotated[Number, limits_field(LINE_LENGTH_M)] | _Name
     basis: Basis = "assumed"
     tolerance_m: Annotated[Number | None, limits_field(LINE_LENGTH_M)] = None
 
@@ -57,24 +60,29 @@ class KnownLine(FrozenModel):
         """Convert to the library's line.
 
         Raises:
-            KnownLengthError: it has both metres and a name, or neither.
+            KnownLengthError: it names a thing and says more about its length.
         """
         ends = (self.x1, self.y1, self.x2, self.y2)
-        return KnownLength.of((*ends, self.metres, self.basis, self.tolerance_m, self.what))
+        return KnownLength.of((*ends, self.metres, self.basis, self.tolerance_m))
 
 
 RegionArgument: TypeAlias = Annotated[str | None, option_field("region")]
 ReferenceLengthArgument: TypeAlias = Annotated[Number | None, option_field("reference_length_m")]
-FrameArgument: TypeAlias = Annotated[FrameSize | None, option_field(FRAME)]
+FrameArgument: TypeAlias = Annotated[
+    FrameSize | None, option_field(FRAME), Field(examples=[{"width_px": 1024, "height_px": 768}])
+]
 CoordinatesArgument: TypeAlias = Annotated[Coordinates, option_field("coordinates")]
 KnownScaleArgument: TypeAlias = Annotated[
     KnownScale | None,
-    Field(description="From an earlier answer about this image."),
+    BeforeValidator(scale_from_text, json_schema_input_type=KnownScale | Annotated[str, Field(max_length=300)] | None),
+    Field(description="scale of an earlier answer about this image, unchanged; skips the search."),
 ]
 GsdArgument: TypeAlias = Annotated[Number | None, option_field(GSD)]
 DetailArgument: TypeAlias = Annotated[Detail, Field(description="full: every field, for programs.")]
 KnownLengthsArgument: TypeAlias = Annotated[
-    tuple[KnownLine, ...] | None, Field(max_length=16), option_field("known_lengths")
+    tuple[KnownLine, ...] | None,
+    Field(max_length=16, examples=[[{"x1": 210, "y1": 90, "x2": 880, "y2": 90, "metres": "iso_container_40ft"}]]),
+    option_field("known_lengths"),
 ]
 HeightArgument: TypeAlias = Annotated[Number | None, option_field("height_m")]
 HeightBasisArgument: TypeAlias = Annotated[Basis, option_field("height_basis")]
@@ -85,20 +93,19 @@ EffortArgument: TypeAlias = Annotated[Effort | None, option_field("effort")]
 MaxTilesArgument: TypeAlias = Annotated[WholeNumber | None, option_field("max_tiles")]
 MaxSecondsArgument: TypeAlias = Annotated[Number | None, option_field("max_seconds")]
 
-EFFORT_ARGUMENTS = ("effort", "max_tiles", "max_seconds")
-"""Arguments that ``estimate_gsd`` hides from models; programs or the operator set them."""
-
 UNLISTED_ARGUMENTS = (
-    "region",
+    "detail",
     "reference_length_m",
-    "known_lengths",
-    "height_m",
-    "height_basis",
     "height_tolerance_m",
-    "focal_35mm",
+    "tolerance_m",
     "object_height_m",
+    "effort",
+    "max_tiles",
+    "max_seconds",
+    "more_images",
+    "same_scale",
 )
-"""Arguments that the measuring tools hide from models; models pass them to ``estimate_gsd``."""
+"""Arguments and fields that the listed schemas hide from models; programs or the operator set them."""
 
 
 _Number = TypeVar("_Number", int, float)

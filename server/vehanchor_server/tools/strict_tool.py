@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Sequence
-from itertools import groupby
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from mcp.server.mcpserver import Context
@@ -13,21 +12,13 @@ from mcp.server.mcpserver.tools import Tool
 from mcp.types import CallToolResult, InputRequiredResult, ToolAnnotations
 from pydantic import Field, ValidationError
 
-from vehanchor_server.errors import CallError, shortened
+from vehanchor_server.errors import CallError
 from vehanchor_server.request_log import log_call
-from vehanchor_server.tools.portable_schema import listed_schema, portable_schema
+from vehanchor_server.tools.complaints import complaints
+from vehanchor_server.tools.portable_schema import Listing, listed_schema, portable_schema
 
-_MESSAGES = {  # pydantic's own messages for these are written for programmers
-    "extra_forbidden": "there is no such argument",
-    "missing": "it is required",
-    "model_attributes_type": 'give an object, such as {"kind": "path", "path": "/data/photo.jpg"} for an image',
-    "model_type": "give an object",
-    "union_tag_invalid": "kind is none of 'path', 'base64', 'url'",
-    "union_tag_not_found": "kind is missing: give path, base64 or url",
-}
 MAX_VALUES = 1000  # per call; the largest valid call, with 32 points, has about 120
-_SHOWN_CHARS = 200  # per complaint
-_MAX_COMPLAINTS = 3  # one wrong argument often violates several rules; the first suffices
+_EXACT = 2.0**53  # above, floats are no counts
 
 
 class StrictTool(Tool):
@@ -51,7 +42,7 @@ class StrictTool(Tool):
         meta: dict[str, Any] | None = None,
         answered: Sequence[str] = (),
         required: Sequence[str] = (),
-        unlisted: Collection[str] = (),
+        listing: Listing | None = None,
     ) -> StrictTool:
         """Create a read-only, idempotent tool.
 
@@ -63,10 +54,10 @@ class StrictTool(Tool):
             meta: the tool's ``_meta``.
             answered: fields of the record in the listed schema; other fields need full detail. Default: all fields.
             required: arguments that only the listed schema requires.
-            unlisted: accepted arguments that the listed schema omits.
+            listing: content of the listed schema; default: all.
         """
         annotations = ToolAnnotations(
-            title=title, read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False
+            read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False
         )
         tool = cls.from_function(function, title=title, description=description, annotations=annotations, meta=meta)
         assert isinstance(tool, StrictTool)
@@ -74,7 +65,7 @@ class StrictTool(Tool):
         arguments.model_config["extra"] = "forbid"  # the SDK would drop unknown arguments silently
         arguments.model_rebuild(force=True)
         tool.full_parameters = portable_schema(arguments.model_json_schema(by_alias=True))
-        tool.parameters = listed_schema(tool.full_parameters, unlisted)
+        tool.parameters = listed_schema(tool.full_parameters, listing or Listing())
         if required:
             tool.parameters["required"] = [*tool.parameters.get("required", ()), *required]
         if tool.fn_metadata.output_schema is not None:
@@ -82,6 +73,14 @@ class StrictTool(Tool):
             tool.fn_metadata.output_schema = _answered(tool.record_schema, answered)
             tool.fn_metadata.output_model = None  # records validate short and full answers
         return tool
+
+    def faults(self, arguments: dict[str, Any]) -> list[dict[str, Any]]:
+        """Return pydantic's errors in the arguments of a call, without running it."""
+        try:
+            self.fn_metadata.arg_model.model_validate(_with_integers(arguments))
+        except ValidationError as error:
+            return [dict(each) for each in error.errors(include_url=False, include_input=False)]
+        return []
 
     async def run(self, arguments: dict[str, Any], context: Context[Any, Any], convert_result: bool = False) -> Any:
         """Run the tool.
@@ -94,7 +93,7 @@ class StrictTool(Tool):
         try:
             if _more_values_than(arguments, MAX_VALUES):
                 raise ToolError("too many values") from _too_many()
-            result = await super().run(arguments, context, convert_result)
+            result = await super().run(_with_integers(arguments), context, convert_result)
             status = "input_required" if isinstance(result, InputRequiredResult) else "ok"
             return result
         except ToolError as error:
@@ -104,7 +103,7 @@ class StrictTool(Tool):
                 raise cause from cause.__cause__
             if isinstance(cause, ValidationError):
                 status = "invalid_arguments"
-                raise CallError(status, _complaints(cause)) from cause
+                raise CallError(status, self._complaints(cause, arguments)) from cause
             status = "internal_error"
             raise UnexpectedToolError(
                 "internal_error: the server failed on this call; its log has the cause. Report it to the operator."
@@ -112,6 +111,9 @@ class StrictTool(Tool):
         finally:
             record = result.structured_content if isinstance(result, CallToolResult) else None
             log_call(self.name, status, time.perf_counter() - started, record)
+
+    def _complaints(self, error: ValidationError, arguments: dict[str, Any]) -> str:
+        return complaints(error, arguments, self.full_parameters, self.parameters.get("required") or ["image"])
 
 
 def _answered(record: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
@@ -124,6 +126,15 @@ def _answered(record: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
         kinds = [option["type"] for option in field.get("anyOf", [field])]
         types[name] = {"type": kinds[0]} if len(kinds) == 1 else {"anyOf": [{"type": kind} for kind in kinds]}
     return {"type": "object", "properties": types}
+
+
+def _with_integers(value: Any) -> Any:
+    """Replace 3.0 by 3, which JSON Schema takes for the same; a field of type number takes both."""
+    if isinstance(value, dict):
+        return {name: _with_integers(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [_with_integers(each) for each in value]
+    return int(value) if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT else value
 
 
 def _too_many() -> CallError:
@@ -141,15 +152,3 @@ def _more_values_than(arguments: Any, limit: int) -> bool:
                 return True
             pending.extend(value.values() if isinstance(value, dict) else value)
     return False
-
-
-def _complaints(error: ValidationError) -> str:
-    """Describe the faults of the arguments, without their values, which may be base64 images."""
-    found = error.errors(include_url=False, include_context=False, include_input=False)
-    lines = []
-    for complaint in found[:_MAX_COMPLAINTS]:
-        # pydantic names the chosen form of a union after the argument: image.path.path, target.box.box.x_min
-        place = ".".join(shortened(str(part)) for part, _ in groupby(complaint["loc"])) or "arguments"
-        lines.append(f"{place}: {_MESSAGES.get(complaint['type'], complaint['msg'])[:_SHOWN_CHARS]}")
-    more = f" (and {len(found) - _MAX_COMPLAINTS} more)" if len(found) > _MAX_COMPLAINTS else ""
-    return "; ".join(lines) + more + ". See the tool's input schema."

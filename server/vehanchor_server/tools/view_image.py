@@ -24,6 +24,7 @@ from vehanchor_server.frozen import Flag, FrozenModel, WholeNumber
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
+from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_question import CoordinatesArgument
 from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import Box
@@ -31,10 +32,12 @@ from vehanchor_server.tools.target import Box
 _DESCRIPTION = (
     "Shows an image, or a part of it, with a grid of image pixel coordinates. View the image before you give "
     "coordinates, and a part of it for precise ones. Without image, lists the images available by path. Measures "
-    "nothing: only the other tools give metres and confidence."
+    "nothing; the other tools give metres and confidence."
 )
 _LEAST_SIDE_PX, _USUAL_SIDE_PX, _LONGEST_SIDE_PX = 256, 1024, 1568
 _LEAST_PART_PX = 16
+_MAX_ENLARGEMENT = 4.0  # a larger one shows nothing more
+_PART = {"x_min": 200, "y_min": 100, "x_max": 600, "y_max": 400}
 _IMAGES_A_PAGE = 50
 _LAST_PAGE = 2000
 
@@ -68,7 +71,7 @@ def view_image_tool(services: Services) -> StrictTool:
     async def view_image(
         ctx: Context[Any, Any],
         image: ImageArgument | None = None,
-        part: Annotated[Box | None, Field(description="Part to show; default all.")] = None,
+        part: Annotated[Box | None, Field(description="Part to show; default all.", examples=[_PART])] = None,
         coordinates: CoordinatesArgument = "pixels",
         long_side_px: Annotated[WholeNumber, Field(ge=_LEAST_SIDE_PX, le=_LONGEST_SIDE_PX)] = _USUAL_SIDE_PX,
         page: Annotated[WholeNumber, Field(ge=1, le=_LAST_PAGE, description="Page of the image list.")] = 1,
@@ -78,14 +81,14 @@ def view_image_tool(services: Services) -> StrictTool:
             return await _list_images(services, page)
         request = _ViewRequest(part, coordinates, long_side_px, grid)
         answer = await run_call(services, ctx, image, _view, request)
-        return _result(_words(answer.record), answer.record, answer.overlay)
+        return _result(_words(answer.record, long_side_px), answer.record, answer.overlay)
 
     return StrictTool.read_only(
         view_image,
         title="View an aerial image",
         description=_DESCRIPTION,
-        answered=("image_width_px", "grid_px", "images"),
-        unlisted=("grid",),
+        answered=("grid_px", "images"),
+        listing=Listing(("grid",), services.settings.image_kinds),
     )
 
 
@@ -132,7 +135,13 @@ def _view(services: Services, job: Job, source: OpenedImage, request: _ViewReque
             coordinates = CoordinateFrame(Frame(coordinates=request.coordinates), raster.width_px, raster.height_px)
             window = Window(*_inside(request.part, coordinates))
         job.enter("overlay")
-        picture = draw_grid(stoppable(raster, job.stop), window, request.long_side_px, lines=request.grid)
+        picture = draw_grid(
+            stoppable(raster, job.stop),
+            window,
+            request.long_side_px,
+            _MAX_ENLARGEMENT,
+            request.grid,
+        )
         jpeg = small_jpeg(picture.rgb)
         shown = cv2.imdecode(_bytes(jpeg), cv2.IMREAD_COLOR)
         assert shown is not None
@@ -180,10 +189,11 @@ def _inside(part: Box, coordinates: Any) -> tuple[int, int, int, int]:
     return x, y, width, height
 
 
-def _words(seen: ViewedImage) -> str:
+def _words(seen: ViewedImage, long_side_px: int) -> str:
     assert seen.part is not None
     part, size = seen.part, f"{seen.picture_width_px} x {seen.picture_height_px}"
     assert seen.picture_width_px is not None
+    assert seen.picture_height_px is not None
     factor = (part.x_max - part.x_min) / seen.picture_width_px
     words = f"Image of {seen.image_width_px} x {seen.image_height_px} px. "
     whole = (part.x_max - part.x_min, part.y_max - part.y_min) == (seen.image_width_px, seen.image_height_px)
@@ -195,4 +205,7 @@ def _words(seen: ViewedImage) -> str:
             f"{part.y_max:.0f}: in the image, x = {part.x_min:.0f} + {factor:.4g} * column, "
             f"y = {part.y_min:.0f} + {factor:.4g} * row"
         )
+    if max(seen.picture_width_px, seen.picture_height_px) < long_side_px - 1:
+        limit = f"enlarged {_MAX_ENLARGEMENT:g} times, the most" if factor < 1 else "as large as a result may be"
+        words += f". It is smaller than the {long_side_px} px asked for: it is {limit}"
     return f"{words}. Grid lines are {seen.grid_px} image pixels apart and numbered in image pixels."

@@ -143,7 +143,7 @@ class Rulers:
     known_lengths: tuple[KnownLength, ...] = field(
         default=(),
         metadata=option(
-            "Lines of known length; basis measured: by tape, plan, survey; what: not metres, e.g. iso_container_20ft.",
+            "Lines of known length: metres, or a name, as iso_container_20ft; basis measured: tape, plan, survey.",
             metavar="X1 Y1 X2 Y2 METRES[+-M] [measured]|NAME",
             flag="known-length",
         ),

@@ -34,17 +34,18 @@ class GridPicture(NamedTuple):
     step_px: int
 
 
-def draw_grid(raster: Raster, part: Window, long_side_px: int, *, lines: bool = True) -> GridPicture:
-    """Draw a part of an image at a given size, enlarged at most four times.
+def draw_grid(raster: Raster, part: Window, long_side_px: int, max_enlargement: float, lines: bool) -> GridPicture:
+    """Draw a part of an image at a given size, enlarged by a limited factor.
 
     Args:
         raster: the image.
         part: window of the image.
         long_side_px: longer side of the picture.
+        max_enlargement: largest side of the image's pixels in the picture.
         lines: whether to draw the grid.
     """
     picture = read_reduced(raster, part)
-    factor = min(4.0, long_side_px / max(part.width_px, part.height_px))
+    factor = min(max_enlargement, long_side_px / max(part.width_px, part.height_px))
     size = max(1, round(part.width_px * factor)), max(1, round(part.height_px * factor))
     method = cv2.INTER_AREA if size[0] < picture.shape[1] else cv2.INTER_CUBIC
     rgb = np.array(cv2.resize(picture, size, interpolation=method), dtype=np.uint8)

@@ -493,7 +493,7 @@ def test_a_drawn_line_is_a_thing_of_known_size_or_a_measured_length(
     host.says("#sentence", results["rulers"]["content"][0]["text"])
     (asked,) = tool_calls(host)
     (line,) = asked["arguments"]["known_lengths"]
-    size = {"what": thing} if thing else {"metres": 38.5, "basis": "measured"}
+    size = {"metres": thing} if thing else {"metres": 38.5, "basis": "measured"}
     assert {key: line[key] for key in line if len(key) > 2} == size
 
 

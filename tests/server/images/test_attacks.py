@@ -99,7 +99,9 @@ async def test_the_image_inside_is_measured(walled: MCPServer[object], root: Pat
         ("/dev/zero", "path_not_allowed"),
         ("{root}/fifo.png", "image_not_found"),
         ("{root}", "image_not_found"),
-        ("https://127.0.0.1/a.png", "path_not_allowed"),
+        ("https://127.0.0.1/a.png", "image_not_found"),
+        ("../outside/secret.png", "path_not_allowed"),
+        ("folder/secret.png", "path_not_allowed"),
     ],
 )
 async def test_paths_that_lead_elsewhere_are_refused(

@@ -115,10 +115,16 @@ async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCP
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        ({"lines": []}, "invalid_arguments", "at least 1"),
-        ({"lines": [LINE] * 17}, "invalid_arguments", "at most 16"),
-        ({"lines": [{"points": [{"x": 1, "y": 1}]}]}, "invalid_arguments", "at least 2"),
-        ({"lines": [LINE], "scale": {"gsd_m_per_px": 1}}, "invalid_arguments", "scale."),
+        ({"lines": []}, "invalid_arguments", "lines: give a list of 1 to 16 items. Example: {"),
+        ({"lines": [LINE] * 17}, "invalid_arguments", "lines: give a list of 1 to 16 items"),
+        ({"lines": [{"points": [{"x": 1, "y": 1}]}]}, "invalid_arguments", "lines.0.points: give a list of 2 to 32"),
+        (
+            {"lines": [{"points": [[1, 1], {"x": 9, "y": 9}]}]},
+            "invalid_arguments",
+            "lines.0.points.0: give an object with x, y",
+        ),
+        ({"lines": [LINE], "scale": "0.1"}, "invalid_arguments", "scale: it is not the scale of an earlier answer"),
+        ({"lines": [LINE], "scale": {"gsd_m_per_px": 1}}, "invalid_arguments", "scale: "),
         ({"lines": [{"points": [{"x": 1, "y": 1}, {"x": 900, "y": 5}]}]}, "invalid_prompt", "copy of 1024 x 819 px"),
         ({"lines": [{"points": [{"x": 0.1, "y": 0}, {"x": 0.9, "y": 1}]}]}, "invalid_prompt", '"fraction"'),
     ],

@@ -13,6 +13,7 @@ from mcp import Client
 from tests.server.conversation import by_path
 from vehanchor.records import KnownScale
 from vehanchor_server.app import create_server
+from vehanchor_server.calls.compact import scale_from_text
 from vehanchor_server.services import Services, _worker_services, create_services
 from vehanchor_server.settings import Settings, SettingsError
 from vehanchor_server.tools.scale_seal import ScaleSeal, assumed_confidence, read_key
@@ -104,8 +105,9 @@ async def test_a_scale_is_given_back_over_mcp(services: Services, images: Path, 
         first = _record(await client.call_tool("estimate_gsd", {**image, "detail": detail}))
         arguments = {**image, "lines": LINES, "detail": "full"}
         honest = _record(await client.call_tool("measure_distance", {**arguments, "scale": first["scale"]}))
-        raised = {**first["scale"], "confidence": 1.0}
+        scale = KnownScale.model_validate(scale_from_text(first["scale"]))
+        raised = {**scale.model_dump(mode="json"), "confidence": 1.0}
         forged = _record(await client.call_tool("measure_distance", {**arguments, "scale": raised}))
-    assert honest["confidence"] == first["scale"]["confidence"]
+    assert honest["confidence"] == scale.confidence
     assert forged["confidence"] <= 0.85
     assert (honest["distance_m"], honest["scale_source"]) == (forged["distance_m"], "reused")

@@ -101,7 +101,7 @@ async def test_the_grids_lines_lie_where_their_numbers_say(server: MCPServer[obj
 @pytest.mark.parametrize(
     ("more", "code", "words"),
     [
-        ({"long_side_px": 1569}, "invalid_arguments", "less than or equal to 1568"),
+        ({"long_side_px": 1569}, "invalid_arguments", "a whole number >= 256 and <= 1568"),
         ({"part": {"x_min": 5, "y_min": 5, "x_max": 9, "y_max": 9}}, "invalid_prompt", "at least 16 px"),
         ({"part": {"x_min": 5, "y_min": 5, "x_max": 950, "y_max": 700}}, "invalid_prompt", "copy of 1024 x 819 px"),
         ({"part": {"x_min": 90, "y_min": 5, "x_max": 50, "y_max": 90}}, "invalid_prompt", "at least 16 px"),
@@ -113,6 +113,16 @@ async def test_what_cannot_be_shown_is_told(
     result = await asked(server, images / "pool.png", **more)
     assert error_of(result) == code
     assert words in text_of(result)
+
+
+async def test_a_limited_enlargement_is_told(server: MCPServer[object], images: Path) -> None:
+    part = {"x_min": 10, "y_min": 10, "x_max": 60, "y_max": 40}
+    small = await asked(server, images / "pool.png", part=part, long_side_px=1024)
+    assert small.structured_content is not None
+    assert small.structured_content["picture_width_px"] == 200
+    assert "smaller than the 1024 px asked for: it is enlarged 4 times, the most" in text_of(small)
+    whole = await asked(server, images / "pool.png", long_side_px=512)
+    assert "smaller" not in text_of(whole)
 
 
 # --- Which images there are ------------------------------------------------------------------------------------------

@@ -1,0 +1,179 @@
+"""The listed schemas are sufficient: a call of the listed shape is never refused for its shape."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from mcp import Client
+from mcp.server import MCPServer
+
+from tests.conftest import ROOT
+from tests.environments import environment
+from tests.server.conversation import text_of
+from tests.server.listed_calls import documented_calls, random_value
+from tests.server.test_tokens import LISTED, tokens_of
+from vehanchor_server.app import create_server
+from vehanchor_server.calls.compact import scale_as_text, scale_from_text
+from vehanchor_server.services import create_services
+from vehanchor_server.settings import Settings
+from vehanchor_server.tools.registry import create_tools
+from vehanchor_server.tools.strict_tool import StrictTool
+
+OPERATORS: list[dict[str, Any]] = [
+    {"roots": (ROOT,)},
+    {"roots": (ROOT,), "image_hosts": ("images.example",)},
+    {"image_hosts": ("images.example",)},
+    {},
+]
+_VALUES = {  # pydantic's errors about a value, not the shape of a call
+    "greater_than",
+    "greater_than_equal",
+    "less_than",
+    "less_than_equal",
+    "string_pattern_mismatch",
+    "value_error",
+}
+
+
+def tools(**operator: Any) -> list[StrictTool]:
+    return create_tools(create_services(Settings(**operator)))
+
+
+def shape_faults(tool: StrictTool, arguments: dict[str, Any]) -> list[dict[str, Any]]:
+    """Faults of the shape; of a union, no fault of the variants that were not meant."""
+    faults = tool.faults(arguments)
+    values = {fault["loc"][:-1] for fault in faults if fault["type"] in _VALUES}
+    return [fault for fault in faults if fault["type"] not in _VALUES and fault["loc"][:-1] not in values]
+
+
+@pytest.mark.parametrize("operator", OPERATORS, ids=["path", "path and url", "url", "all"])
+def test_a_random_call_from_the_listed_schema_alone_has_a_valid_shape(operator: dict[str, Any]) -> None:
+    chance = random.Random(20261123)
+    for tool in tools(**operator):
+        for _ in range(150):
+            arguments = random_value(tool.parameters, chance)
+            jsonschema.validate(arguments, tool.parameters)
+            assert not shape_faults(tool, arguments), (tool.name, arguments)
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"kind": "path"},
+        {"path": "a.jpg"},
+        {"kind": "path", "path": "a.jpg", "url": "https://images.example/a.jpg"},
+        {"kind": "ftp", "path": "a.jpg"},
+    ],
+)
+def test_an_image_that_would_be_refused_does_not_have_the_listed_shape(broken: dict[str, Any]) -> None:
+    for operator in OPERATORS:
+        for tool in tools(**operator):
+            with pytest.raises(jsonschema.ValidationError):
+                jsonschema.validate(broken, tool.parameters["properties"]["image"])
+
+
+def test_every_call_of_the_documentation_has_the_listed_shape() -> None:
+    by_name = {tool.name: tool for tool in tools(roots=(ROOT,))}
+    calls = documented_calls()
+    assert len(calls) >= 7
+    assert {name for name, _ in calls} == set(by_name)
+    for name, arguments in calls:
+        given = {key: value for key, value in arguments.items() if value is not None}
+        listed = {key: given[key] for key in by_name[name].parameters["properties"] if key in given}
+        jsonschema.validate(listed, by_name[name].parameters)
+        for call in (listed, arguments):
+            assert not shape_faults(by_name[name], call), (name, call)
+
+
+@pytest.mark.parametrize("operator", OPERATORS[:3], ids=["path", "path and url", "url"])
+@pytest.mark.anyio
+async def test_the_list_is_short_for_every_operator(operator: dict[str, Any]) -> None:
+    async with Client(create_server(create_services(Settings(**operator)))) as client:
+        listed = (await client.list_tools()).tools
+    said = [tool.model_dump(mode="json", by_alias=True, exclude_none=True) for tool in listed]
+    assert tokens_of(said) <= LISTED, tokens_of(said)
+
+
+def test_every_measuring_tool_lists_what_can_give_a_scale() -> None:
+    for tool in tools(roots=(ROOT,)):
+        if tool.name != "view_image":
+            assert {"region", "known_lengths", "height_m"} <= set(tool.parameters["properties"])
+
+
+def test_the_text_of_a_scale_keeps_the_tilt() -> None:
+    scale = {
+        "gsd_m_per_px": 0.13612,
+        "gsd_ci95_low_m_per_px": 0.121,
+        "gsd_ci95_high_m_per_px": 0.185,
+        "confidence": 0.83,
+        "image_id": "00123456789012e5",  # a number to a careless reader
+        "model_id": "1234567",
+        "plane": {"tilt_deg": 31.0, "roll_deg": -2.5, "focal_length_px": 1024.0},
+    }
+    assert scale_from_text(scale_as_text(scale)) == scale
+    flat = {**scale, "plane": None}
+    assert scale_from_text(scale_as_text(flat)) == flat
+    with pytest.raises(ValueError, match="unchanged"):
+        scale_from_text("0.13 0.12 x 0.8 aa bb")
+
+
+@pytest.mark.anyio
+async def test_an_example_call_of_an_error_works(server: MCPServer[object], images: Path) -> None:
+    async with Client(server) as client:
+        for tool in (await client.list_tools()).tools:
+            told = text_of(await client.call_tool(tool.name, {"imag": 1}))
+            example = json.loads(told.partition("Example: ")[2])
+            jsonschema.validate(example, tool.input_schema)
+            example["image"]["path"] = "pool.png"
+            result = await client.call_tool(tool.name, example)
+            assert not result.is_error, text_of(result)
+
+
+@pytest.mark.frameworks
+@pytest.mark.timeout(600)
+def test_a_random_call_from_what_a_host_sends_to_its_model_has_a_valid_shape() -> None:
+    frameworks = ROOT / "examples" / "frameworks"
+    python = environment(
+        ROOT / "examples" / "requirements.txt",
+        frameworks / "pydantic_ai_agent.requirements.txt",
+        frameworks / "google_adk_agent.requirements.txt",
+    )
+    contract = tools(roots=(ROOT,))
+    asked = [{"name": tool.name, "description": tool.description, "inputSchema": tool.parameters} for tool in contract]
+    done = subprocess.run(
+        [python, Path(__file__).parent / "frameworks" / "convert_schemas.py"],
+        input=json.dumps(asked),
+        env={name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=True,
+    )
+    chance = random.Random(20261123)
+    for tool in contract:
+        for host, schema in json.loads(done.stdout)[tool.name].items():
+            assert set(schema["properties"]) == set(tool.parameters["properties"]), host
+            for _ in range(60):
+                arguments = random_value(in_json_schema(schema), chance)
+                assert not shape_faults(tool, arguments), (host, tool.name, arguments)
+
+
+def in_json_schema(node: Any) -> Any:
+    """A host's schema in the words of JSON Schema: Gemini has types in capitals, and numbers of items as texts."""
+    if isinstance(node, list):
+        return [in_json_schema(each) for each in node]
+    if not isinstance(node, dict):
+        return node
+    names = {"any_of": "anyOf", "min_items": "minItems", "max_items": "maxItems"}
+    names |= {"min_properties": "minProperties", "max_properties": "maxProperties"}
+    named = {names.get(name, name): in_json_schema(value) for name, value in node.items()}
+    if isinstance(named.get("type"), str):
+        named["type"] = named["type"].lower()
+    return {name: int(value) if name.startswith(("min", "max")) else value for name, value in named.items()}
