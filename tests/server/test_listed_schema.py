@@ -173,7 +173,7 @@ def in_json_schema(node: Any) -> Any:
         return node
     names = {"any_of": "anyOf", "min_items": "minItems", "max_items": "maxItems"}
     names |= {"min_properties": "minProperties", "max_properties": "maxProperties"}
-    named = {names.get(name, name): in_json_schema(value) for name, value in node.items()}
+    named = {str(names.get(name, name)): in_json_schema(value) for name, value in node.items()}
     if isinstance(named.get("type"), str):
         named["type"] = named["type"].lower()
     return {name: int(value) if name.startswith(("min", "max")) else value for name, value in named.items()}

@@ -24,12 +24,13 @@ class _Server:
 
 
 def converted(tool: Tool) -> dict[str, Any]:
+    nobody: Any = _Server()
     schema = tool.input_schema
     gemini = _to_gemini_schema(json.loads(json.dumps(schema)))
     return {
-        "anthropic": async_mcp_tool(tool, None).to_dict()["input_schema"],
+        "anthropic": async_mcp_tool(tool, nobody).to_dict()["input_schema"],
         "google-adk": gemini.model_dump(mode="json", exclude_none=True) if gemini else None,
-        "openai-agents": MCPUtil.to_function_tool(tool, _Server(), False).params_json_schema,
+        "openai-agents": MCPUtil.to_function_tool(tool, nobody, False).params_json_schema,
         "pydantic-ai, google": GoogleJsonSchemaTransformer(json.loads(json.dumps(schema)), strict=None).walk(),
         "pydantic-ai, openai": OpenAIJsonSchemaTransformer(json.loads(json.dumps(schema)), strict=None).walk(),
     }
