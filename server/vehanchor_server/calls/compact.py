@@ -26,7 +26,6 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
         "confidence",
         "n_vehicles",
         "mode_length_px",
-        "p_within_20",
         "reason",
         "leading_ruler",
         "image_width_px",

@@ -3,7 +3,7 @@
 # No postponed annotations here: the SDK reads the result's schema from them.
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +12,7 @@ from mcp.server.mcpserver import Context
 from mcp.types import CallToolResult
 from pydantic import Field
 
-from vehanchor.records import AreaMeasurement, Notice
+from vehanchor.records import AreaMeasurement
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 from vehanchor_server.app_page import APP_META
 from vehanchor_server.calls.answer import Answer, Detail, PictureRequest
@@ -33,7 +33,7 @@ from vehanchor_server.tools.messages import (
     rounded,
     scale_origin,
     unusable_scale,
-    warnings,
+    warnings_of,
 )
 from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_question import (
@@ -124,7 +124,7 @@ def measure_area_tool(services: Services) -> StrictTool:
         answer = await run_call(services, ctx, image, _measure, asked)
         words = [
             numbered([_area_of_object(record) for record in answer.records]),
-            *warnings(_distinct_warnings(answer.records), detail),
+            *warnings_of(answer.records, detail),
             *copy_hint(_places(asked.targets), question, *_size(answer.record)),
         ]
         return answer.to_result(" ".join(words), services.seal, detail=detail, paged=paged)
@@ -153,11 +153,6 @@ def _places(targets: Iterable[Target]) -> Iterator[tuple[float, float]]:
             yield target.box.x_max, target.box.y_max
         for point in target.points or ():
             yield point.x, point.y
-
-
-def _distinct_warnings(records: Sequence[AreaMeasurement]) -> list[Notice]:
-    """Collect the warnings of all records without duplicates."""
-    return list(dict.fromkeys(notice for record in records for notice in record.warnings))
 
 
 def _size(record: AreaMeasurement) -> tuple[int, int]:
@@ -212,7 +207,7 @@ def _prompt(target: Target) -> "Prompt":
 
 def describe_area(area: AreaMeasurement, detail: Detail = "full") -> str:
     """Describe the area and its status, the position of the mask, and each warning, in one sentence each."""
-    return " ".join([_area_of_object(area), *warnings(area.warnings, detail)])
+    return " ".join([_area_of_object(area), *warnings_of([area], detail)])
 
 
 def _area_of_object(area: AreaMeasurement) -> str:
@@ -230,10 +225,7 @@ def _area_in_words(area: AreaMeasurement) -> str:
     if not area.mask_area_px:
         return "No object found: no area. Draw a tight box around a visible object."
     if area.area_m2 is None:
-        return (
-            f"No area: the object covers {area.mask_area_px} px, but {no_scale_message(area.estimate)}, and give its "
-            "scale as gsd_m_per_px."
-        )
+        return f"No area: the object covers {area.mask_area_px} px, but {no_scale_message(area.estimate)}."
     size = f"{rounded(area.area_m2)} m2{interval(area.area_ci95_low_m2, area.area_ci95_high_m2)}"
     if area.length_m is not None and area.width_m is not None and area.inscribed_diameter_m is not None:
         size += f", {rounded(area.length_m)} x {rounded(area.width_m)} m"
@@ -243,4 +235,4 @@ def _area_in_words(area: AreaMeasurement) -> str:
         return size + ("as accurate as the given scale." if area.scale_source == "given" else "safe to use.")
     if area.confidence is not None and area.confidence < FALLBACK_CONFIDENCE:
         return size + unusable_scale(area.estimate)
-    return size + "do not rely on it (low mask score); check the overlay, or draw another box."
+    return size + "do not rely on it (low mask score); look at include_overlay, or draw another box."

@@ -27,7 +27,7 @@ from vehanchor_server.tools.messages import (
     rounded,
     scale_origin,
     unusable_scale,
-    warnings,
+    warnings_of,
 )
 from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_question import (
@@ -124,7 +124,7 @@ def measure_distance_tool(services: Services) -> StrictTool:
         places = ((point.x, point.y) for line in lines for point in line.points)
         words = [
             numbered([_distance_in_words(record) for record in answer.records]),
-            *warnings(first.warnings, detail),
+            *warnings_of(answer.records, detail),
             *copy_hint(places, question, first.image_width_px, first.image_height_px),
         ]
         return answer.to_result(" ".join(words), services.seal, detail=detail)
@@ -168,15 +168,12 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
 
 def describe_distance(record: DistanceMeasurement, detail: Detail = "full") -> str:
     """Describe the distance and its status in one sentence, and each warning in another."""
-    return " ".join([_distance_in_words(record), *warnings(record.warnings, detail)])
+    return " ".join([_distance_in_words(record), *warnings_of([record], detail)])
 
 
 def _distance_in_words(record: DistanceMeasurement) -> str:
     if record.distance_m is None:
-        return (
-            f"No distance: the line is {record.length_px:.0f} px long, but {no_scale_message(record.estimate)}, and "
-            "give its scale as gsd_m_per_px."
-        )
+        return f"No distance: the line is {record.length_px:.0f} px long, but {no_scale_message(record.estimate)}."
     text = f"{rounded(record.distance_m)} m{interval(record.distance_ci95_low_m, record.distance_ci95_high_m)}"
     text += f"; {scale_origin(record)}: "
     if record.status == "ok":

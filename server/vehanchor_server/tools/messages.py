@@ -20,6 +20,8 @@ POLICY = (
 )
 """The rule for planners in the description of ``estimate_gsd``."""
 
+_ARGUMENTS = "(known_lengths, height_m: only values that someone knows)"
+
 STATUS_RULES = (
     "status ok: use it. low_confidence: do not act on it. no_scale: no metres, only pixels. Arguments of the scale are "
     "those of estimate_gsd."
@@ -55,6 +57,23 @@ def ruler_explanations(estimate: GsdEstimate) -> list[str]:
     return [ruler.explanation for ruler in estimate.rulers if ruler.explanation is not None]
 
 
+def warnings_of(records: Sequence[AreaMeasurement | DistanceMeasurement], detail: Detail = "full") -> list[str]:
+    """Format the warnings of several records once each, with the numbers of the targets that have them."""
+    found: dict[Notice, list[int]] = {}
+    for number, record in enumerate(records, 1):
+        for notice in record.warnings:
+            found.setdefault(notice, []).append(number)
+    return [
+        f"Warning {notice.code}{'' if len(at) == len(records) else f' ({_targets(at)})'}: "
+        f"{_shortened(notice.message, detail)}"
+        for notice, at in found.items()
+    ]
+
+
+def _targets(numbers: Sequence[int]) -> str:
+    return f"target{'' if len(numbers) == 1 else 's'} {', '.join(map(str, numbers))}"
+
+
 def warnings(notices: Iterable[Notice], detail: Detail = "full") -> list[str]:
     """Format the notices: the first sentence of each, or all with full detail."""
     return [f"Warning {notice.code}: {_shortened(notice.message, detail)}" for notice in notices]
@@ -76,15 +95,20 @@ def unusable_scale(estimate: GsdEstimate | None) -> str:
     """Say why a scale is not usable and what would help; shorter for a reused scale."""
     advice = advice_for(estimate)
     if advice is None:
-        return "do not rely on it; fall back to another ruler."
-    return f"do not rely on it ({advice.why}); {advice.helps}, or fall back to another ruler."
+        return f"do not rely on it; measure again without scale, with a known length or height {_ARGUMENTS}."
+    return f"do not rely on it ({advice.why}); {_with_arguments(advice.helps)}."
 
 
 def no_scale_message(estimate: GsdEstimate | None) -> str:
     """Say that there is no scale, and what would help."""
     text = "no ruler was found, confidence 0: no metric scale"
     advice = advice_for(estimate)
-    return f"{text}; use another ruler" if advice is None else f"{text}; {advice.helps}, or use another ruler"
+    return text if advice is None else f"{text} ({advice.why}); {_with_arguments(advice.helps)}"
+
+
+def _with_arguments(helps: str) -> str:
+    """Name the arguments of a remedy; every measuring tool has them."""
+    return f"{helps} {_ARGUMENTS}" if "known length" in helps else helps
 
 
 def scale_origin(measured: AreaMeasurement | DistanceMeasurement) -> str:

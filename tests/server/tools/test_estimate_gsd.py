@@ -66,8 +66,8 @@ async def test_no_vehicle_is_a_result_not_an_error(server: MCPServer[object], im
     assert result.structured_content["gsd_m_per_px"] is None
     assert result.structured_content["confidence"] == 0
     assert text_of(result) == (
-        "No ruler was found, confidence 0: no metric scale; include more cars: fly higher, or over "
-        "streets and car parks, or use another ruler."
+        "No ruler was found, confidence 0: no metric scale (no car was found); give a known length or the camera's "
+        "height, or take a picture with cars (known_lengths, height_m: only values that someone knows)."
     )
 
 
@@ -76,7 +76,9 @@ async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCP
         result = await client.call_tool("estimate_gsd", by_path(images / "two.png"))
     assert result.structured_content is not None
     assert result.structured_content["status"] == "low_confidence"
-    assert "from 2 vehicles: do not rely on it (too little evidence); include more cars" in text_of(result)
+    assert "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); give a known length" in text_of(
+        result
+    )
 
 
 async def test_arguments_reach_the_library(server: MCPServer[object], images: Path, detector_path: Path) -> None:
@@ -166,8 +168,8 @@ def doubtful() -> GsdEstimate:
 
 def test_few_vehicles_are_too_little_evidence(doubtful: GsdEstimate) -> None:
     words = describe_estimate(doubtful)
-    assert "from 3 vehicles: do not rely on it (too little evidence); include more cars" in words
-    assert words.endswith("or fall back to another ruler.")
+    assert "from 3 vehicles: do not rely on it (3 vehicles alone: too little evidence); give a known length" in words
+    assert words.endswith("(known_lengths, height_m: only values that someone knows).")
 
 
 def test_a_single_vehicle_is_counted_in_the_singular(doubtful: GsdEstimate) -> None:
@@ -176,7 +178,7 @@ def test_a_single_vehicle_is_counted_in_the_singular(doubtful: GsdEstimate) -> N
 
 def test_the_guard_is_told_as_what_it_means(doubtful: GsdEstimate) -> None:
     guarded = doubtful.model_copy(update={"reason": "too_coarse"})
-    assert "(the vehicles have too little detail); fly lower" in describe_estimate(guarded)
+    assert "(the vehicles are only 30 px long); fly lower" in describe_estimate(guarded)
 
 
 @pytest.mark.parametrize("reason", ["too_few", "not_cars", "disagree", "lost"])

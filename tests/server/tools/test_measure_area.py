@@ -102,7 +102,7 @@ async def test_a_given_scale_needs_neither_cars_nor_a_detector(settings: Setting
     record = record_of(result)
     assert record["area_m2"] == pytest.approx(0.15**2 * record["mask_area_px"])
     assert (record["scale_source"], record["confidence"], record["scale"]) == ("given", None, None)
-    assert "scale 0.15 m/px as given: as accurate as the given scale." in text_of(result)
+    assert "scale 0.150 m/px as given: as accurate as the given scale." in text_of(result)
 
 
 async def test_no_vehicle_is_a_result_without_an_area(server: MCPServer[object], images: Path) -> None:
@@ -111,14 +111,16 @@ async def test_no_vehicle_is_a_result_without_an_area(server: MCPServer[object],
     assert (record["status"], record["area_m2"], record["confidence"]) == ("no_scale", None, 0)
     assert text_of(result).startswith(
         f"No area: the object covers {record['mask_area_px']} px, but no ruler was found, confidence 0: "
-        "no metric scale; "
+        "no metric scale (no car was found); "
     )
 
 
 async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(server: MCPServer[object], images: Path) -> None:
     result = await asked(server, pool_in(images / "pool_two.png"))
     assert record_of(result)["status"] == "low_confidence"
-    assert "from 2 vehicles: do not rely on it (too little evidence); include more cars" in text_of(result)
+    assert "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); give a known length" in text_of(
+        result
+    )
 
 
 async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(

@@ -98,7 +98,7 @@ def test_the_table_says_what_each_ruler_says_and_who_disagrees(run: Any) -> None
     assert "not searched" in alone
     without = _estimate(run, "none.png", "--rulers", "camera,known_length").stdout
     assert "also use the ruler vehicles" in " ".join(without.split())
-    assert "include more cars" not in without
+    assert "or include cars" not in without
     assert "900 x 500 px = 180 x 100 m" in alone
     assert "weight" not in _estimate(run, "cars.png").stdout
 
