@@ -29,7 +29,7 @@ import numpy as np
 from research.results.record import add_record_option, recording
 from vehanchor.detection.detections import Detections
 from vehanchor.engine import Engine
-from vehanchor.flight.estimate import conclude, search_flight
+from vehanchor.flight.estimate import conclude, open_journal, search_flight
 from vehanchor.flight.features import find_features
 from vehanchor.flight.inputs import InputPhotograph
 from vehanchor.flight.photograph import Photograph, StoredPhotograph, photograph_codec
@@ -39,7 +39,6 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.camera import Camera
-from vehanchor.tilt.camera_tilt import plane_of_record
 from vehanchor_scenes import render_scene
 
 if TYPE_CHECKING:
@@ -192,31 +191,41 @@ def _own_row(label: str, photographs: Sequence[Photograph], truth: dict[str, flo
 
 
 def outlines(data: Path, cache: Path) -> None:
-    """Print the areas of each outline by the record of its nadir and of its oblique photograph."""
+    """Print the areas of each outline: by its two photographs alone, and by the flights they belong to."""
     detector = Engine(runtime=Runtime(threads=1)).detector
-    print("| outline | nadir | oblique | nadir, m2 | oblique, m2 | difference, % |")
+    photographs = {
+        each.path.name: searched(str(each.path), str(each.path), detector, cache) for each in chia_table(data)
+    }
+    nadir = [each for each in photographs.values() if each.view.tilt is None]
+    linked: dict[str, float | None] = {}
+    for members in (nadir, [each for each in photographs.values() if each not in nadir]):
+        record = conclude(members, detector.card, same_scale=False)
+        linked |= {Path(each.photograph).name: each.gsd_m_per_px for each in record.photographs}
+    print("| outline | nadir | oblique | nadir, m2 | alone: oblique over nadir, % | linked: oblique over nadir, % |")
     print("|---|---|---|---|---|---|")
     off = []
     for each in json.loads(_OUTLINES.read_text())["outlines"]:
-        areas = []
+        alone, pooled = [], []
         for kind in ("nadir", "oblique"):
-            name = str(data / "chia" / each[kind])
-            areas.append(_area(searched(name, name, detector, cache), np.array(each[f"{kind}_px"])))
-        off.append(areas[1] / areas[0] - 1)
+            photograph = photographs[each[kind]]
+            outline = np.array(each[f"{kind}_px"])
+            alone.append(_area(photograph, outline, photograph.analysis.estimate.gsd_m_per_px))
+            pooled.append(_area(photograph, outline, linked[each[kind]]))
+        off.append([100 * (oblique / nadir - 1) for nadir, oblique in (alone, pooled)])
         print(
-            f"| {each['name']} | {each['nadir']} | {each['oblique']} | {areas[0]:.1f} | {areas[1]:.1f} | "
-            f"{100 * off[-1]:+.1f} |"
+            f"| {each['name']} | {each['nadir']} | {each['oblique']} | {pooled[0]:.1f} | {off[-1][0]:+.1f} | "
+            f"{off[-1][1]:+.1f} |"
         )
-    print(f"| median of {len(off)}, absolute | | | | | {100 * np.median(np.abs(off)):.1f} |")
+    middle = np.median(np.abs(off), axis=0)
+    print(f"| median of {len(off)}, absolute | | | | {middle[0]:.1f} | {middle[1]:.1f} |")
 
 
-def _area(photograph: Photograph, outline: NDArray[np.float64]) -> float:
-    """Area of an outline by the scale of its photograph, square metres."""
-    record = photograph.analysis.estimate
-    plane = plane_of_record(record)
-    assert record.gsd_m_per_px is not None
-    above = outline if plane is None else plane.from_above(outline)
-    x, y = above.T * record.gsd_m_per_px
+def _area(photograph: Photograph, outline: NDArray[np.float64], gsd_m_per_px: float | None) -> float:
+    """Area of an outline with a scale at the photograph's centre, square metres."""
+    assert gsd_m_per_px is not None
+    tilt = photograph.view.tilt
+    above = outline if tilt is None else tilt.plane(photograph.view.image).from_above(outline)
+    x, y = above.T * gsd_m_per_px
     return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
 
 
@@ -285,7 +294,7 @@ def cost(number: int) -> None:
     """Print CPU seconds and memory of flights of a half and all of so many photographs of 12 Mpx."""
     engine = Engine(runtime=Runtime(threads=1))
     detector = engine.detector
-    print("| photographs | CPU s a photograph, search and features | peak MiB | again, from the journal: CPU s |")
+    print("| photographs | search and features: CPU s a photograph | peak MiB | resumed: CPU s a photograph |")
     print("|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         ground = render_scene(0.02, width_px=4000 + 1000 * number, height_px=3000, seed=3200).image
@@ -295,13 +304,13 @@ def cost(number: int) -> None:
             cv2.imwrite(names[-1], ground[:, 1000 * place : 1000 * place + 4000, ::-1])
         del ground
         for n in (number // 2, number):
+            taken = [InputPhotograph(name, name) for name in names[:n]]
             spent = []
-            for _ in range(2):
-                begun = time.process_time()
-                search_flight(
-                    [InputPhotograph(name, name) for name in names[:n]], detector, ScaleOptions(), featured=True
-                )
-                spent.append(time.process_time() - begun)
+            with open_journal(Path(folder) / f"{n}.journal", detector, ScaleOptions(), {}) as journal:
+                for _ in range(2):
+                    begun = time.process_time()
+                    search_flight(taken, detector, ScaleOptions(), featured=True, journal=journal)
+                    spent.append(time.process_time() - begun)
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             print(f"| {n} | {spent[0] / n:.2f} | {peak:.0f} | {spent[1] / n:.2f} |", flush=True)
 
