@@ -128,3 +128,13 @@ def test_the_report_is_written_and_a_wrong_name_told_before_the_work(run: Any, t
     refused = run("flight", ".", "--report", "flight.pdf")
     assert refused.exit_code == 2
     assert "output_unwritable" in refused.stderr
+
+
+@pytest.mark.parametrize(("arguments", "last"), [((), "linking"), (("--same-scale",), "pooling the evidence of")])
+def test_progress_names_the_present_work(
+    run: Any, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], last: str
+) -> None:
+    monkeypatch.setattr("vehanchor.cli.terminal._LINE_EVERY_S", 0.0)
+    done = run("flight", ".", *arguments)
+    told = [line for line in done.stderr.splitlines() if "images" in line]
+    assert told == [*(f"searching {number} of 4 images" for number in range(4)), f"{last} 4 of 4 images"]
