@@ -73,7 +73,12 @@ def analyse_raster(raster: Raster, detector: Detector, options: ScaleOptions) ->
 
 
 def search_raster(
-    raster: Raster, detector: Detector, options: ScaleOptions, prior: SceneScalePrior | None = None
+    raster: Raster,
+    detector: Detector,
+    options: ScaleOptions,
+    prior: SceneScalePrior | None = None,
+    *,
+    check_stretch: bool = True,
 ) -> View:
     """Take the scene-scale prior of an open image, and search it: the first half of ``analyse_raster``.
 
@@ -82,6 +87,7 @@ def search_raster(
         detector: finds the vehicles.
         options: of the method.
         prior: known scene-scale prior; None takes the image's own, if it has a use.
+        check_stretch: as in ``vehanchor.detection.search.search``.
     """
     options.frame.check(raster.width_px, raster.height_px)
     options = options.in_pixels(raster.width_px, raster.height_px)
@@ -103,6 +109,7 @@ def search_raster(
         options.search,
         prior=prior,
         convergence=None if tilt else partial(_convergence, view),  # in a tilted view, lengths vary over the image
+        check_stretch=check_stretch,
     )
     return replace(view, detections=detections)
 

@@ -56,6 +56,7 @@ def search(
     *,
     prior: SceneScalePrior | None = None,
     convergence: Callable[[Detections], Convergence] | None = None,
+    check_stretch: bool = True,
 ) -> Detections:
     """Search an image tile by tile, at one or more resolutions, and merge the results (paper, section III-B).
 
@@ -66,6 +67,7 @@ def search(
         prior: scene-scale prior, which orders the resolutions and weighs the boxes' sizes; None without one.
         convergence: measures the uncertainty of the scale from the detections so far; None leaves only the options'
             limits to end the search early.
+        check_stretch: whether to test that width and height have one scale; a running camera needs it now and then.
 
     Returns:
         Vehicles and other objects in image pixels, after oriented non-maximum suppression.
@@ -81,7 +83,7 @@ def search(
         _search_in_order(work, rule, convergence, tell) if rule.anytime else _search_likely_levels(work, rule, tell)
     )
     tell(total, total)
-    return work.detections(because)
+    return work.detections(because, check_stretch=check_stretch)
 
 
 def _search_likely_levels(work: _Work, rule: StopRule, tell: Callable[[int, int], None]) -> Stopped:
@@ -230,11 +232,12 @@ class _Work:
         # The range of lengths applies to vehicles only.
         return seen._replace(vehicles=vehicles, others=seen.others.take(seen.others.scores >= self._min_score))
 
-    def detections(self, because: Stopped | None = None) -> Detections:
+    def detections(self, because: Stopped | None = None, *, check_stretch: bool = True) -> Detections:
         """Merge the detections of all visited tiles, independent of the order of the visits.
 
         Args:
             because: reason for the end of the search; the car verifier is used only at the end.
+            check_stretch: as in ``search``.
         """
         parts = [self._found[k] for k in sorted(self._found)]
         visited = [self.visits[k][0].factor for k in sorted(self._found)]
@@ -243,7 +246,7 @@ class _Work:
         boxes = vehicles.boxes  # the fleet network is calibrated to the detector's boxes
         kept = _merged(vehicles, self._min_score, self._nms_iou)
         stretch = None
-        if because and self._verifier:
+        if because and check_stretch and self._verifier:
             stretch = stretch_sigmas(self._raster, vehicles.boxes[kept], self._verifier)
         if because and self._car_verifier and len(kept) <= _FEW_VEHICLES:
             candidates = _merged(vehicles, self._least_score, self._nms_iou)[:_MOST_CANDIDATES]

@@ -41,16 +41,17 @@ class Features:
         return len(self.points)
 
 
-def find_features(raster: Raster) -> Features:
+def find_features(raster: Raster, long_side_px: int = _LONG_SIDE_PX) -> Features:
     """Find the strongest features of an image.
 
     Args:
         raster: the image; one strip of it is held in memory at a time.
+        long_side_px: longest side of the reduced copy.
 
     Returns:
         At most 1,200.
     """
-    factor = max(1, math.ceil(max(raster.width_px, raster.height_px) / _LONG_SIDE_PX))
+    factor = max(1, math.ceil(max(raster.width_px, raster.height_px) / long_side_px))
     width, height = raster.width_px // factor, raster.height_px // factor
     grey = np.empty((height, width), np.uint8)
     for top in range(0, height, _ROWS_A_READ):

@@ -38,10 +38,13 @@ if TYPE_CHECKING:
     from vehanchor.flight.matching import Match
     from vehanchor.imagery.raster import Raster, Window
     from vehanchor.options import ScaleOptions
+    from vehanchor.rulers.evidence import View
 
 HOLD_S = Limits(above=0, most=3600)
 """Limits of the seconds without vehicles after which there is no scale."""
 
+_FEATURES_SIDE_PX = 480  # of the reduced copy: a third of the side of 1280 px
+_STRETCH_EVERY = 10  # frames; a camera's proportions do not change in flight
 _PRIOR_FRAMES = 1.0  # new ground, in frames, after which the scene-scale prior is taken again
 _GRID_POINTS = 8  # along each side of a frame, to count its new ground
 _POOLABLE = frozenset({None, "too_few", "imprecise"})  # more frames help; other reasons are doubts about the vehicles
@@ -92,6 +95,7 @@ class LiveEstimator:
         self._features: Features | None = None
         self._prior: SceneScalePrior | None = None
         self._prior_moved = math.inf  # new ground since the prior was taken
+        self._stretch_sigmas: float | None = None
         self._cars: NDArray[np.float64] = np.zeros((0, 2))
 
     def estimate(self, frame: Frame) -> LiveScale:
@@ -107,7 +111,7 @@ class LiveEstimator:
 
     def _follow(self, raster: Raster, seconds: float) -> bool:
         """Move the state, the prior and the cars from the last frame to this one; tell whether features link them."""
-        features, before = find_features(raster), self._features
+        features, before = find_features(raster, _FEATURES_SIDE_PX), self._features
         self._features = features
         matched = None if before is None else match(before, features)
         motion = None if matched is None else _motion(matched, raster.width_px, raster.height_px)
@@ -133,12 +137,23 @@ class LiveEstimator:
         window = next_window(raster.width_px, raster.height_px, factor, self._turn, self._cars)
         prior = None if self._prior is None else self._prior.scaled(factor)
         with open_raster(read_reduced_window(raster, window, factor)) as part:
-            analysis = analyse_detections(search_raster(part, self._detector, self._options, prior))
+            view = search_raster(part, self._detector, self._options, prior, check_stretch=self._checks_stretch)
+            analysis = analyse_detections(self._with_stretch(view))
         measured = measurement(analysis, factor)
         if measured is not None:
             self._state = corrected(self._state, measured)
         self._replace_cars(analysis, window, factor)
         return analysis
+
+    @property
+    def _checks_stretch(self) -> bool:
+        return self._stretch_sigmas is None or self._turn % _STRETCH_EVERY == 0
+
+    def _with_stretch(self, view: View) -> View:
+        """Keep the last result of the test for stretch, in frames without the test too."""
+        if view.detections.stretch_sigmas is not None:
+            self._stretch_sigmas = view.detections.stretch_sigmas
+        return replace(view, detections=replace(view.detections, stretch_sigmas=self._stretch_sigmas))
 
     def _expected_gsd(self) -> float | None:
         """Give the scale by the filter, else by the prior."""

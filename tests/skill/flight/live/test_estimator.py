@@ -1,7 +1,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from tests.models import paint_vehicles, write_detector
 from tests.skill.flight.ground import ground, photograph_of
+from vehanchor.analysis.pipeline import analyse_detections, search_raster
 from vehanchor.detection.detector import load_detector
 from vehanchor.flight.live.estimator import LiveEstimator
 from vehanchor.flight.live.frames import Frame
@@ -18,6 +20,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    from vehanchor.analysis.scale import ScaleAnalysis
+    from vehanchor.rulers.evidence import View
 
 FLEET = 30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3)
 
@@ -82,3 +87,29 @@ def test_frames_may_change_their_size(tmp_path: Path, world: NDArray[np.uint8]) 
     assert after.linked
     assert before.gsd_m_per_px is not None
     assert after.gsd_m_per_px == pytest.approx(2 * before.gsd_m_per_px, rel=0.1)
+
+
+def test_a_stretch_found_once_is_kept_and_tested_now_and_then(
+    tmp_path: Path, world: NDArray[np.uint8], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = "vehanchor.flight.live.estimator"
+    tested: list[bool] = []
+    kept: list[float | None] = []
+
+    def searched(*arguments: Any, check_stretch: bool) -> View:
+        view = search_raster(*arguments, check_stretch=check_stretch)
+        tested.append(check_stretch)
+        return replace(view, detections=replace(view.detections, stretch_sigmas=7.0 if check_stretch else None))
+
+    def analysed(view: View) -> ScaleAnalysis:
+        kept.append(view.detections.stretch_sigmas)
+        return analyse_detections(view)
+
+    monkeypatch.setattr(f"{module}.search_raster", searched)
+    monkeypatch.setattr(f"{module}.analyse_detections", analysed)
+    estimator = LiveEstimator(load_detector(write_detector(tmp_path / "detector.onnx")), ScaleOptions())
+    for number in range(12):
+        record = estimator.estimate(frame_of(photograph_of(world, 700, 700), 0.2 * number, cars=True))
+        assert record.status != "ok"
+    assert [number for number, each in enumerate(tested) if each] == [0, 10]
+    assert kept == [7.0] * 12
