@@ -23,8 +23,11 @@ YARDS: dict[Yard, tuple[float, float]] = {  # length and width of one, metres
     "boats": (9.0, 3.0),
     "roof units": (2.4, 1.2),
 }
-_BODIES: dict[Yard, str] = {"lorries": "semitrailer", "buses": "bus", "caravans": "caravan"}
-_GROUND: dict[Yard, tuple[Rgb, Material]] = {
+EQUAL_CARS = (4.6, 1.85)
+"""Length and width of the hire cars of ``paint_yard``, metres: of one make and paint."""
+
+_BODIES: dict[str, str] = {"lorries": "semitrailer", "buses": "bus", "caravans": "caravan"}
+_GROUND: dict[str, tuple[Rgb, Material]] = {
     "boats": ((62, 92, 104), Material.WATER),
     "roof units": ((150, 146, 140), Material.GRAVEL),
 }
@@ -39,7 +42,9 @@ def _outline(yard: Yard, frame: Frame, length: float, width: float) -> NDArray[n
     return frame.points([(half, side), (-half, side), (-half, -side), (half, -side)])
 
 
-def paint_yard(yard: Yard, gsd_m_per_px: float, side_px: int, *, seed: int = 0) -> NDArray[np.uint8]:
+def paint_yard(
+    yard: Yard | Literal["equal cars"], gsd_m_per_px: float, side_px: int, *, seed: int = 0
+) -> NDArray[np.uint8]:
     """Paint rows of one kind of thing, all of the same size.
 
     Args:
@@ -53,7 +58,7 @@ def paint_yard(yard: Yard, gsd_m_per_px: float, side_px: int, *, seed: int = 0) 
     """
     rng = np.random.default_rng(seed)
     extent = side_px * gsd_m_per_px
-    length, width = YARDS[yard]
+    length, width = EQUAL_CARS if yard == "equal cars" else YARDS[yard]
     rgb, material = _GROUND.get(yard, ((98, 98, 100), Material.ASPHALT))
     around = np.array([(-9, -9), (extent + 9, -9), (extent + 9, extent + 9), (-9, extent + 9)], dtype=np.float64)
     world = World(surfaces=[Surface(around, rgb, material)])
@@ -67,7 +72,10 @@ def paint_yard(yard: Yard, gsd_m_per_px: float, side_px: int, *, seed: int = 0) 
                 continue
             middle = Frame(extent / 2, extent / 2, turn)
             frame = middle.at(x + rng.uniform(-0.1, 0.1), y + rng.uniform(-0.3, 0.3), math.pi / 2 + rng.normal(0, 0.02))
-            if yard in _BODIES:
+            if yard == "equal cars":
+                model = VehicleModel("small-vehicle", "sedan", length, width, (226, 228, 228))
+                world.vehicles.append(PlacedVehicle(model, frame.x, frame.y, frame.angle))
+            elif yard in _BODIES:
                 paint = fleet.large(_BODIES[yard]).paint
                 model = VehicleModel("large-vehicle", _BODIES[yard], length, width, paint)
                 world.vehicles.append(PlacedVehicle(model, frame.x, frame.y, frame.angle))

@@ -13,6 +13,7 @@ from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.errors import InvalidParameterError
 from vehanchor.measure.resolved_scale import given_scale
 from vehanchor.options import OptionKeywords, ScaleOptions, declared_options
+from vehanchor.options.by_hand import BY_HAND
 from vehanchor.options.frame import FRAME, FRAME_SIDE
 from vehanchor.options.given_scale import GSD, OBJECT_HEIGHT
 from vehanchor.options.method import Preset
@@ -93,7 +94,7 @@ def test_a_keyword_has_the_type_of_its_option() -> None:
     }
     keywords = typing.get_type_hints(OptionKeywords, localns=names)
     assert set(keywords) == set(DECLARED)
-    converted = {"calibration", "rulers", "known_lengths"}  # a keyword takes more than its field holds
+    converted = {"calibration", "rulers", "known_lengths", *BY_HAND}  # a keyword takes more than a field holds
     for keyword, each in DECLARED.items():
         if keyword not in converted:
             assert keywords[keyword] == _hints(each.group)[each.field.name], keyword

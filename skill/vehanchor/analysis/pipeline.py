@@ -13,13 +13,23 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.detection.corrections import corrected
 from vehanchor.detection.detections import NOT_SEARCHED, Detections
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import search
+from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.detail import resolved_share
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
-from vehanchor.records import FrameScale, GsdEstimate, KnownScale, Notice, RulerScale, SceneScaleEstimate
+from vehanchor.records import (
+    FrameScale,
+    GsdEstimate,
+    KnownScale,
+    Notice,
+    RulerScale,
+    SceneScaleEstimate,
+    VehiclesByHand,
+)
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.agreement import disagreements, outvoted_priors
 from vehanchor.rulers.decision import convergence, decide
@@ -102,6 +112,8 @@ def search_raster(
     resolved = partial(resolved_share, raster)
     view = View(facts, NOT_SEARCHED, detector.card, options, resolved, raster, detector.runtime, prior, tilt)
     if not any(ruler.needs_search for ruler in rulers):
+        if options.by_hand.given:
+            raise InvalidParameterError(f"{options.by_hand.given} needs the ruler vehicles: add it to rulers")
         return view
     detections = search(
         raster,
@@ -111,7 +123,8 @@ def search_raster(
         convergence=None if tilt else partial(_convergence, view),  # in a tilted view, lengths vary over the image
         check_stretch=check_stretch,
     )
-    return replace(view, detections=detections)
+    chosen, size_px = options.search, (raster.width_px, raster.height_px)
+    return replace(view, detections=corrected(detections, options.by_hand, options.frame, size_px, chosen.nms_iou))
 
 
 def _convergence(view: View, detections: Detections) -> Convergence:
@@ -197,6 +210,7 @@ def _record(
         rulers=tuple(_ruler_scale(share) for share in decision.rulers),
         n_detections=len(vehicles.fleet.detections.boxes),
         working_scale=vehicles.fleet.working_scale,
+        by_hand=_by_hand(view.detections),
         tiles_searched=view.detections.n_tiles,
         tiles_total=view.detections.n_tiles_total or view.detections.n_tiles,
         stopped_because=view.detections.stopped_because,
@@ -216,6 +230,11 @@ def _record(
         model_sha256=view.card.sha256,
         warnings=warnings,
     )
+
+
+def _by_hand(detections: Detections) -> VehiclesByHand | None:
+    told = detections.corrections
+    return told and VehiclesByHand(confirmed=told.n_confirmed, dropped=told.n_dropped, added=told.n_added)
 
 
 def _ruler_scale(share: RulerShare) -> RulerScale:

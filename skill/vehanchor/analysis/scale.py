@@ -89,7 +89,8 @@ class ScaleAnalysis(Analysis):
 
         Returns:
             ``supervision.Detections``: upright boxes, scores as ``confidence``, and in ``data`` the corners of the
-            oriented boxes (``xyxyxyxy``, for its oriented annotators) and ``kept``, the vehicles behind the scale.
+            oriented boxes (``xyxyxyxy``, for its oriented annotators), ``number``, and ``kept``, the vehicles behind
+            the scale.
 
         Raises:
             MissingExtraError: supervision is not installed.
@@ -105,6 +106,7 @@ class ScaleAnalysis(Analysis):
             data={
                 "xyxyxyxy": corners.astype(np.float32),
                 "kept": self.kept,
+                "number": self.detections.numbers,
                 "class_name": np.array(["vehicle"] * len(corners)),
             },
         )
@@ -119,8 +121,15 @@ class ScaleAnalysis(Analysis):
             {
                 "type": "Feature",
                 "geometry": {"type": "Polygon", "coordinates": [[*map(list, ring.tolist()), ring[0].tolist()]]},
-                "properties": {"kept": bool(kept), "score": float(score), "length_px": float(length)},
+                "properties": {
+                    "number": int(number),
+                    "kept": bool(kept),
+                    "score": float(score),
+                    "length_px": float(length),
+                },
             }
-            for ring, kept, score, length in zip(box_corners(boxes), self.kept, scores, boxes[:, 2], strict=True)
+            for ring, number, kept, score, length in zip(
+                box_corners(boxes), self.detections.numbers, self.kept, scores, boxes[:, 2], strict=True
+            )
         ]
         return {"type": "FeatureCollection", "features": features}

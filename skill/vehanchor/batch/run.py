@@ -176,6 +176,7 @@ def _check(engine: str, address: str | None, workers: int | None, options: Scale
         Limits(least=1, whole=True).check("workers", workers)
     if options.frame.size is not None:
         raise InvalidParameterError("a frame belongs to one image: leave it out for a batch")
+    options.by_hand.check_single()
 
 
 def _check_unfinished(table: Path, overwrite: bool) -> None:

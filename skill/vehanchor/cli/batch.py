@@ -15,6 +15,7 @@ from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.cli.given_scale import KnownLengthsFile
 from vehanchor.cli.terminal import FAILED, INTERRUPTED, exit_on_error, image_progress, printable
 from vehanchor.errors import InvalidParameterError
+from vehanchor.options.by_hand import BY_HAND
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -39,7 +40,7 @@ class _Engine(StrEnum):
     ray = "ray"
 
 
-@scale_command(without=("frame", "coordinates", "known_lengths", "threads"))
+@scale_command(without=("frame", "coordinates", "known_lengths", *BY_HAND, "threads"))
 def batch(
     inputs: Annotated[
         list[str],

@@ -4,9 +4,9 @@
     def estimate(images: ..., chosen: ParsedOptions) -> None:
         engine = chosen.engine()
 
-``estimate`` then has the options of ``Search``, ``Lengths``, ``Reference``, ``Frame``, ``Reading``, ``Rulers`` and
-``DetectorChoice`` beside its own. ``options``, ``runtime`` and ``engine`` check them, so that the command can report
-errors.
+``estimate`` then has the options of ``Search``, ``Lengths``, ``Reference``, ``Frame``, ``Reading``, ``Rulers``,
+``ByHand`` and ``DetectorChoice`` beside its own. ``options``, ``runtime`` and ``engine`` check them, so that the
+command can report errors.
 """
 
 from __future__ import annotations
@@ -22,7 +22,19 @@ import typer
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
-from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Rulers, ScaleOptions, Search, models
+from vehanchor.options import (
+    ByHand,
+    Frame,
+    KnownLength,
+    Lengths,
+    Reading,
+    Reference,
+    Rulers,
+    ScaleOptions,
+    Search,
+    models,
+)
+from vehanchor.options.by_hand import axis_of_text, vehicle_numbers
 from vehanchor.options.frame import FRAME
 from vehanchor.options.method import Method
 from vehanchor.options.models import Precision
@@ -90,6 +102,7 @@ _GROUPS: tuple[tuple[type[Any], str], ...] = (
     (Frame, "Reading the image"),
     (Reading, "Reading the image"),
     (Rulers, "Other rulers"),
+    (ByHand, "Vehicles by hand"),
     (Method, "Method"),
 )
 _NEEDED_FIRST = ("region", "known_lengths", "height_m", "frame")  # useful without knowledge of the method
@@ -135,6 +148,9 @@ class ParsedOptions:
             keywords["rulers"] = tuple(name.strip() for name in keywords["rulers"].split(","))
         if "known_lengths" in keywords:
             keywords["known_lengths"] = [KnownLength.from_text(text) for text in keywords["known_lengths"] or ()]
+        if "add" in keywords:
+            keywords["add"] = [axis_of_text(text) for text in keywords["add"] or ()]
+            keywords |= {name: vehicle_numbers(name, keywords[name] or "") for name in ("confirm", "drop")}
         return ScaleOptions.of({**keywords, "frame_width_px": width, "frame_height_px": height})
 
     @property
@@ -221,9 +237,9 @@ def _parameter(declared: Field[Any], stated: Option, kind: Any, panel: str) -> i
         kind = typing.cast("type", StrEnum(name.title(), words)) | None
     if name == "alpha":  # a number or a word
         kind, default = str, str(default)
-    elif name == "rulers":  # words with commas
-        kind = str | None
-    elif name == "known_lengths":  # each joined to one text (see ``vehanchor.cli.spaced``)
+    elif name in ("rulers", "confirm", "drop"):  # words with commas
+        kind, default = str | None, None
+    elif name in ("known_lengths", "add"):  # each joined to one text (see ``vehanchor.cli.spaced``)
         kind, default = list[str] | None, None
     flags = f"--{flag}/--no-{flag}" if bare is bool else f"--{flag}"
     heading = _FIRST_PANEL if name in _NEEDED_FIRST else panel

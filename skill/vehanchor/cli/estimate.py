@@ -82,6 +82,8 @@ def estimate(
     with exit_on_error():
         try:
             _refuse_folders(images)
+            if len(images) > 1:
+                chosen.options().by_hand.check_single()
             outputs = _outputs(images, overlay, plot, boxes)
             engine = chosen.engine()
             engine.load()
@@ -197,11 +199,10 @@ def _write_outputs(analysis: ScaleAnalysis, outputs: _Outputs) -> None:
 def _estimate_table(source: str, record: GsdEstimate) -> Table:
     fused = any(ruler.sets_scale and ruler.kind != "vehicles" for ruler in record.rulers)
     guard = "; capped by the resolution guard" if record.resolution_guard and not fused else ""
-    searched = record.stopped_because is not None
     facts = [
         ("scale", scale_text(record.gsd_m_per_px, record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px)),
         ("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}{guard}"),
-        ("vehicles", f"{record.n_vehicles} kept of {record.n_detections} found" if searched else "not searched"),
+        ("vehicles", _vehicles_text(record)),
     ]
     if fused:
         facts += [("" if row else "rulers", _ruler_text(ruler)) for row, ruler in enumerate(record.rulers)]
@@ -227,6 +228,13 @@ def _estimate_table(source: str, record: GsdEstimate) -> Table:
         facts.append(("file's own scale", f"{significant(record.georeference_gsd_m_per_px, 4)} m/px"))
     facts.append(("model", f"{record.model} ({record.model_sha256[:_SHORT_SHA]})"))
     return facts_table(source, facts)
+
+
+def _vehicles_text(record: GsdEstimate) -> str:
+    if record.stopped_because is None:
+        return "not searched"
+    kept, told = f"{record.n_vehicles} kept of {record.n_detections} found", record.by_hand
+    return f"{kept}; by hand: {told.summary}" if told else kept
 
 
 def _ruler_text(ruler: RulerScale) -> str:

@@ -25,6 +25,7 @@ from vehanchor.cli.terminal import (
     scale_text,
 )
 from vehanchor.errors import InvalidParameterError
+from vehanchor.options.by_hand import BY_HAND
 from vehanchor.records.digits import significant
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ ReportFile: TypeAlias = Annotated[
 Seconds: TypeAlias = Annotated[float, typer.Option(metavar="S", help="For a video: seconds between photographs.")]
 
 
-@scale_command(without=("frame", "coordinates", "known_lengths"))
+@scale_command(without=("frame", "coordinates", "known_lengths", *BY_HAND))
 def flight(
     inputs: Annotated[
         list[str],

@@ -10,11 +10,15 @@ import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.cli.terminal import exit_on_error, printable
+from vehanchor.options.by_hand import BY_HAND
 from vehanchor.options.models import Precision
 
 
 @scale_command(
-    without=("frame", "coordinates", "known_lengths", "rulers", "height_m", "focal_35mm", "metadata", "precision")
+    without=(
+        *("frame", "coordinates", "known_lengths", *BY_HAND),
+        *("rulers", "height_m", "focal_35mm", "metadata", "precision"),
+    )
 )
 def live(
     source: Annotated[

@@ -10,7 +10,7 @@ from vehanchor.errors import PromptError
 from vehanchor.options import Basis
 
 _WORDS = {"--known-length": get_args(Basis)}  # a last value that may follow
-_VALUES = {"--known-length": 5, "--point": 2, "--negative": 2}
+_VALUES = {"--known-length": 5, "--add": 4, "--point": 2, "--negative": 2}
 
 
 def parse_point(option: str, text: str) -> tuple[float, float]:

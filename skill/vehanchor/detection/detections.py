@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -47,13 +47,33 @@ class Objects:
         )
 
 
+class Corrections(NamedTuple):
+    """Vehicles of a search after the caller's corrections.
+
+    Attributes:
+        numbers: ``[n]`` int, numbers of the vehicles in pictures; added ones follow the last detection.
+        stated: ``[n]`` bool, vehicles that the caller confirmed or added.
+        pointed_log_sds: ``[n]`` float64, standard deviation of the log of each length by pointing; 0 for detections.
+        n_confirmed: number of confirmed vehicles.
+        n_dropped: number of dropped vehicles.
+        n_added: number of added vehicles.
+    """
+
+    numbers: NDArray[np.intp]
+    stated: NDArray[np.bool_]
+    pointed_log_sds: NDArray[np.float64]
+    n_confirmed: int
+    n_dropped: int
+    n_added: int
+
+
 @dataclass(frozen=True, eq=False)
 class Detections:
     """Vehicles in an image, and objects of the detector's other classes.
 
     Attributes:
         boxes: ``[n, 5]`` float64 rows ``(x, y, length, width, angle)`` of the vehicles, in image pixels and radians,
-            best score first.
+            best score first, then vehicles that the caller added.
         scores: ``[n]`` float64 in [0, 1].
         n_tiles: number of tiles that were searched.
         n_capped_tiles: number of tiles in which an end-to-end model filled all its rows, so that vehicles may be
@@ -68,6 +88,7 @@ class Detections:
         stopped_because: reason for the end of the search; None without a search.
         stretch_sigmas: how surely the image is too wide (above 0) or too high, see ``vehanchor.detection.proportions``;
             None for few vehicles, without a verifier, or before the end of the search.
+        corrections: by the caller; None without any.
     """
 
     boxes: NDArray[np.float64]
@@ -81,6 +102,17 @@ class Detections:
     n_tiles_total: int | None = None
     stopped_because: Stopped | None = None
     stretch_sigmas: float | None = None
+    corrections: Corrections | None = None
+
+    @property
+    def numbers(self) -> NDArray[np.intp]:
+        """``[n]`` int, numbers of the vehicles in pictures and options."""
+        return np.arange(1, len(self.boxes) + 1) if self.corrections is None else self.corrections.numbers
+
+    @property
+    def stated(self) -> NDArray[np.bool_]:
+        """``[n]`` bool, vehicles that the caller confirmed or added."""
+        return np.zeros(len(self.boxes), bool) if self.corrections is None else self.corrections.stated
 
 
 NOT_SEARCHED = Detections(np.zeros((0, 5)), np.zeros(0), 0, n_tiles_total=0)

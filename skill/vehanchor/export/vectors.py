@@ -34,7 +34,7 @@ def write_boxes(path: str | Path, analysis: ScaleAnalysis) -> Path:
     Raises:
         OutputError: as ``check_vector_path``, or the file cannot be written.
     """
-    columns = {"kept": bool, "score": float, "length_px": float}
+    columns = {"number": int, "kept": bool, "score": float, "length_px": float}
     layer = Layer("vehicles", analysis.__geo_interface__["features"], columns, "Polygon", "vehicle", analysis.ground)
     return _write(check_vector_path(path), [layer])
 

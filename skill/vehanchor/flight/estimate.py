@@ -161,12 +161,13 @@ def check_options(options: ScaleOptions) -> None:
     """Check that no option belongs to a single image.
 
     Raises:
-        InvalidParameterError: a frame, or a line of known length.
+        InvalidParameterError: a frame, a line of known length, or vehicles by hand.
     """
     if options.frame.size is not None:
         raise InvalidParameterError("a frame belongs to one image: leave it out for a flight")
     if options.rulers.known_lengths:
         raise InvalidParameterError("a line of known length belongs to one image: estimate that image by itself")
+    options.by_hand.check_single()
 
 
 def journal_key(taken: InputPhotograph) -> Key | None:

@@ -137,6 +137,10 @@ def given_scale(
             f"give {known[0]} or lines of known length, not both: a given scale is not measured again. To measure with "
             f"the lines, leave out {known[0]}"
         )
+    if known and options.by_hand.given:
+        raise InvalidParameterError(
+            f"give {known[0]} or {options.by_hand.given}, not both: with a given scale no vehicles are searched"
+        )
     if scale is not None:
         return known_scale(scale)
     if gsd_m_per_px is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from vehanchor.options.by_hand import AddedVehicle, ByHand
 from vehanchor.options.frame import Coordinates, Frame
 from vehanchor.options.image_limits import DECODED_BYTES_PER_PIXEL, ImageLimits
 from vehanchor.options.keywords import OptionKeywords
@@ -14,7 +15,9 @@ from vehanchor.options.search import Effort, Search
 
 __all__ = [
     "DECODED_BYTES_PER_PIXEL",
+    "AddedVehicle",
     "Basis",
+    "ByHand",
     "Coordinates",
     "Effort",
     "Frame",

@@ -48,4 +48,7 @@ class OptionKeywords(TypedDict, total=False):
     height_basis: Basis
     height_tolerance_m: float | None
     focal_35mm: float | None
+    confirm: Sequence[int]
+    drop: Sequence[int]
+    add: Sequence[Sequence[float]]
     preset: Preset | None

@@ -36,6 +36,9 @@ PRESETS: dict[str, dict[str, Any]] = {
         "height_basis": "assumed",
         "height_tolerance_m": None,
         "focal_35mm": None,
+        "confirm": (),
+        "drop": (),
+        "add": (),
     }
 }
 """Options of each preset by keyword."""

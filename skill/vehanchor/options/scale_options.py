@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import Field, dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from vehanchor.errors import InvalidParameterError
+from vehanchor.options.by_hand import AddedVehicle, ByHand
 from vehanchor.options.frame import Frame
 from vehanchor.options.lengths import Lengths
 from vehanchor.options.method import Method, with_preset
 from vehanchor.options.option import Option, keyword_of, option_of
 from vehanchor.options.reading import Reading
 from vehanchor.options.reference import Reference
-from vehanchor.options.rulers import Rulers
+from vehanchor.options.rulers import KnownLength, Rulers
 from vehanchor.options.search import Search
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+_Line = TypeVar("_Line", KnownLength, AddedVehicle)
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,7 @@ class ScaleOptions:
         frame: the caller's resized copy.
         reading: reading of the image.
         rulers: rulers to use, and known facts about the scale.
+        by_hand: vehicles that the caller confirms, drops or adds.
         method: preset of all options.
     """
 
@@ -39,6 +43,7 @@ class ScaleOptions:
     frame: Frame = field(default_factory=Frame)
     reading: Reading = field(default_factory=Reading)
     rulers: Rulers = field(default_factory=Rulers)
+    by_hand: ByHand = field(default_factory=ByHand)
     method: Method = field(default_factory=Method)
 
     def __post_init__(self) -> None:
@@ -46,7 +51,7 @@ class ScaleOptions:
             self.rulers.check_lengths()
 
     def in_pixels(self, width_px: int, height_px: int) -> ScaleOptions:
-        """Convert the lines of known length to pixels of the frame, or of the image without a frame.
+        """Convert lines and added vehicles to pixels of the frame, or of the image without a frame.
 
         Args:
             width_px: width of the image.
@@ -54,20 +59,25 @@ class ScaleOptions:
 
         Raises:
             KnownLengthError: a line is shorter than five pixels, or ends outside the image.
+            InvalidParameterError: so does an added vehicle.
         """
         picture = self.frame.size or (width_px, height_px)
         extent = self.frame.extent(width_px, height_px)
         across, down = picture[0] / extent[0], picture[1] / extent[1]
-        lines = tuple(
-            line._replace(x1=line.x1 * across, y1=line.y1 * down, x2=line.x2 * across, y2=line.y2 * down)
-            for line in self.rulers.known_lengths
-        )
+
+        def in_picture(line: _Line) -> _Line:
+            return line._replace(x1=line.x1 * across, y1=line.y1 * down, x2=line.x2 * across, y2=line.y2 * down)
+
         told = self
-        if lines and self.frame.coordinates != "pixels":
+        if self.frame.coordinates != "pixels" and (self.rulers.known_lengths or self.by_hand.add):
             told = replace(
-                self, rulers=replace(self.rulers, known_lengths=lines), frame=replace(self.frame, coordinates="pixels")
+                self,
+                rulers=replace(self.rulers, known_lengths=tuple(map(in_picture, self.rulers.known_lengths))),
+                by_hand=replace(self.by_hand, add=tuple(map(in_picture, self.by_hand.add))),
+                frame=replace(self.frame, coordinates="pixels"),
             )
         told.rulers.check(*picture)
+        told.by_hand.check(*picture)
         return told
 
     @classmethod
@@ -117,7 +127,7 @@ class DeclaredOption(NamedTuple):
 
 def declared_options() -> tuple[DeclaredOption, ...]:
     """List the options of all groups."""
-    groups = (Search, Lengths, Reference, Frame, Reading, Rulers, Method)
+    groups = (Search, Lengths, Reference, Frame, Reading, Rulers, ByHand, Method)
     return tuple(
         DeclaredOption(keyword_of(each), each, group, option_of(each)) for group in groups for each in fields(group)
     )

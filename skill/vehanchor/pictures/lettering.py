@@ -45,12 +45,14 @@ def write_on(picture: NDArray[np.uint8], text: str, at: tuple[int, int], capital
     rim = max(2, capital_px // 7)
     left, baseline = at
     top = max(0, baseline - 2 * capital_px)
-    region = picture[top : max(top, baseline + capital_px)]
+    first = max(0, left - 2 * rim)
+    right = left + text_width(text, capital_px) + 3 * rim
+    region = picture[top : max(top, baseline + capital_px), first : max(first, right)]
     if not region.size:
         return
     letters = np.zeros(region.shape[:2], np.uint8)
     stroke = stroke_px(capital_px) + 1
-    cv2.putText(letters, text, (left, baseline - top), FONT, font_scale(capital_px), 255, stroke, cv2.LINE_AA)
+    cv2.putText(letters, text, (left - first, baseline - top), FONT, font_scale(capital_px), 255, stroke, cv2.LINE_AA)
     # In OpenCV 5 a wider stroke makes bolder letters, not a rim.
     around = cv2.dilate(letters, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * rim + 1, 2 * rim + 1)))
     for mask, level in ((around, 0.0), (letters, 255.0)):

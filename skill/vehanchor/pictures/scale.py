@@ -21,6 +21,7 @@ from vehanchor.storage.atomic import whole_file
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from vehanchor.detection.detections import Detections
     from vehanchor.imagery.raster import Raster
     from vehanchor.pictures.drawable import DrawableScale
     from vehanchor.records import GsdEstimate
@@ -36,6 +37,8 @@ MAX_SIDE_PX = 2048  # larger images are reduced for display
 
 _MIN_CANVAS_PX = 480  # narrower pictures (of tall, thin images) get margins for the caption
 _BAR_SHARE = 0.2  # approximate length of the scale bar as a share of the picture's width
+_NUMBER_SHARE, _NUMBER_RANGE_PX = 0.5, (8, 16)  # capitals of vehicles' numbers: share of a drawn width, and pixels
+_MANY_VEHICLES, _NUMBERED_PX = 100, 30.0  # more vehicles than that, drawn shorter, have no numbers
 _HALO_MIN_PX = 22.0  # least drawn length of vehicles for a dark line under the coloured one
 _SUBPIXEL_BITS = 4
 _PANEL_RGB = (22, 24, 28)
@@ -157,7 +160,13 @@ def _picture_factor(width_px: int, height_px: int) -> float:
 
 
 def draw_vehicles(picture: NDArray[np.uint8], analysis: DrawableScale, scale: NDArray[np.float64]) -> None:
-    """Draw kept vehicles in blue and outliers crossed in orange; ``scale`` is picture pixels per image pixel."""
+    """Draw kept vehicles in blue, outliers crossed in orange, and their numbers.
+
+    Args:
+        picture: drawn into.
+        analysis: of the image.
+        scale: ``[2]`` picture pixels per image pixel.
+    """
     boxes = analysis.detections.boxes
     if not len(boxes):
         return
@@ -174,6 +183,23 @@ def draw_vehicles(picture: NDArray[np.uint8], analysis: DrawableScale, scale: ND
     for shapes, closed, colour, thickness in layers:
         if len(shapes):
             cv2.polylines(picture, list(shapes), closed, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
+    _write_numbers(picture, analysis.detections, scale)
+
+
+def _write_numbers(picture: NDArray[np.uint8], detections: Detections, scale: NDArray[np.float64]) -> None:
+    """Write each vehicle's number on it, best first, unless it covers another number; none on many small vehicles."""
+    if len(detections.boxes) > _MANY_VEHICLES and np.median(detections.boxes[:, 2]) * scale.mean() < _NUMBERED_PX:
+        return
+    written = np.zeros(picture.shape[:2], bool)
+    for box, number in zip(detections.boxes, detections.numbers, strict=True):
+        text, (x, y) = str(number), box[:2] * scale
+        capital = int(np.clip(_NUMBER_SHARE * box[3] * scale.mean(), *_NUMBER_RANGE_PX))
+        width = text_width(text, capital)
+        left, baseline = round(x - width / 2), round(y + capital / 2)
+        place = written[max(0, baseline - capital) : max(0, baseline), max(0, left) : max(0, left + width)]
+        if place.size and not place.any():
+            place[:] = True
+            write_on(picture, text, (left, baseline), capital)
 
 
 def with_margins(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -221,7 +247,7 @@ def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
     """Compose the caption: the reason against an unusable scale, scale, interval, confidence, and the legend."""
     estimate = analysis.estimate
     n_dropped = estimate.n_detections - estimate.n_vehicles
-    legend = [(KEPT_RGB, f"{estimate.n_vehicles} vehicle{'s' * (estimate.n_vehicles != 1)}")]
+    legend = [(KEPT_RGB, f"{estimate.n_vehicles} vehicle{'s' * (estimate.n_vehicles != 1)}{_by_hand(estimate)}")]
     if n_dropped:
         legend.append((DROPPED_RGB, f"{n_dropped} outlier{'s' * (n_dropped != 1)}, dropped"))
     scale = _headline(estimate)
@@ -240,6 +266,10 @@ def _caption_lines(analysis: DrawableScale) -> list[CaptionLine]:
     if rulers := _rulers_line(analysis):
         lines.append(rulers)
     return lines
+
+
+def _by_hand(estimate: GsdEstimate) -> str:
+    return f" (by hand: {estimate.by_hand.summary})" if estimate.by_hand else ""
 
 
 def _rulers_line(analysis: DrawableScale) -> CaptionLine:

@@ -16,6 +16,7 @@ from vehanchor.records.gsd_estimate import (
     SceneScaleEstimate,
     Status,
     TiltEstimate,
+    VehiclesByHand,
 )
 from vehanchor.records.known_scale import KnownPlane, KnownScale
 from vehanchor.records.live import LiveScale
@@ -55,4 +56,5 @@ __all__ = [
     "SceneScaleEstimate",
     "Status",
     "TiltEstimate",
+    "VehiclesByHand",
 ]

@@ -46,6 +46,20 @@ class SceneScaleEstimate(Record):
     gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its 95 % interval.")
 
 
+class VehiclesByHand(Record):
+    """Vehicles that the caller confirmed, dropped and added: the caller's word, not the image's."""
+
+    confirmed: int = Field(ge=0, description="Detections that the caller says are cars.")
+    dropped: int = Field(ge=0, description="Detections that the caller says are no cars.")
+    added: int = Field(ge=0, description="Cars that the caller pointed at.")
+
+    @property
+    def summary(self) -> str:
+        """Counts above 0, as "2 confirmed, 1 added"."""
+        counts = {"confirmed": self.confirmed, "added": self.added, "dropped": self.dropped}
+        return ", ".join(f"{n} {each}" for each, n in counts.items() if n)
+
+
 class RulerScale(Record):
     """Scale from one ruler, and its part in the estimate."""
 
@@ -113,7 +127,8 @@ class GsdEstimate(Record):
     )
     leading_ruler: RulerKind | None = Field(description="The ruler with the largest weight; null without a scale.")
     rulers: tuple[RulerScale, ...] = Field(description="All rulers with evidence; empty without a scale.")
-    n_detections: int = Field(ge=0, description="N: vehicles detected, before the outlier filter.")
+    n_detections: int = Field(ge=0, description="N: vehicles before the outlier filter, after corrections by hand.")
+    by_hand: VehiclesByHand | None = Field(default=None, description="Corrections by the caller; null without any.")
     working_scale: float | None = Field(
         description="Scale of the image copy with most of the kept vehicles: 1 (full resolution), 0.5, 0.25 or 0.125; "
         "null without vehicles. Lengths are always in pixels of the full image."

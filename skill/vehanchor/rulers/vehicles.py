@@ -36,6 +36,16 @@ if TYPE_CHECKING:
 
 _LEAST_SCORE = 1e-3  # floor of the scores, so that a detection counts
 _MODE_REACH, _MODE_SHARE = 0.25, 0.3  # of log scale, and of the density
+_DOUBTS_OF_KIND = frozenset(
+    {
+        NoticeCode.LENGTHS_ALIKE,
+        NoticeCode.SCORES_UNCLEAR,
+        NoticeCode.LOOKS_ALIKE,
+        NoticeCode.LOOKS_UNLIKE_CARS,
+    }
+)
+"""Doubts that a caller resolves who states that most of the vehicles are cars."""
+
 _DOUBTS: dict[NoticeCode, str] = {
     NoticeCode.STRETCHED: "The vehicles have a car's proportions only if the image is made narrower or wider: it was "
     "stretched in one direction, or taken at a tilt, and its width and height have different scales.",
@@ -69,6 +79,11 @@ class Fleet:
     working_scale: float | None
 
     @property
+    def is_stated(self) -> bool:
+        """Whether the caller states that most of these vehicles are cars."""
+        return bool(2 * self.detections.stated.sum() > self.kept.sum())
+
+    @property
     def centres(self) -> NDArray[np.float64]:
         """``[m, 2]`` centres x, y in pixels of the image."""
         return np.asarray(self.detections.boxes[self.kept, :2])
@@ -95,6 +110,8 @@ class Fleet:
 def select(detections: Detections, lengths: Lengths, expected: NDArray[np.float64] | None = None) -> Fleet:
     """Select the fleet with the outlier filter and, after a search over scales, by lengths that fit one fleet.
 
+    Vehicles that the caller states to be cars are always kept, and their lengths choose the fleet.
+
     Args:
         detections: vehicles in pixels of the image.
         lengths: options with the filter's factor.
@@ -103,14 +120,16 @@ def select(detections: Detections, lengths: Lengths, expected: NDArray[np.float6
     Returns:
         The fleet, empty if nothing was found.
     """
-    found = detections.boxes[:, 2]
+    found, stated = detections.boxes[:, 2], detections.stated
     if detections.scales is None or len(found) == 0:
         kept, rival_share = inlier_mask(found, lengths.alpha), 0.0
     else:
         weights = _expected_weights(found, expected)
-        group = dominant_group(found, np.maximum(detections.scores, _LEAST_SCORE) ** 2 * weights)
+        weights = np.where(stated, 1.0, weights) * np.maximum(detections.scores, _LEAST_SCORE) ** 2
+        group = dominant_group(found, weights, stated)
         kept, rival_share = group.members.copy(), group.rival_share
         kept[kept] = inlier_mask(found[kept], lengths.alpha)
+    kept |= stated
     return Fleet(detections, kept, rival_share, _working_scale(detections, kept))
 
 
@@ -239,7 +258,7 @@ class Vehicles(Ruler):
                 *([_detail_missing(seen_px, resolved, guard_px)] if unresolved else []),
                 *doubts,
             ),
-            density=None if exact else _density(detections, card, reference),
+            density=None if exact else _density(fleet, card, reference),
             fleet=fleet,
             reference=reference,
             mode_length_px=mode_px,
@@ -285,11 +304,16 @@ def _scale(
     return mode_px, aggregation, reference.length_m / mode_px, interval
 
 
-def _density(detections: Detections, card: DetectorCard, reference: ReferenceLength) -> NDArray[np.float64] | None:
-    """Compute the density of all boxes, other groups included; None if the votes are uncalibrated."""
+def _density(fleet: Fleet, card: DetectorCard, reference: ReferenceLength) -> NDArray[np.float64] | None:
+    """Compute the density of all boxes, or of the fleet if the caller states it; None if the votes are uncalibrated."""
     if card.votes is None:
         return None
-    return vehicle_density(detections.boxes[:, 2], detections.scores, reference.length_m, reference.log_sds, card.votes)
+    found = fleet.detections
+    voting = fleet.kept if fleet.is_stated else np.ones(len(fleet.kept), bool)
+    pointed = 0.0 if found.corrections is None else found.corrections.pointed_log_sds[voting]
+    return vehicle_density(
+        found.boxes[voting, 2], found.scores[voting], reference.length_m, reference.log_sds, card.votes, pointed
+    )
 
 
 def _doubts(fleet: Fleet, card: DetectorCard, stretch_sigmas: float | None) -> list[Notice]:
@@ -304,7 +328,8 @@ def _doubts(fleet: Fleet, card: DetectorCard, stretch_sigmas: float | None) -> l
         fleet_log_odds=None if fleet.appearance is None else fleet.appearance.log_odds,
         stretch_sigmas=stretch_sigmas,
     )
-    return [Notice(code=doubt, message=_DOUBTS[doubt]) for doubt in doubts]
+    resolved = _DOUBTS_OF_KIND if fleet.is_stated else frozenset[NoticeCode]()
+    return [Notice(code=doubt, message=_DOUBTS[doubt]) for doubt in doubts if doubt not in resolved]
 
 
 def _capped(detections: Detections) -> list[Notice]:

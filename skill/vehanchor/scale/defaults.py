@@ -19,6 +19,9 @@ REGIONS = ("europe", "northern_europe", "north_america", "south_america", "south
 CAR_LENGTH_M = 4.6
 """Typical car length in metres, within 20 % for all fleets; used only to choose resolutions and to weigh sizes."""
 
+CAR_LENGTH_OVER_WIDTH = 2.21
+"""Proportions of the detector's boxes at nadir."""
+
 LEAST_GSD_M_PER_PX, LARGEST_GSD_M_PER_PX = 1e-4, 1000.0
 """Limits of ground sampling distances from callers, metres per pixel."""
 

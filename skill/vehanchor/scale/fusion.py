@@ -204,6 +204,7 @@ def vehicle_density(
     reference_length_m: float,
     reference_log_sds: tuple[float, float],
     votes: Votes,
+    more_log_sds: ArrayLike = 0.0,
 ) -> NDArray[np.float64]:
     """Compute the density of the scale from the votes of all boxes.
 
@@ -217,6 +218,7 @@ def vehicle_density(
         reference_length_m: ``L_ref``.
         reference_log_sds: standard deviations of its log between places, towards smaller and towards larger cars.
         votes: vote model of the detector.
+        more_log_sds: ``[n]`` or one for all, further standard deviations of the log lengths, as by pointing.
 
     Returns:
         ``[g]`` probabilities; the flat density without boxes.
@@ -228,12 +230,13 @@ def vehicle_density(
     shares = votes.car_shares(scores)
     inside = (cells >= 0) & (cells < len(GRID))
     level = np.minimum((shares * _SHARE_LEVELS).astype(np.intp), _SHARE_LEVELS - 1)
-    reach = int(np.ceil(_KERNEL_REACH_SDS * votes.log_sd / LOG_STEP))
-    offsets = np.arange(-reach, reach + 1) * LOG_STEP / votes.log_sd
-    normal = np.exp(-0.5 * offsets**2) / (votes.log_sd * np.sqrt(2 * np.pi))
+    log_sds = np.hypot(votes.log_sd, np.broadcast_to(more_log_sds, lengths.shape))
     total = np.zeros(len(GRID))
-    for step in np.unique(level[inside]):
-        chosen = inside & (level == step)
+    for step, log_sd in sorted(set(zip(level[inside].tolist(), log_sds[inside].tolist(), strict=True))):
+        chosen = inside & (level == step) & (log_sds == log_sd)
+        reach = int(np.ceil(_KERNEL_REACH_SDS * log_sd / LOG_STEP))
+        offsets = np.arange(-reach, reach + 1) * LOG_STEP / log_sd
+        normal = np.exp(-0.5 * offsets**2) / (log_sd * np.sqrt(2 * np.pi))
         share = float(shares[chosen].mean())
         gain = np.log1p(share / (1 - share) * normal / votes.clutter_density)  # relative to clutter
         counts = np.bincount(cells[chosen], minlength=len(GRID)).astype(np.float64)

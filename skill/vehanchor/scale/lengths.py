@@ -47,7 +47,7 @@ class LengthGroup(NamedTuple):
     rival_share: float
 
 
-def dominant_group(lengths: ArrayLike, weights: ArrayLike) -> LengthGroup:
+def dominant_group(lengths: ArrayLike, weights: ArrayLike, stated: ArrayLike | None = None) -> LengthGroup:
     """Split lengths of any scale into the fleet with the largest weight and the rest.
 
     A search over scales finds car-shaped objects of every size. Cars of one image lie within a factor of 1.5 of their
@@ -57,6 +57,7 @@ def dominant_group(lengths: ArrayLike, weights: ArrayLike) -> LengthGroup:
     Args:
         lengths: ``[n]`` pixels, n >= 1.
         weights: ``[n]`` evidence that each is a car, non-negative, not all zero.
+        stated: ``[n]`` bool, cars by the caller's word; if any, their mode alone is the group's centre.
 
     Returns:
         The members of the dominant group, and the rival's share. Of two equal groups the one with shorter lengths wins.
@@ -67,16 +68,18 @@ def dominant_group(lengths: ArrayLike, weights: ArrayLike) -> LengthGroup:
     reach = round(4 * _GROUP_LOG_BANDWIDTH / _GROUP_LOG_STEP)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * _GROUP_LOG_STEP / _GROUP_LOG_BANDWIDTH) ** 2)
 
-    def strongest(among: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        mass = np.bincount(cells[among], weights=weight[among], minlength=int(cells.max()) + 1)
+    def strongest(among: NDArray[np.bool_], voting: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        mass = np.bincount(cells[voting], weights=weight[voting], minlength=int(cells.max()) + 1)
         density = np.convolve(mass, kernel)[reach : reach + len(mass)]
         mode = int(np.argmax(density > density.max() * (1 - 1e-9)))
         return np.asarray(among & (np.abs(cells - mode) * _GROUP_LOG_STEP <= GROUP_LOG_REACH + 1e-9))
 
-    members = strongest(np.ones(len(logs), dtype=bool))
+    everything = np.ones(len(logs), dtype=bool)
+    told = np.zeros(len(logs), dtype=bool) if stated is None else np.asarray(stated, dtype=bool)
+    members = strongest(everything, told if told.any() else everything)
     if members.all():
         return LengthGroup(members, 0.0)
-    rival = strongest(~members)
+    rival = strongest(~members, ~members)
     return LengthGroup(members, float(weight[rival].sum() / weight[members].sum()))
 
 

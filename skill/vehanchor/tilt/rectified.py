@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.scale.defaults import CAR_LENGTH_OVER_WIDTH
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -20,7 +22,6 @@ if TYPE_CHECKING:
     from vehanchor.scale.plane import GroundPlane
 
 _BY_WIDTH = 0.25  # share of the width in the log of a length: 0.2 to 0.3 do alike at 30 and 45 degrees, train split
-_LENGTH_OVER_WIDTH = 2.21  # of the detector's boxes at nadir
 
 
 def rectified(detections: Detections, plane: GroundPlane) -> Detections:
@@ -34,7 +35,7 @@ def rectified(detections: Detections, plane: GroundPlane) -> Detections:
     lengths, widths = (plane.length(*ends) for ends in box_axes(detections.boxes))
     measured = detections.boxes.copy()
     measured[:, 2] = length_off_nadir(lengths, widths)
-    measured[:, 3] = measured[:, 2] / _LENGTH_OVER_WIDTH
+    measured[:, 3] = measured[:, 2] / CAR_LENGTH_OVER_WIDTH
     return replace(detections, boxes=measured)
 
 
@@ -55,4 +56,4 @@ def box_axes(boxes: NDArray[np.float64]) -> tuple[tuple[NDArray[np.float64], NDA
 
 def length_off_nadir(lengths: NDArray[np.float64], widths: NDArray[np.float64]) -> NDArray[np.float64]:
     """Combine lengths and widths ``[n]`` on the ground to lengths that do not depend on the car's direction."""
-    return np.asarray(lengths ** (1 - _BY_WIDTH) * (_LENGTH_OVER_WIDTH * widths) ** _BY_WIDTH)
+    return np.asarray(lengths ** (1 - _BY_WIDTH) * (CAR_LENGTH_OVER_WIDTH * widths) ** _BY_WIDTH)

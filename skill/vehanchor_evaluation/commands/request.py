@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.cli.terminal import exit_on_error
+from vehanchor.options.by_hand import BY_HAND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
 Request = TypeVar("Request")
+
+_OF_ONE_IMAGE = ("frame", "coordinates", "known_lengths", *BY_HAND)
 
 
 def plain_command(request: type[Request]) -> Callable[[Callable[[Request], None]], Callable[..., None]]:
@@ -42,8 +45,8 @@ def measuring_command(
 
     Args:
         request: the dataclass.
-        without: options of the estimate that do not apply to this command; a frame and known lengths, which belong to
-            one image, never apply.
+        without: options of the estimate that do not apply to this command; those of one image
+            never apply.
 
     Returns:
         A decorator for a function of the request and the parsed options.
@@ -56,9 +59,7 @@ def measuring_command(
 
         chosen = inspect.Parameter("chosen", inspect.Parameter.KEYWORD_ONLY, annotation=ParsedOptions)
         declared = _with_signature(run, command, [*_parameters(request), chosen])
-        return scale_command(
-            without={"frame", "coordinates", "known_lengths", "effort", "max_tiles", "max_seconds", *without}
-        )(declared)
+        return scale_command(without={*_OF_ONE_IMAGE, "effort", "max_tiles", "max_seconds", *without})(declared)
 
     return decorate
 

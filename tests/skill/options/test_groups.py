@@ -10,7 +10,7 @@ import pytest
 import vehanchor
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.errors import InvalidParameterError
-from vehanchor.options import Frame, Lengths, OptionKeywords, Reading, Reference, Rulers, ScaleOptions, Search
+from vehanchor.options import ByHand, Frame, Lengths, OptionKeywords, Reading, Reference, Rulers, ScaleOptions, Search
 from vehanchor.options.method import Method
 
 _IMAGE = np.zeros((64, 64, 3), np.uint8)
@@ -19,7 +19,7 @@ _IMAGE = np.zeros((64, 64, 3), np.uint8)
 def test_the_verbs_keywords_are_the_groups_fields() -> None:
     names = [
         field.name
-        for group in (Search, Lengths, Reference, Reading, Rulers, Method)
+        for group in (Search, Lengths, Reference, Reading, Rulers, ByHand, Method)
         for field in dataclasses.fields(group)
     ]
     names += ["frame_width_px", "frame_height_px", "coordinates"]
@@ -109,7 +109,7 @@ def test_a_command_gets_every_field_of_every_group_and_its_own_options_first() -
         raise NotImplementedError
 
     names = list(scale_command(without=("bands",))(shown).__annotations__)
-    groups = (Search, Lengths, Reference, Rulers, Method)
+    groups = (Search, Lengths, Reference, Rulers, ByHand, Method)
     fields = {field.name for group in groups for field in dataclasses.fields(group)} - {"verify"}
     assert names[0] == "image"
     assert fields | {

@@ -53,7 +53,15 @@ def test_the_preset_gives_the_papers_numbers(scene: Path, detector: Detector) ->
 
 
 @pytest.mark.parametrize(
-    "other", [{"alpha": 2.0}, {"alpha": None}, {"region": "europe"}, {"rulers": ("courts",)}, {"height_m": 50.0}]
+    "other",
+    [
+        {"alpha": 2.0},
+        {"alpha": None},
+        {"region": "europe"},
+        {"rulers": ("courts",)},
+        {"height_m": 50.0},
+        {"drop": (1,)},
+    ],
 )
 def test_the_preset_takes_no_other_value_of_its_options(other: dict[str, Any]) -> None:
     with pytest.raises(InvalidParameterError, match=f"the preset paper sets {next(iter(other))}"):

@@ -1,0 +1,179 @@
+"""Vehicles that the caller confirms, drops or adds, from the search to the record."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.analyses import analyse_found, made_card
+from tests.yards import EQUAL_CARS, paint_yard
+from vehanchor import Engine
+from vehanchor.analysis.scale import ScaleAnalysis
+from vehanchor.batch.run import run_batch
+from vehanchor.detection.appearance import FleetAppearance
+from vehanchor.detection.corrections import corrected
+from vehanchor.detection.detections import Detections
+from vehanchor.errors import InvalidParameterError
+from vehanchor.models.zoo import resolve_model
+from vehanchor.options import ScaleOptions
+
+_SIDE = 4000
+
+
+def _found(groups: list[tuple[float, int]], *, score: float = 0.8, fleet: FleetAppearance | None = None) -> Detections:
+    """Groups of (length, number), spread as a fleet, in rows of their own."""
+    boxes = [
+        [50 + 99.0 * k, 100.0 * row, length * (1 + 0.07 * NormalDist().inv_cdf((k + 0.5) / n)), length / 2.2, 0.0]
+        for row, (length, n) in enumerate(groups, 1)
+        for k in range(n)
+    ]
+    n = len(boxes)
+    return Detections(np.array(boxes).reshape(-1, 5), np.full(n, score), scales=np.ones(n), fleet=fleet)
+
+
+def _corrected(found: Detections, **told: Any) -> Detections:
+    options = ScaleOptions.of(told).in_pixels(_SIDE, _SIDE)
+    return corrected(found, options.by_hand, options.frame, (_SIDE, _SIDE), options.search.nms_iou)
+
+
+def _analysis(found: Detections, **told: Any) -> ScaleAnalysis:
+    made = _corrected(found, **told)
+    return analyse_found(made, made_card(), ScaleOptions(), image_width_px=_SIDE, image_height_px=_SIDE)
+
+
+@pytest.fixture
+def alike() -> Detections:
+    """Thirty vehicles that look alike."""
+    odds = 0.5 + 0.5 * np.array([NormalDist().inv_cdf((k + 0.5) / 30) for k in range(30)])
+    return _found([(40.0, 30)], score=0.9, fleet=FleetAppearance(odds, np.zeros(30)))
+
+
+def test_without_corrections_nothing_changes() -> None:
+    found = _found([(40.0, 12)])
+    assert _corrected(found) is found
+    assert _analysis(found).estimate.by_hand is None
+    assert found.numbers.tolist() == list(range(1, 13))
+
+
+def test_a_confirmation_of_most_vehicles_lifts_the_doubt_of_their_looks(alike: Detections) -> None:
+    doubted, few, most = (_analysis(alike, confirm=range(1, n + 1)).estimate for n in (0, 15, 16))
+    for record in (doubted, few):
+        assert (record.status, record.reason) == ("low_confidence", "not_cars")
+        assert [w.code for w in record.warnings] == ["looks_alike"]
+    assert (most.status, most.warnings) == ("ok", ())
+    assert most.confidence <= 0.99
+    assert most.by_hand is not None
+    assert most.by_hand.model_dump() == {"confirmed": 16, "dropped": 0, "added": 0}
+    assert most.gsd_m_per_px == pytest.approx(doubted.gsd_m_per_px, rel=0.05)
+
+
+def test_a_confirmation_does_not_lift_the_resolution_guard() -> None:
+    small = _analysis(_found([(9.0, 30)]), confirm=range(1, 31)).estimate
+    assert small.resolution_guard
+    assert (small.status, small.reason) == ("low_confidence", "too_coarse")
+    assert small.confidence <= 0.3
+
+
+def test_dropped_vehicles_are_no_evidence_and_the_others_keep_their_numbers() -> None:
+    found = _found([(40.0, 12), (100.0, 10)])
+    both, one = _analysis(found), _analysis(found, drop=range(13, 23))
+    alone = _analysis(_found([(40.0, 12)]))
+    assert [w.code for w in both.estimate.warnings] == ["lengths_disagree"]
+    assert one.estimate.warnings == ()
+    assert one.estimate.model_copy(update={"by_hand": None}) == alone.estimate
+    assert one.estimate.by_hand is not None
+    assert one.estimate.by_hand.dropped == 10
+    some = _analysis(found, drop=[1, 3])
+    assert some.detections.numbers.tolist() == [2, *range(4, 23)]
+    assert [each["properties"]["number"] for each in some.__geo_interface__["features"]][:2] == [2, 4]
+
+
+def test_confirmed_vehicles_choose_the_fleet_and_pass_the_outlier_filter() -> None:
+    found = _found([(40.0, 20), (100.0, 4)])
+    assert _analysis(found).estimate.mode_length_px == pytest.approx(40, rel=0.03)
+    told = _analysis(found, confirm=[21, 22, 23])
+    assert told.estimate.mode_length_px == pytest.approx(100, rel=0.1)
+    assert told.kept.tolist() == [False] * 20 + [True] * 4
+    outlier = _analysis(_found([(40.0, 20), (70.0, 1)]), confirm=[21])
+    assert outlier.kept[20]
+
+
+def test_an_added_vehicle_counts_and_has_the_next_number() -> None:
+    found = _found([(40.0, 12)])
+    told = _analysis(found, drop=[12], add=[(3000, 3000, 3024, 3032)])
+    assert told.detections.numbers.tolist() == [*range(1, 12), 13]
+    x, y, length, width, angle = told.detections.boxes[-1]
+    assert (x, y, length) == pytest.approx((3012, 3016, 40))
+    assert (width, angle) == pytest.approx((40 / 2.21, np.arctan2(4, 3)))
+    assert told.estimate.n_vehicles == 12
+    assert told.estimate.by_hand is not None
+    assert told.estimate.by_hand.model_dump() == {"confirmed": 0, "dropped": 1, "added": 1}
+
+
+def test_an_added_vehicle_replaces_the_detections_that_it_overlaps() -> None:
+    found = _found([(40.0, 12)])
+    x, y = found.boxes[3, :2]
+    told = _corrected(found, add=[(x - 22, y, x + 22, y)])
+    assert told.numbers.tolist() == [1, 2, 3, *range(5, 14)]
+    with pytest.raises(InvalidParameterError, match="add 1 and add 2 are one vehicle"):
+        _corrected(found, add=[(x - 22, y, x + 22, y), (x - 20, y, x + 23, y)])
+
+
+def test_an_added_vehicle_of_a_coarse_copy_is_less_certain() -> None:
+    found = _found([(40.0, 12)])
+    axis = np.array([3000, 3000, 3040, 3000])
+    fine = _corrected(found, add=[axis])
+    coarse = _corrected(found, add=[axis / 4], frame_width_px=_SIDE // 4, frame_height_px=_SIDE // 4)
+    assert fine.boxes == pytest.approx(coarse.boxes)
+    assert fine.corrections is not None
+    assert coarse.corrections is not None
+    assert fine.corrections.pointed_log_sds[-1] == pytest.approx(np.sqrt(2) * 2 / 40)
+    assert coarse.corrections.pointed_log_sds[-1] == pytest.approx(4 * fine.corrections.pointed_log_sds[-1])
+    assert not fine.corrections.pointed_log_sds[:-1].any()
+
+
+@pytest.mark.parametrize("name", ["confirm", "drop"])
+def test_a_number_that_does_not_exist_says_how_many_there_are(name: str) -> None:
+    with pytest.raises(InvalidParameterError, match=f"{name} has number 13, which is no vehicle .* they are 1 to 12"):
+        _corrected(_found([(40.0, 12)]), **{name: [2, 13]})
+    with pytest.raises(InvalidParameterError, match="none was found"):
+        _corrected(_found([]), **{name: [1]})
+
+
+# --- With the bundled model ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def engine() -> Engine:
+    return Engine(resolve_model())
+
+
+@pytest.fixture(scope="module")
+def hire_cars() -> Any:
+    return paint_yard("equal cars", EQUAL_CARS[0] / 25, 500, seed=1)
+
+
+def test_confirmed_hire_cars_of_one_make_give_the_scale_again_and_again(engine: Engine, hire_cars: Any) -> None:
+    doubted = engine.estimate(hire_cars)
+    assert (doubted.status, doubted.reason) == ("low_confidence", "not_cars")
+    told = ScaleOptions.of({"confirm": range(1, doubted.n_detections + 1)})
+    sure, again = engine.estimate(hire_cars, told), engine.estimate(hire_cars, told)
+    assert sure == again
+    assert sure.status == "ok"
+    assert sure.confidence <= 0.99
+    assert sure.gsd_m_per_px == pytest.approx(EQUAL_CARS[0] / 25, rel=0.1)
+
+
+def test_what_belongs_to_one_image_or_needs_a_search_is_refused(engine: Engine, hire_cars: Any, tmp_path: Path) -> None:
+    with pytest.raises(InvalidParameterError, match="drop belongs to one image"):
+        engine.flight([hire_cars, hire_cars], drop=[1])
+    with pytest.raises(InvalidParameterError, match="add belongs to one image"):
+        run_batch([str(tmp_path)], tmp_path / "t.csv", options=ScaleOptions.of({"add": [(0, 0, 9, 0)]}))
+    with pytest.raises(InvalidParameterError, match="confirm needs the ruler vehicles"):
+        engine.estimate(hire_cars, rulers=("known_length",), confirm=[1])
+    with pytest.raises(InvalidParameterError, match="give gsd_m_per_px or drop, not both"):
+        engine.measure_distance(hire_cars, [(0, 0), (50, 0)], gsd_m_per_px=0.1, drop=[1])
