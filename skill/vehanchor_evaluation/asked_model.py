@@ -18,6 +18,7 @@ from vehanchor_evaluation.vlm_api import ApiRefusedError, BudgetSpentError, Requ
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from pathlib import Path
 
     from vehanchor_evaluation.agent_tools import ToolCaller
     from vehanchor_evaluation.questions import Question
@@ -83,7 +84,7 @@ def read_answer(reply: str) -> tuple[float, float] | bool | None:
 
 
 def _ask(question: Question, api: ModelApi, tools: ToolCaller | None, max_turns: int) -> Outcome:
-    messages = api.first_messages(SYSTEM, _words(question, tools is not None), _picture(question))
+    messages = api.first_messages(SYSTEM, _words(question, tools is not None), encoded_picture(question.image))
     tokens, calls, measured_well = 0, 0, True
     for _ in range(max_turns):
         reply = api.ask(SYSTEM, messages, tools)
@@ -124,9 +125,9 @@ def _words(question: Question, measuring: bool) -> str:
     return " ".join(words)
 
 
-def _picture(question: Question) -> str:
-    """Encode the image as base64 JPEG, reduced to the size that models see."""
-    with open_raster(question.image, limits=DATASET_LIMITS) as raster:
+def encoded_picture(image: Path) -> str:
+    """Encode an image as base64 JPEG, reduced to the size that models see."""
+    with open_raster(image, limits=DATASET_LIMITS) as raster:
         seen = read_reduced(raster)
     factor = min(1.0, _MAX_SIDE_PX / max(seen.shape[:2]))
     if factor < 1:

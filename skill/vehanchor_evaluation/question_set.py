@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict
 
 from vehanchor.errors import InvalidParameterError
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor_evaluation.known_scale import DATASET_LIMITS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -25,7 +27,8 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.agent_tools import ToolCaller
 
 Deed: TypeAlias = Literal["acted rightly", "acted wrongly", "abstained rightly", "abstained needlessly"]
-_ENDS = ((0.1, 0.5), (0.9, 0.5))  # of the asked distance, as fractions of the sides
+ENDS = ((0.1, 0.5), (0.9, 0.5))
+"""Ends of the asked distance, as fractions of the sides."""
 
 
 class SceneOf(BaseModel):
@@ -62,6 +65,10 @@ class SetQuestion(BaseModel):
     expected: Literal["act", "abstain"]
     why: str
     facts: tuple[dict[str, Any], ...] = ()
+
+    def truth_m(self, width_px: int, height_px: int) -> float:
+        """Compute the true distance, metres."""
+        return self.gsd_m_per_px * math.dist(*((x * width_px, y * height_px) for x, y in ENDS))
 
 
 @dataclass(frozen=True)
@@ -108,7 +115,7 @@ def ask_set(asked: Iterable[tuple[SetQuestion, Path]], tools: ToolCaller, *, cat
 
 
 def _ask(question: SetQuestion, tools: ToolCaller, image: Path, *, catalogue: bool) -> Answered:
-    points = [{"x": x, "y": y} for x, y in _ENDS]
+    points = [{"x": x, "y": y} for x, y in ENDS]
     arguments: dict[str, Any] = {
         "image": {"kind": "path", "path": str(image.resolve())},
         "coordinates": "fraction",
@@ -122,9 +129,20 @@ def _ask(question: SetQuestion, tools: ToolCaller, image: Path, *, catalogue: bo
     record = record.get("measurements", [record])[0]
     status = record.get("status") or "error"
     if status != "ok":
-        rightly = question.expected == "abstain"
-        return Answered(question, "abstained rightly" if rightly else "abstained needlessly", status, None)
-    truth = math.dist(*((x * record["image_width_px"], y * record["image_height_px"]) for x, y in _ENDS))
-    truth *= question.gsd_m_per_px
-    holds = record["distance_ci95_low_m"] <= truth <= record["distance_ci95_high_m"]
-    return Answered(question, "acted rightly" if holds else "acted wrongly", status, record["distance_m"] / truth)
+        return Answered(question, deed_of(question, None, math.nan), status, None)
+    truth = question.truth_m(record["image_width_px"], record["image_height_px"])
+    interval = record["distance_ci95_low_m"], record["distance_ci95_high_m"]
+    return Answered(question, deed_of(question, interval, truth), status, record["distance_m"] / truth)
+
+
+def deed_of(question: SetQuestion, interval: tuple[float, float] | None, truth_m: float) -> Deed:
+    """Judge an interval, or that there is none."""
+    if interval is None:
+        return "abstained rightly" if question.expected == "abstain" else "abstained needlessly"
+    return "acted rightly" if interval[0] <= truth_m <= interval[1] else "acted wrongly"
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Return the width and height of a picture, pixels."""
+    with open_raster(path, limits=DATASET_LIMITS) as raster:
+        return raster.width_px, raster.height_px

@@ -11,6 +11,7 @@ import typer
 
 from vehanchor.cli.terminal import printable
 from vehanchor.errors import InvalidParameterError, OutputError
+from vehanchor_evaluation.commands.agents import agents
 from vehanchor_evaluation.commands.area import area
 from vehanchor_evaluation.commands.questions import questions
 from vehanchor_evaluation.commands.request import measuring_command
@@ -184,3 +185,4 @@ def evaluate_figures(request: ScaleRequest, chosen: ParsedOptions) -> None:
 evaluate.command("area")(area)
 evaluate.command("vlm")(vlm)
 evaluate.command("questions")(questions)
+evaluate.command("agents")(agents)

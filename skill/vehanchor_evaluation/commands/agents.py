@@ -1,0 +1,150 @@
+"""Command ``vehanchor evaluate agents``: whether a planner acts and abstains rightly on forty pictures with traps."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vehanchor.errors import InvalidParameterError
+from vehanchor_evaluation.commands.request import plain_command
+from vehanchor_evaluation.commands.service import STOPPED, ProviderName, ServiceRequest
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from vehanchor_evaluation.agent_tools import ToolCaller
+    from vehanchor_evaluation.agents import AgentScore
+    from vehanchor_evaluation.question_set import SetQuestion
+
+_MODEL = "A real model"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AgentsRequest(ServiceRequest):
+    """Options of the command, one per field."""
+
+    pictures: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Rendered pictures of the questions, by their names in the set.")
+    ]
+    data: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of the photographs. Default: no photographs.")
+    ] = None
+    limit: Annotated[int, typer.Option(min=1, metavar="N", help="Maximum number of questions.")] = 40
+    as_json: Annotated[bool, typer.Option("--json", help="Print a line of JSON per planner.")] = False
+    provider: Annotated[
+        ProviderName | None,
+        typer.Option(help="API of the model; openai-compatible: vLLM, DashScope, ...", rich_help_panel=_MODEL),
+    ] = None
+    model: Annotated[str, typer.Option(metavar="NAME", help="Name of the model.", rich_help_panel=_MODEL)] = ""
+    descriptions: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="JSON of other descriptions by the tool's name: the model is asked with both versions.",
+            rich_help_panel=_MODEL,
+        ),
+    ] = None
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of stored replies, a transcript: they are never requested again.",
+            rich_help_panel=_MODEL,
+        ),
+    ] = None
+
+    def questions(self) -> list[tuple[SetQuestion, Path]]:
+        """Return the questions whose pictures are there.
+
+        Raises:
+            InvalidParameterError: there is none.
+        """
+        from vehanchor_evaluation.question_set import question_set
+
+        asked = []
+        for each in question_set():
+            folder = self.pictures if each.scene is not None else self.data
+            if folder is not None and (folder / each.file).is_file():
+                asked.append((each, folder / each.file))
+        if not asked:
+            first = next(each for each in question_set() if each.scene is not None)
+            assert first.scene is not None
+            size = f"--size {first.scene.width_px} {first.scene.height_px}"
+            raise InvalidParameterError(
+                f"{str(self.pictures)!r} has no picture of the set. Render them, the first by: vehanchor scene "
+                f"{self.pictures / first.file} --gsd {first.scene.gsd_m_per_px} --layout {first.scene.layout} "
+                f"--seed {first.scene.seed} {size}"
+            )
+        return asked[: self.limit]
+
+
+@plain_command(AgentsRequest)
+def agents(request: AgentsRequest) -> None:
+    """Score planners on pictures with recognised things, traps among them: acted or abstained, rightly or not.
+
+    The scripted planner answers with and without the recognised things. With --provider and --model, a real model also
+    answers, with --descriptions in two versions. Its key comes from the environment.
+    """
+    from vehanchor.cli.terminal import print_json
+    from vehanchor_evaluation.agent_tools import open_agent_tools
+
+    if (request.provider is None) != (not request.model):
+        raise InvalidParameterError("a real model needs --provider and --model, and its key in the environment")
+    asked = request.questions()
+    with open_agent_tools(sorted({path.resolve().parent for _, path in asked})) as tools:
+        rows, stopped = _rows(request, asked, tools)
+    if request.as_json:
+        for row in rows:
+            print_json(row.model_dump(mode="json"))
+    else:
+        _print_rows(rows)
+    if stopped:
+        print(f"stopped: {stopped}; with --out the same command resumes", file=sys.stderr)
+        raise typer.Exit(STOPPED)
+
+
+def _rows(
+    request: AgentsRequest, asked: Sequence[tuple[SetQuestion, Path]], tools: ToolCaller
+) -> tuple[list[AgentScore], str | None]:
+    """Ask every planner; return their rows, and the reason for an early end."""
+    from vehanchor_evaluation.agents import agent_score, ask_agent, read_descriptions
+    from vehanchor_evaluation.question_set import ask_set
+
+    versions: list[tuple[str, ToolCaller]] = [(request.model, tools)]
+    if request.descriptions is not None:
+        versions.append(
+            (f"{request.model}, {request.descriptions.name}", read_descriptions(request.descriptions, tools))
+        )
+    rows = [
+        agent_score("script, with what it recognises", ask_set(asked, tools, catalogue=True)),
+        agent_score("script, without", ask_set(asked, tools, catalogue=False)),
+    ]
+    if request.provider is None:
+        return rows, None
+    stopped = None
+    api = request.open_api(request.provider, request.model, request.out)
+    for name, described in versions:
+        run = ask_agent(asked, api, described)
+        rows.append(agent_score(name, run.answers, run.calls, run.tokens))
+        stopped = stopped or run.stopped
+    return rows, stopped
+
+
+def _print_rows(rows: Sequence[AgentScore]) -> None:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    from vehanchor.cli.terminal import print_table
+
+    table = Table("planner", box=box.SIMPLE_HEAD)
+    for heading in ("questions", "acted rightly", "wrongly", "abstained rightly", "needlessly", "calls", "tokens"):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        values = row.model_dump(exclude={"name"}).values()
+        table.add_row(Text(row.name), *("-" if value is None else str(value) for value in values))
+    print_table(table)

@@ -1,0 +1,175 @@
+"""The deeds of a model with the tools, against a stand-in for its service."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from tests.model_service import Answer, Asked, ModelService, UseTool, model_service
+from vehanchor.cli.app import app
+from vehanchor.errors import InvalidParameterError
+from vehanchor_evaluation.agents import AgentRun, Redescribed, agent_score, ask_agent, read_descriptions
+from vehanchor_evaluation.question_set import SetQuestion, deed_of, question_set
+from vehanchor_evaluation.vlm_api import Budget, open_api, reply_journal
+from vehanchor_scenes import render_scene
+
+RENDERED = [each for each in question_set() if each.scene is not None]
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first two rendered pictures."""
+    folder = tmp_path_factory.mktemp("pictures")
+    for each in RENDERED[:2]:
+        told = each.scene
+        assert told is not None
+        render_scene(
+            told.gsd_m_per_px, width_px=told.width_px, height_px=told.height_px, seed=told.seed, layout=told.layout
+        ).write(folder / each.file)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def asked(pictures: Path) -> list[tuple[SetQuestion, Path]]:
+    return [(each, pictures / each.file) for each in RENDERED[:2]]
+
+
+class Tools:
+    """Tools that measure rightly, or with a factor."""
+
+    def __init__(self, truth_m: dict[str, float], factor: float = 1.0, status: str = "ok") -> None:
+        tool = {"name": "measure_distance", "description": "Measures distances."}
+        self.anthropic_tools: list[dict[str, Any]] = [{**tool, "input_schema": {"type": "object"}}]
+        self.openai_tools: list[dict[str, Any]] = [{"type": "function", "function": {**tool, "parameters": {}}}]
+        self._truth_m, self._factor, self._status = truth_m, factor, status
+
+    def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
+        assert name == "measure_distance"
+        metres = self._truth_m[Path(arguments["image"]["path"]).name] * self._factor
+        return json.dumps({"status": self._status, "low": 0.9 * metres, "high": 1.1 * metres}), False
+
+
+def _careful(asked: Asked) -> Answer:
+    """A model that measures, and abstains unless the status is ok."""
+    path = re.search(r"The file is (\S+)\. Measure", asked.text)
+    assert path is not None
+    if not asked.tool_results:
+        return UseTool("measure_distance", {"image": {"kind": "path", "path": path[1]}})
+    record = json.loads(asked.tool_results[-1])
+    return f"ANSWER={record['low']:.3f} to {record['high']:.3f}" if record["status"] == "ok" else "ANSWER=unknown"
+
+
+def _run(asked: list[tuple[SetQuestion, Path]], folder: Path | None = None, **told: Any) -> tuple[AgentRun, list[str]]:
+    truth = {path.name: question.truth_m(800, 640) for question, path in asked}
+    with model_service(ModelService(answer=_careful)) as service:
+        api = open_api("openai-compatible", "m", reply_journal(folder), Budget(), base_url=f"{service.url}/v1")
+        run = ask_agent(asked, api, Tools(truth, **told))
+    return run, [path for path, _, _ in service.requests]
+
+
+def test_deeds_calls_and_tokens_are_counted(asked: list[tuple[SetQuestion, Path]]) -> None:
+    right, _ = _run(asked)
+    assert agent_score("m", right.answers, right.calls, right.tokens).acted_rightly == 2
+    assert right.calls == 2
+    assert right.tokens > 0
+    wrong, _ = _run(asked, factor=1.5)
+    assert agent_score("m", wrong.answers).acted_wrongly == 2
+    low, _ = _run(asked, status="low_confidence")
+    counted = agent_score("m", low.answers)
+    needlessly = sum(question.expected == "act" for question, _ in asked)
+    assert (counted.abstained_needlessly, counted.abstained_rightly) == (needlessly, 2 - needlessly)
+
+
+@pytest.mark.parametrize(
+    ("expected", "interval", "deed"),
+    [
+        ("act", (9.0, 11.0), "acted rightly"),
+        ("act", (11.0, 12.0), "acted wrongly"),
+        ("act", None, "abstained needlessly"),
+        ("abstain", None, "abstained rightly"),
+        ("abstain", (11.0, 12.0), "acted wrongly"),
+    ],
+)
+def test_a_deed_is_judged(expected: str, interval: tuple[float, float] | None, deed: str) -> None:
+    question = RENDERED[0].model_copy(update={"expected": expected})
+    assert deed_of(question, interval, 10.0) == deed
+
+
+def test_what_was_recognised_is_told_in_words(asked: list[tuple[SetQuestion, Path]]) -> None:
+    told: list[str] = []
+
+    def listening(shown: Asked) -> Answer:
+        told.append(shown.text)
+        return "ANSWER=unknown"
+
+    (question, path) = asked[0]
+    fact = {"x1": 0.1, "y1": 0.2, "x2": 0.3, "y2": 0.2, "metres": "iso_container_40ft"}
+    with model_service(ModelService(answer=listening)) as service:
+        api = open_api("openai-compatible", "m", reply_journal(None), Budget(), base_url=f"{service.url}/v1")
+        ask_agent([(question.model_copy(update={"facts": (fact,)}), path)], api, Tools({}))
+    assert "The line from (0.1, 0.2) to (0.3, 0.2) seems to be iso_container_40ft." in told[0]
+
+
+def test_a_transcript_is_read_without_a_request(asked: list[tuple[SetQuestion, Path]], tmp_path: Path) -> None:
+    first, requests = _run(asked, tmp_path)
+    assert len(requests) == 4
+    with model_service(ModelService(answer=_careful)) as service:
+        # The service's address is a part of each request: replies of another service do not count.
+        url = f"{service.url}/v1"
+        for n_requests in (4, 4):
+            api = open_api("openai-compatible", "m", reply_journal(tmp_path), Budget(), base_url=url)
+            truth = {path.name: question.truth_m(800, 640) for question, path in asked}
+            again = ask_agent(asked, api, Tools(truth))
+            assert len(service.requests) == n_requests
+            assert [each.deed for each in again.answers] == [each.deed for each in first.answers]
+
+
+def test_other_descriptions_reach_the_model_for_both_apis(tmp_path: Path) -> None:
+    tools = Tools({})
+    path = tmp_path / "b.json"
+    path.write_text(json.dumps({"measure_distance": "Other words."}))
+    other = read_descriptions(path, tools)
+    assert isinstance(other, Redescribed)
+    assert other.anthropic_tools[0]["description"] == other.openai_tools[0]["function"]["description"] == "Other words."
+    assert tools.anthropic_tools[0]["description"] == "Measures distances."
+    for text in ("[]", "{}", '{"no_such_tool": "x"}', '{"measure_distance": 5}', "not JSON"):
+        path.write_text(text)
+        with pytest.raises(InvalidParameterError, match="--descriptions"):
+            read_descriptions(path, tools)
+
+
+def test_the_command_compares_two_versions_of_the_descriptions(
+    pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[str] = []
+
+    def measuring(shown: Asked) -> Answer:
+        functions = {tool["name"]: tool for tool in (each.get("function", each) for each in shown.tools)}
+        seen.append(functions["measure_distance"]["description"])
+        return "ANSWER=unknown"
+
+    monkeypatch.setenv("OPENAI_API_KEY", "k")
+    descriptions = tmp_path / "b.json"
+    descriptions.write_text(json.dumps({"measure_distance": "Other words."}))
+    with model_service(ModelService(answer=measuring)) as service:
+        options = ["--provider", "openai-compatible", "--model", "m", "--base-url", f"{service.url}/v1", "--json"]
+        done = CliRunner().invoke(
+            app, ["evaluate", "agents", str(pictures), "--limit", "1", "--descriptions", str(descriptions), *options]
+        )
+    assert done.exit_code == 0, done.output
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [row["name"] for row in rows] == ["script, with what it recognises", "script, without", "m", "m, b.json"]
+    assert all(row["acted_wrongly"] == 0 for row in rows)
+    assert len(seen) == 2
+    assert seen[0] != seen[1] == "Other words."
+
+
+def test_a_folder_without_the_pictures_names_the_command_that_renders_them(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["evaluate", "agents", str(tmp_path)])
+    assert done.exit_code == 2
+    assert "vehanchor scene" in done.stderr
