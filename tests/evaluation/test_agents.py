@@ -146,17 +146,10 @@ def test_other_descriptions_reach_the_model_for_both_apis(tmp_path: Path) -> Non
 def test_the_command_compares_two_versions_of_the_descriptions(
     pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seen: list[str] = []
-
-    def measuring(shown: Asked) -> Answer:
-        functions = {tool["name"]: tool for tool in (each.get("function", each) for each in shown.tools)}
-        seen.append(functions["measure_distance"]["description"])
-        return "ANSWER=unknown"
-
     monkeypatch.setenv("OPENAI_API_KEY", "k")
     descriptions = tmp_path / "b.json"
     descriptions.write_text(json.dumps({"measure_distance": "Other words."}))
-    with model_service(ModelService(answer=measuring)) as service:
+    with model_service(ModelService(answer=lambda _: "ANSWER=unknown")) as service:
         options = ["--provider", "openai-compatible", "--model", "m", "--base-url", f"{service.url}/v1", "--json"]
         done = CliRunner().invoke(
             app, ["evaluate", "agents", str(pictures), "--limit", "1", "--descriptions", str(descriptions), *options]
@@ -165,6 +158,8 @@ def test_the_command_compares_two_versions_of_the_descriptions(
     rows = [json.loads(line) for line in done.stdout.splitlines()]
     assert [row["name"] for row in rows] == ["script, with what it recognises", "script, without", "m", "m, b.json"]
     assert all(row["acted_wrongly"] == 0 for row in rows)
+    offered = [[tool["function"] for tool in payload["tools"]] for _, _, payload in service.requests]
+    seen = [next(each["description"] for each in tools if each["name"] == "measure_distance") for tools in offered]
     assert len(seen) == 2
     assert seen[0] != seen[1] == "Other words."
 
