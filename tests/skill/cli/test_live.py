@@ -47,7 +47,7 @@ def test_a_damaged_frame_is_told_and_passed_over(run: Any, tmp_path: Path) -> No
     (tmp_path / "1.png").write_bytes(b"no image")
     done = run(".", "--idle", 1)
     assert done.exit_code == 0
-    assert not done.stdout
+    assert [json.loads(line)["frame"] for line in done.stdout.splitlines()] == ["0.png"]
     assert "1.png" in done.stderr
 
 
@@ -79,3 +79,11 @@ def test_a_wrong_argument_is_refused_before_the_work(run: Any, arguments: tuple[
     done = run(*arguments)
     assert done.exit_code == 2
     assert done.stderr.startswith("error[")
+
+
+def test_a_camera_that_is_not_there_is_told_once(run: Any, capfd: pytest.CaptureFixture[str]) -> None:
+    done = run("97", "--idle", 2)
+    assert done.exit_code == 0
+    assert not done.stdout
+    assert done.stderr.count("camera 97 gives no frames") == 1
+    assert "WARN" not in capfd.readouterr().err

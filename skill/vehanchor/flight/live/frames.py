@@ -17,6 +17,7 @@ import numpy as np
 
 from vehanchor.errors import ImageError, ImageNotFoundError, InvalidParameterError
 from vehanchor.flight.video import is_video, sample_video
+from vehanchor.imagery.formats.decoding import QUIET_OPENCV
 from vehanchor.imagery.sources.files import SUFFIXES
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options.option import Limits
@@ -108,7 +109,7 @@ def video_frames(path: str, every_s: float, reading: Reading) -> Iterator[Frame]
 def folder_frames(
     folder: Path, reading: Reading, *, idle_s: float | None = None, tell: Callable[[str], None] = print
 ) -> Generator[Frame, None, None]:
-    """Watch a folder by polling, and yield its newest image whenever one was added or replaced.
+    """Watch a folder by polling, and yield its newest readable image whenever one was added or replaced.
 
     A file counts when its size and time are the same at two polls: then it is written completely.
 
@@ -130,15 +131,18 @@ def folder_frames(
             time.sleep(_POLL_S)
             continue
         taken.update((name, now[name]) for name in ready)
-        newest = max(ready, key=lambda name: (now[name], name))
         last = arrived = time.monotonic()
-        try:
-            with open_raster(folder / newest, bands=reading.bands, limits=reading.limits, bgr=reading.bgr) as raster:
-                image = raster.read()
-        except ImageError as error:
-            tell(f"{newest}: {error}")
-            continue
-        yield Frame(str(folder / newest), image, arrived, arrived, len(ready) - 1)
+        ready.sort(key=lambda name: (now[name], name), reverse=True)
+        for older, name in enumerate(ready, start=1):
+            try:
+                path = folder / name
+                with open_raster(path, bands=reading.bands, limits=reading.limits, bgr=reading.bgr) as raster:
+                    image = raster.read()
+            except ImageError as error:
+                tell(f"{name}: {error}")
+                continue
+            yield Frame(str(path), image, arrived, arrived, len(ready) - older)
+            break
 
 
 def _listing(folder: Path) -> dict[str, tuple[int, int]]:
@@ -234,7 +238,8 @@ class _Newest:
 def _open_camera(number: int) -> Camera | None:
     if number > 99:
         raise InvalidParameterError(f"the camera {number} does not exist: use 0 for the first")
-    camera = cv2.VideoCapture(number)
+    with QUIET_OPENCV.entered():  # otherwise each trial warns on stderr
+        camera = cv2.VideoCapture(number)
     if camera.isOpened():
         return camera  # type: ignore[return-value] # the stubs of OpenCV are wider than what it returns
     camera.release()

@@ -49,7 +49,7 @@ def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
             "convert the image to JPEG"
         )
     try:
-        with _QUIET_OPENCV.entered():
+        with QUIET_OPENCV.entered():
             pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except (cv2.error, MemoryError) as error:
         if isinstance(error, MemoryError) or error.code == _NO_MEMORY:
@@ -110,4 +110,4 @@ class _QuietOpenCV:
                     logging.setLogLevel(self._before)
 
 
-_QUIET_OPENCV = _QuietOpenCV()
+QUIET_OPENCV = _QuietOpenCV()
