@@ -1,6 +1,6 @@
 // ---- Calls to the program that serves this page, with progress ----
 
-const FRAME_MAX_PX = Math.max(420, 0.75 * window.innerHeight);
+const FRAME_MAX_PX = Math.max(360, window.innerHeight - 330); // below the readings, above the window's edge
 const SHARPENS = true;
 let progressed = () => {};
 canCallTools = true;

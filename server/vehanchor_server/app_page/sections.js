@@ -47,7 +47,7 @@ function readings(record) {
     tiles.push(reading("Length × width", `${number(record.length_m)} × ${number(record.width_m)}`, "m", around));
   }
   const scale = scaleOf(record) ?? record;
-  if (record.scale_source === "given") tiles.push(reading("Scale", number(record.gsd_m_per_px), "m/px", "given by the caller"));
+  if (record.scale_source === "given") tiles.push(reading("Scale", round(record.gsd_m_per_px), "m/px", "given by the caller"));
   else tiles.push(scaleReading(scale));
   return html("dl", { class: "readings" }, ...tiles.map((tile) => trusted(record, tile)));
 }

@@ -22,6 +22,7 @@ from tests.server.app_page.conftest import PATIENCE_MS
 from tests.server.app_page.test_app_page import SHOWS_PAGES
 from tests.server.conftest import POOL_BOX, paint_scene, write_image
 from tests.server.conversation import by_path
+from vehanchor.records.digits import significant
 from vehanchor_server.app import create_server
 from vehanchor_server.app_page import PANEL_KEY, page_html
 from vehanchor_server.services import create_services
@@ -432,7 +433,7 @@ def test_every_ruler_is_listed_with_what_it_says_and_who_disagrees(
     rows.first.wait_for()
     assert [row.split("\n")[0] for row in rows.all_inner_texts()] == ["Vehicles", "Known length", "Given height"]
     for row, ruler in zip(rows.all_inner_texts(), rulers, strict=True):
-        assert f"{ruler['gsd_m_per_px']:.3g} m/px" in row
+        assert f"{significant(ruler['gsd_m_per_px'])} m/px" in row
         assert ("disagrees" in row) == (not ruler["agrees"])
     assert [ruler["agrees"] for ruler in rulers].count(False) == 1
     chance = r"Chance of an error below 20 %, from all rulers: 0\.\d\d\. "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 from collections.abc import Iterator
@@ -161,3 +162,29 @@ def test_what_is_seen_closely_comes_in_all_its_pixels(page: Any) -> None:
     assert shown[0] > 1.3 * 1568 * shown[1] / 100  # of the image's share, more pixels than the whole picture has there
     press(page, "Show all")
     part.wait_for(state="hidden")
+
+
+def test_a_photograph_is_chosen_at_once(page: Any) -> None:
+    page.locator("#photographs button[aria-current=true]").wait_for()
+    assert page.locator("#photographs button").first.get_attribute("aria-current") == "true"
+
+
+def test_all_photographs_are_measured_into_a_table(page: Any, tmp_path: Path) -> None:
+    press(page, "Measure all")
+    says(page, "#sentence", re.compile(r"^\d photographs: \d with a usable scale\.$"))
+    assert "not an image" in page.locator(".overview tr", has_text="broken.png").inner_text()
+    for name in ("large.png", "pool.png"):
+        assert page.locator("#photographs button", has_text=name).first.locator("img").count() == 1
+    with page.expect_download() as saving:
+        press(page, "Save table")
+    saving.value.save_as(tmp_path / "scales.csv")
+    with (tmp_path / "scales.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    found = {Path(row["file"]).name: row["status"] for row in rows}
+    assert (found["broken.png"], found["pool.png"], "large.png" in found) == ("failed", "ok", True)
+    assert all(float(row["gsd_m_per_px"]) > 0 for row in rows if row["status"] == "ok")
+    usable = sum(row["status"] == "ok" for row in rows)
+    assert page.locator("#sentence").inner_text() == f"{len(rows)} photographs: {usable} with a usable scale."
+    page.locator(".overview").get_by_role("button", name="pool.png").first.click()
+    says(page, "#subject", "metric scale")
+    assert page.locator(".overview").count() == 0
