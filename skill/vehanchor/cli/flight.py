@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from vehanchor.records import FlightEstimate, FlightPhotograph
 
 _EVERY_S = 2.0
+_MOST_SIZES = 12  # of components, in one line
 _MOST_NAMED = 3  # dropped links, photographs with one advice
 _STATUSES = {"ok": "ok", "low_confidence": "low", "no_scale": "none", "error": "error"}
 
@@ -150,7 +151,8 @@ def _facts(record: FlightEstimate, short: Mapping[str, str]) -> list[tuple[str, 
     if rulers := [each for each in record.components[0].pooled.rulers if each.weight > 0]:
         facts.append(("rulers", ", ".join(f"{each.kind} {100 * each.weight:.0f} %" for each in rulers)))
     if not record.same_scale:
-        sizes = ", ".join(str(component.n_photographs) for component in record.components)
+        sizes = ", ".join(str(component.n_photographs) for component in record.components[:_MOST_SIZES])
+        sizes += ", ..." if len(record.components) > _MOST_SIZES else ""
         several = f"{len(record.components)} components of {sizes} photographs"
         facts.append(("linked", several if len(record.components) > 1 else "all of them"))
         dropped = [link for link in record.links if link.dropped]
