@@ -214,7 +214,7 @@ def _tell(record: ModelScale, source: str, written: Sequence[Path], *, as_json: 
         facts.append((ruler.label, f"{stated}, n {ruler.n}, {part}"))
     used = [each for each in record.photographs if each.status == "used"]
     if record.photographs:
-        facts.append(("photographs", f"{record.n_photographs}, {len(used)} of them show something of known size"))
+        facts.append(("photographs", f"{record.n_photographs}, {len(used)} of them carry the factor"))
     facts += [
         ("outlier", f"{each.photograph}: {_own(each)}") for each in record.photographs if each.status == "outlier"
     ]

@@ -28,9 +28,9 @@ class ModelPhotograph(Record):
     """Photograph of a model, with the factor by its own rulers."""
 
     photograph: str = Field(description="Name of the photograph in the model.")
-    status: Literal["used", "outlier", "nothing", "error"] = Field(
-        description="used: carries the factor. outlier: its own interval and the model's do not meet. nothing: nothing "
-        "of known size. error: not measured."
+    status: Literal["used", "unclear", "outlier", "nothing", "error"] = Field(
+        description="used: carries the factor. unclear: its own interval spans more than a factor of 2. outlier: its "
+        "own interval and the model's do not meet. nothing: nothing of known size. error: not measured."
     )
     factor: float | None = Field(description="The factor by this photograph alone; null without one.")
     factor_ci95_low: float | None = Field(description="Lower end of its 95 % interval.")

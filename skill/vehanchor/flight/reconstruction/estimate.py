@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from vehanchor.flight.record import Failure
 from vehanchor.records import ModelPhotograph, ModelRuler, ModelScale, Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.known_length_table import lines_in, with_lines_of
+from vehanchor.scale.thresholds import WIDEST_USABLE
 
 if TYPE_CHECKING:
     import os
@@ -215,10 +216,9 @@ def _rulers(estimate: GsdEstimate, gsd: float) -> tuple[ModelRuler, ...]:
 def _photograph(seen: SeenPhotograph, whole: _Scaled | None) -> ModelPhotograph:
     estimate = seen.alone().analysis.estimate
     own = _Scaled.of(estimate, seen.sight.gsd)
-    apart = own is not None and whole is not None and (own.low > whole.high or own.high < whole.low)
     return ModelPhotograph(
         photograph=seen.name,
-        status="nothing" if own is None else "outlier" if apart else "used",
+        status=_status(own, whole),
         factor=own and own.factor,
         factor_ci95_low=own and own.low,
         factor_ci95_high=own and own.high,
@@ -229,6 +229,15 @@ def _photograph(seen: SeenPhotograph, whole: _Scaled | None) -> ModelPhotograph:
         error_code=None,
         error=None,
     )
+
+
+def _status(own: _Scaled | None, whole: _Scaled | None) -> Literal["used", "unclear", "outlier", "nothing"]:
+    """Compare a photograph's own factor with that of the model."""
+    if own is None or whole is None:
+        return "nothing"
+    if own.low > whole.high or own.high < whole.low:
+        return "outlier"
+    return "used" if own.high <= WIDEST_USABLE * own.low else "unclear"
 
 
 def _failed(failure: Failure) -> ModelPhotograph:

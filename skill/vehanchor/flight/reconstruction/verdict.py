@@ -22,7 +22,7 @@ def verdict(noun: str, factor: Sequence[float] | None, *, usable: bool, pixel: S
     if factor is None and pixel is None:
         return f"The {noun} shows nothing of known size: its size remains unknown."
     said = _size(noun, *factor) if factor is not None else _pixel(*pixel or ())
-    return said if usable else f"Probably wrong, do not use: {said[0].lower()}{said[1:]}"
+    return said if usable else f"Uncertain, do not use: {said[0].lower()}{said[1:]}"
 
 
 def _size(noun: str, factor: float, low: float, high: float) -> str:

@@ -123,4 +123,4 @@ def test_names_cannot_leave_the_folder(tmp_path: Path) -> None:
 )
 def test_the_verdict_is_one_sentence(factor: tuple[float, float, float], words: str) -> None:
     assert verdict("model", factor, usable=True) == words
-    assert verdict("model", factor, usable=False).startswith("Probably wrong")
+    assert verdict("model", factor, usable=False).startswith("Uncertain, do not use: ")
