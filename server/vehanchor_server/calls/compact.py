@@ -25,6 +25,7 @@ ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
         "gsd_m_per_px",
         "confidence",
         "n_vehicles",
+        "by_hand",
         "mode_length_px",
         "reason",
         "leading_ruler",

@@ -45,8 +45,11 @@ from vehanchor_server.tools.portable_schema import Listing
 from vehanchor_server.tools.scale_answer import scale_answer
 from vehanchor_server.tools.scale_question import (
     UNLISTED_ARGUMENTS,
+    AddArgument,
+    ConfirmArgument,
     CoordinatesArgument,
     DetailArgument,
+    DropArgument,
     EffortArgument,
     FocalLengthArgument,
     FrameArgument,
@@ -92,8 +95,11 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         focal_35mm: FocalLengthArgument = None,
         height_basis: HeightBasisArgument = "assumed",
         height_tolerance_m: HeightToleranceArgument = None,
+        confirm: ConfirmArgument = None,
+        drop: DropArgument = None,
+        add: AddArgument = None,
         coordinates: CoordinatesArgument = "pixels",
-        include_overlay: Annotated[Flag, Field(description="Also return a picture of the rulers.")] = False,
+        include_overlay: Annotated[Flag, Field(description="Also return a picture with numbered boxes.")] = False,
         detail: DetailArgument = "short",
         more_images: MoreImagesArgument = None,
         same_scale: SameScaleArgument = False,
@@ -101,20 +107,10 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         max_tiles: MaxTilesArgument = None,
         max_seconds: MaxSecondsArgument = None,
     ) -> Annotated[CallToolResult, GsdEstimate] | InputRequiredResult:
-        told = ScaleQuestion(
-            region,
-            reference_length_m,
-            frame,
-            known_lengths,
-            height_m,
-            height_basis,
-            height_tolerance_m,
-            focal_35mm,
-            coordinates,
-            effort,
-            max_tiles,
-            max_seconds,
-        )
+        facts = (region, reference_length_m, frame, known_lengths)
+        height = (height_m, height_basis, height_tolerance_m, focal_35mm)
+        search = (coordinates, effort, max_tiles, max_seconds)
+        told = ScaleQuestion(*facts, *height, *search, confirm, drop, add)
         question, paged = with_user_input(ctx, told), client_supports_apps(ctx)
         wanted = PictureRequest(include_overlay, paged)
         if more_images:
@@ -167,6 +163,8 @@ def describe_estimate(estimate: GsdEstimate, detail: Detail = "full") -> str:
     frame = estimate.frame
     if frame is not None and frame.gsd_m_per_px is not None:
         words.append(f"In your {frame.width_px} x {frame.height_px} copy that is {rounded(frame.gsd_m_per_px)} m/px.")
+    if estimate.by_hand is not None:
+        words.append(f"Vehicles corrected by hand: {estimate.by_hand.summary}.")
     return " ".join([*words, *ruler_explanations(estimate), *warnings(estimate.warnings, detail)])
 
 

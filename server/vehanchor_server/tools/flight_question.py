@@ -53,6 +53,8 @@ def check_flight_question(question: ScaleQuestion) -> None:
         raise CallError(
             "invalid_arguments", "known_lengths belong to a single image. Omit more_images or known_lengths."
         )
+    if by_hand := question.by_hand.given:
+        raise CallError("invalid_arguments", f"{by_hand} belongs to a single image. Omit more_images or {by_hand}.")
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeVar, cast
 from pydantic import BeforeValidator, ConfigDict, Field
 
 from vehanchor.options import (
+    AddedVehicle,
     Basis,
+    ByHand,
     Coordinates,
     Effort,
     Frame,
@@ -19,6 +21,7 @@ from vehanchor.options import (
     ScaleOptions,
     Search,
 )
+from vehanchor.options.by_hand import vehicle_numbers
 from vehanchor.options.frame import FRAME, FRAME_SIDE
 from vehanchor.options.given_scale import GSD, OBJECT_HEIGHT
 from vehanchor.options.rulers import LINE_LENGTH_M
@@ -31,6 +34,10 @@ from vehanchor_server.tools.option_field import limits_field, option_field
 if TYPE_CHECKING:
     from vehanchor_server.models import Models
     from vehanchor_server.settings import Settings
+
+
+_MOST_NUMBERS_TEXT = 4000  # 1000 numbers of three digits with commas
+_MOST_ADDED = 64  # of at most 1000 values in a call
 
 
 class FrameSize(FrozenModel):
@@ -66,6 +73,17 @@ class KnownLine(FrozenModel):
         return KnownLength.of((*ends, self.metres, self.basis, self.tolerance_m))
 
 
+class CarAxis(FrozenModel):
+    """Both ends of a car's long axis."""
+
+    model_config = ConfigDict(json_schema_extra=lambda schema: schema.pop("description"))  # the argument describes it
+
+    x1: Number
+    y1: Number
+    x2: Number
+    y2: Number
+
+
 RegionArgument: TypeAlias = Annotated[str | None, option_field("region")]
 ReferenceLengthArgument: TypeAlias = Annotated[Number | None, option_field("reference_length_m")]
 FrameArgument: TypeAlias = Annotated[
@@ -88,6 +106,9 @@ HeightArgument: TypeAlias = Annotated[Number | None, option_field("height_m")]
 HeightBasisArgument: TypeAlias = Annotated[Basis, option_field("height_basis")]
 HeightToleranceArgument: TypeAlias = Annotated[Number | None, option_field("height_tolerance_m")]
 FocalLengthArgument: TypeAlias = Annotated[Number | None, option_field("focal_35mm")]
+ConfirmArgument: TypeAlias = Annotated[str | None, Field(max_length=_MOST_NUMBERS_TEXT), option_field("confirm")]
+DropArgument: TypeAlias = Annotated[str | None, Field(max_length=_MOST_NUMBERS_TEXT), option_field("drop")]
+AddArgument: TypeAlias = Annotated[tuple[CarAxis, ...] | None, Field(max_length=_MOST_ADDED), option_field("add")]
 ObjectHeightArgument: TypeAlias = Annotated[Number | None, option_field(OBJECT_HEIGHT)]
 EffortArgument: TypeAlias = Annotated[Effort | None, option_field("effort")]
 MaxTilesArgument: TypeAlias = Annotated[WholeNumber | None, option_field("max_tiles")]
@@ -133,6 +154,9 @@ class ScaleQuestion:
         effort: extent of the search in large images; None for the operator's setting.
         max_tiles: maximum number of tiles; the operator's limit also applies.
         max_seconds: maximum search time; the operator's limit also applies.
+        confirm: numbers of vehicles that are cars, as "1-20,23".
+        drop: numbers of vehicles that are no cars.
+        add: cars that were not found.
     """
 
     region: str | None = None
@@ -147,6 +171,22 @@ class ScaleQuestion:
     effort: Effort | None = None
     max_tiles: int | None = None
     max_seconds: float | None = None
+    confirm: str | None = None
+    drop: str | None = None
+    add: tuple[CarAxis, ...] | None = None
+
+    @property
+    def by_hand(self) -> ByHand:
+        """Corrections of the vehicles.
+
+        Raises:
+            InvalidParameterError: a number is invalid.
+        """
+        return ByHand(
+            confirm=vehicle_numbers("confirm", self.confirm or ""),
+            drop=vehicle_numbers("drop", self.drop or ""),
+            add=tuple(AddedVehicle(each.x1, each.y1, each.x2, each.y2) for each in self.add or ()),
+        )
 
     def options(self, settings: Settings, models: Models | None) -> ScaleOptions:
         """Return the options: thresholds, limits and calibration of the operator, all others of the caller.
@@ -184,4 +224,5 @@ class ScaleQuestion:
                 height_tolerance_m=self.height_tolerance_m,
                 focal_35mm=self.focal_35mm,
             ),
+            by_hand=self.by_hand,
         )

@@ -119,6 +119,29 @@ async def test_lines_of_known_length_are_read_in_the_callers_frame_and_held_agai
     assert "invalid_known_length" in text_of(refused)
 
 
+async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(server: MCPServer[object], images: Path) -> None:
+    photo = by_path(images / "cars.png")
+    async with Client(server) as client:
+        listed = {tool.name: tool.input_schema for tool in (await client.list_tools()).tools}
+        plain = (await client.call_tool("estimate_gsd", photo)).structured_content
+        assert plain is not None
+        n = plain["n_detections"]
+        told = {"confirm": f"1-{n - 1}", "drop": str(n), "add": [{"x1": 1, "y1": 2, "x2": 21, "y2": 2}]}
+        frame = {"width_px": plain["image_width_px"] // 2, "height_px": plain["image_height_px"] // 2}
+        result = await client.call_tool("estimate_gsd", {**photo, **told, "frame": frame})
+        missing = await client.call_tool("estimate_gsd", {**photo, "drop": f"1,{n + 1}"})
+        unreadable = await client.call_tool("estimate_gsd", {**photo, "confirm": "all"})
+    assert {"confirm", "drop", "add"} < set(listed["estimate_gsd"]["properties"])
+    assert not result.is_error, text_of(result)
+    assert result.structured_content is not None
+    assert result.structured_content["by_hand"] == {"confirmed": n - 1, "dropped": 1, "added": 1}
+    assert result.structured_content["confidence"] <= 0.99
+    assert f"by hand: {n - 1} confirmed, 1 added, 1 dropped" in text_of(result)
+    assert missing.is_error
+    assert f"drop has number {n + 1}, which is no vehicle of this image: they are 1 to {n}" in text_of(missing)
+    assert "use numbers and ranges with commas, as 1-20,23" in text_of(unreadable)
+
+
 async def test_a_height_is_a_ruler_and_makes_a_scale_without_vehicles(server: MCPServer[object], images: Path) -> None:
     arguments = {**by_path(images / "empty.png"), "height_m": 30, "height_basis": "measured", "focal_35mm": 24}
     async with Client(server) as client:

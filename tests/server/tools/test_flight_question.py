@@ -135,6 +135,14 @@ async def test_no_image_is_opened_again_where_no_picture_is_wanted(
     assert plain.structured_content == drawn.structured_content
 
 
+async def test_vehicles_by_hand_belong_to_one_image(server: MCPServer[object], flight: Path) -> None:
+    names = sorted(flight.iterdir())
+    asked = {**by_path(names[0]), "more_images": [by_path(names[1])["image"]], "drop": "1"}
+    async with Client(server) as client:
+        refused = await client.call_tool("estimate_gsd", asked)
+    assert "drop belongs to a single image" in text_of(refused)
+
+
 async def test_what_cannot_be_used_is_named_by_its_place(server: MCPServer[object], flight: Path, images: Path) -> None:
     here, near = flight / "here.png", flight / "near.png"
     line = {"x1": 0, "y1": 0, "x2": 99, "y2": 0, "metres": 9}
