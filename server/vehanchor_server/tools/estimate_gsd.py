@@ -99,7 +99,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
         drop: DropArgument = None,
         add: AddArgument = None,
         coordinates: CoordinatesArgument = "pixels",
-        include_overlay: Annotated[Flag, Field(description="Also return a picture with numbered boxes.")] = False,
+        include_overlay: Annotated[Flag, Field(description="Also return a picture; boxes numbered.")] = False,
         detail: DetailArgument = "short",
         more_images: MoreImagesArgument = None,
         same_scale: SameScaleArgument = False,

@@ -125,6 +125,7 @@ UNLISTED_ARGUMENTS = (
     "max_seconds",
     "more_images",
     "same_scale",
+    "add",
 )
 """Arguments and fields that the listed schemas hide from models; programs or the operator set them."""
 

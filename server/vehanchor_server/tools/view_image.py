@@ -30,9 +30,8 @@ from vehanchor_server.tools.strict_tool import StrictTool
 from vehanchor_server.tools.target import Box
 
 _DESCRIPTION = (
-    "Shows an image, or a part of it, with a grid of image pixel coordinates. View the image before you give "
-    "coordinates, and a part of it for precise ones. Without image, lists the images available by path. Measures "
-    "nothing; the other tools give metres and confidence."
+    "Shows an image, or a part of it, with a grid of pixel coordinates. View the image before you give coordinates, "
+    "and a part of it for precise ones. Without image, lists the available images. It measures nothing."
 )
 _LEAST_SIDE_PX, _USUAL_SIDE_PX, _LONGEST_SIDE_PX = 256, 1024, 1568
 _LEAST_PART_PX = 16

@@ -59,10 +59,10 @@ class ByHand:
     """
 
     confirm: tuple[int, ...] = field(
-        default=(), metadata=option("Numbers of overlay boxes that are cars, as 1-20,23.", metavar="N,N-N")
+        default=(), metadata=option("Overlay boxes that are cars, as 1-20,23.", metavar="N,N-N")
     )
     drop: tuple[int, ...] = field(
-        default=(), metadata=option("Numbers of overlay boxes that are no cars, as 3,7.", metavar="N,N-N")
+        default=(), metadata=option("Overlay boxes that are no cars, as 3,7.", metavar="N,N-N")
     )
     add: tuple[AddedVehicle, ...] = field(
         default=(), metadata=option("Cars not found: both ends of the long axis.", metavar="X1 Y1 X2 Y2")

@@ -11,7 +11,7 @@ from vehanchor.options.option import Limits, Option, Words, check_fields, option
 Coordinates: TypeAlias = Literal["pixels", "fraction", "per_mille"]
 """Units of coordinates."""
 
-FRAME = Option("Size of your resized copy, pixels.", metavar="W H")
+FRAME = Option("Size of your resized copy.", metavar="W H")
 FRAME_SIDE = Limits(1, 1_000_000, whole=True)
 _SHARES: dict[Coordinates, int] = {"fraction": 1, "per_mille": 1000}  # largest value along either side
 
@@ -39,7 +39,7 @@ class Frame:
     coordinates: Coordinates = field(
         default="pixels",
         metadata=option(
-            "Coordinates: pixels (of image or frame), fraction (0 to 1), per_mille (0 to 1000).",
+            "Pixels (of image or frame), fraction (0 to 1), per_mille (0 to 1000).",
             Words(get_args(Coordinates)),
         ),
     )

@@ -41,7 +41,7 @@ class Reference:
     region: str | None = field(
         default=None,
         metadata=option(
-            f"Country (ISO code, such as FR) or region of the image, if known: {', '.join(REGIONS)}.",
+            f"Country (ISO code, as FR) or region, if known: {', '.join(REGIONS)}.",
             Text(),
             metavar="NAME",
         ),

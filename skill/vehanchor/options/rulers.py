@@ -143,7 +143,7 @@ class Rulers:
     known_lengths: tuple[KnownLength, ...] = field(
         default=(),
         metadata=option(
-            "Lines of known length: metres, or a name, as iso_container_20ft; basis measured: tape, plan, survey.",
+            "Lines: metres, or a name, as iso_container_20ft; basis measured: tape, plan, survey.",
             metavar="X1 Y1 X2 Y2 METRES[+-M] [measured]|NAME",
             flag="known-length",
         ),
@@ -151,14 +151,14 @@ class Rulers:
     height_m: float | None = field(
         default=None,
         metadata=option(
-            "Camera height above ground, metres, for a nadir view or a known tilt.",
+            "Camera height above ground, for a nadir view or a known tilt.",
             _HEIGHT_M,
             metavar="M",
         ),
     )
     height_basis: Basis = field(
         default="assumed",
-        metadata=option("With the height: assumed, or measured above this ground.", _BASES),
+        metadata=option("How the height is known.", _BASES),
     )
     height_tolerance_m: float | None = field(
         default=None,
@@ -166,9 +166,7 @@ class Rulers:
     )
     focal_35mm: float | None = field(
         default=None,
-        metadata=option(
-            "With the height: 35 mm equivalent focal length, mm. Default: the file's.", _FOCAL_MM, metavar="MM"
-        ),
+        metadata=option("35 mm equivalent focal length, mm. Default: the file's.", _FOCAL_MM, metavar="MM"),
     )
 
     def __post_init__(self) -> None:
