@@ -17,7 +17,6 @@ import stat
 import sys
 from collections import deque
 from contextlib import contextmanager, suppress
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 from urllib.parse import urlsplit
@@ -77,7 +76,7 @@ class PathAccess:
         with os.fdopen(descriptor, "rb") as file:
             yield f"/proc/self/fd/{descriptor}" if sys.platform == "linux" else file
 
-    def listed(self, first: int, count: int, stop: Stop) -> tuple[list[str], bool]:
+    def listed(self, first: int, count: int, stop: Stop) -> tuple[list[str], int]:
         """List regular files below the roots that have an image's suffix, without links and hidden files or folders.
 
         Names with control characters, or bytes that are not UTF-8, are left out: they would end a transport, or reach a
@@ -89,7 +88,7 @@ class PathAccess:
             stop: ends the walk.
 
         Returns:
-            Absolute paths in order, and whether there are more.
+            Absolute paths in order, and the number of all images.
 
         Raises:
             CallError: ``source_disabled``.
@@ -99,10 +98,8 @@ class PathAccess:
             raise CallError(
                 "source_disabled", "this server takes no images by path. Use another kind, or start it with --root DIR."
             )
-        found = list(
-            islice((str(path) for root in self.roots for path in _images_below(root, stop)), first, first + count + 1)
-        )
-        return found[:count], len(found) > count
+        found = [str(path) for root in self.roots for path in _images_below(root, stop)]
+        return found[first : first + count], len(found)
 
     def _descriptor(self, path: Path) -> int:
         """Open the file at an absolute path, or at a relative one below the first root that has it.

@@ -70,7 +70,7 @@ class ImageSources:
             found.append((image, fetched))
         return tuple(found)
 
-    def listed(self, first: int, count: int, stop: Stop) -> tuple[list[str], bool]:
+    def listed(self, first: int, count: int, stop: Stop) -> tuple[list[str], int]:
         """List images by path; see ``PathAccess.listed``."""
         return self.paths.listed(first, count, stop)
 

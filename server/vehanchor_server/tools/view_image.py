@@ -51,6 +51,7 @@ class ViewedImage(FrozenModel):
     picture_height_px: int | None = Field(default=None, description="Height of the picture, pixels.")
     grid_px: int | None = Field(default=None, description="Spacing of the grid lines, pixels of the full image.")
     images: tuple[str, ...] | None = Field(default=None, description="Paths, if no image was given.")
+    images_total: int | None = Field(default=None, description="Number of all images, if no image was given.")
     next_page: int | None = Field(default=None, description="Number of the next page; null on the last.")
 
 
@@ -94,12 +95,17 @@ def view_image_tool(services: Services) -> StrictTool:
 async def _list_images(services: Services, page: int) -> CallToolResult:
     first = (page - 1) * _IMAGES_A_PAGE
 
-    async def call(stop: Stop) -> tuple[list[str], bool]:
+    async def call(stop: Stop) -> tuple[list[str], int]:
         return await services.capacity.in_thread(stop, partial(services.sources.listed, first, _IMAGES_A_PAGE, stop))
 
-    names, more = await services.capacity.run(call)
-    listed = ViewedImage(images=tuple(names), next_page=page + 1 if more else None)
-    head = f"{len(names)} images{f'; more on page {page + 1}' if more else ''}."
+    names, total = await services.capacity.run(call)
+    more = first + len(names) < total and bool(names)
+    listed = ViewedImage(images=tuple(names), images_total=total, next_page=page + 1 if more else None)
+    head = f"{total} image{'' if total == 1 else 's'}"
+    if len(names) < total:
+        shown = f"{first + 1} to {first + len(names)}" if names else "none"
+        head += f", {shown} on page {page} of {-(-total // _IMAGES_A_PAGE)}"
+    head += ":" if names else "."
     return _result("\n".join([head, *names]), listed, None)
 
 
