@@ -9,6 +9,7 @@ import numpy as np
 from vehanchor_scenes.car_parks import car_park, halls
 from vehanchor_scenes.country import farm, field, meadow, orchard, vineyard, wood
 from vehanchor_scenes.homes import flats, houses, town
+from vehanchor_scenes.pitches import pitch_ground
 from vehanchor_scenes.site import Site, jitter
 from vehanchor_scenes.sports import sports_ground
 from vehanchor_scenes.world import Material
@@ -88,6 +89,7 @@ FILLERS: dict[str, Filler] = {
     "town": town,
     "park": park,
     "sports_ground": sports_ground,
+    "pitch_ground": pitch_ground,
     "field": field,
     "vineyard": vineyard,
     "orchard": orchard,

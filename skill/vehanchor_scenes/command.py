@@ -22,6 +22,7 @@ class LayoutChoice(StrEnum):
     parking = "parking"
     countryside = "countryside"
     sports = "sports"
+    pitches = "pitches"
 
 
 def scene(

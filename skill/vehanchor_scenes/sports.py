@@ -42,7 +42,7 @@ _KIND_SHARES = (0.6, 0.2, 0.12, 0.08)
 _BASKET_FROM_END_M, _RING_M = 1.575, 1.8
 
 
-class _Paint:
+class Paint:
     """Painter of the lines of one game on one court."""
 
     def __init__(self, site: Site, rgb: Rgb, width: float, wear: float) -> None:
@@ -125,7 +125,7 @@ def place_court(site: Site, kind: CourtKind, inner: Rgb, wear: float) -> None:
         _other_game(site)
     tone = float(rng.uniform(0.35, 1.0))  # remaining whiteness of the paint
     rgb = tuple(int(tone * white + (1 - tone) * ground) for white, ground in zip(WHITE, inner, strict=True))
-    paint = _Paint(site, (rgb[0], rgb[1], rgb[2]), float(rng.uniform(0.05, 0.1)), wear)
+    paint = Paint(site, (rgb[0], rgb[1], rgb[2]), float(rng.uniform(0.05, 0.1)), wear)
     if kind == "tennis":
         _tennis(paint)
     else:
@@ -139,7 +139,7 @@ def place_court(site: Site, kind: CourtKind, inner: Rgb, wear: float) -> None:
     site.world.courts.append(PlacedCourt(kind, corners))
 
 
-def _tennis(paint: _Paint) -> None:
+def _tennis(paint: Paint) -> None:
     length, width = _TENNIS_M
     half, line = length / 2, paint.width
     paint.outline(length, width)
@@ -154,7 +154,7 @@ def _tennis(paint: _Paint) -> None:
         paint.site.box((-0.05, -width / 2 - 0.9, 0.05, width / 2 + 0.9), 1.0, (60, 64, 62))
 
 
-def _basketball(paint: _Paint, court: _Basketball) -> None:
+def _basketball(paint: Paint, court: _Basketball) -> None:
     line = paint.width
     paint.outline(court.length, court.width)
     half, side = court.length / 2, court.width / 2
@@ -185,10 +185,10 @@ def _other_game(site: Site) -> None:
     """Paint lines of pickleball or volleyball in another colour."""
     rng = site.rng
     rgb: Rgb = ((206, 190, 80), (90, 130, 190), (190, 90, 80))[int(rng.integers(3))]
-    paint = _Paint(site, rgb, 0.05, 0.0)
+    paint = Paint(site, rgb, 0.05, 0.0)
     length, width = (13.41, 6.10) if rng.random() < 0.6 else (18.0, 9.0)
     at = float(rng.choice([0.0, 0.0, 3.0]))
-    shifted = _Paint(site.at(at, 0.0), rgb, 0.05, 0.0)
+    shifted = Paint(site.at(at, 0.0), rgb, 0.05, 0.0)
     shifted.outline(length, width)
     cross = 2.13 if width < 9 else 3.0
     for x in (-cross, cross):

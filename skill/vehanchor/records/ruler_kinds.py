@@ -18,6 +18,7 @@ RULERS: dict[str, str] = {
     "height": "vehanchor.rulers.given_height:GivenHeight",
     "courts": "vehanchor.rulers.courts:Courts",
     "parking_bays": "vehanchor.rulers.parking_bays:ParkingBays",
+    "pitches": "vehanchor.rulers.pitches:Pitches",
     "positions": "vehanchor.rulers.positions:Positions",
 }
 """Class of each ruler by its kind, as ``module:Class``; imported on first use."""

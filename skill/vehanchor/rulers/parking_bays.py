@@ -10,9 +10,9 @@ import numpy as np
 from vehanchor.rulers.bay_rows import find_bay_rows
 from vehanchor.rulers.evidence import Mark
 from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
+from vehanchor.rulers.prior_range import prior_range
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.rulers.standards import lengths_of
-from vehanchor.scale.fusion import credible_interval
 from vehanchor.scale.lengths import Interval
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _STANDARD = "parking_bay_width"
 _CHANCE_WRONG = 0.05  # no false row in 1,429 photographs; but some bays have other widths
-_RESOLVED = (0.01, 0.33)  # metres per pixel: paint is 0.1 m wide
+_RESOLVED = Interval(0.01, 0.33)  # metres per pixel: paint is 0.1 m wide
 _PRIOR_SHARE = 0.9  # of the scene-scale prior, between whose scales bays are sought
 _FARTHEST = 1.7  # from the prior's median, as a factor: two bays are not one
 _APART = 0.08  # of the log of the width: farther from the median, these are no usual bays
@@ -43,12 +43,8 @@ class ParkingBays(Ruler):
 
     def find(self, view: View) -> tuple[BayRow, ...]:
         """Find rows of bays at the scales that the scene-scale prior allows; none without pixels or prior."""
-        if view.raster is None or view.prior is None or view.plane is not None:
-            return ()
-        middle = credible_interval(view.prior.density, 0.0).low
-        low, high = credible_interval(view.prior.density, _PRIOR_SHARE)
-        scale = Interval(max(low, middle / _FARTHEST, _RESOLVED[0]), min(high, middle * _FARTHEST, _RESOLVED[1]))
-        return tuple(find_bay_rows(view.raster, scale)) if scale.low < scale.high else ()
+        scale = prior_range(view, _RESOLVED, _PRIOR_SHARE, _FARTHEST)
+        return () if view.raster is None or scale is None else tuple(find_bay_rows(view.raster, scale))
 
     def measure(self, view: View) -> LognormalEvidence:
         """Measure the width of the bays, by the standards of the region or of all countries."""
