@@ -12,7 +12,6 @@ from vehanchor.rulers.lognormal import lognormal_evidence, no_evidence, on_grid
 from vehanchor.rulers.penalty_areas import DEPTH_M, WIDTH_M, find_penalty_areas
 from vehanchor.rulers.prior_range import prior_range
 from vehanchor.rulers.ruler import Ruler
-from vehanchor.rulers.standards import lengths_of
 from vehanchor.scale.lengths import Interval
 
 if TYPE_CHECKING:
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
 _RESOLVED = Interval(0.02, 0.2)  # metres per pixel: in coarser images, a children's pitch looks like a full one
 _PRIOR_SHARE, _FARTHEST = 0.98, 2.2  # grass looks alike at many scales
 _LAYOUT_LOG_SD = 0.02  # pitches are laid out by tape, on ground that drains to its sides; not measured
+_CHANCE_WRONG = 0.1  # our assumption: no false area in photographs, but no photograph had a true one
 _APART = 0.03  # of the log of the scale: farther from the best-fitted area, it is none
 
 
@@ -51,14 +51,13 @@ class Pitches(Ruler):
         gsd = math.exp(float(np.mean([math.log(area.gsd_m_per_px) for area in kept])))
         if not on_grid(gsd):
             return no_evidence(self.kind)
-        standard, _ = lengths_of("football_penalty_area_width")
         log_sd = math.hypot(_LAYOUT_LOG_SD, min(area.log_sd for area in kept))
         says = "A penalty area says" if len(kept) == 1 else f"{len(kept)} penalty areas say"
         return lognormal_evidence(
             self.kind,
             gsd,
             log_sd,
-            standard.chance_wrong,
+            _CHANCE_WRONG,
             f"{says} {{}}.",
             n=len(kept),
             marks=[mark for area in kept for mark in _marks(area)],
