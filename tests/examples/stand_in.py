@@ -26,7 +26,7 @@ KEY = "key-of-the-stand-in"
 GIVEN_BACK = "as the tool said"
 """An argument that is taken from an earlier result."""
 
-_SCALE = re.compile(r'pass scale "([^"]+)"')
+_SCALE = re.compile(r'(?:pass scale |"scale": ?)"([^"]+)"')
 _NAME = re.compile(r"^[a-zA-Z0-9_-]{1,64}$")
 
 

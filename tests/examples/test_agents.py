@@ -35,6 +35,7 @@ MEASURE = ToolCall("measure_area", {"image": _PATH, "targets": [_BOX], "scale": 
 CALLS = [VIEW, ESTIMATE, DISTANCE, MEASURE]
 _USUAL = {
     "coordinates": "pixels",
+    "height_basis": "assumed",
     "include_overlay": False,
     "detail": "short",
     "same_scale": False,
