@@ -94,12 +94,12 @@ def test_the_table_says_what_each_ruler_says_and_who_disagrees(run: Any) -> None
     assert "disagrees, outvoted" in liar
     assert "weight 100 %" in liar
     alone = _estimate(run, "none.png", "--rulers", "known_length", "--known-length", 0, 0, 500, 0, 100).stdout
-    assert "known length 0.2 m/px, weight 100 %" in alone
+    assert "known length 0.2000 m/px, weight 100 %" in alone
     assert "not searched" in alone
     without = _estimate(run, "none.png", "--rulers", "camera,known_length").stdout
     assert "also use the ruler vehicles" in " ".join(without.split())
     assert "or include cars" not in without
-    assert "900 x 500 px = 180 x 100 m" in alone
+    assert "900 x 500 px = 180.0 x 100.0 m" in alone
     assert "weight" not in _estimate(run, "cars.png").stdout
 
 
