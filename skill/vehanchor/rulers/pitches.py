@@ -32,9 +32,10 @@ class Pitches(Ruler):
     kind = "pitches"
     label = "football pitches"
     plural = True
-    help = "a full-size penalty area of a football pitch whole in the image, up to 0.2 m/px"
+    help = "a full-size penalty area of a football pitch whole in the image, up to 0.2 m/px; must be named"
     colour = "#009E73"
     independent_of_vehicles = True
+    by_default = False  # it can double the time of an estimate, and no photograph has tested a find
 
     def find(self, view: View) -> tuple[PenaltyArea, ...]:
         """Find penalty areas at the scales that the scene-scale prior allows; none without pixels or prior."""

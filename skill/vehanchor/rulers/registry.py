@@ -47,8 +47,12 @@ def active_rulers(options: Rulers) -> tuple[Ruler, ...]:
         InvalidParameterError: as ``check_rulers``.
     """
     check_rulers(options)
-    allowed = (ruler_class(kind) for kind in RULERS if options.rulers is None or kind in options.rulers)
-    return tuple(ruler() for ruler in allowed if options.metadata or not ruler.reads_metadata)
+    return tuple(
+        ruler()
+        for ruler in map(ruler_class, RULERS)
+        if (ruler.by_default if options.rulers is None else ruler.kind in options.rulers)
+        and (options.metadata or not ruler.reads_metadata)
+    )
 
 
 def uses(options: Rulers, kind: str) -> bool:
@@ -63,4 +67,4 @@ def needs_search(options: Rulers) -> bool:
 
 def rulers_help() -> str:
     """Make the help of the option ``rulers``."""
-    return f"Rulers to use, with commas: {', '.join(RULERS)}. Default: all."
+    return f"Rulers to use, with commas: {', '.join(RULERS)}. Default: all but those that must be named."
