@@ -22,6 +22,7 @@ from tests.server.transport.test_http import served
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor_server.settings import Settings
+from vehanchor_server.tools.scale_seal import ScaleSeal
 
 pytestmark = [pytest.mark.frameworks, pytest.mark.timeout(600)]
 
@@ -73,7 +74,7 @@ def test_a_framework_gets_the_librarys_records_and_reads_what_went_wrong(
         estimate,
         vehanchor.measure_area(images / "pool.png", box=box, detector=detector, segmenter=segmenter_paths),
         vehanchor.measure_distance(images / "cars.png", PATH, detector=detector),
-        vehanchor.measure_distance(images / "cars.png", PATH, scale=estimate.scale),
+        vehanchor.measure_distance(images / "cars.png", PATH, scale=ScaleSeal().opened(estimate.scale)),
     ]
     calls = [
         ("estimate_gsd", by_path(images / "cars.png")),

@@ -226,7 +226,9 @@ def test_cars_longer_than_any_in_training_give_the_scale(bundled: Detector, clos
     assert e.gsd_m_per_px == pytest.approx(0.04, rel=0.10)
     assert e.working_scale in (0.25, 0.5)
     assert e.confidence >= 0.5
-    alone = estimate_gsd(close_view.image, detector=bundled, search_scales=False, reference_length_m=4.6)
+    alone = estimate_gsd(
+        close_view.image, detector=bundled, search_scales=False, rulers=("vehicles",), reference_length_m=4.6
+    )
     assert alone.confidence < 0.5
 
 

@@ -74,7 +74,7 @@ def scalebar(
         written = [output, geotiff, _write_world(output, drawn_gsd) if world_file else None]
         confidence = "as given" if found.confidence is None else f"{found.confidence:.2f}"
         facts = [("scale", scale_text(found.gsd_m_per_px, None, None)), ("confidence", confidence)]
-        facts.append(("written", "\n".join(str(path) for path in written if path is not None)))
+        facts.extend(("written", str(path)) for path in written if path is not None)
         print_table(facts_table(image, facts))
 
 

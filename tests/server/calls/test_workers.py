@@ -104,8 +104,9 @@ def bug(services: Services, job: Job, source: Any, _: None) -> Answer[Value]:
 
 
 async def test_answers_are_those_of_one_process(
-    isolated_server: MCPServer[object], server: MCPServer[object], images: Path, georeferenced: Path
+    isolated: Services, isolated_server: MCPServer[object], images: Path, georeferenced: Path
 ) -> None:
+    server = create_server(create_services(replace(isolated.settings, in_process=True)))
     reports: list[Any] = []
 
     async def on_progress(progress: float, total: float | None, message: str | None) -> None:

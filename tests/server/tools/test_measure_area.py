@@ -102,7 +102,7 @@ async def test_a_given_scale_needs_neither_cars_nor_a_detector(settings: Setting
     record = record_of(result)
     assert record["area_m2"] == pytest.approx(0.15**2 * record["mask_area_px"])
     assert (record["scale_source"], record["confidence"], record["scale"]) == ("given", None, None)
-    assert "scale 0.150 m/px as given: as accurate as the given scale." in text_of(result)
+    assert "scale 0.15 m/px as given: as accurate as the given scale." in text_of(result)
 
 
 async def test_no_vehicle_is_a_result_without_an_area(server: MCPServer[object], images: Path) -> None:

@@ -127,7 +127,7 @@ def test_nothing_found_is_an_error_before_the_work(nothing: list[str], monkeypat
 
 
 def test_every_value_of_an_estimate_has_its_column() -> None:
-    nested = {"confidence_terms", "frame", "rulers", "scale", "scene_scale", "tilt", "warnings"}
+    nested = {"by_hand", "confidence_terms", "frame", "rulers", "scale", "scene_scale", "tilt", "warnings"}
     assert set(GsdEstimate.model_fields) - nested < set(COLUMNS)
     assert {
         "file",

@@ -45,7 +45,7 @@ def test_a_picture_that_is_reduced_has_its_own_pixel_size(tmp_path: Path) -> Non
     assert cv2.imwrite(str(large), blank_image(4096, 1024))
     done = CliRunner().invoke(app, ["scalebar", str(large), "-o", str(out), "--gsd", "0.1", "--world-file"])
     said = "".join(done.stdout.split())  # long paths are folded
-    assert (done.exit_code, "scale0.1m/px" in said) == (0, True)
+    assert (done.exit_code, "scale0.1000m/px" in said) == (0, True)
     assert all(str(path) in said for path in (out, out.with_suffix(".jgw")))
     assert float(out.with_suffix(".jgw").read_text().split()[0]) == pytest.approx(0.2)
 
