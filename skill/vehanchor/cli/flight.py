@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -13,7 +11,6 @@ import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.cli.terminal import (
-    INTERRUPTED,
     STATUS_TEXTS,
     exit_on_error,
     facts_table,
@@ -22,6 +19,7 @@ from vehanchor.cli.terminal import (
     print_table,
     print_warnings,
     printable,
+    resumable,
     scale_text,
 )
 from vehanchor.errors import InvalidParameterError
@@ -92,7 +90,10 @@ def flight(
         images = _images(inputs, every, limits, () if out is None else (out,))
         last = "pooling the evidence of" if same_scale else "linking"
         counted = isinstance(images, Sequence)  # the length of a video is unknown
-        with image_progress(lambda done, n: last if counted and done == n else "searching") as progress, _kept(journal):
+        with (
+            image_progress(lambda done, n: last if counted and done == n else "searching") as progress,
+            resumable(journal),
+        ):
             record = engine.flight(images, same_scale=same_scale, journal=journal, progress=progress)
         if out is not None:
             write_record(out, record)
@@ -128,17 +129,6 @@ def _images(
     if len(inputs) > 1:
         raise InvalidParameterError("a video is a flight of its own: give it alone")
     return sample_video(inputs[0], every_s, limits)
-
-
-@contextmanager
-def _kept(journal: Path | None) -> Iterator[None]:
-    """Report kept results after Ctrl-C."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        if journal is not None:
-            print("interrupted: finished photographs are kept; run the same command to resume", file=sys.stderr)
-        raise typer.Exit(INTERRUPTED) from None
 
 
 def _facts(record: FlightEstimate, short: Mapping[str, str]) -> list[tuple[str, str]]:

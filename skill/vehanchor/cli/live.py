@@ -49,14 +49,12 @@ def live(
 ) -> None:
     """Estimate the scale while flying: one JSON line for each frame. Advisory; the newest frame wins."""
     with exit_on_error():
-        from vehanchor.flight.live.estimator import live_scales
-        from vehanchor.flight.live.frames import open_frames
         from vehanchor.flight.live.mavlink import MavlinkSender
 
         engine = ParsedOptions({**chosen.typed, "precision": precision}).engine()
-        frames = open_frames(source, engine.options.reading, every_s=every, idle_s=idle, tell=_tell)
+        records = engine.live(source, every_s=every, hold_s=hold, idle_s=idle, tell=_tell)
         with nullcontext() if mavlink is None else MavlinkSender(mavlink, _tell, system=mavlink_system) as sender:
-            for record in live_scales(frames, engine.detector, engine.options, hold_s=hold):
+            for record in records:
                 print(record.model_dump_json(), flush=True)
                 if sender is not None:
                     sender.send(record)

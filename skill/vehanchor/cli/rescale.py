@@ -20,6 +20,7 @@ from vehanchor.cli.terminal import (
     print_table,
     print_warnings,
     printable,
+    resumable,
     tile_progress,
 )
 from vehanchor.errors import InvalidParameterError, OutputError
@@ -91,35 +92,53 @@ def rescale(
     geo: Geo = None,
     world_file: WorldFile = None,
     geotiff: GeoTiff = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="SCALE.json",
+            help="Write the record. After an interruption, the same command resumes the run.",
+            rich_help_panel=_FILES,
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
     strict: Strict = False,
     *,
     chosen: ParsedOptions,
 ) -> None:
-    """Give a reconstruction or an orthophoto its size in metres. Files are written only for a usable size."""
+    """Give a reconstruction or an orthophoto its size in metres. Files in metres need a usable size."""
     with exit_on_error():
+        from vehanchor.flight.io import check_record_path, write_record
         from vehanchor.flight.reconstruction.files import find_model
 
+        journal = None if out is None else check_record_path(out).with_name(out.name + ".journal")
         for path in (matrix, geo, world_file):
             _check_file(path)
         if find_model(source) is not None or Path(source).is_dir():
             _refuse({"--world-file": world_file, "--geotiff": geotiff}, "an orthophoto")
-            record, write = _model(source, images, lines, chosen, (project, matrix, geo))
+            record, write = _model(source, images, lines, chosen, (project, matrix, geo), journal)
         else:
             given = {"--project": project, "--matrix": matrix, "--geo": geo, "--images": images}
             _refuse({**given, "--known-lengths": lines}, "a reconstruction")
             record, write = _orthophoto(source, chosen, world_file, geotiff)
         usable = record.status == "ok"
         written = write(record) if usable else []
+        if out is not None:
+            write_record(out, record)
+            written.append(out)
         _tell(record, source, written, as_json=as_json)
         if not usable and any((project, matrix, geo, world_file, geotiff)):
-            typer.echo("no file was written: the size is not usable", err=True)
+            typer.echo("no file in metres was written: the size is not usable", err=True)
             raise typer.Exit(NOT_OK)
         exit_strictly(strict, [record.status])
 
 
 def _model(
-    source: str, images: Path | None, lines: Path | None, chosen: ParsedOptions, out: Sequence[Path | None]
+    source: str,
+    images: Path | None,
+    lines: Path | None,
+    chosen: ParsedOptions,
+    out: Sequence[Path | None],
+    journal: Path | None,
 ) -> tuple[ModelScale, Callable[[ModelScale], list[Path]]]:
     """Measure a reconstruction; return the record, and a function that writes its files."""
     from vehanchor.flight.reconstruction.estimate import rescale as rescaled
@@ -134,9 +153,9 @@ def _model(
     if geo is not None and model.origin is None:
         raise InvalidParameterError("--geo needs a model with a position on Earth (reference_lla of OpenSfM)")
     folder = images or images_of(model)
-    with image_progress() as progress:
+    with image_progress() as progress, resumable(journal):
         engine = chosen.engine(progress=progress)
-        record = rescaled(model, folder, engine.detector, engine.options, lines)
+        record = rescaled(model, folder, engine.detector, engine.options, lines, journal)
     return record, lambda found: _write_model(model, found, project, matrix, geo)
 
 

@@ -183,6 +183,17 @@ def print_warnings(
 
 
 @contextmanager
+def resumable(journal: Path | None) -> Iterator[None]:
+    """Report after Ctrl-C that a journal keeps the results so far."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if journal is not None:
+            print("interrupted: finished photographs are kept; run the same command to resume", file=sys.stderr)
+        raise typer.Exit(INTERRUPTED) from None
+
+
+@contextmanager
 def image_progress(work: Callable[[int, int], str] | None = None) -> Iterator[Callable[[int, int], None]]:
     """Report finished images on stderr: a bar on a terminal, a line now and then in a log.
 

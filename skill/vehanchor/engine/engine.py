@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 import copy
+import os
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import contextmanager
@@ -26,6 +27,8 @@ from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.errors import InvalidParameterError
 from vehanchor.flight.estimate import analyse_flight
 from vehanchor.flight.inputs import check_many
+from vehanchor.flight.live.estimator import live_scales
+from vehanchor.flight.live.frames import open_frames
 from vehanchor.flight.reconstruction.estimate import rescale
 from vehanchor.flight.reconstruction.files import images_of, read_model
 from vehanchor.imagery.sources.opening import can_be_read_again, open_raster
@@ -40,7 +43,6 @@ from vehanchor.segmentation.prompt import read_prompt
 from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Iterator
     from typing import Unpack
 
@@ -51,6 +53,7 @@ if TYPE_CHECKING:
         DetectorSource,
         EstimateKeywords,
         FlightKeywords,
+        LiveKeywords,
         MeasureKeywords,
         RescaleKeywords,
         SegmenterSource,
@@ -60,7 +63,14 @@ if TYPE_CHECKING:
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.measure.resolved_scale import ScaleInput
     from vehanchor.options.coordinates import Place
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, FlightEstimate, GsdEstimate, ModelScale
+    from vehanchor.records import (
+        AreaMeasurement,
+        DistanceMeasurement,
+        FlightEstimate,
+        GsdEstimate,
+        LiveScale,
+        ModelScale,
+    )
 
 T = TypeVar("T")
 _OWN_KEYWORDS = frozenset({"detector", "segmenter", *RuntimeKeywords.__annotations__})
@@ -328,12 +338,45 @@ class Engine:
 
         Raises:
             ReconstructionError: the model cannot be read or measured, or its photographs are not found.
+            OutputError: the journal cannot be written.
             VehAnchorError: as ``estimate``.
         """
         images, lines = keywords.pop("images", None), keywords.pop("known_lengths_table", None)
+        journal = keywords.pop("journal", None)
         engine, chosen = self._call(options, keywords)
         read = read_model(model)
-        return rescale(read, images_of(read) if images is None else Path(images), engine.detector, chosen, lines)
+        folder = images_of(read) if images is None else Path(images)
+        return rescale(read, folder, engine.detector, chosen, lines, journal)
+
+    def live(
+        self,
+        source: str | os.PathLike[str] | int,
+        options: ScaleOptions | None = None,
+        **keywords: Unpack[LiveKeywords],
+    ) -> Iterator[LiveScale]:
+        """Estimate the scale of each frame of a running camera, advisory.
+
+        The newest frame wins: no queue grows while a record is used. A video gives every frame.
+
+        Args:
+            source: folder that fills, video file, or number of a camera.
+            options: as in ``estimate``. The rulers are vehicles and the scene-scale prior.
+            **keywords: see ``LiveKeywords``.
+
+        Returns:
+            An iterator of one record for each frame, from all frames so far.
+
+        Raises:
+            ImageNotFoundError: there is no such source.
+            InvalidParameterError: the seconds are invalid, or an option is.
+            ModelError: a model cannot be used.
+        """
+        every, hold, idle = keywords.pop("every_s", 0.2), keywords.pop("hold_s", 10.0), keywords.pop("idle_s", None)
+        tell = keywords.pop("tell", _ignore)
+        engine, chosen = self._call(options, keywords)
+        name = str(source) if isinstance(source, int) else os.fspath(source)
+        frames = open_frames(name, chosen.reading, every_s=every, idle_s=idle, tell=tell)
+        return live_scales(frames, engine.detector, chosen, hold_s=hold)
 
     def _call(self, options: ScaleOptions | None, keywords: Mapping[str, object]) -> tuple[Engine, ScaleOptions]:
         """Apply the keywords of a call to the engine and its options."""
@@ -349,6 +392,10 @@ class Engine:
         """Take the caller's known scale, else the detector."""
         given = given_scale(*known, options)
         return checked_detector(self.detector, options) if given is None else given
+
+
+def _ignore(_sentence: str) -> None:
+    pass
 
 
 class _OnDemand(Generic[T]):

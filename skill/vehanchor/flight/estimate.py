@@ -177,9 +177,23 @@ def journal_key(taken: InputPhotograph) -> Key | None:
 
 
 def open_journal(
-    path: Path, detector: Detector, options: ScaleOptions, lines: KnownLengthTable, *, anew: bool = False
+    path: Path,
+    detector: Detector,
+    options: ScaleOptions,
+    lines: KnownLengthTable,
+    *,
+    anew: bool = False,
+    model_sha256: str = "",
 ) -> Journal[StoredPhotograph]:
-    """Open the journal of a flight; ``anew`` discards its results.
+    """Open the journal of a flight or of a reconstruction's photographs.
+
+    Args:
+        path: the file.
+        detector: finds the vehicles.
+        options: of the method.
+        lines: lines of known length by photograph.
+        anew: discard its results.
+        model_sha256: checksum of the reconstruction; empty for a flight.
 
     Raises:
         InvalidParameterError: the journal has results of other options, or the file is no journal.
@@ -189,6 +203,8 @@ def open_journal(
     del choices["frame"]
     if lines:
         choices["lines_of"] = lines
+    if model_sha256:
+        choices["reconstruction"] = model_sha256
     networks = networks_sha256(detector.card)
     settings = {"vehanchor": version("vehanchor"), "networks_sha256": networks, "flight": 1, **choices}
     remedy = "move the file away, or name another"

@@ -1,4 +1,4 @@
-"""Files of flight records."""
+"""Files of the records of flights and reconstructions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vehanchor.storage.atomic import whole_file
 if TYPE_CHECKING:
     import os
 
-    from vehanchor.records import FlightPhotograph
+    from vehanchor.records import FlightPhotograph, ModelScale
 
 _MAX_BYTES = 1 << 30
 
@@ -26,7 +26,7 @@ def check_record_path(path: Path) -> Path:
         OutputError: the suffix is not .json, the folder does not exist, or the path is a folder.
     """
     if path.suffix.lower() != ".json":
-        raise OutputError(f"cannot write a flight as {str(path)!r}: use the suffix .json")
+        raise OutputError(f"cannot write a record as {str(path)!r}: use the suffix .json")
     if not path.parent.is_dir():
         raise OutputError(f"there is no folder {str(path.parent)!r} for {path.name!r}: create it first")
     if path.is_dir():
@@ -34,8 +34,8 @@ def check_record_path(path: Path) -> Path:
     return path
 
 
-def write_record(path: Path, record: FlightEstimate) -> None:
-    """Write the record of a flight.
+def write_record(path: Path, record: FlightEstimate | ModelScale) -> None:
+    """Write a record as JSON.
 
     Raises:
         OutputError: the file cannot be written.

@@ -42,8 +42,9 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_the_verdict_is_told_and_the_files_are_in_metres(run: Any, tmp_path: Path) -> None:
-    done = run("project", "--project", "metric", "--matrix", "matrix.txt", "--geo", "geo.txt")
+    done = run("project", "--project", "metric", "--matrix", "matrix.txt", "--geo", "geo.txt", "--out", "scale.json")
     assert done.exit_code == 0, done.output
+    assert json.loads((tmp_path / "scale.json").read_text())["status"] == "ok"
     assert "too small" in done.stdout
     assert "0.png" in done.stdout
     assert max(map(len, done.stdout.splitlines())) <= 80
@@ -105,5 +106,5 @@ def test_nothing_is_written_without_a_usable_size(run: Any, tmp_path: Path) -> N
     write_opensfm(tmp_path / "bare", [pose.painted(np.zeros((0, 4)))], [pose], 1.0)
     done = run("bare", "--matrix", "matrix.txt")
     assert done.exit_code == 3
-    assert "no file was written" in done.stderr
+    assert "no file in metres was written" in done.stderr
     assert not (tmp_path / "matrix.txt").exists()

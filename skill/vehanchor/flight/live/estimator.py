@@ -61,15 +61,13 @@ def live_scales(
         options: of the method; the rulers are vehicles and the scene-scale prior.
         hold_s: seconds without vehicles after which there is no scale.
 
-    Yields:
-        One record for each frame.
+    Returns:
+        An iterator of one record for each frame.
 
     Raises:
         InvalidParameterError: the seconds are invalid, or the model does not know the region.
     """
-    estimator = LiveEstimator(detector, options, hold_s=hold_s)
-    for frame in frames:
-        yield estimator.estimate(frame)
+    return map(LiveEstimator(detector, options, hold_s=hold_s).estimate, frames)
 
 
 class LiveEstimator:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -10,12 +11,14 @@ import numpy as np
 
 from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.errors import ImageNotFoundError, ReconstructionError, VehAnchorError
+from vehanchor.flight.estimate import open_journal
 from vehanchor.flight.photograph import chief_member
 from vehanchor.flight.pooling import pool
 from vehanchor.flight.reconstruction.ground import model_plane
 from vehanchor.flight.reconstruction.photograph import SeenPhotograph, distinct, search_photograph
 from vehanchor.flight.reconstruction.verdict import verdict
 from vehanchor.flight.record import Failure
+from vehanchor.imagery.identity import Source
 from vehanchor.records import ModelPhotograph, ModelRuler, ModelScale, Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.known_length_table import lines_in, with_lines_of
@@ -26,10 +29,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from vehanchor.detection.detector import Detector
+    from vehanchor.flight.photograph import StoredPhotograph
     from vehanchor.flight.reconstruction.model import Reconstruction
     from vehanchor.options import ScaleOptions
     from vehanchor.records import GsdEstimate
     from vehanchor.rulers.known_length_table import KnownLengthTable
+    from vehanchor.storage.journal import Journal
 
 
 class _Scaled(NamedTuple):
@@ -60,6 +65,7 @@ def rescale(
     detector: Detector,
     options: ScaleOptions,
     known_lengths: str | os.PathLike[str] | None = None,
+    journal: str | os.PathLike[str] | None = None,
 ) -> ModelScale:
     """Estimate the factor that gives a reconstruction its size.
 
@@ -69,6 +75,7 @@ def rescale(
         detector: finds the vehicles; photographs are reported to the progress of its runtime.
         options: of the method. Metadata is not used: positions and heights in it may have made the wrong size.
         known_lengths: table of lines of known length in the photographs; see ``read_known_lengths``.
+        journal: file that keeps the result of each photograph; removed at the end.
 
     Returns:
         The record; ``factor`` is None if no ruler finds anything.
@@ -80,8 +87,21 @@ def rescale(
     """
     checked_detector(detector, options)
     options = replace(options, rulers=replace(options.rulers, metadata=False))
-    files = [images / _inside(shot.name) for shot in model.shots]
-    results = _searched(model, files, detector, options, lines_in(known_lengths, files))
+    lines = lines_in(known_lengths, photograph_files(model, images))
+    if journal is None:
+        return conclude_model(model, search_model(model, images, detector, options, lines), images)
+    with open_model_journal(Path(journal), model, detector, options, lines) as kept:
+        record = conclude_model(model, search_model(model, images, detector, options, lines, kept), images)
+        kept.remove()
+    return record
+
+
+def conclude_model(model: Reconstruction, results: Sequence[SeenPhotograph | Failure], images: Path) -> ModelScale:
+    """Make the record of searched photographs.
+
+    Raises:
+        VehAnchorError: none of them can be used.
+    """
     seen = [each for each in results if isinstance(each, SeenPhotograph)]
     if not seen:
         raise _nothing_usable([each for each in results if isinstance(each, Failure)], images)
@@ -151,26 +171,62 @@ def _parts_notice(model: Reconstruction) -> list[Notice]:
     return [Notice(code=NoticeCode.NOT_LINKED, message=message)]
 
 
-def _searched(
+def photograph_files(model: Reconstruction, images: Path) -> list[Path]:
+    """List the files of a model's photographs.
+
+    Raises:
+        ReconstructionError: a name leads out of the folder.
+    """
+    return [images / _inside(shot.name) for shot in model.shots]
+
+
+def search_model(
     model: Reconstruction,
-    files: Sequence[Path],
+    images: Path,
     detector: Detector,
     options: ScaleOptions,
     lines: KnownLengthTable,
+    journal: Journal[StoredPhotograph] | None = None,
 ) -> list[SeenPhotograph | Failure]:
-    """Search the photographs one by one."""
+    """Search the photographs of a model one by one; arguments as in ``rescale``.
+
+    Args:
+        model: the reconstruction.
+        images: folder of its photographs.
+        detector: finds the vehicles.
+        options: of the method, without metadata.
+        lines: lines of known length by photograph.
+        journal: earlier results; each new result is added at once.
+    """
+    files = photograph_files(model, images)
     tell, silent = detector.runtime.tell, detector.under(replace(detector.runtime, progress=None))
     whole = model_plane(model)
     found: list[SeenPhotograph | Failure] = []
     for number, (shot, file) in enumerate(zip(model.shots, files, strict=True)):
         tell(number, len(files))
+        key, own = (shot.name, *Source.of(file)), with_lines_of(options, lines, file)
+        points = model.points[shot.sees(model.points)]
+        kept = None if journal is None else journal.get(key)
         try:
-            own = with_lines_of(options, lines, file)
-            found.append(search_photograph(file, shot, model.points[shot.sees(model.points)], whole, silent, own))
+            result = kept or search_photograph(file, shot, points, whole, silent, own)
+            found.append(SeenPhotograph.of(result, shot, points, whole, detector.card, own))
         except VehAnchorError as error:
             found.append(Failure(shot.name, error))
+            continue
+        if journal is not None and kept is None:
+            journal.add(key, result)
     tell(len(files), len(files))
     return found
+
+
+def open_model_journal(
+    path: Path, model: Reconstruction, detector: Detector, options: ScaleOptions, lines: KnownLengthTable
+) -> Journal[StoredPhotograph]:
+    """Open the journal of a model; results of another model count as other options."""
+    digest = hashlib.sha256(model.points.tobytes())
+    for shot in model.shots:
+        digest.update(f"{shot.name} {shot.lens}".encode() + shot.rotation.tobytes() + shot.translation.tobytes())
+    return open_journal(path, detector, options, lines, model_sha256=digest.hexdigest())
 
 
 def _inside(name: str) -> str:

@@ -14,9 +14,10 @@ import numpy as np
 
 from vehanchor.analysis.pipeline import conclude, search_raster
 from vehanchor.detection.detections import Detections
-from vehanchor.flight.photograph import Photograph
+from vehanchor.flight.photograph import Photograph, StoredPhotograph
 from vehanchor.flight.reconstruction.ground import local_heights, plane_below
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.rulers.evidence import View
 from vehanchor.rulers.measurement import measure_all
 from vehanchor.rulers.registry import active_rulers
 from vehanchor.rulers.vehicles import Vehicles
@@ -30,11 +31,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
     from vehanchor.flight.reconstruction.ground import Plane
     from vehanchor.flight.reconstruction.model import Shot
     from vehanchor.options import KnownLength, ScaleOptions
-    from vehanchor.rulers.evidence import Evidence, View
+    from vehanchor.rulers.evidence import Evidence
 
 _DESCENTS = 3  # a ray meets the ground around its foot
 _MOST_RELIEF = 0.3  # of the camera's height
@@ -120,6 +122,26 @@ class SeenPhotograph:
     sight: Sight
     places: NDArray[np.float64]
 
+    @classmethod
+    def of(
+        cls,
+        kept: StoredPhotograph,
+        shot: Shot,
+        points: NDArray[np.float64],
+        whole: Plane,
+        card: DetectorCard,
+        options: ScaleOptions,
+    ) -> SeenPhotograph:
+        """Project a search result to the ground; arguments as in ``search_photograph``.
+
+        Raises:
+            ReconstructionError: the photograph is not that of the shot, or the camera is not above the ground.
+        """
+        sight = Sight.of(shot, points, whole, (kept.image.width_px, kept.image.height_px))
+        detections, places = _on_ground(kept.detections, sight, points)
+        view = View(kept.image, detections, card, options, lambda _centres, _scale: kept.resolved, prior=kept.prior)
+        return cls(shot.name, view, kept.others or (), sight, places)
+
     def alone(self) -> Photograph:
         """Analyse the photograph by itself."""
         return self.photograph(np.ones(len(self.places), dtype=bool), self.view.detections.boxes[:, 2])
@@ -137,8 +159,8 @@ class SeenPhotograph:
 
 def search_photograph(
     image: Path, shot: Shot, points: NDArray[np.float64], whole: Plane, detector: Detector, options: ScaleOptions
-) -> SeenPhotograph:
-    """Search a photograph, and measure with its rulers on the model's ground.
+) -> StoredPhotograph:
+    """Search a photograph; the rulers beside vehicles measure on the model's ground.
 
     Args:
         image: its file.
@@ -147,6 +169,9 @@ def search_photograph(
         whole: ground plane of the model.
         detector: finds the vehicles.
         options: of the method, without metadata.
+
+    Returns:
+        The boxes in pixels of the photograph, and evidence at its centre. Neither depends on the model's size.
 
     Raises:
         ImageError: the photograph cannot be read.
@@ -162,16 +187,7 @@ def search_photograph(
             view = replace(view, tilt=sight.tilt, prior=None)
         others = _measured(view, sight)
         resolved = Vehicles().measure(view.at_nadir()).resolved
-    detections, places = _on_ground(view.detections, sight, points)
-    seen = replace(
-        view,
-        raster=None,
-        runtime=None,
-        tilt=None,
-        detections=detections,
-        resolved_share=lambda _centres, _scale: resolved,
-    )
-    return SeenPhotograph(shot.name, seen, others, sight, places)
+    return StoredPhotograph(view.image, view.detections, resolved, others, view.prior)
 
 
 def distinct(seen: Sequence[SeenPhotograph]) -> list[Photograph]:

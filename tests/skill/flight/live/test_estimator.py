@@ -12,6 +12,8 @@ from tests.models import paint_vehicles, write_detector
 from tests.skill.flight.ground import ground, photograph_of
 from vehanchor.analysis.pipeline import analyse_detections, search_raster
 from vehanchor.detection.detector import load_detector
+from vehanchor.engine import Engine
+from vehanchor.errors import InvalidParameterError
 from vehanchor.flight.live.estimator import LiveEstimator
 from vehanchor.flight.live.frames import Frame
 from vehanchor.options import ScaleOptions
@@ -113,3 +115,18 @@ def test_a_stretch_found_once_is_kept_and_tested_now_and_then(
         assert record.status != "ok"
     assert [number for number, each in enumerate(tested) if each] == [0, 10]
     assert kept == [7.0] * 12
+
+
+def test_an_engine_follows_a_folder(tmp_path: Path, world: NDArray[np.uint8]) -> None:
+    seen = frame_of(photograph_of(world, 700, 700), 0.0, cars=True).image
+    (tmp_path / "flight").mkdir()
+    cv2.imwrite(str(tmp_path / "flight" / "1.png"), seen[:, :, ::-1])
+    (tmp_path / "flight" / "2.png").write_bytes(b"no image")
+    told: list[str] = []
+    engine = Engine(write_detector(tmp_path / "detector.onnx"))
+    (record,) = engine.live(tmp_path / "flight", idle_s=0.3, tell=told.append, reference_length_m=4.8)
+    assert record.frame.endswith("1.png")
+    assert record.gsd_m_per_px is not None
+    assert [each[:6] for each in told] in ([], ["2.png:"])  # the newest that can be read wins
+    with pytest.raises(InvalidParameterError, match="hold"):
+        engine.live(tmp_path / "flight", hold_s=-1)  # before the first frame

@@ -1,16 +1,18 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from tests.models import write_detector
 from tests.skill.flight.reconstruction.flights import Pose, write_opensfm
+from vehanchor.analysis.pipeline import search_raster
 from vehanchor.detection.detector import Detector
 from vehanchor.engine import Engine
-from vehanchor.errors import ReconstructionError
+from vehanchor.errors import InvalidParameterError, ReconstructionError
+from vehanchor.flight.reconstruction import photograph
 from vehanchor.flight.reconstruction.estimate import rescale
 from vehanchor.flight.reconstruction.files import images_of, read_model
 from vehanchor.flight.reconstruction.verdict import verdict
@@ -101,6 +103,34 @@ def test_an_engine_takes_a_project(tmp_path: Path) -> None:
     assert engine.rescale(tmp_path / "project", OPTIONS, images=tmp_path / "elsewhere").factor == record.factor
     with pytest.raises(ReconstructionError, match="--images"):
         engine.rescale(tmp_path / "project")
+
+
+def test_an_interrupted_run_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_opensfm(tmp_path / "project", [pose.painted(_cars()) for pose in GRID], GRID, 1 / 0.92)
+    engine, journal = Engine(write_detector(tmp_path / "detector.onnx")), tmp_path / "scale.journal"
+    whole = engine.rescale(tmp_path / "project", OPTIONS)
+
+    def stop(done: int, _total: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        engine.rescale(tmp_path / "project", OPTIONS, journal=journal, progress=stop)
+    searched: list[object] = []
+
+    def counted(*arguments: Any) -> Any:
+        searched.append(arguments)
+        return search_raster(*arguments)
+
+    monkeypatch.setattr(photograph, "search_raster", counted)
+    assert engine.rescale(tmp_path / "project", OPTIONS, journal=journal) == whole
+    assert len(searched) == 1
+    assert not journal.exists()
+    with pytest.raises(KeyboardInterrupt):
+        engine.rescale(tmp_path / "project", OPTIONS, journal=journal, progress=stop)
+    write_opensfm(tmp_path / "other", [pose.painted(_cars()) for pose in GRID], GRID, 2.0)
+    with pytest.raises(InvalidParameterError, match="unfinished run"):
+        engine.rescale(tmp_path / "other", OPTIONS, journal=journal)
 
 
 def test_names_cannot_leave_the_folder(tmp_path: Path) -> None:
