@@ -44,6 +44,7 @@ _WORLD_GSD, _WORLD_PX = 0.05, 4000
 _SIZE, _FOCAL_PX, _PHOTOGRAPHS = (1600, 1200), 1200.0, 4
 _POINTS, _POINT_SD_M = 4000, 0.05  # of a rendered model
 _METRES_A_DEGREE = 111_195.0
+_MOST_FEATURES, _NEIGHBOURS, _MOST_APART_M = 4000, 20, 500.0  # of a photograph, for COLMAP
 _FACTORS = 5  # random sizes of a real model
 
 
@@ -176,7 +177,7 @@ def colmap_model(images: Path, names: Sequence[str], folder: Path) -> Path | Non
     database = folder / "database.db"
     pycolmap.set_random_seed(0)
     extraction = pycolmap.FeatureExtractionOptions()
-    extraction.num_threads, extraction.max_image_size = 1, 1600
+    extraction.num_threads, extraction.max_image_size, extraction.sift.max_num_features = 1, 1600, _MOST_FEATURES
     sizes: dict[tuple[int, int], list[str]] = {}
     for name in names:
         with Image.open(images / name) as image:
@@ -187,7 +188,9 @@ def colmap_model(images: Path, names: Sequence[str], folder: Path) -> Path | Non
         )
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads = 1
-    pycolmap.match_exhaustive(database, matching_options=matching)
+    near = pycolmap.SpatialPairingOptions()
+    near.num_threads, near.max_num_neighbors, near.max_distance = 1, _NEIGHBOURS, _MOST_APART_M
+    pycolmap.match_spatial(database, matching_options=matching, pairing_options=near)
     mapping = pycolmap.IncrementalPipelineOptions()
     mapping.num_threads = 1
     (folder / "models").mkdir(exist_ok=True)
