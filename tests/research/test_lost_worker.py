@@ -19,9 +19,10 @@ print(found["effects outside"])
 """
 _FREE = "harness.confine = lambda readable: Confinement(landlock=1, seccomp=True)"
 
-pytestmark = pytest.mark.skipif(
-    sys.platform != "linux" or platform.machine() != "x86_64", reason="numbers of Linux on x86_64"
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux" or platform.machine() != "x86_64", reason="numbers of Linux on x86_64"),
+]
 
 
 def effects(before: str, *numbers: int) -> str:

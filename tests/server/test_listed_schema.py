@@ -57,9 +57,10 @@ def shape_faults(tool: StrictTool, arguments: dict[str, Any]) -> list[dict[str, 
 def test_a_random_call_from_the_listed_schema_alone_has_a_valid_shape(operator: dict[str, Any]) -> None:
     chance = random.Random(20261123)
     for tool in tools(**operator):
+        check = jsonschema.validators.validator_for(tool.parameters)(tool.parameters).validate
         for _ in range(150):
             arguments = random_value(tool.parameters, chance)
-            jsonschema.validate(arguments, tool.parameters)
+            check(arguments)
             assert not shape_faults(tool, arguments), (tool.name, arguments)
 
 

@@ -198,6 +198,7 @@ if away != "vehanchor.cli":
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("away", ["vehanchor_scenes", "vehanchor_evaluation", "vehanchor_server", "vehanchor.cli"])
 def test_the_rest_works_without(away: str) -> None:
     gone = COMMANDS if away == "vehanchor.cli" else (away,)

@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 _CALLS = """
 import json, sys
 import anyio
@@ -42,6 +44,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_no_decoder_is_imported_after_every_tool_was_called(
     images: Path, detector_path: Path, segmenter_paths: tuple[Path, Path], tmp_path: Path
 ) -> None:

@@ -75,7 +75,7 @@ def ended(process: subprocess.Popen[bytes], seconds: float = 60) -> tuple[int, s
     return status, process.stderr.read().decode()
 
 
-@pytest.mark.parametrize("era", ["auto", "legacy"])
+@pytest.mark.parametrize("era", ["auto", pytest.param("legacy", marks=pytest.mark.slow)])
 async def test_tools_are_listed_and_called_over_pipes(settings: Settings, images: Path, era: str) -> None:
     executable, *arguments = command(settings)
     async with Client(StdioServerParameters(command=executable, args=arguments), mode=era) as client:
@@ -149,6 +149,7 @@ def _until_computing(process: subprocess.Popen[bytes], images: Path) -> None:
         pass
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("busy", [False, True])
 def test_sigterm_ends_it_cleanly(start: Starter, images: Path, busy: bool) -> None:
     process = start(slow=True)
@@ -166,6 +167,7 @@ def test_sigterm_ends_it_cleanly(start: Starter, images: Path, busy: bool) -> No
     assert "Traceback" not in stderr
 
 
+@pytest.mark.slow
 def test_the_end_of_stdin_ends_it_in_the_middle_of_a_call(start: Starter, images: Path) -> None:
     process = start(slow=True)
     assert process.stdin is not None
@@ -176,6 +178,7 @@ def test_the_end_of_stdin_ends_it_in_the_middle_of_a_call(start: Starter, images
     assert "Traceback" not in stderr
 
 
+@pytest.mark.slow
 def test_a_killed_parent_ends_it(settings: Settings, tmp_path: Path) -> None:
     parent = (
         "import subprocess, sys, time\n"

@@ -115,6 +115,7 @@ def test_json_is_the_record_and_its_source(run: Any, folder: Path) -> None:
     assert line["gsd_m_per_px"] == pytest.approx(5.045 / LENGTH_PX, rel=0.05)
 
 
+@pytest.mark.slow
 def test_json_has_the_same_bytes_with_any_number_of_threads(folder: Path) -> None:
     arguments = ["estimate", "./cars.png", "none.png", "--json", "--detector", "detector.onnx"]
     one, two, again = (_process(folder, *arguments, "--threads", n) for n in ("1", "2", "2"))

@@ -92,6 +92,7 @@ def test_an_unusual_image_is_refused_or_right(photograph: _Image, condition: str
     assert estimate.status != "ok" or estimate.gsd_m_per_px == pytest.approx(true, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("condition", ["thermal", "night", "snow", "haze"])
 def test_an_unusual_photograph_is_refused_or_right(real_data: Path, condition: str) -> None:
     table = real_data / "gsd" / "upright.csv"

@@ -28,7 +28,10 @@ def _found(scene: Scene, guess: float = 1.0) -> list[BayRow]:
         return find_bay_rows(raster, Interval(gsd / ROUGHLY, gsd * ROUGHLY))
 
 
-@pytest.mark.parametrize(("gsd", "side_px", "seed"), [(0.04, 1800, 5), (0.06, 1400, 3), (0.1, 1000, 3), (0.2, 600, 3)])
+@pytest.mark.parametrize(
+    ("gsd", "side_px", "seed"),
+    [pytest.param(0.04, 1800, 5, marks=pytest.mark.slow), (0.06, 1400, 3), (0.1, 1000, 3), (0.2, 600, 3)],
+)
 def test_rows_of_bays_are_measured_to_half_a_percent(gsd: float, side_px: int, seed: int) -> None:
     rows = _found(_scene(gsd, side_px, seed))
     assert rows

@@ -78,7 +78,7 @@ def test_the_goal_may_lie_to_any_side(turn_deg: float) -> None:
     assert area.gsd_m_per_px == pytest.approx(0.15, rel=0.005)
 
 
-@pytest.mark.parametrize("gsd", [0.08, 0.12, 0.16, 0.2])
+@pytest.mark.parametrize("gsd", [0.08, 0.16])
 def test_the_area_of_a_childrens_pitch_is_none(gsd: float) -> None:
     assert len(_found(_drawn(gsd, FULL), gsd)) == 1
     assert _found(_drawn(gsd, NINE_A_SIDE), gsd) == []

@@ -121,6 +121,7 @@ def test_cars_that_are_no_cars_do_not_stop_a_measured_line() -> None:
 DRAWS = 1000
 
 
+@pytest.mark.slow
 def test_liars_among_cars_and_assumed_facts_are_not_acted_on() -> None:
     """Cars, two assumed lines and a measured one, of which cars or an assumed line lie by at least half."""
     rng = np.random.default_rng(30)
