@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.pictures.placement import Placement
 from vehanchor.pictures.plot import require_plots
 from vehanchor.pictures.scale import caption_panel, draw_vehicles, fit_for_eyes, read_reduced
 from vehanchor.scale.calibration import length_density
@@ -291,8 +293,8 @@ def sheet_cell(trial: ScaleTrial) -> SheetCell:
     estimate = trial.analysis.estimate
     with open_raster(trial.image.path, limits=DATASET_LIMITS) as raster:
         picture = fit_for_eyes(read_reduced(raster))
-    scale = np.array([picture.shape[1] / estimate.image_width_px, picture.shape[0] / estimate.image_height_px])
-    draw_vehicles(picture, trial.analysis, scale)
+    whole = Window(0, 0, estimate.image_width_px, estimate.image_height_px)
+    draw_vehicles(picture, trial.analysis, Placement.of(picture, whole))
     return SheetCell(
         picture,
         (

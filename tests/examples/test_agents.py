@@ -37,6 +37,7 @@ _USUAL = {
     "coordinates": "pixels",
     "height_basis": "assumed",
     "include_overlay": False,
+    "overlay_side_px": 1000,
     "detail": "short",
     "same_scale": False,
     "page": 1,

@@ -205,7 +205,7 @@ async def test_what_strict_mode_makes_a_model_send_is_accepted(
         left_out |= {"confirm": None, "drop": None, "add": None}
         left_out |= {"effort": None, "max_tiles": None, "max_seconds": None}
     else:
-        left_out |= {"targets": None, "scale": None, "object_height_m": None}
+        left_out |= {"targets": None, "scale": None, "object_height_m": None, "overlay_side_px": 1000}
     arguments = {**by_path(images / "pool.png"), **more, **left_out}
     jsonschema.validate(arguments, files["openai.json"][TOOLS.index(tool)]["parameters"])
     async with Client(server) as client:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 Record = TypeVar("Record", bound=BaseModel, covariant=True)
 
+MAX_SIDE_PX = 1568  # the largest size that vision models see
+
 Detail: TypeAlias = Literal["short", "full"]
 """Extent of the record in an answer: compact for models, or complete."""
 
@@ -28,10 +30,12 @@ class PictureRequest(NamedTuple):
     Attributes:
         overlay: whether the caller requested the overlay.
         page: whether the host's page needs the image.
+        long_side_px: longer side of the overlay, at most.
     """
 
     overlay: bool
     page: bool
+    long_side_px: int = MAX_SIDE_PX
 
 
 @dataclass(frozen=True)

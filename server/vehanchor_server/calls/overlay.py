@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from vehanchor.pictures.scale import read_reduced
+from vehanchor_server.calls.answer import MAX_SIDE_PX
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 MAX_PICTURE_BYTES = 400_000  # hosts cap a result at about 0.75 MB: this and the page's picture, and base64 adds a third
 MAX_PAGE_BYTES = 120_000  # part of every result of a host with pages
-MAX_SIDE_PX = 1568  # the largest size that vision models see
 _QUALITIES = (85, 70, 55, 40)
 
 
@@ -38,22 +38,31 @@ class Pictures(NamedTuple):
 
 
 def draw_pictures(
-    raster: Raster, job: Job, wanted: PictureRequest, draw: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
+    raster: Raster,
+    job: Job,
+    wanted: PictureRequest,
+    draw: Callable[[NDArray[np.uint8]], NDArray[np.uint8]],
+    part: Window | None = None,
 ) -> Pictures:
-    """Make the requested pictures from one reading of the image.
+    """Make the requested pictures.
 
     Args:
         raster: the image.
         job: receives the stage and can stop the reading.
         wanted: the requested pictures.
-        draw: draws the overlay, ``[h', w', 3]`` RGB, on the image or a reduced copy, ``[h, w, 3]``.
+        draw: draws the overlay, ``[h', w', 3]`` RGB, on the image, its part or a reduced copy, ``[h, w, 3]``.
+        part: the part that the overlay shows; None for all of the image.
     """
-    if not any(wanted):
+    if not (wanted.overlay or wanted.page):
         return Pictures()
     job.enter("overlay")
-    seen = read_reduced(stoppable(raster, job.stop))
-    page = small_jpeg(seen, MAX_PAGE_BYTES) if wanted.page else None
-    return Pictures(small_jpeg(draw(seen)) if wanted.overlay else None, page)
+    source = stoppable(raster, job.stop)
+    whole = read_reduced(source) if wanted.page or part is None else None
+    page = small_jpeg(whole, MAX_PAGE_BYTES) if whole is not None and wanted.page else None
+    if not wanted.overlay:
+        return Pictures(None, page)
+    seen = whole if whole is not None and part is None else read_reduced(source, part)
+    return Pictures(small_jpeg(draw(seen), side_px=wanted.long_side_px), page)
 
 
 def stoppable(raster: Raster, stop: Stop) -> Raster:
@@ -61,10 +70,10 @@ def stoppable(raster: Raster, stop: Stop) -> Raster:
     return cast("Raster", _StoppableRaster(raster, stop))
 
 
-def small_jpeg(picture: NDArray[np.uint8], max_bytes: int = MAX_PICTURE_BYTES) -> bytes:
-    """Encode a picture, ``[h, w, 3]`` RGB, as JPEG within the limits of bytes and ``MAX_SIDE_PX``."""
+def small_jpeg(picture: NDArray[np.uint8], max_bytes: int = MAX_PICTURE_BYTES, side_px: int = MAX_SIDE_PX) -> bytes:
+    """Encode a picture, ``[h, w, 3]`` RGB, as JPEG within the limits of bytes and of its longer side."""
     while True:
-        picture = _within(picture, MAX_SIDE_PX)
+        picture = _within(picture, side_px)
         for quality in _QUALITIES:
             _, encoded = cv2.imencode(".jpg", picture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
             if encoded.size <= max_bytes:

@@ -14,6 +14,7 @@ from mcp.types import CallToolResult, InputRequiredResult
 from pydantic import Field
 
 from vehanchor.records import GsdEstimate
+from vehanchor.records.advice import CHECK_VEHICLES
 from vehanchor_server.app_page import APP_META
 from vehanchor_server.calls.answer import Answer, Detail, PictureRequest
 from vehanchor_server.calls.call import run_call
@@ -72,6 +73,8 @@ _DESCRIPTION = (
     f"{POLICY} For metres call measure_distance or measure_area."
 )
 
+_CHECK = "look at include_overlay, then confirm the boxes that are cars and drop the others"
+
 
 @dataclass(frozen=True)
 class _Question:
@@ -119,7 +122,7 @@ def estimate_gsd_tool(services: Services) -> StrictTool:
             answer = await run_call(services, ctx, image, estimate_with_flight, asked_flight, more_images)
         else:
             answer = await run_call(services, ctx, image, _estimate, _Question(question, wanted))
-        words = describe_estimate(answer.record, detail)
+        words = describe_estimate(answer.record, detail, CHECK_VEHICLES if more_images else _CHECK)
         if not (more_images or services.settings.never_ask):
             asked = request_scale_input(ctx, question, answer.record, words)
             if asked is not None:
@@ -157,9 +160,15 @@ def _estimate(services: Services, job: Job, source: OpenedImage, asked: _Questio
         return scale_answer(raster, analysis, asked.wanted, job)
 
 
-def describe_estimate(estimate: GsdEstimate, detail: Detail = "full") -> str:
-    """Describe the scale and its status in one sentence, and each warning in another."""
-    words = [_scale_in_words(estimate)]
+def describe_estimate(estimate: GsdEstimate, detail: Detail = "full", check: str = _CHECK) -> str:
+    """Describe the scale and its status in one sentence, and each warning in another.
+
+    Args:
+        estimate: the record.
+        detail: extent of the warnings.
+        check: how the caller checks the vehicles.
+    """
+    words = [_scale_in_words(estimate, check)]
     frame = estimate.frame
     if frame is not None and frame.gsd_m_per_px is not None:
         words.append(f"In your {frame.width_px} x {frame.height_px} copy that is {rounded(frame.gsd_m_per_px)} m/px.")
@@ -168,7 +177,7 @@ def describe_estimate(estimate: GsdEstimate, detail: Detail = "full") -> str:
     return " ".join([*words, *ruler_explanations(estimate), *warnings(estimate.warnings, detail)])
 
 
-def _scale_in_words(estimate: GsdEstimate) -> str:
+def _scale_in_words(estimate: GsdEstimate, check: str) -> str:
     if estimate.gsd_m_per_px is None:
         return f"{no_scale_message(estimate).capitalize()}."
     scale = f"{rounded(estimate.gsd_m_per_px)} m/px"
@@ -176,4 +185,4 @@ def _scale_in_words(estimate: GsdEstimate) -> str:
     scale += f", confidence {estimate.confidence:.2f} from {ruler_names(estimate)}: "
     if estimate.status == "ok":
         return scale + "safe to use."
-    return scale + unusable_scale(estimate)
+    return scale + unusable_scale(estimate, check)

@@ -20,11 +20,16 @@ from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.task import work
 from vehanchor_server.errors import CallError
-from vehanchor_server.frozen import Flag
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
-from vehanchor_server.tools.measuring import ScaleArguments, copy_hint
+from vehanchor_server.tools.measuring import (
+    OVERLAY_SIDE_PX,
+    OverlayArgument,
+    OverlaySideArgument,
+    ScaleArguments,
+    copy_hint,
+)
 from vehanchor_server.tools.messages import (
     STATUS_RULES,
     interval,
@@ -103,7 +108,8 @@ def measure_area_tool(services: Services) -> StrictTool:
         height_basis: HeightBasisArgument = "assumed",
         height_tolerance_m: HeightToleranceArgument = None,
         object_height_m: ObjectHeightArgument = None,
-        include_overlay: Annotated[Flag, Field(description="Also return a picture of the outlines.")] = False,
+        include_overlay: OverlayArgument = False,
+        overlay_side_px: OverlaySideArgument = OVERLAY_SIDE_PX,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, AreaMeasurement]:
         question = ScaleQuestion(
@@ -118,7 +124,7 @@ def measure_area_tool(services: Services) -> StrictTool:
             coordinates,
         )
         paged = client_supports_apps(ctx)
-        wanted = PictureRequest(include_overlay, paged)
+        wanted = PictureRequest(include_overlay, paged, overlay_side_px)
         by = ScaleArguments(gsd_m_per_px, services.seal.opened(scale), question, object_height_m)
         asked = _Question(_merge_targets(target, targets), by, wanted)
         answer = await run_call(services, ctx, image, _measure, asked)
@@ -170,7 +176,7 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
     """
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.measure.area import analyse_objects
-    from vehanchor.pictures.area import draw_area
+    from vehanchor.pictures.area import cut_to_objects, draw_area
     from vehanchor_server.app_page.panel import drawing_of, length_histogram
     from vehanchor_server.calls.overlay import draw_pictures
 
@@ -189,7 +195,8 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
             object_height_m=question.scale.object_height_m,
         )
         first = found[0]
-        pictures = draw_pictures(raster, job, question.wanted, lambda seen: draw_area(seen, first))
+        cut = cut_to_objects(found, question.wanted.long_side_px)
+        pictures = draw_pictures(raster, job, question.wanted, lambda seen: draw_area(seen, *found, cut=cut), cut.part)
     histogram = None if first.scale is None else length_histogram(first.scale)
     drawing = drawing_of(first.scale) if question.wanted.page and first.scale is not None else None
     measured = tuple(each.measurement for each in found)

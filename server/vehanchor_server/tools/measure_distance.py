@@ -10,7 +10,7 @@ from mcp.types import CallToolResult
 from pydantic import Field
 
 from vehanchor.records import DistanceMeasurement
-from vehanchor_server.calls.answer import Answer, Detail
+from vehanchor_server.calls.answer import Answer, Detail, PictureRequest
 from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.task import work
@@ -18,7 +18,13 @@ from vehanchor_server.frozen import FrozenModel, Number
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.services import Services
-from vehanchor_server.tools.measuring import ScaleArguments, copy_hint
+from vehanchor_server.tools.measuring import (
+    OVERLAY_SIDE_PX,
+    OverlayArgument,
+    OverlaySideArgument,
+    ScaleArguments,
+    copy_hint,
+)
 from vehanchor_server.tools.messages import (
     STATUS_RULES,
     interval,
@@ -75,10 +81,11 @@ class Line(FrozenModel):
 
 @dataclass(frozen=True)
 class _Question:
-    """Lines and scale arguments of a call."""
+    """Lines and scale arguments of a call, and the requested picture."""
 
     lines: tuple[Line, ...]
     scale: ScaleArguments
+    wanted: PictureRequest
 
 
 def measure_distance_tool(services: Services) -> StrictTool:
@@ -105,6 +112,8 @@ def measure_distance_tool(services: Services) -> StrictTool:
         height_basis: HeightBasisArgument = "assumed",
         height_tolerance_m: HeightToleranceArgument = None,
         object_height_m: ObjectHeightArgument = None,
+        include_overlay: OverlayArgument = False,
+        overlay_side_px: OverlaySideArgument = OVERLAY_SIDE_PX,
         detail: DetailArgument = "short",
     ) -> Annotated[CallToolResult, DistanceMeasurement]:
         question = ScaleQuestion(
@@ -118,7 +127,8 @@ def measure_distance_tool(services: Services) -> StrictTool:
             focal_35mm,
             coordinates,
         )
-        asked = _Question(lines, ScaleArguments(gsd_m_per_px, services.seal.opened(scale), question, object_height_m))
+        by = ScaleArguments(gsd_m_per_px, services.seal.opened(scale), question, object_height_m)
+        asked = _Question(lines, by, PictureRequest(include_overlay, False, overlay_side_px))
         answer = await run_call(services, ctx, image, _measure, asked)
         first = answer.record
         places = ((point.x, point.y) for line in lines for point in line.points)
@@ -149,7 +159,9 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
     """
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.measure.distance import analyse_paths, read_path
+    from vehanchor.pictures.distance import cut_to_lines, draw_distance
     from vehanchor_server.app_page.panel import length_histogram
+    from vehanchor_server.calls.overlay import draw_pictures
 
     paths = [read_path([(point.x, point.y) for point in line.points]) for line in question.lines]
     options, scale = question.scale.resolve(services, job)
@@ -162,8 +174,13 @@ def _measure(services: Services, job: Job, source: OpenedImage, question: _Quest
             options,
             object_height_m=question.scale.object_height_m,
         )
+        measured = tuple(each.measurement for each in found)
+        cut = cut_to_lines(measured, question.wanted.long_side_px)
+        overlay = draw_pictures(
+            raster, job, question.wanted, lambda seen: draw_distance(seen, *found, cut=cut), cut.part
+        ).overlay
     histogram = None if found[0].scale is None else length_histogram(found[0].scale)
-    return Answer(tuple(each.measurement for each in found), None, histogram)
+    return Answer(measured, overlay, histogram)
 
 
 def describe_distance(record: DistanceMeasurement, detail: Detail = "full") -> str:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+from pydantic import Field
 
 from vehanchor.records import KnownScale
+from vehanchor_server.calls.answer import MAX_SIDE_PX
+from vehanchor_server.frozen import Flag, WholeNumber
 from vehanchor_server.tools.scale_question import ScaleQuestion
 
 if TYPE_CHECKING:
@@ -16,7 +20,14 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.job import Job
     from vehanchor_server.services import Services
 
-_MODEL_SIDE_PX = 1568  # hosts resize larger images for their models
+OVERLAY_SIDE_PX = 1000
+_LEAST_OVERLAY_PX = 256
+
+OverlayArgument: TypeAlias = Annotated[Flag, Field(description="Also return a picture of what was measured.")]
+OverlaySideArgument: TypeAlias = Annotated[
+    WholeNumber,
+    Field(ge=_LEAST_OVERLAY_PX, le=MAX_SIDE_PX, description="Longer side of that picture, pixels, at most."),
+]
 
 
 @dataclass(frozen=True)
@@ -62,7 +73,7 @@ def copy_hint(
         width_px: width of the image.
         height_px: height of the image.
     """
-    factor = _MODEL_SIDE_PX / max(width_px, height_px)
+    factor = MAX_SIDE_PX / max(width_px, height_px)
     if question.frame is not None or question.coordinates != "pixels" or factor >= 1:
         return []
     if any(x > width_px * factor or y > height_px * factor for x, y in places):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.records.advice import advice_for
+from vehanchor.records.advice import CHECK_VEHICLES, advice_for
 from vehanchor.records.digits import significant
 
 if TYPE_CHECKING:
@@ -91,9 +91,14 @@ def numbered(sentences: Sequence[str]) -> str:
     return "\n".join(f"{number}. {sentence}" for number, sentence in enumerate(sentences, 1))
 
 
-def unusable_scale(estimate: GsdEstimate | None) -> str:
-    """Say why a scale is not usable and what would help; shorter for a reused scale."""
-    advice = advice_for(estimate)
+def unusable_scale(estimate: GsdEstimate | None, check: str = CHECK_VEHICLES) -> str:
+    """Say why a scale is not usable and what would help; shorter for a reused scale.
+
+    Args:
+        estimate: the record of the scale; None for a reused scale.
+        check: how the called tool checks the vehicles.
+    """
+    advice = advice_for(estimate, check)
     if advice is None:
         return f"do not rely on it; measure again without scale, with a known length or height {_ARGUMENTS}."
     return f"do not rely on it ({advice.why}); {_with_arguments(advice.helps)}."

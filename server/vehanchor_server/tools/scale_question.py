@@ -120,6 +120,7 @@ UNLISTED_ARGUMENTS = (
     "height_tolerance_m",
     "tolerance_m",
     "object_height_m",
+    "overlay_side_px",
     "effort",
     "max_tiles",
     "max_seconds",

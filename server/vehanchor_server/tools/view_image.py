@@ -5,8 +5,12 @@ Models need it to give coordinates in an image that they know by path only.
 
 # No postponed annotations here: the SDK reads the result's schema from them.
 
+import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
+from itertools import groupby
+from pathlib import PurePath
 from typing import Annotated, Any
 
 from mcp.server.mcpserver import Context, Image
@@ -106,7 +110,15 @@ async def _list_images(services: Services, page: int) -> CallToolResult:
         shown = f"{first + 1} to {first + len(names)}" if names else "none"
         head += f", {shown} on page {page} of {-(-total // _IMAGES_A_PAGE)}"
     head += ":" if names else "."
-    return _result("\n".join([head, *names]), listed, None)
+    return _result("\n".join([head, *_by_folder(names)]), listed, None)
+
+
+def _by_folder(paths: Iterable[str]) -> list[str]:
+    """List each folder once, followed by its files, indented."""
+    lines = []
+    for folder, found in groupby(map(PurePath, paths), lambda path: path.parent):
+        lines += [f"{folder}{os.sep}", *(f"  {path.name}" for path in found)]
+    return lines
 
 
 def _result(words: str, seen: ViewedImage, jpeg: bytes | None) -> CallToolResult:

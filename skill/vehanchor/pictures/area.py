@@ -1,4 +1,4 @@
-"""Picture of a measured object: mask, outline, prompt, vehicles and scale bar."""
+"""Picture of measured objects: masks, outlines, prompts, vehicles and scale bar."""
 
 from __future__ import annotations
 
@@ -8,13 +8,18 @@ import cv2
 import numpy as np
 
 from vehanchor.errors import OutputError
-from vehanchor.pictures.measured import MEASURED_RGB, finish, open_canvas, size_in_words
+from vehanchor.pictures.lettering import text_px, text_width, write_on
+from vehanchor.pictures.measured import MEASURED_RGB, finish, numbered, open_canvas, size_in_words
+from vehanchor.pictures.placement import Cut, part_around
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from vehanchor.pictures.drawable import DrawableArea
+    from vehanchor.pictures.placement import Placement
     from vehanchor.records import AreaMeasurement
 
 PROMPT_RGB = (240, 228, 66)  # Okabe and Ito's yellow
@@ -23,22 +28,45 @@ _TINT = 0.35
 _SUBPIXEL_BITS = 4
 
 
-def draw_area(image: NDArray[np.uint8], analysis: DrawableArea) -> NDArray[np.uint8]:
-    """Draw an area measurement with its evidence and a caption with area, scale and confidence.
+def draw_area(image: NDArray[np.uint8], *analyses: DrawableArea, cut: Cut | None = None) -> NDArray[np.uint8]:
+    """Draw measured objects with their evidence and a caption with area, mask, scale and confidence.
+
+    Several objects are numbered. A cut that is enlarged shows the pixels of the masks.
 
     Args:
-        image: ``[h, w, 3]`` RGB, the measured image or a reduced copy of it (see
+        image: ``[h, w, 3]`` RGB, the measured image, the part of ``cut``, or a reduced copy of either (see
             ``vehanchor.pictures.scale.read_reduced``).
-        analysis: of that image.
+        analyses: of objects in that image, one at least.
+        cut: the part to show; None for all of the image.
 
     Returns:
         ``[h', w', 3]`` RGB, at most 2048 px a side before the caption is added.
     """
-    record = analysis.measurement
-    canvas = open_canvas(image, record, analysis.scale)
-    _draw_mask(canvas.picture, analysis, canvas.scale)
-    _draw_prompt(canvas.picture, analysis, canvas.scale)
-    return finish(canvas, analysis, _size(record), f"; mask score {record.mask_score:.2f}{_low_mask(record)}")
+    canvas = open_canvas(image, analyses[0], cut)
+    for analysis in analyses:
+        _draw_mask(canvas.picture, analysis, canvas.place)
+        _draw_prompt(canvas.picture, analysis, canvas.place)
+    for label, analysis in zip(numbered([""] * len(analyses)), analyses, strict=True):
+        _write_number(canvas.picture, label, analysis, canvas.place)
+    return finish(canvas, analyses[0], [_size(analysis.measurement) for analysis in analyses])
+
+
+def cut_to_objects(analyses: Sequence[DrawableArea], long_side_px: int) -> Cut:
+    """Cut the image to measured objects and their prompts."""
+    points = np.concatenate([_extent(analysis) for analysis in analyses])
+    record = analyses[0].measurement
+    return Cut(part_around(points, record.image_width_px, record.image_height_px), long_side_px)
+
+
+def _extent(analysis: DrawableArea) -> NDArray[np.float64]:
+    """Return points that span the mask and the prompt, ``[n, 2]`` pixels of the image."""
+    prompt, box = analysis.prompt, analysis.measurement.bounding_box
+    points = [(x, y) for x, y, _ in prompt.points]
+    if prompt.box is not None:
+        points += [(prompt.box[0], prompt.box[1]), (prompt.box[2], prompt.box[3])]
+    if box is not None:
+        points += [(box.x1_px, box.y1_px), (box.x2_px, box.y2_px)]
+    return np.array(points, dtype=np.float64)
 
 
 def full_mask(analysis: DrawableArea, max_pixels: int) -> NDArray[np.uint8]:
@@ -64,49 +92,55 @@ def _line_px(picture: NDArray[np.uint8]) -> int:
     return int(np.clip(round(max(picture.shape[:2]) / 500), 1, 3))
 
 
-def _draw_mask(picture: NDArray[np.uint8], analysis: DrawableArea, scale: NDArray[np.float64]) -> None:
+def _draw_mask(picture: NDArray[np.uint8], analysis: DrawableArea, place: Placement) -> None:
     """Tint the object and draw its outline, both from the mask, because the record's outline is simplified."""
     mask, window = analysis.segmentation.mask, analysis.segmentation.window
-    left, top = (round(at * factor) for at, factor in zip((window.x_px, window.y_px), scale, strict=True))
-    right = round((window.x_px + window.width_px) * scale[0])
-    bottom = round((window.y_px + window.height_px) * scale[1])
-    if right <= left or bottom <= top:
+    corners = place.at([[window.x_px, window.y_px], [window.x_px + window.width_px, window.y_px + window.height_px]])
+    (left, top), (right, bottom) = np.rint(corners).astype(int).tolist()
+    height, width = picture.shape[:2]
+    x1, y1, x2, y2 = max(0, left), max(0, top), min(width, right), min(height, bottom)
+    if x2 <= x1 or y2 <= y1:
         return
-    share = cv2.resize(mask.view(np.uint8) * 255, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
-    shown = np.asarray(share > 127, dtype=np.uint8)
-    region = picture[top:bottom, left:right]
+    method = cv2.INTER_AREA if right - left < window.width_px else cv2.INTER_NEAREST
+    share = cv2.resize(mask.view(np.uint8) * 255, (right - left, bottom - top), interpolation=method)
+    shown = np.asarray(share[y1 - top : y2 - top, x1 - left : x2 - left] > 127, dtype=np.uint8)
+    region = picture[y1:y2, x1:x2]
     tint = np.array(MEASURED_RGB, dtype=np.float64)
     region[shown > 0] = np.rint((1 - _TINT) * region[shown > 0] + _TINT * tint).astype(np.uint8)
     rings, _ = cv2.findContours(np.pad(shown, 1), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    cv2.polylines(
-        picture,
-        [ring + np.array([left - 1, top - 1], np.int32) for ring in rings],
-        True,
-        MEASURED_RGB,
-        _line_px(picture),
-    )
+    at = np.array([x1 - 1, y1 - 1], np.int32)
+    cv2.polylines(picture, [ring + at for ring in rings], True, MEASURED_RGB, _line_px(picture))
 
 
-def _draw_prompt(picture: NDArray[np.uint8], analysis: DrawableArea, scale: NDArray[np.float64]) -> None:
+def _draw_prompt(picture: NDArray[np.uint8], analysis: DrawableArea, place: Placement) -> None:
     prompt, line = analysis.prompt, _line_px(picture)
     fine = 1 << _SUBPIXEL_BITS
+    # The origin of prompts is the corner of the first pixel, OpenCV's is its centre.
     if prompt.box is not None:
-        # The origin of prompts is the corner of the first pixel, OpenCV's is its centre.
-        corners = np.rint((np.reshape(prompt.box, (2, 2)) * scale - 0.5) * fine).astype(int).tolist()
+        corners = np.rint((place.at(np.reshape(prompt.box, (2, 2))) - 0.5) * fine).astype(int).tolist()
         cv2.rectangle(picture, corners[0], corners[1], PROMPT_RGB, 1, cv2.LINE_AA, _SUBPIXEL_BITS)
     for x, y, include in prompt.points:
-        at = np.rint((np.array([x, y]) * scale - 0.5) * fine).astype(int).tolist()
+        at = np.rint((place.at([x, y]) - 0.5) * fine).astype(int).tolist()
         colour = PROMPT_RGB if include else _OUTSIDE_RGB
         cv2.circle(picture, at, 3 * line * fine, (0, 0, 0), cv2.FILLED, cv2.LINE_AA, _SUBPIXEL_BITS)
         cv2.circle(picture, at, 2 * line * fine, colour, cv2.FILLED, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
+def _write_number(picture: NDArray[np.uint8], number: str, analysis: DrawableArea, place: Placement) -> None:
+    """Write an object's number on its middle; nothing for a single object."""
+    if number:
+        capital = text_px(picture.shape[1])
+        x, y = place.at(_extent(analysis)).mean(0).tolist()
+        write_on(picture, number, (round(x) - text_width(number, capital) // 2, round(y) + capital // 2), capital)
+
+
 def _size(record: AreaMeasurement) -> str:
-    if record.area_m2 is None and not record.mask_area_px:
+    if not record.mask_area_px:
         return "no object found"
-    return size_in_words(
-        record.area_m2, record.area_ci95_low_m2, record.area_ci95_high_m2, "m2", f"{record.mask_area_px} px"
-    )
+    low, high, mask = record.area_ci95_low_m2, record.area_ci95_high_m2, f"{record.mask_area_px} px"
+    size = size_in_words(record.area_m2, low, high, "m2", mask)
+    pixels = "" if record.area_m2 is None else f"{mask}, "
+    return f"{size}; mask {pixels}score {record.mask_score:.2f}{_low_mask(record)}"
 
 
 def _low_mask(record: AreaMeasurement) -> str:

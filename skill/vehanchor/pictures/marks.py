@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from vehanchor.pictures.placement import Placement
     from vehanchor.rulers.evidence import Mark
 
 Rgb: TypeAlias = tuple[int, int, int]
@@ -27,7 +28,7 @@ _LETTERS = 0.8  # height of capitals over that of the caption
 def draw_marks(
     picture: NDArray[np.uint8],
     marks: Sequence[Mark],
-    scale: NDArray[np.float64],
+    place: Placement,
     colour: Rgb = MARK_RGB,
 ) -> None:
     """Draw the marks of rulers, with labels beside their middle.
@@ -35,14 +36,14 @@ def draw_marks(
     Args:
         picture: ``[h, w, 3]`` RGB, drawn into.
         marks: in pixels of the image.
-        scale: ``[2]`` pixels of the picture per image pixel, across and down.
+        place: of the image in the picture.
         colour: RGB colour of the lines.
     """
     line = int(np.clip(round(max(picture.shape[:2]) / 500), 1, 3))
     labels = []
     for mark in marks:
         # The origin of marks is the corner of the first pixel, OpenCV's is its centre.
-        points = np.asarray(mark.points, dtype=np.float64) * scale - 0.5
+        points = place.at(mark.points) - 0.5
         fixed_point = np.rint(points * (1 << _SUBPIXEL_BITS)).astype(np.int32)
         for ink, thickness in ((_RIM_RGB, line + 2), (colour, line)):
             cv2.polylines(picture, [fixed_point], mark.closed, ink, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
+from vehanchor.imagery.raster import Window
 from vehanchor.pictures.marks import draw_marks
+from vehanchor.pictures.placement import Placement
 from vehanchor.pictures.scale import (
     caption_panel,
     draw_scale_bar,
@@ -19,9 +21,12 @@ from vehanchor.records.digits import significant, with_interval
 from vehanchor.scale.thresholds import FALLBACK_CONFIDENCE
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
-    from vehanchor.pictures.drawable import DrawableMeasurement, DrawableScale
+    from vehanchor.pictures.drawable import DrawableMeasurement
+    from vehanchor.pictures.placement import Cut
     from vehanchor.pictures.scale import CaptionLine
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
 
@@ -35,39 +40,40 @@ class Canvas(NamedTuple):
 
     Attributes:
         picture: ``[h, w, 3]`` RGB, a copy of the image at display size.
-        scale: ``[2]`` pixels of the picture per image pixel, across and down.
+        place: of the image in the picture.
     """
 
     picture: NDArray[np.uint8]
-    scale: NDArray[np.float64]
+    place: Placement
 
 
-def open_canvas(image: NDArray[np.uint8], record: Measured, scale: DrawableScale | None) -> Canvas:
+def open_canvas(image: NDArray[np.uint8], analysis: DrawableMeasurement, cut: Cut | None) -> Canvas:
     """Copy an image at display size and draw the evidence of its scale.
 
     Args:
-        image: ``[h, w, 3]`` RGB, the measured image or a reduced copy of it.
-        record: measurement in that image.
-        scale: the vehicles and other rulers; None for a given scale.
+        image: ``[h, w, 3]`` RGB, the measured image, the part of ``cut``, or a reduced copy of either.
+        analysis: of a measurement in that image.
+        cut: the part to show; None for all of the image.
     """
-    picture = fit_for_eyes(image)
-    factors = np.array([picture.shape[1] / record.image_width_px, picture.shape[0] / record.image_height_px])
+    record, scale = analysis.measurement, analysis.scale
+    picture = fit_for_eyes(image) if cut is None else cut.sized(image)
+    whole = Window(0, 0, record.image_width_px, record.image_height_px)
+    place = Placement.of(picture, whole if cut is None else cut.part)
     if scale is not None:
-        draw_vehicles(picture, scale, factors)
-        draw_marks(picture, scale.marks, factors)
-    return Canvas(picture, factors)
+        draw_vehicles(picture, scale, place)
+        draw_marks(picture, scale.marks, place)
+    return Canvas(picture, place)
 
 
-def finish(canvas: Canvas, analysis: DrawableMeasurement, size: str, doubt: str = "") -> NDArray[np.uint8]:
-    """Add the scale bar and the caption with size and scale; a reason against their use comes first.
+def finish(canvas: Canvas, analysis: DrawableMeasurement, sizes: Sequence[str]) -> NDArray[np.uint8]:
+    """Add the scale bar and the caption with sizes and scale; a reason against their use comes first.
 
     An image with a tilt or an unusable scale gets no scale bar.
 
     Args:
-        canvas: picture with the measured object.
-        analysis: analysis of the measurement.
-        size: the measured size, in words.
-        doubt: suffix of the line with the scale.
+        canvas: picture with the measured objects.
+        analysis: analysis of the first measurement.
+        sizes: the measured sizes, in words; several are numbered.
 
     Returns:
         ``[h', w', 3]`` RGB.
@@ -75,13 +81,20 @@ def finish(canvas: Canvas, analysis: DrawableMeasurement, size: str, doubt: str 
     record, picture = analysis.measurement, with_margins(canvas.picture)
     objection = _objection(record)
     if record.gsd_m_per_px is not None and analysis.nadir and not objection:
-        draw_scale_bar(picture, record.gsd_m_per_px / float(canvas.scale[0]))
+        draw_scale_bar(picture, record.gsd_m_per_px / float(canvas.place.scale[0]))
     lines: list[CaptionLine] = [[(None, f"do not use: {objection}")]] if objection else []
-    lines.append([(MEASURED_RGB, size)])
+    lines += [[(MEASURED_RGB, size)] for size in numbered(sizes)]
     if record.gsd_m_per_px is not None:
         source = "given" if record.confidence is None else f"confidence {record.confidence:.2f}"
-        lines.append([(None, f"{significant(record.gsd_m_per_px, 4)} m/px, {source}{doubt}")])
+        lines.append([(None, f"{significant(record.gsd_m_per_px, 4)} m/px, {source}")])
     return np.concatenate([picture, caption_panel(picture.shape[1], lines)])
+
+
+def numbered(labels: Sequence[str]) -> list[str]:
+    """Put numbers before the labels of several measurements; keep a single label."""
+    if len(labels) == 1:
+        return list(labels)
+    return [f"{number}: {label}".removesuffix(": ") for number, label in enumerate(labels, 1)]
 
 
 def size_in_words(value: float | None, low: float | None, high: float | None, unit: str, pixels: str) -> str:

@@ -14,6 +14,7 @@ from vehanchor.errors import OutputError
 from vehanchor.imagery.raster import Window
 from vehanchor.pictures.lettering import FONT, font_scale, stroke_px, text_px, text_width, write_on
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
+from vehanchor.pictures.placement import Placement
 from vehanchor.records.advice import advice_for
 from vehanchor.records.digits import significant, with_interval
 from vehanchor.storage.atomic import whole_file
@@ -63,12 +64,12 @@ def draw_overlay(image: NDArray[np.uint8], analysis: DrawableScale) -> NDArray[n
     """
     estimate = analysis.estimate
     picture = fit_for_eyes(image)
-    scale = np.array([picture.shape[1] / estimate.image_width_px, picture.shape[0] / estimate.image_height_px])
-    draw_vehicles(picture, analysis, scale)
-    draw_marks(picture, analysis.marks, scale)
+    place = Placement.of(picture, Window(0, 0, estimate.image_width_px, estimate.image_height_px))
+    draw_vehicles(picture, analysis, place)
+    draw_marks(picture, analysis.marks, place)
     picture = with_margins(picture)
     if estimate.gsd_m_per_px is not None and estimate.status == "ok" and estimate.tilt is None:
-        draw_scale_bar(picture, estimate.gsd_m_per_px / float(scale[0]))
+        draw_scale_bar(picture, estimate.gsd_m_per_px / float(place.scale[0]))
     return np.concatenate([picture, caption_panel(picture.shape[1], _caption_lines(analysis))])
 
 
@@ -159,21 +160,21 @@ def _picture_factor(width_px: int, height_px: int) -> float:
     return min(max(1.0, MIN_WIDTH_PX / width_px), MAX_SIDE_PX / longest)
 
 
-def draw_vehicles(picture: NDArray[np.uint8], analysis: DrawableScale, scale: NDArray[np.float64]) -> None:
+def draw_vehicles(picture: NDArray[np.uint8], analysis: DrawableScale, place: Placement) -> None:
     """Draw kept vehicles in blue, outliers crossed in orange, and their numbers.
 
     Args:
         picture: drawn into.
         analysis: of the image.
-        scale: ``[2]`` picture pixels per image pixel.
+        place: of the image in the picture.
     """
     boxes = analysis.detections.boxes
     if not len(boxes):
         return
     # The origin of boxes is the corner of the first pixel, OpenCV's is its centre.
-    corners = box_corners(boxes) * scale - 0.5
+    corners = place.at(box_corners(boxes)) - 0.5
     fixed_point = np.rint(corners * (1 << _SUBPIXEL_BITS)).astype(np.int32)
-    drawn_length = float(np.median(boxes[:, 2]) * scale.mean())
+    drawn_length = float(np.median(boxes[:, 2]) * place.scale.mean())
     line = int(np.clip(round(min(max(picture.shape[:2]) / 500, drawn_length / 16)), 1, 3))
     kept, dropped = fixed_point[analysis.kept], fixed_point[~analysis.kept]
     crosses = np.ascontiguousarray(np.concatenate([dropped[:, [0, 2]], dropped[:, [1, 3]]]))
@@ -183,22 +184,22 @@ def draw_vehicles(picture: NDArray[np.uint8], analysis: DrawableScale, scale: ND
     for shapes, closed, colour, thickness in layers:
         if len(shapes):
             cv2.polylines(picture, list(shapes), closed, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
-    _write_numbers(picture, analysis.detections, scale)
+    _write_numbers(picture, analysis.detections, place)
 
 
-def _write_numbers(picture: NDArray[np.uint8], detections: Detections, scale: NDArray[np.float64]) -> None:
+def _write_numbers(picture: NDArray[np.uint8], detections: Detections, place: Placement) -> None:
     """Write each vehicle's number on it, best first, unless it covers another number; none on many small vehicles."""
-    if len(detections.boxes) > _MANY_VEHICLES and np.median(detections.boxes[:, 2]) * scale.mean() < _NUMBERED_PX:
+    if len(detections.boxes) > _MANY_VEHICLES and np.median(detections.boxes[:, 2]) * place.scale.mean() < _NUMBERED_PX:
         return
     written = np.zeros(picture.shape[:2], bool)
     for box, number in zip(detections.boxes, detections.numbers, strict=True):
-        text, (x, y) = str(number), box[:2] * scale
-        capital = int(np.clip(_NUMBER_SHARE * box[3] * scale.mean(), *_NUMBER_RANGE_PX))
+        text, (x, y) = str(number), place.at(box[:2])
+        capital = int(np.clip(_NUMBER_SHARE * box[3] * place.scale.mean(), *_NUMBER_RANGE_PX))
         width = text_width(text, capital)
         left, baseline = round(x - width / 2), round(y + capital / 2)
-        place = written[max(0, baseline - capital) : max(0, baseline), max(0, left) : max(0, left + width)]
-        if place.size and not place.any():
-            place[:] = True
+        covered = written[max(0, baseline - capital) : max(0, baseline), max(0, left) : max(0, left + width)]
+        if covered.size and not covered.any():
+            covered[:] = True
             write_on(picture, text, (left, baseline), capital)
 
 

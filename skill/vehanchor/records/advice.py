@@ -23,13 +23,17 @@ class Advice(NamedTuple):
 
 
 _KNOWN = "give a known length or the camera's height"
+CHECK_VEHICLES = "check what was taken for cars"
+"""Remedy for doubts about vehicles where the caller cannot correct them."""
+
+_CHECK = f"{CHECK_VEHICLES}, or {_KNOWN}"
 
 ADVICE: Mapping[Reason, Advice] = {
     "too_coarse": Advice("the vehicles have too little detail", "fly lower, or send the full-resolution image"),
     "too_few": Advice("too little evidence", f"{_KNOWN}, or include more cars"),
-    "not_cars": Advice("the vehicles may not be cars", f"check what was taken for cars, or {_KNOWN}"),
+    "not_cars": Advice("the vehicles may not be cars", _CHECK),
     "stretched": Advice("the image is stretched in one direction", "send the original image, or keep its aspect ratio"),
-    "disagree": Advice("sizes or rulers contradict each other", f"check what was taken for cars, or {_KNOWN}"),
+    "disagree": Advice("sizes or rulers contradict each other", _CHECK),
     "lost": Advice("the scene is unlike the training data", _KNOWN),
     "imprecise": Advice("the interval is too wide", f"{_KNOWN}, or include cars"),
     "assumed": Advice("it rests on one assumed fact", "say that it is measured, if it is, or give a second fact"),
@@ -86,7 +90,6 @@ def _rulers_apart(estimate: GsdEstimate) -> bool:
 _APART = 1.4
 _WITHOUT_SEARCH = Advice("too little evidence", "also use the ruler vehicles, or give a known length or the height")
 _NO_CAR = Advice("no car was found", f"{_KNOWN}, or take a picture with cars")
-_CHECK = f"check what was taken for cars, or {_KNOWN}"
 
 _CASES: tuple[_Case, ...] = (
     _Case("too_coarse", _has("detail_missing"), Advice("the image is enlarged or blurred", "send the original image")),
@@ -121,14 +124,19 @@ _CASES: tuple[_Case, ...] = (
 """Decision table: the first row of the reason whose cause the record shows."""
 
 
-def advice_for(estimate: GsdEstimate | None) -> Advice | None:
-    """Give the advice for a record by what it shows; None without one and for a usable scale."""
+def advice_for(estimate: GsdEstimate | None, check: str = CHECK_VEHICLES) -> Advice | None:
+    """Give the advice for a record by what it shows; None without one and for a usable scale.
+
+    Args:
+        estimate: the record.
+        check: how the caller checks the vehicles, if they can be corrected.
+    """
     if estimate is None or estimate.reason is None:
         return None
     fitting = (case.advice for case in _CASES if case.reason == estimate.reason and case.shown(estimate))
     advice = next(fitting, ADVICE[estimate.reason])
     facts = _facts(estimate)
-    return Advice(advice.why.format(**facts), advice.helps.format(**facts))
+    return Advice(advice.why.format(**facts), advice.helps.format(**facts).replace(CHECK_VEHICLES, check))
 
 
 def _facts(estimate: GsdEstimate) -> dict[str, str]:

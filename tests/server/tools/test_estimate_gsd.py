@@ -21,6 +21,7 @@ from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.estimate_gsd import describe_estimate
+from vehanchor_server.tools.messages import unusable_scale
 
 pytestmark = pytest.mark.anyio
 
@@ -213,7 +214,10 @@ def test_only_vehicles_of_too_few_pixels_are_a_reason_to_fly_lower(doubtful: Gsd
 def test_doubts_about_the_fleet_are_told_with_their_warning(doubtful: GsdEstimate, code: str) -> None:
     notice = Notice(code=code, message="They are all alike.")
     words = describe_estimate(doubtful.model_copy(update={"warnings": (notice,), "reason": "not_cars"}))
-    assert "(the vehicles may not be cars)" in words
+    assert "(the vehicles may not be cars); look at include_overlay, then confirm the boxes that are cars" in words
+    measuring = unusable_scale(doubtful.model_copy(update={"reason": "not_cars"}))
+    assert "check what was taken for cars" in measuring
+    assert "confirm" not in measuring, "the measuring tools take none"
     assert words.endswith(f"Warning {code}: They are all alike.")
 
 

@@ -21,10 +21,12 @@ from tests.server.conversation import ERAS, by_path, error_of, picture_of, repor
 from tests.tiles import Tiles
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
+from vehanchor.pictures.area import PROMPT_RGB
 from vehanchor_server import models as models_module
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
+from vehanchor_server.tools.measuring import OVERLAY_SIDE_PX
 
 pytestmark = pytest.mark.anyio
 
@@ -140,14 +142,31 @@ async def test_an_empty_mask_is_told_as_such(settings: Settings, images: Path, t
     assert text_of(result).startswith("No object found: no area.")
 
 
-async def test_the_overlay_is_a_small_jpeg_that_shows_the_object(server: MCPServer[object], images: Path) -> None:
+async def test_the_overlay_is_cut_to_the_object_and_small(server: MCPServer[object], images: Path) -> None:
     result = await asked(server, pool_in(images / "pool.png", include_overlay=True))
-    record_of(result)
     decoded = picture_of(result)
-    scale = decoded.shape[1] / 640
-    x, y = (POOL[0] + POOL[2]) / 2 * scale, (POOL[1] + POOL[3]) / 2 * scale
-    tint = decoded[round(y), round(x), ::-1].astype(int)
-    assert np.abs(tint - [97, 134, 195]).max() < 12, "the pool is not tinted"
+    assert max(decoded.shape) <= OVERLAY_SIDE_PX
+    # box of 60 x 108 px with a margin of 54 px: 168 x 216 px, four times enlarged
+    pool = np.abs(decoded[:, :, ::-1].astype(int) - [97, 134, 195]).max(2) < 12
+    assert pool.sum() > 0.1 * 4 * 168 * 4 * 216, "the pool is small in its picture"
+    rows, columns = np.nonzero(pool)
+    shape = (POOL[3] - POOL[1]) / (POOL[2] - POOL[0])
+    assert np.ptp(rows) / np.ptp(columns) == pytest.approx(shape, rel=0.03)
+
+
+async def test_the_overlay_has_the_requested_side_and_shows_all_targets(
+    server: MCPServer[object], images: Path
+) -> None:
+    image = images / "pool_large.png"
+    other = {"x_min": 600, "y_min": 700, "x_max": 660, "y_max": 760}
+    for side_px in (300, 1568):
+        asking = {"targets": [{"box": POOL_BOX}, {"box": other}], "include_overlay": True, "overlay_side_px": side_px}
+        decoded = picture_of(await asked(server, {**by_path(image), **asking, "gsd_m_per_px": 0.1}))
+        assert side_px / 2 < max(decoded.shape[:2]) <= side_px
+    yellow = np.abs(decoded[:, :, ::-1].astype(int) - PROMPT_RGB).max(2) < 60
+    assert np.ptp(np.nonzero(yellow)[1]) > 0.4 * decoded.shape[1], "a prompt is missing"
+    result = await asked(server, pool_in(images / "pool.png", include_overlay=True, overlay_side_px=1569))
+    assert error_of(result) == "invalid_arguments"
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mcp import Client
 from mcp.server import MCPServer
@@ -13,13 +14,14 @@ from mcp.types import CallToolResult
 
 import vehanchor
 from tests.server.conftest import POOL_BOX
-from tests.server.conversation import by_path, error_of, text_of
+from tests.server.conversation import by_path, error_of, picture_of, text_of
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.records.digits import significant
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
+from vehanchor_server.tools.measuring import OVERLAY_SIDE_PX
 
 pytestmark = pytest.mark.anyio
 
@@ -48,6 +50,18 @@ async def test_a_call_gives_the_librarys_record_and_a_sentence(
     assert record_of(result) == expected.model_dump(mode="json")
     assert text_of(result).startswith(f"{significant(expected.distance_m or 0)} m (95 % interval ")
     assert f"confidence {expected.confidence:.2f} from 24 vehicles: safe to use." in text_of(result)
+
+
+async def test_the_overlay_is_cut_to_the_lines(server: MCPServer[object], images: Path) -> None:
+    short = {"points": [{"x": 200, "y": 300}, {"x": 300, "y": 300}]}
+    result = await asked(server, "measure_distance", images / "cars.png", lines=[short], include_overlay=True)
+    picture = picture_of(result)
+    assert max(picture.shape) <= OVERLAY_SIDE_PX
+    # 200 x 100 px of the image, four times enlarged, with the line of 100 px in the middle
+    blue, green, red = picture[190:210].astype(int).transpose(2, 0, 1)
+    columns = np.nonzero(((red - green > 25) & (blue - green > 10)).any(axis=0))[0]
+    assert (columns[0], columns[-1]) == pytest.approx((200, 600), abs=12)
+    assert len((await asked(server, "measure_distance", images / "cars.png", lines=[short])).content) == 1
 
 
 async def test_several_lines_are_several_answers_after_one_search(server: MCPServer[object], images: Path) -> None:

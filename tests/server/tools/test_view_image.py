@@ -151,6 +151,9 @@ async def test_many_images_come_in_pages(tmp_path: Path) -> None:
         page = listed.get("next_page", 0)
     assert seen == [str(tmp_path.resolve() / f"{number:03}.jpg") for number in range(120)]
     assert text_of(await asked(server, page=1)).startswith("120 images, 1 to 50 on page 1 of 3:")
+    words = text_of(await asked(server, page=1))
+    assert words.count(str(tmp_path.resolve())) == 1
+    assert words.splitlines()[1:4] == [f"{tmp_path.resolve()}{os.sep}", "  000.jpg", "  001.jpg"]
     assert text_of(await asked(server, page=9)) == "120 images, none on page 9 of 3."
     assert seen_in(await asked(server, page=3))["images_total"] == 120
 

@@ -18,7 +18,7 @@ from vehanchor.engine.verbs import analyse_area, estimate_gsd, measure_area
 from vehanchor.errors import FrameError, ImageDecodeError, InvalidParameterError, ModelNotFoundError, PromptError
 from vehanchor.models import zoo as model_zoo
 from vehanchor.options import ScaleOptions
-from vehanchor.pictures.area import draw_area, full_mask
+from vehanchor.pictures.area import cut_to_objects, draw_area, full_mask
 from vehanchor.pictures.measured import MEASURED_RGB
 from vehanchor.records import AreaMeasurement
 from vehanchor.segmentation.segmenter import Segmenter
@@ -388,6 +388,31 @@ def test_the_overlay_shows_the_outline_where_the_object_is(
     for gsd in (None, GSD):
         bare = analyse_area(_place(0), segmenter=segmenter, detector=detector, gsd_m_per_px=gsd, **prompt)
         assert draw_area(image, bare).shape[0] > 600
+
+
+def test_a_cut_shows_every_pixel_of_the_mask(segmenter: Segmenter) -> None:
+    image = _place(0)
+    analysis = analyse_area(image, segmenter=segmenter, box=BOX, gsd_m_per_px=GSD)
+    cut = cut_to_objects([analysis], 4000)
+    part = cut.part
+    assert (part.x_px, part.y_px) == (round(BOX[0] - 54.6), round(BOX[1] - 54.6))  # half of 109 px around the prompt
+    seen = image[part.y_px : part.y_px + part.height_px, part.x_px : part.x_px + part.width_px]
+    picture = draw_area(seen, analysis, cut=cut)[: 4 * part.height_px]
+    tinted = (picture == np.rint(0.65 * np.array(POOL_RGB) + 0.35 * np.array(MEASURED_RGB))).all(axis=2)
+    rows, columns = np.nonzero(tinted | (picture == MEASURED_RGB).all(axis=2))
+    box = np.array(_corners(analysis.measurement.bounding_box)).reshape(2, 2) - [part.x_px, part.y_px]
+    found = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
+    assert found == pytest.approx((4 * box).ravel(), abs=4)  # four picture pixels for each, and the outline's width
+    assert tinted.sum() == pytest.approx(16 * analysis.measurement.mask_area_px, rel=0.1)
+
+
+def test_several_objects_are_numbered(segmenter: Segmenter) -> None:
+    image = _place(0)
+    one = analyse_area(image, segmenter=segmenter, box=BOX, gsd_m_per_px=GSD)
+    alone, both = draw_area(image, one), draw_area(image, one, one)
+    letters = (both == 255).all(axis=2)[300:360, 420:470].sum() - (alone == 255).all(axis=2)[300:360, 420:470].sum()
+    assert letters > 10
+    assert len(both) > len(alone)  # a line of the caption for each
 
 
 def test_the_full_mask_is_as_large_as_the_image(segmenter: Segmenter) -> None:

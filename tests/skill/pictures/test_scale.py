@@ -17,6 +17,7 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.pictures import scale
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
+from vehanchor.pictures.placement import Placement
 from vehanchor.pictures.scale import (
     DROPPED_RGB,
     KEPT_RGB,
@@ -220,7 +221,9 @@ def test_a_label_stays_inside_the_picture_and_a_line_beside_its_edge_is_no_error
     corner = draw_overlay(_grey(1000, 800), _measured_by_lines([(990, 0, 1000, 6, 1), (0, 800, 9, 791, 1)], 0))
     assert corner.shape[1] == 1000
     draw_marks(
-        np.zeros((20, 20, 3), np.uint8), [Mark(((-50.0, -50.0), (90.0, 4.0), (3.0, 99.0)), "m", True)], np.ones(2)
+        np.zeros((20, 20, 3), np.uint8),
+        [Mark(((-50.0, -50.0), (90.0, 4.0), (3.0, 99.0)), "m", True)],
+        Placement(np.ones(2), np.zeros(2)),
     )
 
 

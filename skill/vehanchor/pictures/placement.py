@@ -1,0 +1,84 @@
+"""Position of an image, or of a part of it, in a picture."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from vehanchor.imagery.raster import Window
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_MARGIN = 0.5  # around what a part shows, as a share of its longer side
+_MIN_MARGIN_PX = 24
+_MAX_ENLARGEMENT = 4.0  # a larger one shows nothing more
+
+
+class Placement(NamedTuple):
+    """Position of an image, or of a part of it, in a picture.
+
+    Attributes:
+        scale: ``[2]`` pixels of the picture per image pixel, across and down.
+        origin: ``[2]`` x and y of the picture's upper left corner, pixels of the image.
+    """
+
+    scale: NDArray[np.float64]
+    origin: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, picture: NDArray[np.uint8], part: Window) -> Placement:
+        """Place a part of an image in a picture that shows nothing else.
+
+        Args:
+            picture: ``[h, w, 3]`` RGB.
+            part: the part, pixels of the image.
+        """
+        height, width = picture.shape[:2]
+        return cls(
+            np.array([width / part.width_px, height / part.height_px]),
+            np.array([part.x_px, part.y_px], dtype=np.float64),
+        )
+
+    def at(self, points: Any) -> NDArray[np.float64]:
+        """Convert points, ``[..., 2]`` pixels of the image, to pixels of the picture."""
+        converted: NDArray[np.float64] = (np.asarray(points, dtype=np.float64) - self.origin) * self.scale
+        return converted
+
+
+class Cut(NamedTuple):
+    """Part of an image to draw.
+
+    Attributes:
+        part: the part, pixels of the image.
+        long_side_px: longer side of the picture, at most.
+    """
+
+    part: Window
+    long_side_px: int
+
+    def sized(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Copy the part's pixels, ``[h, w, 3]`` RGB, at the size of the picture; small parts show their pixels."""
+        width, height = self.part.width_px, self.part.height_px
+        factor = min(_MAX_ENLARGEMENT, self.long_side_px / max(width, height))
+        size = max(1, round(width * factor)), max(1, round(height * factor))
+        method = cv2.INTER_AREA if size[0] < image.shape[1] else cv2.INTER_NEAREST
+        return np.array(cv2.resize(image, size, interpolation=method), dtype=np.uint8)
+
+
+def part_around(points: NDArray[np.float64], width_px: int, height_px: int) -> Window:
+    """Return the part of an image around points, with a margin of half of their extent.
+
+    Args:
+        points: ``[n, 2]`` pixels of the image, one at least.
+        width_px: width of the image.
+        height_px: height of the image.
+    """
+    low, high = points.min(0), points.max(0)
+    margin = max(_MIN_MARGIN_PX, _MARGIN * float((high - low).max()))
+    size = np.array([width_px, height_px])
+    left, top = np.clip(np.floor(low - margin), 0, size - 1).astype(int).tolist()
+    right, bottom = np.clip(np.ceil(high + margin), 1, size).astype(int).tolist()
+    return Window(left, top, max(1, right - left), max(1, bottom - top))
