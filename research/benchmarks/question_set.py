@@ -1,4 +1,4 @@
-"""Ask the scripted planner the forty questions of ``vehanchor_evaluation.question_set``, with and without facts.
+"""Give the scripted planner the tasks of ``vehanchor_evaluation.question_set``, with and without facts.
 
     python -m research.benchmarks.question_set /data /tmp/rendered
 
@@ -12,7 +12,7 @@ from collections import Counter
 from pathlib import Path
 
 from vehanchor_evaluation.agent_tools import open_agent_tools
-from vehanchor_evaluation.question_set import SetQuestion, ask_set, question_set
+from vehanchor_evaluation.question_set import TASKS, SetQuestion, ask_set, question_set, task_of
 from vehanchor_scenes import render_scene
 
 
@@ -37,15 +37,20 @@ def main() -> None:
     parser.add_argument("rendered", type=Path)
     folders = parser.parse_args()
     folders.rendered.mkdir(parents=True, exist_ok=True)
-    asked = [(each, picture_of(each, folders.data, folders.rendered)) for each in question_set()]
+    pictures = [(each, picture_of(each, folders.data, folders.rendered)) for each in question_set()]
+    asked = [(task_of(each, kind), path) for each, path in pictures for kind in TASKS]
     with open_agent_tools([folders.data.resolve(), folders.rendered.resolve()]) as tools:
         for catalogue in (True, False):
             answers = ask_set(asked, tools, catalogue=catalogue)
             name = "with the catalogue" if catalogue else "without it"
             for each in answers:
                 ratio = "" if each.ratio is None else f"{each.ratio:.3f}"
-                print(f"{name:20} {each.deed:22} {each.status:16} {ratio:6} {each.question.file} ({each.question.why})")
-            print(name, dict(Counter(each.deed for each in answers)), flush=True)
+                seen = each.task.question
+                print(
+                    f"{name:20} {each.task.kind:10} {each.deed:22} {each.status:16} {ratio:6} {seen.file} ({seen.why})"
+                )
+            for kind in TASKS:
+                print(name, kind, dict(Counter(each.deed for each in answers if each.task.kind == kind)), flush=True)
 
 
 if __name__ == "__main__":

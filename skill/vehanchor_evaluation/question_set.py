@@ -1,8 +1,9 @@
-"""Forty planner questions with what the planner recognises, traps among them: ``question_set.json``.
+"""Forty pictures with what a planner recognises in them, traps among it, and tasks about them: ``question_set.json``.
 
 Half of the images are rendered, half are val photographs. Facts are lines along things that the planner recognises:
-right ones, and in traps wrong ones. A planner acts on a scale that is ``ok``, and abstains otherwise. To abstain is
-right where no careful person would act; to act is right if the interval contains the truth.
+right ones, and in traps wrong ones. Each picture has three tasks: a distance, a length that must fit, and a direction
+with its distance. A planner acts on a scale that is ``ok``, and abstains otherwise. To abstain is right where no
+careful person would act.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ import json
 import math
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 from pydantic import BaseModel, ConfigDict
 
@@ -21,14 +23,21 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor_evaluation.known_scale import DATASET_LIMITS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from vehanchor_evaluation.agent_tools import ToolCaller
 
 Deed: TypeAlias = Literal["acted rightly", "acted wrongly", "abstained rightly", "abstained needlessly"]
-ENDS = ((0.1, 0.5), (0.9, 0.5))
-"""Ends of the asked distance, as fractions of the sides."""
+TaskKind: TypeAlias = Literal["distance", "fit", "direction"]
+TASKS: tuple[TaskKind, ...] = ("distance", "fit", "direction")
+Ends: TypeAlias = tuple[tuple[float, float], tuple[float, float]]
+
+_ENDS: Ends = ((0.1, 0.5), (0.9, 0.5))
+_FIT_ENDS: Ends = ((0.5, 0.2), (0.5, 0.8))
+_FIT_SHARES = (0.6, 1.6, 1.0)  # of the length between the ends: one fits, one does not, one cannot be decided
+_DIRECTIONS, _REACH = 8, 0.35  # number of directions from the middle, and the distance as a share of the sides
+_BEARING_TOLERANCE_DEG = 5.0
 
 
 class SceneOf(BaseModel):
@@ -44,7 +53,7 @@ class SceneOf(BaseModel):
 
 
 class SetQuestion(BaseModel):
-    """Question about one image: how wide it is between the left and the right tenth.
+    """One image with what is recognised in it.
 
     Attributes:
         scene: the scene to render; None for a photograph.
@@ -66,16 +75,94 @@ class SetQuestion(BaseModel):
     why: str
     facts: tuple[dict[str, Any], ...] = ()
 
+
+class Direction(NamedTuple):
+    """Answer to a task of direction: degrees clockwise from the top of the picture, and the interval in metres."""
+
+    bearing_deg: float
+    interval: tuple[float, float]
+
+
+Reply: TypeAlias = tuple[float, float] | bool | Direction | None
+"""Interval in metres, whether it fits, or a direction; None for a planner that abstains."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """Task about one image.
+
+    Attributes:
+        question: the image.
+        kind: distance between the ends, whether a length fits between them, or direction and distance to the second.
+        ends: fractions of the sides.
+        share: for a fit, the required length over the available one.
+    """
+
+    question: SetQuestion
+    kind: TaskKind
+    ends: Ends
+    share: float = 0.0
+
+    @property
+    def expected(self) -> Literal["act", "abstain"]:
+        """What a careful person does."""
+        return "abstain" if self.undecidable else self.question.expected
+
+    @property
+    def undecidable(self) -> bool:
+        """Whether the required length equals the available one, so that no measurement decides."""
+        return self.share == 1.0
+
     def truth_m(self, width_px: int, height_px: int) -> float:
-        """Compute the true distance, metres."""
-        return self.gsd_m_per_px * math.dist(*((x * width_px, y * height_px) for x, y in ENDS))
+        """Compute the true distance between the ends, metres."""
+        return self.question.gsd_m_per_px * math.dist(*_in_pixels(self.ends, width_px, height_px))
+
+    def needed_m(self, width_px: int, height_px: int) -> float:
+        """Compute the length that must fit, metres."""
+        return self.share * self.truth_m(width_px, height_px)
+
+    def bearing_deg(self, width_px: int, height_px: int) -> float:
+        """Compute the direction from the first end to the second, degrees clockwise from the top of the picture."""
+        (x1, y1), (x2, y2) = _in_pixels(self.ends, width_px, height_px)
+        return math.degrees(math.atan2(x2 - x1, y1 - y2)) % 360
+
+    def deed(self, reply: Reply, width_px: int, height_px: int) -> Deed:
+        """Judge a reply, or that there is none."""
+        if reply is None:
+            return "abstained rightly" if self.expected == "abstain" else "abstained needlessly"
+        return "acted rightly" if self._is_right(reply, width_px, height_px) else "acted wrongly"
+
+    def _is_right(self, reply: Reply, width_px: int, height_px: int) -> bool:
+        truth = self.truth_m(width_px, height_px)
+        if self.kind == "fit":
+            return not self.undecidable and reply is (self.share < 1)
+        if isinstance(reply, Direction):
+            off = (reply.bearing_deg - self.bearing_deg(width_px, height_px) + 180) % 360 - 180
+            low, high = reply.interval
+            return self.kind == "direction" and abs(off) <= _BEARING_TOLERANCE_DEG and low <= truth <= high
+        return self.kind == "distance" and isinstance(reply, tuple) and reply[0] <= truth <= reply[1]
+
+
+def _in_pixels(ends: Ends, width_px: int, height_px: int) -> list[tuple[float, float]]:
+    return [(x * width_px, y * height_px) for x, y in ends]
+
+
+def task_of(question: SetQuestion, kind: TaskKind) -> Task:
+    """Make a task about an image; the image chooses the required length and the direction."""
+    if kind == "distance":
+        return Task(question, kind, _ENDS)
+    number = int(question.sha256[:8], 16)
+    if kind == "fit":
+        return Task(question, kind, _FIT_ENDS, _FIT_SHARES[number % len(_FIT_SHARES)])
+    angle = 2 * math.pi * (number % _DIRECTIONS + 0.4) / _DIRECTIONS
+    return Task(question, kind, ((0.5, 0.5), (0.5 + _REACH * math.sin(angle), 0.5 - _REACH * math.cos(angle))))
 
 
 @dataclass(frozen=True)
 class Answered:
-    """Result of a question: what the planner did, the tool's status, and the ratio of its distance to the truth."""
+    """Result of a task: what the planner did, the tool's status, and the ratio of its distance to the truth."""
 
-    question: SetQuestion
+    task: Task
     deed: Deed
     status: str
     ratio: float | None
@@ -100,46 +187,53 @@ def checked_file(question: SetQuestion, path: Path) -> Path:
     return path
 
 
-def ask_set(asked: Iterable[tuple[SetQuestion, Path]], tools: ToolCaller, *, catalogue: bool) -> list[Answered]:
-    """Answer questions with tools.
+def ask_set(asked: Iterable[tuple[Task, Path]], tools: ToolCaller, *, catalogue: bool) -> list[Answered]:
+    """Do tasks with tools: one call for all tasks about a picture that follow each other.
 
     Args:
-        asked: the questions with their pictures.
+        asked: the tasks with their pictures.
         tools: the tools; they may read the pictures.
         catalogue: whether the planner gives the tool what it recognises.
 
     Raises:
         InvalidParameterError: a picture is missing or another one.
     """
-    return [_ask(each, tools, checked_file(each, path), catalogue=catalogue) for each, path in asked]
+    answers: list[Answered] = []
+    for (_, path), group in groupby(asked, lambda each: (each[0].question, each[1])):
+        answers += _ask([task for task, _ in group], tools, path, catalogue=catalogue)
+    return answers
 
 
-def _ask(question: SetQuestion, tools: ToolCaller, image: Path, *, catalogue: bool) -> Answered:
-    points = [{"x": x, "y": y} for x, y in ENDS]
+def _ask(tasks: Sequence[Task], tools: ToolCaller, path: Path, *, catalogue: bool) -> list[Answered]:
+    question = tasks[0].question
     arguments: dict[str, Any] = {
-        "image": {"kind": "path", "path": str(image.resolve())},
+        "image": {"kind": "path", "path": str(checked_file(question, path).resolve())},
         "coordinates": "fraction",
-        "lines": [{"points": points}],
+        "lines": [{"points": [{"x": x, "y": y} for x, y in task.ends]} for task in tasks],
         "detail": "full",
     }
     if catalogue and question.facts:
         arguments["known_lengths"] = list(question.facts)
     answer, is_error = tools.call("measure_distance", arguments)
     record: dict[str, Any] = {} if is_error else json.loads(answer.splitlines()[-1])
-    record = record.get("measurements", [record])[0]
+    records = record.get("measurements", [record] * len(tasks))
+    return [_answered(task, measured) for task, measured in zip(tasks, records, strict=True)]
+
+
+def _answered(task: Task, record: dict[str, Any]) -> Answered:
+    """Decide as the script does, and judge it."""
     status = record.get("status") or "error"
     if status != "ok":
-        return Answered(question, deed_of(question, None, math.nan), status, None)
-    truth = question.truth_m(record["image_width_px"], record["image_height_px"])
-    interval = record["distance_ci95_low_m"], record["distance_ci95_high_m"]
-    return Answered(question, deed_of(question, interval, truth), status, record["distance_m"] / truth)
-
-
-def deed_of(question: SetQuestion, interval: tuple[float, float] | None, truth_m: float) -> Deed:
-    """Judge an interval, or that there is none."""
-    if interval is None:
-        return "abstained rightly" if question.expected == "abstain" else "abstained needlessly"
-    return "acted rightly" if interval[0] <= truth_m <= interval[1] else "acted wrongly"
+        return Answered(task, task.deed(None, 1, 1), status, None)
+    size = record["image_width_px"], record["image_height_px"]
+    low, high = record["distance_ci95_low_m"], record["distance_ci95_high_m"]
+    reply: Reply = (low, high)
+    if task.kind == "direction":
+        reply = Direction(task.bearing_deg(*size), (low, high))
+    elif task.kind == "fit":
+        needed = task.needed_m(*size)
+        reply = True if low >= needed else False if high < needed else None
+    return Answered(task, task.deed(reply, *size), status, record["distance_m"] / task.truth_m(*size))
 
 
 def image_size(path: Path) -> tuple[int, int]:

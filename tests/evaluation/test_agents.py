@@ -13,8 +13,15 @@ from typer.testing import CliRunner
 from tests.model_service import Answer, Asked, ModelService, UseTool, model_service
 from vehanchor.cli.app import app
 from vehanchor.errors import InvalidParameterError
-from vehanchor_evaluation.agents import AgentRun, Redescribed, agent_score, ask_agent, read_descriptions
-from vehanchor_evaluation.question_set import SetQuestion, deed_of, question_set
+from vehanchor_evaluation.agents import (
+    AgentRun,
+    Redescribed,
+    agent_score,
+    ask_agent,
+    read_descriptions,
+    read_reply,
+)
+from vehanchor_evaluation.question_set import Direction, Task, question_set, task_of
 from vehanchor_evaluation.vlm_api import Budget, open_api, reply_journal
 from vehanchor_scenes import render_scene
 
@@ -35,8 +42,8 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def asked(pictures: Path) -> list[tuple[SetQuestion, Path]]:
-    return [(each, pictures / each.file) for each in RENDERED[:2]]
+def asked(pictures: Path) -> list[tuple[Task, Path]]:
+    return [(task_of(each, "distance"), pictures / each.file) for each in RENDERED[:2]]
 
 
 class Tools:
@@ -64,24 +71,24 @@ def _careful(asked: Asked) -> Answer:
     return f"ANSWER={record['low']:.3f} to {record['high']:.3f}" if record["status"] == "ok" else "ANSWER=unknown"
 
 
-def _run(asked: list[tuple[SetQuestion, Path]], folder: Path | None = None, **told: Any) -> tuple[AgentRun, list[str]]:
-    truth = {path.name: question.truth_m(800, 640) for question, path in asked}
+def _run(asked: list[tuple[Task, Path]], folder: Path | None = None, **told: Any) -> tuple[AgentRun, list[str]]:
+    truth = {path.name: task.truth_m(800, 640) for task, path in asked}
     with model_service(ModelService(answer=_careful)) as service:
         api = open_api("openai-compatible", "m", reply_journal(folder), Budget(), base_url=f"{service.url}/v1")
         run = ask_agent(asked, api, Tools(truth, **told))
     return run, [path for path, _, _ in service.requests]
 
 
-def test_deeds_calls_and_tokens_are_counted(asked: list[tuple[SetQuestion, Path]]) -> None:
+def test_deeds_calls_and_tokens_are_counted(asked: list[tuple[Task, Path]]) -> None:
     right, _ = _run(asked)
-    assert agent_score("m", right.answers, right.calls, right.tokens).acted_rightly == 2
+    assert agent_score("m", "distance", right.answers, right.calls, right.tokens).acted_rightly == 2
     assert right.calls == 2
     assert right.tokens > 0
     wrong, _ = _run(asked, factor=1.5)
-    assert agent_score("m", wrong.answers).acted_wrongly == 2
+    assert agent_score("m", "distance", wrong.answers).acted_wrongly == 2
     low, _ = _run(asked, status="low_confidence")
-    counted = agent_score("m", low.answers)
-    needlessly = sum(question.expected == "act" for question, _ in asked)
+    counted = agent_score("m", "distance", low.answers)
+    needlessly = sum(task.expected == "act" for task, _ in asked)
     assert (counted.abstained_needlessly, counted.abstained_rightly) == (needlessly, 2 - needlessly)
 
 
@@ -96,26 +103,67 @@ def test_deeds_calls_and_tokens_are_counted(asked: list[tuple[SetQuestion, Path]
     ],
 )
 def test_a_deed_is_judged(expected: str, interval: tuple[float, float] | None, deed: str) -> None:
-    question = RENDERED[0].model_copy(update={"expected": expected})
-    assert deed_of(question, interval, 10.0) == deed
+    question = RENDERED[0].model_copy(update={"expected": expected, "gsd_m_per_px": 0.0125})
+    assert task_of(question, "distance").deed(interval, 1000, 640) == deed  # 10 m
 
 
-def test_what_was_recognised_is_told_in_words(asked: list[tuple[SetQuestion, Path]]) -> None:
+@pytest.mark.parametrize(
+    ("kind", "text", "reply"),
+    [
+        ("distance", "So\nANSWER=3.5 to 4.5 m", (3.5, 4.5)),
+        ("distance", "ANSWER=yes", None),
+        ("fit", "**ANSWER=yes**", True),
+        ("fit", "ANSWER=3 to 4", None),
+        ("direction", "ANSWER=45 deg, 3.5 to 4.5 m", Direction(45.0, (3.5, 4.5))),
+        ("direction", "ANSWER=10 deg, 1 to 2\nANSWER=312.5\u00b0, 10 to 12", Direction(312.5, (10.0, 12.0))),
+        ("direction", "ANSWER=45 degrees", None),
+        ("direction", "ANSWER=3.5 to 4.5", None),
+        ("direction", "ANSWER=unknown", None),
+    ],
+)
+def test_a_reply_is_read_for_its_task(kind: Any, text: str, reply: Any) -> None:
+    assert read_reply(kind, text) == reply
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"), [("fit", "m long fit between (0.5, 0.2) and"), ("direction", "In which dir")]
+)
+def test_a_model_acts_in_tasks_of_fit_and_direction(asked: list[tuple[Task, Path]], kind: Any, words: str) -> None:
+    (first, path) = asked[0]
+    task = task_of(first.question.model_copy(update={"expected": "act"}), kind)
+    task = Task(task.question, kind, task.ends, 0.6 if kind == "fit" else 0.0)
+    truth, told = task.truth_m(800, 640), []
+
+    def answering(shown: Asked) -> Answer:
+        told.append(shown.text)
+        if kind == "fit":
+            return "ANSWER=yes"
+        return f"ANSWER={task.bearing_deg(800, 640):.0f} deg, {0.9 * truth:.1f} to {1.1 * truth:.1f}"
+
+    with model_service(ModelService(answer=answering)) as service:
+        api = open_api("openai-compatible", "m", reply_journal(None), Budget(), base_url=f"{service.url}/v1")
+        run = ask_agent([(task, path)], api, Tools({}))
+    assert words in told[0]
+    assert [each.deed for each in run.answers] == ["acted rightly"]
+
+
+def test_what_was_recognised_is_told_in_words(asked: list[tuple[Task, Path]]) -> None:
     told: list[str] = []
 
     def listening(shown: Asked) -> Answer:
         told.append(shown.text)
         return "ANSWER=unknown"
 
-    (question, path) = asked[0]
+    (task, path) = asked[0]
     fact = {"x1": 0.1, "y1": 0.2, "x2": 0.3, "y2": 0.2, "metres": "iso_container_40ft"}
     with model_service(ModelService(answer=listening)) as service:
         api = open_api("openai-compatible", "m", reply_journal(None), Budget(), base_url=f"{service.url}/v1")
-        ask_agent([(question.model_copy(update={"facts": (fact,)}), path)], api, Tools({}))
+        told_fact = task_of(task.question.model_copy(update={"facts": (fact,)}), "distance")
+        ask_agent([(told_fact, path)], api, Tools({}))
     assert "The line from (0.1, 0.2) to (0.3, 0.2) seems to be iso_container_40ft." in told[0]
 
 
-def test_a_transcript_is_read_without_a_request(asked: list[tuple[SetQuestion, Path]], tmp_path: Path) -> None:
+def test_a_transcript_is_read_without_a_request(asked: list[tuple[Task, Path]], tmp_path: Path) -> None:
     first, requests = _run(asked, tmp_path)
     assert len(requests) == 4
     with model_service(ModelService(answer=_careful)) as service:
@@ -123,7 +171,7 @@ def test_a_transcript_is_read_without_a_request(asked: list[tuple[SetQuestion, P
         url = f"{service.url}/v1"
         for n_requests in (4, 4):
             api = open_api("openai-compatible", "m", reply_journal(tmp_path), Budget(), base_url=url)
-            truth = {path.name: question.truth_m(800, 640) for question, path in asked}
+            truth = {path.name: task.truth_m(800, 640) for task, path in asked}
             again = ask_agent(asked, api, Tools(truth))
             assert len(service.requests) == n_requests
             assert [each.deed for each in again.answers] == [each.deed for each in first.answers]
@@ -150,18 +198,32 @@ def test_the_command_compares_two_versions_of_the_descriptions(
     descriptions = tmp_path / "b.json"
     descriptions.write_text(json.dumps({"measure_distance": "Other words."}))
     with model_service(ModelService(answer=lambda _: "ANSWER=unknown")) as service:
+        tasks = ["--task", "distance", "--task", "direction"]
         options = ["--provider", "openai-compatible", "--model", "m", "--base-url", f"{service.url}/v1", "--json"]
         done = CliRunner().invoke(
-            app, ["evaluate", "agents", str(pictures), "--limit", "1", "--descriptions", str(descriptions), *options]
+            app,
+            [
+                "evaluate",
+                "agents",
+                str(pictures),
+                "--limit",
+                "1",
+                "--descriptions",
+                str(descriptions),
+                *tasks,
+                *options,
+            ],
         )
     assert done.exit_code == 0, done.output
     rows = [json.loads(line) for line in done.stdout.splitlines()]
-    assert [row["name"] for row in rows] == ["script, with what it recognises", "script, without", "m", "m, b.json"]
+    planners = ["script, with what it recognises", "script, without", "m", "m, b.json"]
+    assert [row["name"] for row in rows] == [name for name in planners for _ in range(2)]
+    assert [row["task"] for row in rows] == 4 * ["distance", "direction"]
     assert all(row["acted_wrongly"] == 0 for row in rows)
     offered = [[tool["function"] for tool in payload["tools"]] for _, _, payload in service.requests]
     seen = [next(each["description"] for each in tools if each["name"] == "measure_distance") for tools in offered]
-    assert len(seen) == 2
-    assert seen[0] != seen[1] == "Other words."
+    assert len(seen) == 4
+    assert seen[0] == seen[1] != seen[2] == seen[3] == "Other words."
 
 
 def test_a_folder_without_the_pictures_names_the_command_that_renders_them(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,6 +24,14 @@ if TYPE_CHECKING:
 _MODEL = "A real model"
 
 
+class TaskName(StrEnum):
+    """Kinds of tasks."""
+
+    DISTANCE = "distance"
+    FIT = "fit"
+    DIRECTION = "direction"
+
+
 @dataclass(frozen=True, kw_only=True)
 class AgentsRequest(ServiceRequest):
     """Options of the command, one per field."""
@@ -33,7 +42,10 @@ class AgentsRequest(ServiceRequest):
     data: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder of the photographs. Default: no photographs.")
     ] = None
-    limit: Annotated[int, typer.Option(min=1, metavar="N", help="Maximum number of questions.")] = 40
+    task: Annotated[list[TaskName] | None, typer.Option(help="Kind of tasks; may be repeated. Default: all three.")] = (
+        None
+    )
+    limit: Annotated[int, typer.Option(min=1, metavar="N", help="Maximum number of pictures.")] = 40
     as_json: Annotated[bool, typer.Option("--json", help="Print a line of JSON per planner.")] = False
     provider: Annotated[
         ProviderName | None,
@@ -86,8 +98,9 @@ class AgentsRequest(ServiceRequest):
 def agents(request: AgentsRequest) -> None:
     """Score planners on pictures with recognised things, traps among them: acted or abstained, rightly or not.
 
-    The scripted planner answers with and without the recognised things. With --provider and --model, a real model also
-    answers, with --descriptions in two versions. Its key comes from the environment.
+    Each picture has a task of distance, of fit and of direction. The scripted planner does them with and without the
+    recognised things. With --provider and --model, a real model also does, with --descriptions in two versions. Its key
+    comes from the environment.
     """
     from vehanchor.cli.terminal import print_json
     from vehanchor_evaluation.agent_tools import open_agent_tools
@@ -110,27 +123,31 @@ def agents(request: AgentsRequest) -> None:
 def _rows(
     request: AgentsRequest, asked: Sequence[tuple[SetQuestion, Path]], tools: ToolCaller
 ) -> tuple[list[AgentScore], str | None]:
-    """Ask every planner; return their rows, and the reason for an early end."""
+    """Give every planner the tasks; return their rows, and the reason for an early end."""
     from vehanchor_evaluation.agents import agent_score, ask_agent, read_descriptions
-    from vehanchor_evaluation.question_set import ask_set
+    from vehanchor_evaluation.question_set import TASKS, ask_set, task_of
 
     versions: list[tuple[str, ToolCaller]] = [(request.model, tools)]
     if request.descriptions is not None:
         versions.append(
             (f"{request.model}, {request.descriptions.name}", read_descriptions(request.descriptions, tools))
         )
-    rows = [
-        agent_score("script, with what it recognises", ask_set(asked, tools, catalogue=True)),
-        agent_score("script, without", ask_set(asked, tools, catalogue=False)),
-    ]
+    kinds = [kind for kind in TASKS if not request.task or kind in {each.value for each in request.task}]
+    rows = []
+    for name, catalogue in (("script, with what it recognises", True), ("script, without", False)):
+        done = ask_set(
+            [(task_of(each, kind), path) for each, path in asked for kind in kinds], tools, catalogue=catalogue
+        )
+        rows += [agent_score(name, kind, [each for each in done if each.task.kind == kind]) for kind in kinds]
     if request.provider is None:
         return rows, None
     stopped = None
     api = request.open_api(request.provider, request.model, request.out)
     for name, described in versions:
-        run = ask_agent(asked, api, described)
-        rows.append(agent_score(name, run.answers, run.calls, run.tokens))
-        stopped = stopped or run.stopped
+        for kind in kinds:
+            run = ask_agent([(task_of(each, kind), path) for each, path in asked], api, described)
+            rows.append(agent_score(name, kind, run.answers, run.calls, run.tokens))
+            stopped = stopped or run.stopped
     return rows, stopped
 
 
@@ -141,10 +158,10 @@ def _print_rows(rows: Sequence[AgentScore]) -> None:
 
     from vehanchor.cli.terminal import print_table
 
-    table = Table("planner", box=box.SIMPLE_HEAD)
+    table = Table("planner", "task", box=box.SIMPLE_HEAD)
     for heading in ("questions", "acted rightly", "wrongly", "abstained rightly", "needlessly", "calls", "tokens"):
         table.add_column(heading, justify="right")
     for row in rows:
-        values = row.model_dump(exclude={"name"}).values()
-        table.add_row(Text(row.name), *("-" if value is None else str(value) for value in values))
+        values = row.model_dump(exclude={"name", "task"}).values()
+        table.add_row(Text(row.name), row.task, *("-" if value is None else str(value) for value in values))
     print_table(table)
