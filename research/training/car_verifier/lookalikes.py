@@ -1,4 +1,4 @@
-"""Objects that detectors confuse with cars: sheds, crates, graves, skylights, boats, shadows, markings.
+"""Objects that detectors confuse with cars: sheds, crates, graves, benches, skylights, boats, shadows, markings.
 
 Each function draws on a canvas in place and returns the length and width of the thing in metres; the thing lies in the
 canvas's middle, its axis along the columns.
@@ -107,6 +107,46 @@ def draw_row(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
     return length, width
 
 
+def draw_bench(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> tuple[float, float]:
+    """A slatted bench with its back, two that face each other, or a table between two benches."""
+    length, seat = float(rng.uniform(1.3, 2.6)), float(rng.uniform(0.3, 0.55))
+    kind, colour, height = rng.integers(3), colour_of(rng), px_per_m * float(rng.uniform(0.4, 0.9))
+    table = float(rng.uniform(0.6, 1.0))
+    gap = seat + (0.0 if kind == 0 else float(rng.uniform(0.1, 0.9)) if kind == 1 else table + 0.1)
+    places = [(0.0, seat)] if kind == 0 else [(-gap / 2, seat), (gap / 2, seat)]
+    if kind == 2:
+        places.append((0.0, table))
+    slats = int(rng.integers(2, 5))
+    for y, width in places:
+        shade(canvas, _corners(canvas, px_per_m, length, width, 0, y), height, sun, float(rng.uniform(0.6, 1.05)))
+        fill(canvas, _corners(canvas, px_per_m, length, width, 0, y), colour * rng.uniform(0.3, 0.7))
+        for k in range(slats):
+            middle = y + ((k + 0.5) / slats - 0.5) * width
+            fill(canvas, _corners(canvas, px_per_m, length, 0.7 * width / slats, 0, middle), colour)
+    if kind == 0 and rng.random() < 0.6:
+        fill(canvas, _corners(canvas, px_per_m, length, 0.12, 0, -seat / 2), colour * rng.uniform(0.5, 1.0))
+    return length, gap + seat if kind else seat
+
+
+def draw_playground(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> tuple[float, float]:
+    """A swing, seesaw or exercise machine of coloured bars, often on a round mat."""
+    length = float(rng.uniform(1.2, 3.5))
+    width = length * float(rng.uniform(0.3, 0.7))
+    middle = np.array(canvas.shape[1::-1]) / 2
+    if rng.random() < 0.7:
+        ring = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+        radius = px_per_m * length * float(rng.uniform(0.5, 0.9))
+        fill(canvas, middle + radius * np.column_stack([np.cos(ring), np.sin(ring)]), colour_of(rng))
+    for _ in range(int(rng.integers(3, 8))):
+        across = rng.random() < 0.4
+        size = (float(rng.uniform(0.15, 0.5)), width) if across else (length, float(rng.uniform(0.1, 0.4)))
+        x, y = rng.uniform(-0.4, 0.4, 2) * (length, width) * ((1, 0) if across else (0, 1))
+        points = _corners(canvas, px_per_m, *size, float(x), float(y))
+        shade(canvas, points, px_per_m * float(rng.uniform(0.3, 1.5)), sun, float(rng.uniform(0.5, 1.0)))
+        fill(canvas, points, rng.uniform(20, 250, 3))
+    return length, width
+
+
 def draw_skylight(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> tuple[float, float]:
     """Glass in a light frame on a roof of one colour."""
     roof = colour_of(rng)
@@ -189,5 +229,6 @@ def draw_marking(rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun:
 
 
 LOOKALIKES: tuple[Draw, ...] = (
-    draw_box, draw_box, draw_air_conditioner, draw_row, draw_skylight, draw_shadow, draw_bush, draw_boat, draw_marking,
+    draw_box, draw_box, draw_air_conditioner, draw_row, draw_bench, draw_playground, draw_skylight, draw_shadow,
+    draw_bush, draw_boat, draw_marking,
 )  # fmt: skip

@@ -20,6 +20,7 @@ import torch
 from numpy.typing import NDArray
 
 from research.training.car_verifier.cases import Cases, read_cases
+from research.training.car_verifier.mine import LOOKED_AT
 from research.training.car_verifier.network import CarVerifierNet
 from research.training.car_verifier.store import read_store
 from research.training.car_verifier.stream import Move, cut
@@ -30,7 +31,6 @@ from vehanchor.storage.atomic import whole_file
 
 VIEWS: tuple[tuple[int, int, float], ...] = ((1, 1, 1.0), (1, -1, 1.0), (-1, 1, 1.0), (-1, -1, 1.0))
 _SIZE_WEIGHT = 0.3  # of the scene-scale prior in today's scores, see ``training/verifier``
-LOOKED_AT = Path(__file__).with_name("looked_at.csv")
 _SAME_PLACE, _SAME_SIZE = 0.35, 0.35  # of a length; log
 _LEAST_COMBINED = 0.1  # of today's scores, as in ``cases``
 _FIRST_ADDED = 1_000_000  # number of labels that we added

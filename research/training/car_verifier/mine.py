@@ -1,7 +1,8 @@
 """Collect candidates from the train images: ``python -m research.training.car_verifier.mine RUN``.
 
 Writes the stores ``RUN/train`` and ``RUN/held_out``. A chip comes from one of four sources: what the bundled detector
-finds at a low score, every labelled car, labelled boxes moved or scaled until they fit no more, and lorries.
+finds at a low score, every labelled car, labelled boxes moved or scaled until they fit no more, and lorries. With
+``--native`` the odd numbers of ``chia/crops`` give what is no car: ``looked_at.csv`` has all cars and doubtful things.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ GSD_M_PER_PX = {"cannes": 0.20, "ucm": 0.3048, "saopaulo": 0.10, "empty": 0.3048
 _MODEL_BOX_WEIGHT = 0.25  # of boxes that a model drew: they may hold the shadow along the car
 _MOVED_SHARE = 0.35  # of the labelled cars give a box that does not fit
 _LEAST_LENGTH_PX = 8.0
+LOOKED_AT = Path(__file__).with_name("looked_at.csv")
 _TYPE_OF_BODY = {
     "kei": "kei", "kei truck": "kei", "city": "small", "suv": "suv", "minivan": "van", "van": "van", "pickup": "pickup",
     "single cab": "pickup", "crew cab": "pickup", "flatbed": "pickup", "truck": "lorry", "bus": "lorry",
@@ -232,7 +234,7 @@ def add_lorries(image: Named, store: ChipStore) -> None:
 
 def mined(image: Named, detector: Detector, rng: np.random.Generator, store: ChipStore, *, native: bool) -> None:
     """Add the chips of one image: of a native search what it finds, else also labels, moved labels and lorries."""
-    sample = cropped(rng, image.sample) if native else image.sample
+    sample = cropped(rng, image.sample) if native and image.set != "chia" else image.sample
     height, width = sample.image.shape[:2]
     if native:
         boxes, scores, combined = searched(sample, detector)
@@ -269,6 +271,30 @@ def train_images(data: Path, *, held_out: bool) -> Iterator[Named]:
         yield Named(sample, place.path.name, place.set, place.labels)
 
 
+def chia_images(data: Path) -> Iterator[Named]:
+    """Crops of ``chia/`` with odd numbers, at 0.018 to 0.043 m/px; cars and doubtful things are ignored."""
+    with LOOKED_AT.open(newline="") as handle:
+        seen = [row for row in csv.DictReader(handle) if row["set"] == "chia"]
+    with (data / "chia" / "crops.csv").open(newline="") as handle:
+        rows = [row for row in csv.DictReader(handle) if int(Path(row["file"]).stem[-4:]) % 2 == 1]
+    for row in rows:
+        path = data / "chia" / row["file"]
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        if image is None:
+            raise FileNotFoundError(path)
+        there = [each for each in seen if each["file"] == path.name]
+        squares = [[*(float(each[name]) for name in ("x", "y", "length", "length")), 0.0] for each in there]
+        sample = TrainImage(
+            "chia",
+            np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8),
+            np.zeros((0, 5)),
+            box_corners(np.array(squares).reshape(-1, 5)),
+            np.zeros((0, 2)),
+            CAR_M / float(row["gsd_m_per_px"]),
+        )
+        yield Named(sample, path.name, "chia", None)
+
+
 def scene_images(folder: Path) -> Iterator[Named]:
     """Rendered scenes with the types of their vehicles (see ``render_scenes``)."""
     for path, sample in zip(sorted(folder.glob("*.jpg")), load_scenes(folder), strict=True):
@@ -296,7 +322,7 @@ def main() -> None:
     if options.native:
         scenes = scene_images(options.scenes) if options.scenes else iter(())
         wanted = [name for name in options.sets.split(",") if name]
-        every = itertools.chain(train_images(options.data, held_out=False), scenes)
+        every = itertools.chain(train_images(options.data, held_out=False), chia_images(options.data), scenes)
         parts = {"native": (image for image in every if not wanted or image.sample.set in wanted)}
     elif options.scenes:
         parts = {"rendered": scene_images(options.scenes)}

@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from research.training.car_verifier.lookalikes import LOOKALIKES, Canvas, shade
-from research.training.car_verifier.mine import GSD_M_PER_PX, relative, type_of
+from research.training.car_verifier.mine import GSD_M_PER_PX, chia_images, relative, type_of
 from research.training.car_verifier.store import STORED_LENGTH_PX, STORED_PX, UNKNOWN, ChipStore, Rows
 from research.training.detector.data import TrainImage, load_train_images
 from research.training.detector.scenery import CAR_M, load_scenery
+from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.car_verifier import VEHICLE_TYPES
 from vehanchor_scenes.fleet import Fleet, VehicleModel
 from vehanchor_scenes.painter import VEHICLE_SHADOW_HEIGHT_M
@@ -32,6 +33,7 @@ _CAR_SHARE, _LORRY_SHARE = 0.55, 0.12
 _COMPANY_SHARE = 0.3  # vehicles with others parked beside them
 _WRONG_SHARE = 0.15  # vehicles whose candidate does not fit
 _PARKED_PITCH_M = (2.3, 2.9)
+_SHARP_M_PER_PX, _SHARP_WEIGHT = 0.06, 4.0  # such grounds are few, and small things need them
 
 
 class Ground(NamedTuple):
@@ -233,7 +235,8 @@ def _draw_company(
 def grounds(data: Path) -> list[Ground]:
     """Train images of known scale."""
     out: list[Ground] = []
-    samples: Sequence[TrainImage] = [*load_train_images(data / "vehicles"), *load_scenery(data)]
+    sharp = [s._replace(boxes=boxes_from_corners(s.ignore)) for s, *_ in chia_images(data)]  # nothing on its cars
+    samples: Sequence[TrainImage] = [*load_train_images(data / "vehicles"), *load_scenery(data), *sharp]
     for sample in samples:
         gsd = CAR_M / sample.car_px if sample.car_px else GSD_M_PER_PX.get(sample.set)
         if gsd:
@@ -255,6 +258,7 @@ def main() -> None:
     names = np.array([ground.sample.set for ground in places])
     _, number, counts = np.unique(names, return_inverse=True, return_counts=True)
     odds = (1 / np.sqrt(counts))[number]
+    odds[[ground.gsd_m_per_px < _SHARP_M_PER_PX for ground in places]] *= _SHARP_WEIGHT
     made: list[Pasted] = []
     while len(made) < options.count:
         ground = places[int(rng.choice(len(places), p=odds / odds.sum()))]

@@ -21,6 +21,7 @@ from research.training.car_verifier.stream import Batch, ChipStream
 from research.training.detector.network import begin_with_detector
 from research.training.loop import Recipe, Schedule, train
 from research.training.onnx_file import write_onnx
+from research.training.warm_start import load_exported
 from vehanchor.detection.car_verifier import CHIP_PX
 
 _RATE = 1.5e-3
@@ -77,6 +78,7 @@ def main() -> None:
     parser.add_argument("--held", type=float, default=0.5, help="share of the steps before the rate falls")
     parser.add_argument("--stores", type=Path, nargs="*", default=[], help="folders beside RUN/train")
     parser.add_argument("--detector", type=Path, help="ONNX file of the detector, to begin with its encoder")
+    parser.add_argument("--weights", type=Path, help="ONNX file of a car verifier, to train on")
     parser.add_argument("--rate", type=float, default=_RATE)
     parser.add_argument("--without", default="", help="sets to leave out, comma between")
     parser.add_argument("--train-store", type=Path, help="instead of RUN/train")
@@ -89,9 +91,12 @@ def main() -> None:
     schedule = Schedule(options.steps, options.rate, warm_up=100, held=options.held)
     recipe = Recipe(schedule, _BATCH, average=0.998, bfloat16=True, checkpoint_every=200, log_every=100)
     begun = CarVerifierNet()
-    if options.detector:
-        chips = torch.stack([stream[k].chip for k in range(256)])
-        begin_with_detector(begun, options.detector, chips.float().div(255.0))
+    if options.detector or options.weights:
+        chips = torch.stack([stream[k].chip for k in range(256)]).float().div(255.0)
+        if options.weights:
+            load_exported(begun, options.weights, chips)
+        else:
+            begin_with_detector(begun, options.detector, chips)
     network = train(begun, stream, losses, recipe, options.run)
     export(cast("CarVerifierNet", network), options.run / "car-verifier.onnx")
     print(f"wrote {options.run / 'car-verifier.onnx'}", flush=True)

@@ -18,13 +18,14 @@ import torch
 from research.training.car_verifier.cases import Cases, fitted_upright
 from research.training.car_verifier.lookalikes import LOOKALIKES
 from research.training.car_verifier.measure import Verified, corrected, curve, measured
-from research.training.car_verifier.mine import cropped, overlaps, relative, rows_of, type_of
+from research.training.car_verifier.mine import chia_images, cropped, overlaps, relative, rows_of, type_of
 from research.training.car_verifier.network import Answers, CarVerifierNet
 from research.training.car_verifier.paste import Ground, pasted
 from research.training.car_verifier.store import STORED_LENGTH_PX, STORED_PX, ChipStore, Rows, read_store
 from research.training.car_verifier.stream import Batch, ChipStream, cut, draw_move, moved_box
 from research.training.car_verifier.train import export, losses
 from research.training.detector.data import TrainImage
+from research.training.warm_start import load_exported
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.car_verifier import CHIP_LENGTH_PX, CHIP_PX, VEHICLE_TYPES
 from vehanchor_scenes.fleet import Fleet
@@ -132,6 +133,32 @@ def test_cars_that_nobody_labelled_count_and_doubtful_things_do_not(tmp_path: Pa
     assert found.n_labels.tolist() == [6]
     np.testing.assert_array_equal(found.boxes[:, 0], [10, 90, 10.5])
     assert (found.label >= 0).tolist() == [True, False, False]  # a box of half the length fits no car
+
+
+def test_of_chia_odd_numbers_train_and_their_cars_teach_nothing(tmp_path: Path) -> None:
+    crops = tmp_path / "chia" / "crops"
+    crops.mkdir(parents=True)
+    for number in (16, 17):
+        cv2.imwrite(str(crops / f"DJI_00{number}.jpg"), np.full((1280, 1280, 3), 90, np.uint8))
+    table = "file,gsd_m_per_px\ncrops/DJI_0016.jpg,0.018\ncrops/DJI_0017.jpg,0.018\n"
+    (tmp_path / "chia" / "crops.csv").write_text(table)
+    (only,) = chia_images(tmp_path)
+    assert only.file == "DJI_0017.jpg"
+    assert not len(only.sample.boxes)
+    boxes = np.array([[636.6, 540.1, 250.0, 110.0, 0.3], [100.0, 900.0, 110.0, 50.0, 0.3]])  # a car, and ground
+    _, known = rows_of(only.sample, only.file, boxes, np.ones(2), np.ones(2))
+    assert known.tolist() == [False, True]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_training_goes_on_from_an_exported_file(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    trained, begun, chips = CarVerifierNet().eval(), CarVerifierNet(), torch.rand(8, 3, CHIP_PX, CHIP_PX)
+    export(trained, tmp_path / "net.onnx")
+    load_exported(begun, tmp_path / "net.onnx", chips)
+    with torch.no_grad():
+        for ours, theirs in zip(begun.eval()(chips), trained(chips), strict=True):
+            torch.testing.assert_close(ours, theirs, atol=1e-3, rtol=1e-3)
 
 
 def test_overlaps_find_the_label_of_each_box() -> None:
