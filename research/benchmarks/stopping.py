@@ -21,7 +21,7 @@ import numpy as np
 from research.benchmarks.gigapixel import CELL_PX, GSD_M, SETS, layout, pictures
 from research.results.record import add_record_option, header, recording
 from vehanchor.detection.appearance import FleetAppearance
-from vehanchor.detection.convergence import ANYTIME_PIXELS, has_converged, next_check, stop_rule
+from vehanchor.detection.convergence import LARGE_PIXELS, has_converged, next_check, stop_rule
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import load_detector
 from vehanchor.detection.levels import search_levels
@@ -140,9 +140,9 @@ def outcome(mosaic: Mosaic, detector: Detector, options: ScaleOptions) -> Outcom
     ranges = {each.factor: (max(card.length_range_px[0], each.shortest_px), each.longest_px) for each in levels}
     promises = np.array([tile_prior_of(mosaic.tile_prior, place.window, place.factor) for place in places])
     order = TileScheduler(places, promises, level_shares(ranges, density / density.sum()))
-    rule = stop_rule(options.search, max(side * side, ANYTIME_PIXELS), len(places))
+    rule = stop_rule(options.search, max(side * side, LARGE_PIXELS), len(places))
     view = partial(View, ImageFacts(side, side), card=card, options=options, resolved_share=lambda *_: 1.0)
-    found, visited, due, checks = np.zeros(len(mosaic.boxes), bool), 0, next_check(0), []
+    found, visited, due, checks = np.zeros(len(mosaic.boxes), bool), 0, rule.first_check, []
     most, done = min(len(places), rule.max_tiles or len(places)), False
     while visited < most and not done:
         for k in order.next_tiles(min(4, most - visited)):

@@ -30,8 +30,8 @@ def detector(tmp_path_factory: pytest.TempPathFactory) -> Detector:
 
 @pytest.fixture(autouse=True)
 def _large(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("convergence", "search"):
-        monkeypatch.setattr(f"vehanchor.detection.{module}.ANYTIME_PIXELS", 1_000_000)
+    for name in ("convergence.ANYTIME_PIXELS", "search.ANYTIME_PIXELS", "convergence.LARGE_PIXELS"):
+        monkeypatch.setattr(f"vehanchor.detection.{name}", 1_000_000)
 
 
 def _town(spread: float = 0.07, seed: int = 0) -> NDArray[np.uint8]:
@@ -58,6 +58,24 @@ def test_auto_ends_when_more_tiles_would_not_narrow_the_interval(detector: Detec
     assert auto.gsd_m_per_px == pytest.approx(full.gsd_m_per_px, rel=0.02)
     assert full.n_vehicles > auto.n_vehicles > 100
     assert fast.tiles_searched < auto.tiles_searched
+
+
+def test_a_photograph_ends_when_the_other_tiles_would_not_change_its_value(
+    detector: Detector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vehanchor.detection.convergence.LARGE_PIXELS", 100_000_000)
+    image = _town()
+    full, auto, again = (
+        estimate_gsd(image, detector=detector, effort=effort, **_TILES) for effort in ("full", "auto", "auto")
+    )
+    assert auto == again
+    assert (full.stopped_because, auto.stopped_because) == ("all_searched", "converged")
+    assert auto.tiles_searched < 0.6 * full.tiles_searched
+    assert (auto.status, auto.reason) == (full.status, full.reason) == ("ok", None)
+    assert auto.gsd_m_per_px == pytest.approx(full.gsd_m_per_px, rel=0.02)
+    few = blank_image(2000, 1600)
+    paint_vehicles(few, [[100 + 250 * k, 800, 30, 12, 0.4] for k in range(7)])
+    assert estimate_gsd(few, detector=detector, **_TILES).stopped_because == "all_searched"
 
 
 def test_auto_goes_on_while_a_doubt_is_open(detector: Detector) -> None:

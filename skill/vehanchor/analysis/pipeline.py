@@ -213,6 +213,7 @@ def _record(
         by_hand=_by_hand(view.detections),
         tiles_searched=view.detections.n_tiles,
         tiles_total=view.detections.n_tiles_total or view.detections.n_tiles,
+        candidates_skipped=view.detections.n_skipped,
         stopped_because=view.detections.stopped_because,
         aggregation=vehicles.aggregation,
         reference_length_m=vehicles.reference.length_m,

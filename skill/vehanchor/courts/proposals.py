@@ -15,7 +15,7 @@ import numpy as np
 
 from vehanchor.courts.match import Pose
 from vehanchor.courts.template import BASKETBALL, TENNIS
-from vehanchor.detection.convergence import ANYTIME_PIXELS
+from vehanchor.detection.convergence import WINDOWED_PIXELS
 from vehanchor.errors import ModelContractError
 from vehanchor.imagery.tiles import read_preview, read_reduced_window, tile_grid
 from vehanchor.models.cache import file_cached
@@ -115,7 +115,7 @@ class CourtNetwork(LoadedModel):
             Proposals in no order; a court in the overlap of two tiles can occur twice.
         """
         width, height = raster.width_px // factor, raster.height_px // factor
-        read = read_reduced_window if raster.width_px * raster.height_px < ANYTIME_PIXELS else read_preview
+        read = read_reduced_window if raster.width_px * raster.height_px < WINDOWED_PIXELS else read_preview
         found = []
         for window in tile_grid(width, height, tile_px=_TILE_PX, stride_px=_STRIDE_PX):
             pixels = read(raster, window, factor)

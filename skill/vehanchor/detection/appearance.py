@@ -75,6 +75,16 @@ class FleetLengths(NamedTuple):
         mean = (values.sum() + neutral * sum(self.log_lengths) / 2) / (len(values) + neutral)
         return float(np.interp(mean, self.log_lengths, self.length_m))
 
+    def sampling_log_sd(self, vehicle_log_lengths: ArrayLike) -> float:
+        """Compute the standard error of the log of ``reference_length`` from the spread of the vehicles.
+
+        Args:
+            vehicle_log_lengths: ``[n]`` predicted log lengths, n >= 2.
+        """
+        values = np.asarray(vehicle_log_lengths, dtype=np.float64)
+        slope = (self.length_m[1] - self.length_m[0]) / (self.log_lengths[1] - self.log_lengths[0])
+        return float(slope * values.std(ddof=1) / (math.sqrt(len(values)) * self.reference_length(values)))
+
 
 def chip(pixels: NDArray[np.uint8], box: ArrayLike) -> NDArray[np.float32]:
     """Cut a vehicle from one channel.

@@ -15,7 +15,7 @@ from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.fusion import GRID
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -26,7 +26,8 @@ _SPREAD_EVERY = 4  # one tile in four comes from the fixed order
 _PRIOR_TILES = 2.0  # weight of the tile prior, in neighbours
 _FULL_TILE = 4  # number of vehicles at which a tile counts in full
 _NEAR_TILES = 1.1  # largest distance between the corners of neighbours, in tile sides
-_PLASTIC = (0.7548776662466927, 0.5698402909980532)  # of the plastic number: Roberts' sequence R2
+PLASTIC = (0.7548776662466927, 0.5698402909980532)
+"""Roberts' sequence R2, of the plastic number: multiples of the two modulo 1 spread evenly over a plane."""
 
 
 class TilePlace(NamedTuple):
@@ -93,7 +94,7 @@ def spread_order(places: Sequence[TilePlace]) -> NDArray[np.intp]:
     columns = {x: k for k, x in enumerate(sorted({place.window.x_px for place in places}))}
     rows = {y: k for k, y in enumerate(sorted({place.window.y_px for place in places}))}
     at = np.array([(columns[place.window.x_px], rows[place.window.y_px]) for place in places], dtype=np.float64)
-    return np.argsort((0.5 + at @ np.array(_PLASTIC)) % 1.0, kind="stable")
+    return np.argsort((0.5 + at @ np.array(PLASTIC)) % 1.0, kind="stable")
 
 
 class TileScheduler:
@@ -102,7 +103,7 @@ class TileScheduler:
     Args:
         places: all tiles of the image.
         priors: ``[n]`` probability that each tile shows cars, from a preview of the image.
-        shares: share of the tiles for each resolution, by factor.
+        shares: share of the tiles for each resolution, by factor; tiles of other resolutions are never taken.
     """
 
     def __init__(self, places: Sequence[TilePlace], priors: NDArray[np.float64], shares: Mapping[int, float]) -> None:
@@ -110,8 +111,8 @@ class TileScheduler:
         self._corners = np.array([(place.window.x_px, place.window.y_px) for place in places], dtype=np.float64)
         self._reach = np.array([max(place.window.width_px, place.window.height_px) for place in places]) * _NEAR_TILES
         self._hits, self._seen = _PRIOR_TILES * priors, np.full(len(places), _PRIOR_TILES)
-        self._waiting = np.ones(len(places), dtype=bool)
         self._shares = dict(shares)
+        self._waiting = np.isin(self._factors, list(self._shares))
         self._taken = dict.fromkeys(self._shares, 0)
         self._spread: dict[int, list[int]] = {}
         self._rank = np.zeros(len(places), dtype=np.intp)
@@ -136,6 +137,17 @@ class TileScheduler:
         )
         self._hits[near] += min(1.0, n_vehicles / _FULL_TILE)
         self._seen[near] += 1.0
+
+    def leave_out(self, factors: Collection[int]) -> None:
+        """Take no more tiles of some resolutions."""
+        self._waiting &= ~np.isin(self._factors, list(factors))
+
+    @property
+    def unseen_share(self) -> float:
+        """Expected share of the vehicles in the tiles that are not taken."""
+        weights = np.array([self._shares.get(int(factor), 0.0) for factor in self._factors])
+        expected = weights * self._hits / self._seen
+        return float(expected[self._waiting].sum() / max(expected.sum(), 1e-9))
 
     def _next(self) -> int:
         factor = self._next_factor()

@@ -1,25 +1,34 @@
 """Search of an image: overlapping tiles at one or more resolutions, merged into one ``Detections``.
 
-The tiles of a small image are visited in reading order. Resolutions that the scene-scale prior excludes come last, and
-only if the others show few vehicles. The tiles of a large image are visited where cars are likely first, until the
-caller's ``convergence`` shows that more tiles cannot narrow the scale's interval. If few vehicles are found, the car
-verifier scores them and weaker candidates again, and corrects their boxes.
+Tiles are visited where cars are likely first. Resolutions that the scene-scale prior excludes come last, and only if
+the others show few vehicles. The search of a photograph or a larger image ends when the caller's ``convergence`` shows
+that more tiles cannot change the scale. In crowded tiles the verifier scores a sample of the candidates. If few
+vehicles are found, the car verifier scores them and weaker candidates again, and corrects their boxes.
 """
 
 from __future__ import annotations
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.car_verifier import candidate_chips, corrected_boxes
-from vehanchor.detection.convergence import ANYTIME_PIXELS, has_converged, next_check, stop_rule
+from vehanchor.detection.convergence import (
+    ANYTIME_PIXELS,
+    WINDOWED_PIXELS,
+    has_converged,
+    is_narrow,
+    next_check,
+    stop_rule,
+)
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.levels import search_levels
 from vehanchor.detection.nms import oriented_nms
+from vehanchor.detection.position_sample import position_sample
 from vehanchor.detection.proportions import stretch_sigmas
 from vehanchor.detection.scheduler import TilePlace, TileScheduler, level_chances, level_shares
 from vehanchor.detection.tile_prior import tile_prior_map, tile_prior_of
@@ -29,7 +38,7 @@ from vehanchor.imagery.tiles import TILE_OVERLAP, TILE_SIZE_PX, read_reduced_win
 from vehanchor.options import Search
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -43,8 +52,10 @@ if TYPE_CHECKING:
 
 _MIN_TILE_PX = 32
 _LEAST_CHANCE = 0.01  # of cars at a resolution; most of it is the floor of the scene-scale prior
+_EXCLUDED_CHANCE = 0.008  # of cars at a resolution, by the vehicles found at others
 _FEW_VEHICLES = 12  # the car verifier is used up to this number
 _MOST_CANDIDATES = 24  # of the car verifier, best scores first
+_MOST_VERIFIED = 128  # candidates of a tile, chosen by position; more cost as much as another tile and add less
 _ENOUGH_VEHICLES = 5  # at the other resolutions, to skip an unlikely one; the prior may be wrong
 _TILES_AT_ONCE = 4  # tiles that are scheduled together; each is read while the model runs on the one before
 
@@ -79,51 +90,54 @@ def search(
     work, tell = _Work(raster, detector, chosen, prior), detector.runtime.tell
     total = len(work.visits)
     rule = stop_rule(chosen, raster.width_px * raster.height_px, total)
-    because = (
-        _search_in_order(work, rule, convergence, tell) if rule.anytime else _search_likely_levels(work, rule, tell)
-    )
+    because = _search_all(work, tell) if rule.everything else _search_likely(work, rule, convergence, tell)
     tell(total, total)
     return work.detections(because, check_stretch=check_stretch)
 
 
-def _search_likely_levels(work: _Work, rule: StopRule, tell: Callable[[int, int], None]) -> Stopped:
-    """Visit the tiles of likely resolutions, and of the others if these show few vehicles; return why it ended."""
-    unlikely = frozenset() if rule.every_level else work.unlikely_factors()
+def _search_all(work: _Work, tell: Callable[[int, int], None]) -> Stopped:
+    """Visit all tiles."""
     order = work.reading_order()
-    likely = [k for k in order if work.visits[k][0].factor not in unlikely]
-    others = [k for k in order if work.visits[k][0].factor in unlikely]
-    for tiles in filter(None, (likely, others)):
-        if tiles is others and work.n_vehicles >= _ENOUGH_VEHICLES:
-            return "converged"
-        for k, pixels in work.read(tiles):
-            tell(work.n_visited, len(order))
-            work.visit(k, pixels)
+    for k, pixels in work.read(order):
+        tell(work.n_visited, len(order))
+        work.visit(k, pixels)
     return "all_searched"
 
 
-def _search_in_order(
+def _search_likely(
     work: _Work,
     rule: StopRule,
     convergence: Callable[[Detections], Convergence] | None,
     tell: Callable[[int, int], None],
 ) -> Stopped:
-    """Visit tiles where cars are likely first, until the stopping rule holds; return why it ended."""
-    started = time.monotonic()
-    order, checks, total = work.order(), [], len(work.visits)
+    """Visit likely resolutions and tiles first, until the stopping rule holds; return why the search ended."""
+    started, due = time.monotonic(), rule.first_check
+    checks: list[Convergence] = []
+    total = len(work.visits)
     most = min(total, rule.max_tiles or total)
-    due = next_check(0)
-    while work.n_visited < most:
-        for k, pixels in work.read(order.next_tiles(min(_TILES_AT_ONCE, most - work.n_visited))):
-            if rule.max_seconds is not None and work.n_visited and time.monotonic() - started > rule.max_seconds:
-                return "max_seconds"
-            tell(work.n_visited, total)
-            order.report(k, work.visit(k, pixels))
-        if convergence is not None and rule.share is not None and due <= work.n_visited < most:
-            due = next_check(work.n_visited)
-            checks.append(convergence(work.detections()))
-            if has_converged(checks, rule):
-                return "converged"
-    return "all_searched" if most == total else "max_tiles"
+    for factors in work.levels_by_chance(every_level=rule.every_level):
+        order = work.order(factors)
+        if work.n_visited and work.n_vehicles >= _ENOUGH_VEHICLES:
+            return "converged"
+        if work.n_visited and convergence is not None and rule.share is not None:
+            order.leave_out(work.excluded(convergence(work.detections(embed=False))))
+        while tiles := order.next_tiles(min(_TILES_AT_ONCE, most - work.n_visited)):
+            for k, pixels in work.read(tiles):
+                if rule.max_seconds is not None and work.n_visited and time.monotonic() - started > rule.max_seconds:
+                    return "max_seconds"
+                tell(work.n_visited, total)
+                order.report(k, work.visit(k, pixels))
+            if convergence is not None and rule.share is not None and due <= work.n_visited < most:
+                due = next_check(work.n_visited)
+                for embed in (False, True):  # most checks fail without the appearance, which costs more than the rest
+                    check = convergence(work.detections(embed=embed))._replace(unseen_share=order.unseen_share)
+                    if not is_narrow(check, rule):
+                        break
+                order.leave_out(work.excluded(check))
+                checks.append(check)
+                if has_converged(checks, rule):
+                    return "converged"
+    return "all_searched" if work.n_visited == total else "max_tiles" if work.n_visited == most else "converged"
 
 
 class _Work:
@@ -152,6 +166,8 @@ class _Work:
             for tile in tile_grid(level.width_px, level.height_px, tile_px=tile_px, stride_px=stride_px)
         ]
         self._found: dict[int, TileDetections] = {}
+        large = raster.width_px * raster.height_px >= ANYTIME_PIXELS  # in small images all vehicles are counted
+        self._samples, self._n_skipped = large and options.effort != "full", 0
 
     @property
     def n_visited(self) -> int:
@@ -165,20 +181,34 @@ class _Work:
     def _count(self, vehicles: Objects) -> int:
         return int(np.count_nonzero(vehicles.scores >= self._min_score))
 
-    def order(self) -> TileScheduler:
-        """Schedule the tiles by the tile prior and the scene-scale prior."""
-        cells = tile_prior_map(self._raster)
+    def order(self, factors: Collection[int]) -> TileScheduler:
+        """Schedule the tiles of some resolutions by the tile prior and the scene-scale prior."""
         places = [TilePlace(level.factor, tile) for level, tile in self.visits]
-        priors = np.array([tile_prior_of(cells, place.window, place.factor) for place in places])
+        priors = np.array([tile_prior_of(self._cells, place.window, place.factor) for place in places])
         density = None if self._prior is None else self._prior.density
-        return TileScheduler(places, priors, level_shares(self._length_ranges_px(), density))
+        ranges = {factor: lengths for factor, lengths in self._length_ranges_px().items() if factor in factors}
+        return TileScheduler(places, priors, level_shares(ranges, density))
 
-    def unlikely_factors(self) -> frozenset[int]:
-        """List the resolutions at which the scene-scale prior excludes cars of an accepted length."""
-        if self._prior is None:
+    @cached_property
+    def _cells(self) -> NDArray[np.float64]:
+        return tile_prior_map(self._raster)
+
+    def levels_by_chance(self, *, every_level: bool) -> list[frozenset[int]]:
+        """Group the resolutions: first those that may show cars, last those at which the prior excludes them."""
+        ranges = self._length_ranges_px()
+        everything = frozenset(ranges)
+        if self._prior is None or every_level:
+            return [everything]
+        chances = level_chances(ranges, self._prior.density)
+        likely = frozenset(factor for factor, chance in chances.items() if chance >= _LEAST_CHANCE)
+        return [group for group in (likely, everything - likely) if group]
+
+    def excluded(self, check: Convergence) -> frozenset[int]:
+        """List the resolutions at which the scale found so far excludes cars; none without a vehicle or a prior."""
+        if self._prior is None or check.density is None:
             return frozenset()
-        chances = level_chances(self._length_ranges_px(), self._prior.density)
-        return frozenset(factor for factor, chance in chances.items() if chance < _LEAST_CHANCE)
+        chances = level_chances(self._length_ranges_px(), check.density)
+        return frozenset(factor for factor, chance in chances.items() if chance < _EXCLUDED_CHANCE)
 
     def _length_ranges_px(self) -> dict[int, tuple[float, float]]:
         shortest = self._card_range_px[0]
@@ -186,7 +216,7 @@ class _Work:
 
     def reading_order(self) -> list[int]:
         """List all tiles; in a large image a coarse tile follows the fine ones under it, which are still decoded."""
-        if self._raster.width_px * self._raster.height_px < ANYTIME_PIXELS:
+        if self._raster.width_px * self._raster.height_px < WINDOWED_PIXELS:
             return list(range(len(self.visits)))
         ends = [(level.factor * (tile.y_px + tile.height_px), k) for k, (level, tile) in enumerate(self.visits)]
         return [k for _, k in sorted(ends)]
@@ -198,7 +228,7 @@ class _Work:
             level, tile = self.visits[k]
             return read_reduced_window(self._raster, tile, level.factor)
 
-        if len(tiles) < 2 or self._raster.width_px * self._raster.height_px < ANYTIME_PIXELS:
+        if len(tiles) < 2 or self._raster.width_px * self._raster.height_px < WINDOWED_PIXELS:
             for k in tiles:
                 yield k, read_one(k)
             return
@@ -226,18 +256,25 @@ class _Work:
         seen = self._detector.detect_tile(pixels, least)
         vehicles = seen.vehicles.take(level.counts(seen.vehicles.boxes[:, 2]))
         if verifier:
+            candidates = len(vehicles)
+            if self._samples:
+                vehicles = vehicles.take(position_sample(vehicles.boxes, _MOST_VERIFIED))
+            self._n_skipped += candidates - len(vehicles)
             size_odds = 0.0 if self._prior is None else self._prior.size_odds(vehicles.boxes[:, 2] * level.factor)
             vehicles = verifier.scored(pixels, vehicles, size_odds=size_odds)
         vehicles = vehicles.take(vehicles.scores >= self._least_score)
         # The range of lengths applies to vehicles only.
         return seen._replace(vehicles=vehicles, others=seen.others.take(seen.others.scores >= self._min_score))
 
-    def detections(self, because: Stopped | None = None, *, check_stretch: bool = True) -> Detections:
+    def detections(
+        self, because: Stopped | None = None, *, check_stretch: bool = True, embed: bool = True
+    ) -> Detections:
         """Merge the detections of all visited tiles, independent of the order of the visits.
 
         Args:
             because: reason for the end of the search; the car verifier is used only at the end.
             check_stretch: as in ``search``.
+            embed: whether to predict the vehicles' appearance.
         """
         parts = [self._found[k] for k in sorted(self._found)]
         visited = [self.visits[k][0].factor for k in sorted(self._found)]
@@ -261,13 +298,26 @@ class _Work:
             len(parts),
             sum(part.ran_out for part in parts),
             1 / factors[kept] if self._search_scales else None,
-            fleet.appearance(self._raster, boxes[kept]) if fleet else None,
+            fleet.appearance(self._raster, boxes[kept]) if fleet and embed else None,
             vehicles.classes,
             _merged_by_class(Objects.joined([part.others for part in parts]), self._nms_iou),
             len(self.visits),
             because,
             stretch,
+            n_skipped=self._n_skipped,
+            areas=self._areas(factors[kept]) if because == "converged" else None,
         )
+
+    def _areas(self, factors: NDArray[np.intp]) -> NDArray[np.float64] | None:
+        """List the visited tiles ``[m, 4]`` at the resolution of most vehicles, image pixels; None for all of them."""
+        if not len(factors):
+            return None
+        working = int(np.bincount(factors).argmax())
+        tiles = [self.visits[k][1] for k in self._found if self.visits[k][0].factor == working]
+        if len(tiles) == sum(level.factor == working for level, _ in self.visits):
+            return None
+        sides = [(tile.x_px, tile.y_px, tile.x_px + tile.width_px, tile.y_px + tile.height_px) for tile in tiles]
+        return np.array(sorted(sides), np.float64) * working
 
     def _verified(self, car_verifier: CarVerifier, candidates: Objects) -> Objects:
         """Replace scores and boxes of candidates by those of the car verifier."""

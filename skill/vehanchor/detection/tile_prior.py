@@ -61,12 +61,14 @@ def tile_prior_map(raster: Raster) -> NDArray[np.float64]:
     """Compute the probability of cars in each cell of an image.
 
     Args:
-        raster: the image, at least 8 px a side; at most 2048 x 2048 px of it are in memory.
+        raster: the image; at most 2048 x 2048 px of it are in memory.
 
     Returns:
-        ``[rows, columns]`` of cells of 512 px in 0..1.
+        ``[rows, columns]`` of cells of 512 px in 0..1; one cell of 0 for an image with a side below 8 px.
     """
     width, height = raster.width_px // _FACTOR, raster.height_px // _FACTOR
+    if not width or not height:
+        return np.zeros((1, 1))
     rows = []
     for top in range(0, height, _BLOCK):
         parts = []

@@ -135,9 +135,12 @@ class GsdEstimate(Record):
     )
     tiles_searched: int = Field(ge=0, description="Tiles searched; 0 if no ruler needs the detector.")
     tiles_total: int = Field(ge=0, description="Tiles of the image at all resolutions.")
+    candidates_skipped: int = Field(
+        default=0, ge=0, description="Candidates in crowded tiles that were left out; N' counts the others."
+    )
     stopped_because: Stopped | None = Field(
-        description="Why the search ended. all_searched: all tiles. converged: more tiles would not narrow the "
-        "interval, or cannot show cars at their resolution. max_tiles, max_seconds: the limit. Null without a search."
+        description="Why the search ended. all_searched: all tiles. converged: more tiles would not change the "
+        "scale, or cannot show cars at their resolution. max_tiles, max_seconds: the limit. Null without a search."
     )
     aggregation: Aggregation = Field(description="Statistic of the lengths: the mode, or the median below 5 vehicles.")
     reference_length_m: float = Field(gt=0, description="L_ref: vehicle length of P_mode, metres.")

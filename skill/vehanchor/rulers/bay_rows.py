@@ -13,6 +13,8 @@ from vehanchor.imagery.tiles import read_reduced_window, tile_grid
 from vehanchor.rulers.bay_lines import Lines, neighbours, thin_lines
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster
@@ -69,7 +71,9 @@ class BayRow:
     length_px: float
 
 
-def find_bay_rows(raster: Raster, scale: Interval) -> list[BayRow]:
+def find_bay_rows(
+    raster: Raster, scale: Interval, covers: Callable[[float, float], bool] | None = None
+) -> list[BayRow]:
     """Find rows of at least six bay lines.
 
     Spectra of small windows show where stripes are; only there are lines sought.
@@ -77,6 +81,7 @@ def find_bay_rows(raster: Raster, scale: Interval) -> list[BayRow]:
     Args:
         raster: the image.
         scale: metres per pixel between which its scale lies.
+        covers: whether to look around a place, x and y in pixels of the image; None looks everywhere.
     """
     pitches = _PITCH_M[0] / scale.high, _PITCH_M[1] / scale.low
     middle = math.sqrt(pitches[0] * pitches[1])
@@ -87,6 +92,9 @@ def find_bay_rows(raster: Raster, scale: Interval) -> list[BayRow]:
     for window in tile_grid(
         raster.width_px // factor, raster.height_px // factor, tile_px=_TILE_PX, stride_px=_STRIDE_PX
     ):
+        middle_px = (window.x_px + window.width_px / 2) * factor, (window.y_px + window.height_px / 2) * factor
+        if covers is not None and not covers(*middle_px):
+            continue
         rgb = read_reduced_window(raster, window, factor)
         grey = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8)
         striped = _striped(rgb, grey, pitches[0] / factor, pitches[1] / factor, _MOST_SHARE * factor**2)

@@ -160,12 +160,18 @@ def convergence(vehicles: VehicleEvidence, priors: Sequence[Evidence]) -> Conver
     if vehicles.mode_length_px is None:
         return Convergence(math.inf, 0.0, doubted=True)
     scores = vehicles.fleet.scores if vehicles.aggregation == "weighted_kde" else None
-    statistical = math.hypot(*statistical_log_sds(vehicles.fleet.lengths, vehicles.mode_length_px, scores=scores))
+    resampling, spread = statistical_log_sds(vehicles.fleet.lengths, vehicles.mode_length_px, scores=scores)
+    statistical = math.hypot(resampling, spread)
     doubts = any(notice.code in FLEET_DOUBTS for notice in vehicles.notices)
+    densities = [prior.density for prior in priors if prior.density is not None]
     return Convergence(
         statistical,
         max(vehicles.reference.log_sds),
         doubted=doubts or vehicles.guarded or decide(vehicles, priors).reason is not None,
+        value_log_sd=math.hypot(resampling, vehicles.reference.sampling_log_sd)
+        if vehicles.n >= MIN_KDE_VEHICLES
+        else math.inf,
+        density=None if vehicles.density is None else product(vehicles.density, *densities),
     )
 
 

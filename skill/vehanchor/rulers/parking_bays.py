@@ -42,9 +42,14 @@ class ParkingBays(Ruler):
     independent_of_vehicles = True
 
     def find(self, view: View) -> tuple[BayRow, ...]:
-        """Find rows of bays at the scales that the scene-scale prior allows; none without pixels or prior."""
+        """Find rows of bays at the scales that the scene-scale prior allows; none without pixels or prior.
+
+        After a search that ended early, only the searched part of the image is examined.
+        """
         scale = prior_range(view, _RESOLVED, _PRIOR_SHARE, _FARTHEST)
-        return () if view.raster is None or scale is None else tuple(find_bay_rows(view.raster, scale))
+        if view.raster is None or scale is None:
+            return ()
+        return tuple(find_bay_rows(view.raster, scale, view.detections.covers))
 
     def measure(self, view: View) -> LognormalEvidence:
         """Measure the width of the bays, by the standards of the region or of all countries."""

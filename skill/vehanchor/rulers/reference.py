@@ -26,12 +26,15 @@ class ReferenceLength(NamedTuple):
         sd_m: its standard deviation between places, metres.
         source: source of the length.
         smaller_sd_m: its standard deviation towards smaller cars, metres; None for the same.
+        sampling_log_sd: standard error of its log from the spread of the vehicles' appearance, which more vehicles
+            reduce.
     """
 
     length_m: float
     sd_m: float
     source: ReferenceSource
     smaller_sd_m: float | None = None
+    sampling_log_sd: float = 0.0
 
     @property
     def log_sds(self) -> tuple[float, float]:
@@ -70,7 +73,11 @@ def reference_length(card: DetectorCard, given: Reference, appearance: FleetAppe
     if card.fleet_lengths is not None and appearance is not None:
         length_m = card.fleet_lengths.reference_length(appearance.log_lengths)
         sd_m = card.fleet_lengths.sd_m
-        return ReferenceLength(length_m, sd_m, "appearance", max(_SMALLER_LOG_SD * length_m, sd_m))
+        smaller_sd_m = max(_SMALLER_LOG_SD * length_m, sd_m)
+        sampling = (
+            card.fleet_lengths.sampling_log_sd(appearance.log_lengths) if len(appearance.log_lengths) > 1 else 0.0
+        )
+        return ReferenceLength(length_m, sd_m, "appearance", smaller_sd_m, sampling)
     return ReferenceLength(card.reference_length_m, card.reference_length_sd_m, "model")
 
 

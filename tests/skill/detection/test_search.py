@@ -227,7 +227,7 @@ def test_a_full_search_of_a_large_file_reads_coarse_tiles_while_the_fine_ones_ar
 
             monkeypatch.setattr(raster, "read", followed)
             found[name] = search(raster, searching, options)
-        monkeypatch.setattr("vehanchor.detection.search.ANYTIME_PIXELS", 100_000)
+        monkeypatch.setattr("vehanchor.detection.search.WINDOWED_PIXELS", 100_000)
     assert np.array_equal(found["small"].boxes, found["large"].boxes)
     assert len(found["large"].boxes) == 2
     assert lowest["large"] == sorted(lowest["large"])
