@@ -16,7 +16,6 @@ import csv
 import hashlib
 import json
 import math
-import resource
 import tempfile
 import time
 from dataclasses import replace
@@ -65,6 +64,7 @@ _RENDERED_GSD = (0.015, 0.02, 0.03)
 _PHOTOGRAPHS, _SIZE, _STEP = 10, (2000, 1500), 600  # of a rendered flight; pixels, pixels from one to the next
 _FOCAL_SHARE = 0.7  # focal length over the width: 24 mm (35 mm equivalent)
 _POSITION_SD_M, _HEIGHT_SD = 1.0, 0.02  # of made-up metadata; the height's error is common to a flight
+_STRIP = 10  # photographs over one rendered place, in the costs
 _FALSE_RATIO = 3.4  # the scale by the false vehicle over the true scale, as in the flight of issue 32
 _METRES_A_DEGREE = 111_195.0
 _KEYS = {"cost": "photographs_12mpx"}  # of results; "cost" is what comes beyond the detection
@@ -298,21 +298,23 @@ def cost(number: int) -> None:
     print("| photographs | search and features: CPU s a photograph | peak MiB | resumed: CPU s a photograph |")
     print("|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
-        ground = render_scene(0.02, width_px=4000 + 1000 * number, height_px=3000, seed=3200).image
-        names = []
-        for place in range(number):
-            names.append(f"{folder}/{place:03}.jpg")
-            cv2.imwrite(names[-1], ground[:, 1000 * place : 1000 * place + 4000, ::-1])
+        names: list[str] = []
+        for strip in range(math.ceil(number / _STRIP)):
+            ground = render_scene(0.02, width_px=3000 + 1000 * _STRIP, height_px=3000, seed=3200 + strip).image
+            for place in range(min(_STRIP, number - len(names))):
+                names.append(f"{folder}/{len(names):03}.jpg")
+                cv2.imwrite(names[-1], ground[:, 1000 * place : 1000 * place + 4000, ::-1])
         del ground
         for n in (number // 2, number):
             taken = [InputPhotograph(name, name) for name in names[:n]]
             spent = []
+            Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
             with open_journal(Path(folder) / f"{n}.journal", detector, ScaleOptions(), {}) as journal:
                 for _ in range(2):
                     begun = time.process_time()
                     search_flight(taken, detector, ScaleOptions(), featured=True, journal=journal)
                     spent.append(time.process_time() - begun)
-            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            peak = int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) / 1024
             print(f"| {n} | {spent[0] / n:.2f} | {peak:.0f} | {spent[1] / n:.2f} |", flush=True)
 
 

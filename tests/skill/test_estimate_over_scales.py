@@ -44,9 +44,9 @@ def bundled() -> Detector:
     return Detector(resolve_model(), runtime=Runtime(threads=2))
 
 
-def _fleet(mean: float, n: int = 30) -> list[float]:
+def _fleet(mean: float, n: int = 30, spread: float = 0.07) -> list[float]:
     """Lengths as a fleet has them: normal, spread by 7 %."""
-    return [mean * (1 + 0.07 * NormalDist().inv_cdf((k + 0.5) / n)) for k in range(n)]
+    return [mean * (1 + spread * NormalDist().inv_cdf((k + 0.5) / n)) for k in range(n)]
 
 
 # --- Levels that disagree --------------------------------------------------------------------------------------------
@@ -130,21 +130,23 @@ def test_a_yard_of_equal_things_is_no_fleet(searching: Detector, n: int, spread:
 
 
 @pytest.mark.parametrize(
-    ("n", "mean", "spread", "doubt"),
+    ("n", "mean", "spread", "of_lengths", "doubt"),
     [
-        (30, 0.0, 1.2, None),
-        (30, 0.5, 0.5, "looks_alike"),
-        (12, 0.5, 0.5, None),
-        (30, -3.6, 1.2, "looks_unlike_cars"),
-        (12, -3.6, 1.2, None),
-        (30, 3.6, 1.2, None),
+        (30, 0.0, 1.2, 0.07, None),
+        (30, 0.5, 0.5, 0.055, "looks_alike"),
+        (30, 0.5, 0.5, 0.08, None),  # equal things have equal lengths
+        (30, 0.5, 1.2, 0.055, None),
+        (12, 0.5, 0.5, 0.055, None),
+        (30, -3.6, 1.2, 0.07, "looks_unlike_cars"),
+        (12, -3.6, 1.2, 0.07, None),
+        (30, 3.6, 1.2, 0.07, None),
     ],
 )
 def test_things_that_do_not_look_like_a_fleet_of_cars_are_never_sure(
-    searching: Detector, n: int, mean: float, spread: float, doubt: str | None
+    searching: Detector, n: int, mean: float, spread: float, of_lengths: float, doubt: str | None
 ) -> None:
     odds = mean + spread * np.array([NormalDist().inv_cdf((k + 0.5) / n) for k in range(n)])
-    lengths = np.array(_fleet(40.0, n))
+    lengths = np.array(_fleet(40.0, n, of_lengths))
     boxes = np.column_stack([np.arange(n) * 99, lengths * 0, lengths, lengths / 2.2, lengths * 0])
 
     def estimate(scales: NDArray[np.float64] | None) -> Any:

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 _RIVAL_SHARE = 0.35  # of the dominant group's weight in another group of lengths
 _ALIKE_LOG_SPREAD = 0.045  # 99 of 100 fleets of the train split have 0.047 and more; equal things in rows 0.03 to 0.06
-_ALIKE_LOG_ODDS = 0.7  # standard deviation; fleets of the train split have 0.76 and more, caravans in rows 0.4 to 0.7
+_ALIKE_LOG_ODDS = 0.7  # standard deviation; fleets have 0.6 and more, caravans in rows 0.4 to 0.7
+_EQUAL_LOG_SPREAD = 0.065  # equal things in rows have 0.03 to 0.06
 _UNLIKE_LOG_ODDS = -3.2  # mean; fleets of the train split have -2.9 and more, boats in rows -2.5 to -4.5
 _ALIKE_VEHICLES = 20  # least number of vehicles, with which the spread is known to a sixth
 _STRETCH_SIGMAS = 2.75  # 0 of 243 images of true proportions have more; 87 of 100 of those stretched by 1.4
@@ -92,7 +93,7 @@ def fleet_doubts(
       2nd percentile of random draws from 113 train images with 20 and more cars is 0.69 for 5 cars, 0.72 for 12, 0.74
       for 20 and 0.75 for all (``research/training/verifier/calibrate.py``).
     * ``looks_alike``: the fleet log odds (``vehanchor.detection.appearance``) of 20 or more vehicles spread by less
-      than 0.7; makes, models and paint of cars differ more.
+      than 0.7, and their log lengths by less than 0.065: equal things have equal lengths, too.
     * ``looks_unlike_cars``: the mean fleet log odds of 20 or more vehicles are below -3.2, lower than in any fleet.
 
     Args:
@@ -115,13 +116,14 @@ def fleet_doubts(
     if rival_share >= _RIVAL_SHARE:
         doubts.append(NoticeCode.LENGTHS_DISAGREE)
     low, high = np.percentile(np.log(values), [25, 75])
-    if len(values) >= _ALIKE_VEHICLES and (high - low) / _QUARTILES_PER_SD < _ALIKE_LOG_SPREAD:
+    spread = (high - low) / _QUARTILES_PER_SD
+    if len(values) >= _ALIKE_VEHICLES and spread < _ALIKE_LOG_SPREAD:
         doubts.append(NoticeCode.LENGTHS_ALIKE)
     if np.percentile(score, _CLEAR_PERCENTILE) < clear_score - _CLEAR_OF_FEW / len(values):
         doubts.append(NoticeCode.SCORES_UNCLEAR)
     odds = np.asarray([] if fleet_log_odds is None else fleet_log_odds, dtype=np.float64)
     if len(odds) >= _ALIKE_VEHICLES:
-        if odds.std() < _ALIKE_LOG_ODDS:
+        if odds.std() < _ALIKE_LOG_ODDS and spread < _EQUAL_LOG_SPREAD:
             doubts.append(NoticeCode.LOOKS_ALIKE)
         if odds.mean() < _UNLIKE_LOG_ODDS:
             doubts.append(NoticeCode.LOOKS_UNLIKE_CARS)

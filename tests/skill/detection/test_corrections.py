@@ -24,10 +24,12 @@ from vehanchor.options import ScaleOptions
 _SIDE = 4000
 
 
-def _found(groups: list[tuple[float, int]], *, score: float = 0.8, fleet: FleetAppearance | None = None) -> Detections:
+def _found(
+    groups: list[tuple[float, int]], *, score: float = 0.8, fleet: FleetAppearance | None = None, spread: float = 0.07
+) -> Detections:
     """Groups of (length, number), spread as a fleet, in rows of their own."""
     boxes = [
-        [50 + 99.0 * k, 100.0 * row, length * (1 + 0.07 * NormalDist().inv_cdf((k + 0.5) / n)), length / 2.2, 0.0]
+        [50 + 99.0 * k, 100.0 * row, length * (1 + spread * NormalDist().inv_cdf((k + 0.5) / n)), length / 2.2, 0.0]
         for row, (length, n) in enumerate(groups, 1)
         for k in range(n)
     ]
@@ -49,7 +51,7 @@ def _analysis(found: Detections, **told: Any) -> ScaleAnalysis:
 def alike() -> Detections:
     """Thirty vehicles that look alike."""
     odds = 0.5 + 0.5 * np.array([NormalDist().inv_cdf((k + 0.5) / 30) for k in range(30)])
-    return _found([(40.0, 30)], score=0.9, fleet=FleetAppearance(odds, np.zeros(30)))
+    return _found([(40.0, 30)], score=0.9, fleet=FleetAppearance(odds, np.zeros(30)), spread=0.055)
 
 
 def test_without_corrections_nothing_changes() -> None:
