@@ -1,9 +1,9 @@
 """Measure ``vehanchor live`` on rendered flights of exactly known scale.
 
-``python -m research.benchmarks.live [--flights N] [--precision P] [--out FLIGHTS.jsonl]``.
+``python -m research.benchmarks.live [--flights N] [--precision P] [--out FLIGHTS.jsonl] [--record]``.
 
 A flight crosses one rendered place at five frames a second, 1280 x 720. It climbs, turns and shifts. For a second no
-frame arrives, and for another the frames are grey. The last line has the errors of all frames with a scale, the share
+frame arrives, and for another the frames are grey. The last table has the errors of all frames with a scale, the share
 of the intervals that hold the truth, the longest time of ``ok`` with an error above a fifth, and the processor seconds
 of a frame.
 """
@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import cv2
 import numpy as np
 
+from research.results.record import add_record_option, recording, values_table
 from vehanchor.engine import Engine
 from vehanchor.flight.live.estimator import LiveEstimator
 from vehanchor.flight.live.frames import Frame
@@ -39,6 +40,12 @@ _WORLD_GSD, _WORLD_PX = 0.05, 3600
 _WIDTH_PX, _HEIGHT_PX, _FRAMES, _STEP_S = 1280, 720, 40, 0.2
 _LOST, _GREY = range(14, 19), range(27, 32)  # frames that do not arrive, frames that show nothing
 _WRONG = 0.2
+_AIMS: dict[str, float | str] = {
+    "median_error": 0.06,
+    "holds": "0.93 to 0.97",
+    "longest_wrong_s": 1,
+    "median_latency_s": 0.2,
+}
 
 
 def frames_of(seed: int) -> Iterator[tuple[Frame, float]]:
@@ -143,7 +150,12 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--precision", choices=("float32", "int8", "auto"), default="auto")
     parser.add_argument("--out", type=Path)
-    chosen = parser.parse_args()
+    chosen = add_record_option(parser).parse_args()
+    with recording("flights", ["live"], chosen.record):
+        _measure(chosen)
+
+
+def _measure(chosen: argparse.Namespace) -> None:
     engine = Engine(runtime=Runtime(threads=2, precision=chosen.precision))
     engine.load()
     flights = []
@@ -153,7 +165,7 @@ def main() -> None:
         if chosen.out is not None:
             with chosen.out.open("a", encoding="utf-8") as file:
                 file.writelines(json.dumps(row) + "\n" for row in flights[-1])
-    print(json.dumps(summary(flights)))
+    print("\n".join(values_table(summary(flights), _AIMS)))
 
 
 if __name__ == "__main__":

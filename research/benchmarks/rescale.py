@@ -15,7 +15,6 @@ import argparse
 import csv
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_args
 
@@ -27,6 +26,9 @@ from research.results.record import add_record_option, header, recording
 from vehanchor.engine import Engine
 from vehanchor.flight.reconstruction.estimate import conclude_model, open_model_journal, search_model
 from vehanchor.flight.reconstruction.files import read_model, write_rescaled
+from vehanchor.flight.reconstruction.ground import model_plane
+from vehanchor.flight.reconstruction.photograph import SeenPhotograph
+from vehanchor.imagery.identity import Source
 from vehanchor.models.runtime import Runtime
 from vehanchor.options import ScaleOptions
 from vehanchor_scenes import render_scene
@@ -37,14 +39,19 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
+    from vehanchor.flight.photograph import StoredPhotograph
     from vehanchor.records import ModelScale
+    from vehanchor.storage.journal import Journal
 
 _WORLD_GSD, _WORLD_PX = 0.05, 4000
 _SIZE, _FOCAL_PX, _PHOTOGRAPHS = (1600, 1200), 1200.0, 4
+_MODE_OVER_MEAN = 1.01  # of a rendered fleet's lengths
 _POINTS, _POINT_SD_M = 4000, 0.05  # of a rendered model
 _METRES_A_DEGREE = 111_195.0
 _MOST_FEATURES, _NEIGHBOURS, _MOST_APART_M = 4000, 20, 500.0  # of a photograph, for COLMAP
+_PLAIN = ScaleOptions.of({"metadata": False})
 _FACTORS = 5  # random sizes of a real model
 
 
@@ -85,13 +92,13 @@ def _pose(rng: np.random.Generator) -> Pose:
 
 
 def rendered_project(folder: Path, seed: int) -> tuple[float, float]:
-    """Write a project of OpenSfM, if it is not there; return metres a unit and the length of the fleet."""
+    """Write a project of OpenSfM, if it is not there; return metres a unit and the modal length of the fleet."""
     rng = np.random.default_rng([seed, 20261123])
     unit, mean_length = float(np.exp(rng.uniform(-3, 3))), float(rng.uniform(4.3, 4.9))
     layouts = [each for each in get_args(Layout) if each != "pitches"]
     poses = [_pose(rng) for _ in range(_PHOTOGRAPHS)]
     if (folder / "reconstruction.json").is_file():
-        return unit, mean_length
+        return unit, _MODE_OVER_MEAN * mean_length
     (folder / "images").mkdir(parents=True, exist_ok=True)
     ground = render_scene(
         _WORLD_GSD,
@@ -120,44 +127,102 @@ def rendered_project(folder: Path, seed: int) -> tuple[float, float]:
         "points": {str(k): {"coordinates": each.tolist(), "color": [0, 0, 0]} for k, each in enumerate(points)},
     }
     (folder / "reconstruction.json").write_text(json.dumps([part]), encoding="utf-8")
-    return unit, mean_length
+    return unit, _MODE_OVER_MEAN * mean_length
 
 
-def estimated(project: Path, images: Path, detector: Detector, options: ScaleOptions, kept: Path) -> ModelScale:
-    """The size of a model; the searches are kept in a journal."""
+def searched(project: Path, images: Path, detector: Detector, kept: Path) -> Journal[StoredPhotograph]:
+    """The searched photographs of a model, in a journal that stays."""
     model = read_model(project)
-    options = replace(options, rulers=replace(options.rulers, metadata=False))
-    with open_model_journal(kept, model, detector, options, {}) as journal:
-        return conclude_model(model, search_model(model, images, detector, options, {}, journal), images)
+    journal = open_model_journal(kept, model, detector, _PLAIN, {})
+    search_model(model, images, detector, _PLAIN, {}, journal)
+    return journal
+
+
+def estimated(
+    project: Path, images: Path, card: DetectorCard, found: Journal[StoredPhotograph], options: ScaleOptions = _PLAIN
+) -> ModelScale:
+    """The size of a model of these photographs, whatever its unit."""
+    model = read_model(project)
+    whole, results = model_plane(model), []
+    for shot in model.shots:
+        kept = found.get((shot.name, *Source.of(images / shot.name)))
+        if kept is not None:
+            points = model.points[shot.sees(model.points)]
+            results.append(SeenPhotograph.of(kept, shot, points, whole, card, options))
+    return conclude_model(model, results, images)
+
+
+class Outcome(NamedTuple):
+    """Size of a rendered flight against the truth."""
+
+    seed: int
+    found: ModelScale
+    unit: float
+
+    @property
+    def error(self) -> float:
+        """Relative error of the factor."""
+        assert self.found.factor is not None
+        return self.found.factor / self.unit - 1
+
+    @property
+    def width(self) -> float:
+        """Half of the interval over the factor."""
+        low, high = self.found.factor_ci95_low, self.found.factor_ci95_high
+        assert low is not None
+        assert high is not None
+        assert self.found.factor is not None
+        return (high - low) / self.found.factor / 2
+
+    @property
+    def holds(self) -> bool:
+        """Whether the interval holds the truth."""
+        return (self.found.factor_ci95_low or 0) <= self.unit <= (self.found.factor_ci95_high or 0)
+
+    @property
+    def rulers(self) -> list[str]:
+        """Kinds of the rulers behind the factor."""
+        return [each.kind for each in self.found.rulers if each.weight > 0]
+
+    def row(self) -> str:
+        """A row of the table."""
+        rulers = ", ".join(self.rulers)
+        numbers = f"{self.found.n_vehicles} | {100 * self.error:+.1f} | {100 * self.width:.1f}"
+        state = self.found.reason or self.found.status
+        return f"| {self.seed} | {rulers} | {numbers} | {'yes' if self.holds else 'no'} | {state} |"
 
 
 def rendered(cache: Path, flights: int) -> None:
-    """Print a row for each flight, and one for all."""
+    """Print a row for each flight, and rows for all."""
     detector = Engine(runtime=Runtime(threads=1)).detector
     print(header("flight", "rulers", "cars", "error, %", "95 % interval, +- %", "holds", "status"))
-    errors, holds, widths, cars = [], [], [], []
+    outcomes = []
     for seed in range(flights):
         folder = cache / f"rendered_{seed}"
         unit, length = rendered_project(folder, seed)
-        options = ScaleOptions.of({"reference_length_m": length})
-        found = estimated(folder, folder / "images", detector, options, folder / "journal")
-        rulers = ", ".join(each.kind for each in found.rulers if each.weight > 0)
-        if found.factor is None or found.factor_ci95_low is None or found.factor_ci95_high is None:
-            print(f"| {seed} | {rulers} | 0 | - | - | - | {found.status} |", flush=True)
+        options = _PLAIN.with_keywords({"reference_length_m": length})
+        with searched(folder, folder / "images", detector, folder / "journal") as journal:
+            found = estimated(folder, folder / "images", detector.card, journal, options)
+        if found.factor is None:
+            print(f"| {seed} | | 0 | - | - | - | {found.status} |", flush=True)
             continue
-        error = found.factor / unit - 1
-        inside = found.factor_ci95_low <= unit <= found.factor_ci95_high
-        width = (found.factor_ci95_high - found.factor_ci95_low) / found.factor / 2
-        state = found.reason or found.status
-        row = f"{found.n_vehicles} | {100 * error:+.1f} | {100 * width:.1f} | {'yes' if inside else 'no'} | {state}"
-        print(f"| {seed} | {rulers} | {row} |", flush=True)
-        errors.append(error)
-        holds.append(inside)
-        widths.append(width)
-        cars.append(found.n_vehicles)
-    middle, mean = 100 * np.median(np.abs(errors)), 100 * np.mean(errors)
-    row = f"{np.median(cars):.0f} | {middle:.1f} (mean {mean:+.1f}) | {100 * np.median(widths):.1f}"
-    print(f"| median of {len(errors)}, absolute | | {row} | {sum(holds)} of {len(holds)} | |")
+        outcomes.append(Outcome(seed, found, unit))
+        print(outcomes[-1].row(), flush=True)
+    _print_all("all", outcomes)
+    _print_all("ok", [each for each in outcomes if each.found.status == "ok"])
+    _print_all(
+        "ok, by cars alone", [each for each in outcomes if each.found.status == "ok" and each.rulers == ["vehicles"]]
+    )
+
+
+def _print_all(label: str, outcomes: Sequence[Outcome]) -> None:
+    """Print the medians of flights."""
+    errors = 100 * np.array([each.error for each in outcomes])
+    cars = np.median([each.found.n_vehicles for each in outcomes])
+    middle = f"{np.median(np.abs(errors)):.1f} (mean {errors.mean():+.1f}, largest {np.abs(errors).max():.1f})"
+    width = 100 * np.median([each.width for each in outcomes])
+    holds = sum(each.holds for each in outcomes)
+    print(f"| {label} | | {cars:.0f} | {middle} | {width:.1f} | {holds} of {len(outcomes)} | |")
 
 
 def colmap_model(images: Path, names: Sequence[str], folder: Path) -> Path | None:
@@ -227,12 +292,13 @@ def real(images: Path, positions: dict[str, NDArray[np.float64]], heights: dict[
     detector = Engine(runtime=Runtime(threads=1)).detector
     print(header("times", "factor over that of the track, %", "95 % interval, %", "cars", "status", "heights, %"))
     rng = np.random.default_rng(32)
-    for times in (1.0, *np.exp(rng.uniform(-3, 3, _FACTORS - 1))):
-        folder = cache / f"times_{times:.4g}"
-        if not folder.is_dir():
-            write_rescaled(model, folder, times)
-        found = estimated(folder, images, detector, ScaleOptions(), folder.with_suffix(".journal"))
-        print(_real_row(found, float(times), scale, heights), flush=True)
+    with searched(project, images, detector, cache / "journal") as journal:
+        for times in (1.0, *np.exp(rng.uniform(-3, 3, _FACTORS - 1))):
+            folder = cache / f"times_{times:.4g}"
+            if not folder.is_dir():
+                write_rescaled(model, folder, times)
+            found = estimated(folder, images, detector.card, journal)
+            print(_real_row(found, float(times), scale, heights), flush=True)
 
 
 def _real_row(found: ModelScale, times: float, scale: float, heights: dict[str, float]) -> str:
