@@ -38,7 +38,7 @@ function histogramSection(scale, histogram) {
       const bar = (kind, low, high) =>
         high > low && shapes.push(svg("rect", { class: kind, x: from, width: Math.max(1, to - from), y: y(high), height: y(low) - y(high) }));
       bar("bar-kept", 0, kept);
-      bar("bar-dropped", kept, kept + dropped);
+      bar("bar-outlier", kept, kept + dropped);
     });
     if (density.length) {
       const points = density.map((n, i) => `${x(start + ((end - start) * i) / (density.length - 1)).toFixed(1)},${y(n).toFixed(1)}`);
@@ -74,7 +74,7 @@ function histogramSection(scale, histogram) {
     html(
       "p", { class: "legend" },
       html("span", { class: "kept" }, "measured"),
-      scale.n_detections > scale.n_vehicles ? html("span", { class: "dropped" }, "outliers, excluded") : undefined,
+      scale.n_detections > scale.n_vehicles ? html("span", { class: "outlier" }, "outliers, excluded") : undefined,
       html("span", { class: "line mode" }, density.length ? "density with its peak P_mode" : `P_mode, the ${scale.aggregation}`),
       html("span", { class: "line guard" }, "resolution guard: shorter lengths are unreliable"),
     ),

@@ -19,8 +19,7 @@ const request = (method, params) =>
 const answers = { ping: () => ({}), "ui/resource-teardown": () => ({}) };
 const listeners = {
   "ui/notifications/tool-input": (params) => {
-    call.arguments = params.arguments;
-    call.measured = [];
+    begin(call.tool, params.arguments);
     if (!call.result) say("Measuring.");
   },
   "ui/notifications/tool-result": (result) => {

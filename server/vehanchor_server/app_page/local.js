@@ -12,14 +12,14 @@ async function request(method, params) {
   const aborter = new AbortController();
   if (params.arguments.image) running.add(aborter);
   try {
-    return await answer(params, aborter.signal);
+    return await answer(params, aborter.signal, (...progress) => progressed(...progress));
   } finally {
     running.delete(aborter);
   }
 }
 
 // The program answers with JSON lines: progress, then the result.
-async function answer(params, signal) {
+async function answer(params, signal, report = () => {}) {
   const response = await fetch("call", {
     method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(params), signal,
   });
@@ -34,7 +34,7 @@ async function answer(params, signal) {
     for (const line of lines) {
       const { progress, message, result } = JSON.parse(line);
       if (result) return result;
-      progressed(progress, message);
+      report(progress, message);
     }
     if (done) throw new Error("the program has ended. Start 'vehanchor view' again");
   }

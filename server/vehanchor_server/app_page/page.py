@@ -31,6 +31,10 @@ _SHARED = (
     "zoom",
     "picture",
     "measuring",
+    "known",
+    "correcting",
+    "crosshair",
+    "tools",
     "rulers",
     "histogram",
     "plan",
@@ -38,7 +42,7 @@ _SHARED = (
     "panel",
 )
 _HOST_PARTS = ("call", "host", *_SHARED, "embedded")  # in this order
-_VIEW_PARTS = ("call", "local", *_SHARED, "exporting", "chooser")
+_VIEW_PARTS = ("call", "local", *_SHARED, "exporting", "thumbnails", "overview", "chooser")
 
 
 def app_extension() -> Apps:

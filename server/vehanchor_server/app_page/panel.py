@@ -21,6 +21,7 @@ PANEL_KEY = "vehanchor/panel"
 _MAX_BINS = 40
 _CURVE_POINTS = 121
 _MAX_VEHICLES = 2000  # limit of drawn vehicles
+_ADDED = 2
 _LONGEST_SHOWN = 2.5  # medians; longer outliers are only counted, so that one false alarm does not compress the axis
 
 
@@ -57,13 +58,14 @@ class Drawing(FrozenModel):
     """Shapes over the image, in pixels of the full image.
 
     Attributes:
-        vehicles: for each vehicle, x and y of the centre, length, width, angle in degrees, and 1 for a measured one or
-            0 for an outlier; best first.
+        vehicles: for each vehicle, x and y of the centre, length, width, angle in degrees, 1 for a measured one or 0
+            for an outlier, its number in ``confirm`` and ``drop``, and 1 for a confirmed one, 2 for an added one or 0;
+            best first.
         vehicles_left_out: number of vehicles beyond the limit.
         lines: lines of other rulers.
     """
 
-    vehicles: tuple[tuple[float, float, float, float, float, int], ...]
+    vehicles: tuple[tuple[float, float, float, float, float, int, int, int], ...]
     vehicles_left_out: int
     lines: tuple[DrawnLine, ...]
 
@@ -100,14 +102,19 @@ def drawing_of(analysis: ScaleAnalysis) -> Drawing:
     """Collect the shapes behind an estimate, rounded to a tenth of a pixel."""
     import numpy as np  # late, to start the server quickly
 
-    boxes = analysis.detections.boxes[:_MAX_VEHICLES]
+    detections = analysis.detections
+    boxes = detections.boxes[:_MAX_VEHICLES]
     rows = np.round(np.column_stack([boxes[:, :4], np.rad2deg(boxes[:, 4])]), 1)
+    by_hand = detections.stated.astype(int)
+    if detections.corrections is not None and detections.corrections.n_added:
+        by_hand[-detections.corrections.n_added :] = _ADDED
+    facts = zip(rows.tolist(), analysis.kept, detections.numbers, by_hand, strict=False)
     return Drawing(
         vehicles=tuple(
-            (x, y, length, width, angle, int(kept))
-            for (x, y, length, width, angle), kept in zip(rows.tolist(), analysis.kept, strict=False)
+            (x, y, length, width, angle, int(kept), int(number), int(stated))
+            for (x, y, length, width, angle), kept, number, stated in facts
         ),
-        vehicles_left_out=len(analysis.detections.boxes) - len(boxes),
+        vehicles_left_out=len(detections.boxes) - len(boxes),
         lines=tuple(
             DrawnLine(
                 points=tuple((round(float(x), 1), round(float(y), 1)) for x, y in mark.points),

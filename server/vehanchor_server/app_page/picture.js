@@ -39,27 +39,40 @@ function framed(record, result, { url, plain, drawing }) {
   const sheet = html("div", { class: "sheet" }, image, plain ? part : undefined, plain ? canvas : undefined);
   const bar = plain && barred(record) ? scaleBar(record.gsd_m_per_px) : undefined;
   const sharpen = plain && SHARPENS ? sharpener(record, image, part) : undefined;
+  let crossed;
   const view = zoomable(width, height, sheet, (placed) => {
     bar?.fit(placed);
     sharpen?.(placed);
+    crossed?.();
   });
   if (bar) view.frame.append(bar.bar);
   if (!plain) image.addEventListener("load", () => { view.frame.style.aspectRatio = image.naturalWidth / image.naturalHeight; });
-  const redraw = () => paintShapes(canvas, shapesOf(record, drawing));
+  readCorrections(record, drawing);
+  const legend = html("p", { class: "legend" });
+  const redraw = () => {
+    const shapes = shapesOf(record, drawing);
+    paintShapes(canvas, shapes);
+    const has = (state) => shapes.some(({ kind }) => kind === state);
+    const note = (shown, kind, words) => (shown ? html("span", { class: kind }, words) : undefined);
+    const notes = [
+      note(isArea(record), "object", "measured object"),
+      note(scale?.n_vehicles, "kept", "measured vehicle"),
+      note(dropped, "outlier", "outlier, excluded"),
+      note(has("stated"), "stated", "confirmed or added by hand"),
+      note(has("removed"), "removed", "dropped by hand"),
+      note(drawing?.lines.length, "ruler-line", "other ruler"),
+      note(drawing?.vehicles_left_out, "", `${counted(drawing?.vehicles_left_out ?? 0, "vehicle")} not drawn`),
+    ];
+    legend.replaceChildren(...notes.filter(Boolean));
+  };
   redraw();
   const boxes = drawing?.vehicles.length ? toggle("Boxes", (on) => canvas.classList.toggle("bare", !on)) : undefined;
-  const tools = plain && canCallTools && call.arguments ? measuring(record, view, canvas, redraw) : undefined;
-  const legend = [
-    isArea(record) ? html("span", { class: "object" }, "measured object") : undefined,
-    scale?.n_vehicles ? html("span", { class: "kept" }, "measured vehicle") : undefined,
-    dropped ? html("span", { class: "dropped" }, "outlier, excluded") : undefined,
-    drawing?.lines.length ? html("span", { class: "ruler-line" }, "other ruler") : undefined,
-    drawing?.vehicles_left_out ? html("span", {}, `${counted(drawing.vehicles_left_out, "vehicle")} not drawn`) : undefined,
-  ];
+  const tools = plain && canCallTools && call.arguments ? toolbar(record, view, canvas, redraw) : undefined;
+  crossed = tools?.placed;
   return [
-    html("div", { class: "row tools" }, tools?.buttons, html("div", { class: "group" }, boxes), zoomButtons(view)),
+    html("div", { class: "row tools" }, ...(tools?.groups ?? []), html("div", { class: "group" }, boxes), zoomButtons(view)),
     view.frame,
-    html("p", { class: "legend" }, ...legend),
+    legend,
     ...(tools?.below ?? []),
     ...(plain ? exporters.map((row) => row(record, result, image, drawing)) : []),
   ];
@@ -123,7 +136,7 @@ function asker(record, shown) {
           button.disabled = true;
           words.textContent = "Measuring again for the picture.";
           try {
-            const result = await askAgain(record, {});
+            const result = await askAgain(record, call.arguments);
             const source = pictureOf(result);
             if (!source) throw new Error("the server sent no picture");
             shown.replaceChildren(...framed(record, result, source));

@@ -12,12 +12,13 @@ const boxRing = ([[x1, y1], [x2, y2]]) => [[x1, y1], [x2, y1], [x2, y2], [x1, y2
 
 // Lines of one kind: points, whether closed, and a label at the middle.
 function shapesOf(record, drawing) {
-  const vehicles = drawing?.vehicles ?? [];
+  const vehicles = correctedVehicles();
   const closed = true;
+  const rings = (state) => vehicles.filter((each) => each.state === state).map(({ box }) => corners(box));
+  const crosses = (state) => rings(state).flatMap(([a, b, c, d]) => [[a, c], [b, d]]);
   const shapes = [
-    { kind: "kept", closed, lines: vehicles.filter((each) => each[5]).map(corners) },
-    { kind: "dropped", closed, lines: vehicles.filter((each) => !each[5]).map(corners) },
-    { kind: "dropped", lines: vehicles.filter((each) => !each[5]).map(corners).flatMap(([a, b, c, d]) => [[a, c], [b, d]]) },
+    ...["kept", "stated", "outlier", "removed"].map((kind) => ({ kind, closed, lines: rings(kind) })),
+    ...["outlier", "removed"].map((kind) => ({ kind, lines: crosses(kind) })),
     ...(drawing?.lines ?? []).map((line) => ({ kind: "mark", closed: line.closed, lines: [line.points], label: line.label })),
   ];
   if (isArea(record)) shapes.push({ kind: "object", closed, lines: ringsOf(record) });

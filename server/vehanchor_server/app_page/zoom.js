@@ -6,7 +6,7 @@ const BAR_SHARE = 0.12; // minimum share of the width
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
 function zoomable(width, height, sheet, placed) {
-  const frame = html("div", { class: "frame", tabindex: "0", role: "group", "aria-label": "Picture: plus and minus zoom, arrows move, 0 shows all" }, sheet);
+  const frame = html("div", { class: "frame", tabindex: "0", role: "group", "aria-label": "Picture: plus and minus zoom, arrows move, 0 shows all; with a tool, arrows move a crosshair" }, sheet);
   const aspect = clamp(width / height, 0.5, 4);
   frame.style.aspectRatio = aspect;
   frame.style.maxWidth = `${Math.round(FRAME_MAX_PX * aspect)}px`;
@@ -27,7 +27,8 @@ function zoomable(width, height, sheet, placed) {
     frame.classList.toggle("zoomed", view.zoom > 1);
     placed(view);
   };
-  view.zoomTo = (zoom, x = frame.clientWidth / 2, y = frame.clientHeight / 2) => {
+  view.anchor = () => [frame.clientWidth / 2, frame.clientHeight / 2]; // the place that a zoom by keys or buttons keeps
+  view.zoomTo = (zoom, [x, y] = view.anchor()) => {
     const next = clamp(zoom, 1, most());
     view.left = x - ((x - view.left) * next) / view.zoom;
     view.top = y - ((y - view.top) * next) / view.zoom;
@@ -47,6 +48,7 @@ function zoomable(width, height, sheet, placed) {
     const [x, y] = onScreen(event);
     return [(x - view.left) / view.perPixel, (y - view.top) / view.perPixel];
   };
+  view.inFrame = ([x, y]) => [view.left + x * view.perPixel, view.top + y * view.perPixel];
   view.seen = () => ({ // in image pixels
     x_min: Math.max(0, -view.left / view.perPixel), y_min: Math.max(0, -view.top / view.perPixel),
     x_max: Math.min(width, (frame.clientWidth - view.left) / view.perPixel),
@@ -57,7 +59,7 @@ function zoomable(width, height, sheet, placed) {
   frame.addEventListener("wheel", (event) => {
     if (view.zoom === 1 && !event.ctrlKey && !SHARPENS) return;
     event.preventDefault();
-    view.zoomTo(view.zoom * 2 ** (-event.deltaY / (event.ctrlKey ? 100 : 400)), ...onScreen(event));
+    view.zoomTo(view.zoom * 2 ** (-event.deltaY / (event.ctrlKey ? 100 : 400)), onScreen(event));
   }, { passive: false });
   const held = new Map();
   frame.addEventListener("pointerdown", (event) => {
@@ -70,14 +72,14 @@ function zoomable(width, height, sheet, placed) {
     const other = [...held.values()].find(({ pointerId }) => pointerId !== event.pointerId);
     if (other) {
       const apart = (one) => Math.hypot(one.clientX - other.clientX, one.clientY - other.clientY) || 1;
-      view.zoomTo((view.zoom * apart(event)) / apart(before), ...onScreen(other));
+      view.zoomTo((view.zoom * apart(event)) / apart(before), onScreen(other));
     } else if (!view.picking && view.zoom > 1) view.move(event.clientX - before.clientX, event.clientY - before.clientY);
     held.set(event.pointerId, event);
   });
   for (const end of ["pointerup", "pointercancel", "pointerleave"]) {
     frame.addEventListener(end, (event) => held.delete(event.pointerId));
   }
-  frame.addEventListener("dblclick", (event) => view.picking || view.zoomTo(view.zoom * ZOOM_STEP ** 2, ...onScreen(event)));
+  frame.addEventListener("dblclick", (event) => view.picking || view.zoomTo(view.zoom * ZOOM_STEP ** 2, onScreen(event)));
   const keys = {
     "+": () => view.zoomTo(view.zoom * ZOOM_STEP), "=": () => view.zoomTo(view.zoom * ZOOM_STEP),
     "-": () => view.zoomTo(view.zoom / ZOOM_STEP), 0: () => view.zoomTo(1),
@@ -85,7 +87,7 @@ function zoomable(width, height, sheet, placed) {
     ArrowUp: () => view.move(0, 60), ArrowDown: () => view.move(0, -60),
   };
   frame.addEventListener("keydown", (event) => {
-    if (!keys[event.key] || (event.key.startsWith("Arrow") && view.zoom === 1)) return;
+    if (!keys[event.key] || (event.key.startsWith("Arrow") && (view.picking || view.zoom === 1))) return;
     event.preventDefault();
     keys[event.key]();
   });

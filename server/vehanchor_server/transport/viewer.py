@@ -54,6 +54,7 @@ _LOOPBACK = "127.0.0.1"
 _TOKEN_BYTES = 24
 _MAX_CALL_BYTES = 64 << 10  # far above the largest valid call, with 16 boxes
 _MAX_DROPPED = 500  # photographs per session, in a temporary folder
+_MAX_CALLS = 8  # one person's: a measurement, a thumbnail, a part in full resolution, and calls that are ending
 _SHUTDOWN_S = 2
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -97,6 +98,7 @@ def create_viewer(settings: Settings, address: Address, dropped: Path) -> ASGIAp
         address: address of the page.
         dropped: folder for dropped photographs.
     """
+    settings = replace(settings, max_concurrency=_MAX_CALLS)
     services = replace(create_services(settings), seal=ScaleSeal(secrets.token_bytes(MIN_KEY_BYTES)))
     shows_pages = [advertise(EXTENSION_ID, {"mimeTypes": [APP_MIME_TYPE]})]
 

@@ -19,9 +19,10 @@ from mcp.types import CallToolResult
 from tests.models import paint_vehicles
 from tests.sam_models import SamFiles
 from tests.server.app_page.conftest import PATIENCE_MS
-from tests.server.app_page.test_app_page import SHOWS_PAGES
+from tests.server.app_page.test_app_page import CAR_AXIS, SHOWS_PAGES
 from tests.server.conftest import POOL_BOX, paint_scene, write_image
 from tests.server.conversation import by_path
+from vehanchor.options.by_hand import vehicle_numbers
 from vehanchor.records.digits import significant
 from vehanchor_server.app import create_server
 from vehanchor_server.app_page import PANEL_KEY, page_html
@@ -152,6 +153,10 @@ def calls(tmp_path_factory: pytest.TempPathFactory, _images: Path) -> dict[str, 
             "estimate_gsd",
             {**by_path(_images / "cars.png"), "known_lengths": [LINE], "height_m": 70, "focal_35mm": 24},
         ),
+        "corrected": (
+            "estimate_gsd",
+            {**by_path(_images / "cars.png"), "confirm": "3", "drop": "1", "add": [CAR_AXIS]},
+        ),
         "no ruler": ("estimate_gsd", by_path(_images / "empty.png")),
         "failed": ("estimate_gsd", by_path(folder / "nothing.png")),
         "area": ("measure_area", pool),
@@ -266,7 +271,7 @@ def test_outliers_are_shown_apart(host: Host, calls: dict[str, Call], results: d
     host.show()
     host.result(calls["outliers"], results["outliers"])
     host.says(".readings > div:nth-child(2)", "Vehicles measured24of 27 detected; 3 outliers")
-    assert host.page.locator(".bar-dropped").count() >= 1
+    assert host.page.locator(".bar-outlier").count() >= 1
     host.page.get_by_text("As a table").click()
     rows = [row.split("\t") for row in host.page.locator("table tr").all_inner_texts()]
     assert rows[0] == ["length, px", "measured", "excluded"]
@@ -526,6 +531,113 @@ def test_a_distance_is_two_clicks_and_an_area_a_box_and_neither_searches_again(
     assert host.page.locator(".drawn path.measured").count() == 2
     host.page.get_by_role("button", name="Remove").first.click()
     assert host.page.locator(".drawn path.measured").count() == 1
+
+
+def test_vehicles_are_confirmed_dropped_and_added_by_clicks(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    vehicles = results["good"]["_meta"][PANEL_KEY]["drawing"]["vehicles"]
+    tool, arguments = calls["good"]
+    host.show(tools=True)
+    host.result(calls["good"], results["good"])
+    host.tab.evaluate("(result) => { answer = { result }; }", results["corrected"])
+    press(host, "Drop")
+    for n in (1, 2, 7):
+        click_at(host, *vehicles[n - 1][:2])
+        host.says(".picture [role=status]", f"Vehicle {n} dropped.")
+    click_at(host, *vehicles[1][:2])
+    host.says(".picture [role=status]", "Vehicle 2 as found.")
+    click_at(host, 600, 500)
+    host.says(".picture [role=status]", "No vehicle here.")
+    press(host, "Confirm")
+    click_at(host, *vehicles[6][:2])  # one that was dropped
+    drag(host, (2, 2), (640, 95))
+    row = [each[6] for each in vehicles if each[1] < 95]
+    host.says(".picture [role=status]", f"{len(row)} vehicles confirmed.")
+    press(host, "Add")
+    drag(host, (100, 480), (132, 480))
+    click_at(host, 200, 480)
+    click_at(host, 232, 480)
+    host.says(
+        ".row.asked span", f"Vehicles by hand: {len({7, *row})} confirmed, 2 added{', 1 dropped' * (1 not in row)}"
+    )
+    assert host.page.locator(".drawn path.stated").get_attribute("d").count("Z") == len({7, *row}) + 2
+    press(host, "Undo")
+    press(host, "Measure again")
+    host.says("#sentence", results["corrected"]["content"][0]["text"])
+    (asked,) = tool_calls(host)
+    assert asked["name"] == tool
+    (axis,) = asked["arguments"].pop("add")
+    assert list(axis.values()) == pytest.approx([100, 480, 132, 480], abs=2)
+    assert numbers(asked["arguments"].pop("confirm")) == {7, *row}
+    assert numbers(asked["arguments"].pop("drop", "")) == {1} - {*row}
+    assert asked["arguments"] == arguments
+
+
+def test_corrections_of_the_call_are_shown_and_can_be_taken_back(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    host.show(tools=True)
+    host.result(calls["corrected"], results["corrected"])
+    host.says(".row.asked span", "Vehicles by hand: 1 confirmed, 1 added, 1 dropped")
+    assert host.page.locator(".drawn path.stated").get_attribute("d").count("Z") == 2
+    assert not host.page.get_by_role("button", name="Measure again").is_visible()
+    press(host, "Drop")
+    click_at(host, CAR_AXIS["x1"] + 16, CAR_AXIS["y1"])
+    host.says(".row.asked span", "Vehicles by hand: 1 confirmed, 1 dropped")
+    press(host, "Take all back")
+    host.tab.evaluate("(result) => { answer = { result }; }", results["good"])
+    press(host, "Measure again")
+    host.says("#sentence", results["good"]["content"][0]["text"])
+    (asked,) = tool_calls(host)
+    assert asked["arguments"] == calls["good"][1]
+
+
+def test_points_are_set_moved_and_taken_back_by_keys(
+    host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]
+) -> None:
+    host.show(tools=True)
+    host.result(calls["good"], results["good"])
+    host.tab.evaluate("(result) => { answer = { result }; }", results["distance"])
+    host.page.get_by_role("button", name="Distance").focus()
+    keys(host, "Enter", "ArrowLeft", "ArrowLeft", "Enter", "Backspace", "ArrowLeft", "Enter")
+    keys(host, *["ArrowRight"] * 8, "Shift+ArrowDown", "Enter")
+    metres = results["distance"]["structuredContent"]["distance_m"]
+    host.says("ol.measured li .number", f"{metres:.3g} m")
+    keys(host, "Backspace", "ArrowUp", "Enter")  # moves the second point
+    host.says("ol.measured li .number", f"{metres:.3g} m")
+    first, second = (each["arguments"]["lines"][0]["points"] for each in tool_calls(host))
+    pixel = 640 / host.page.locator(".sheet").bounding_box()["width"]
+    for (start, end), down in ((first, 1), (second, -9)):
+        assert (start["x"], start["y"]) == pytest.approx((320 - 30 * pixel, 256), abs=0.5)
+        assert (end["x"], end["y"]) == pytest.approx((320 + 50 * pixel, 256 + down * pixel), abs=0.5)
+    keys(host, "Escape")
+    assert host.page.get_by_role("button", name="Distance").get_attribute("aria-pressed") == "false"
+
+
+def test_vehicles_are_corrected_by_keys(host: Host, calls: dict[str, Call], results: dict[str, dict[str, Any]]) -> None:
+    host.show(tools=True)
+    host.result(calls["good"], results["good"])
+    host.page.get_by_role("button", name="Drop").focus()
+    keys(host, "Enter", "n", "n", "Enter")
+    host.says(".picture [role=status]", "Vehicle 2 dropped.")
+    keys(host, "p")
+    host.says(".picture [role=status]", re.compile("vehicle 1, measured$"))
+    keys(host, "Enter", "Control+z")
+    host.says(".row.asked span", "Vehicles by hand: 1 dropped")
+
+
+def keys(host: Host, *names: str) -> None:
+    for name in names:
+        host.tab.keyboard.press(name)
+
+
+def press(host: Host, name: str) -> None:
+    host.page.get_by_role("button", name=name, exact=True).click()
+
+
+def numbers(text: str) -> set[int]:
+    return set(vehicle_numbers("confirm", text))
 
 
 def test_a_measurement_that_fails_or_is_not_to_be_used_says_so(

@@ -169,6 +169,32 @@ def test_a_photograph_is_chosen_at_once(page: Any) -> None:
     assert page.locator("#photographs button").first.get_attribute("aria-current") == "true"
 
 
+def test_photographs_have_thumbnails_before_they_are_measured(page: Any) -> None:
+    for name in ("large.png", "pool.png"):
+        page.locator("#photographs button", has_text=name).first.locator(
+            ".mark:not([class*=ok]) + .thumbnail img"
+        ).wait_for()
+    assert page.locator("#photographs button", has_text="broken.png").locator("img").count() == 0
+
+
+def test_corrected_vehicles_are_measured_and_stay_with_their_photograph(page: Any) -> None:
+    press(page, "pool.png")
+    says(page, "#status", "Safe to use")
+    press(page, "Drop")
+    page.locator(".frame").press("n")
+    page.locator(".frame").press("Enter")
+    says(page, ".picture [role=status]", "Vehicle 1 dropped.")
+    press(page, "Measure again")
+    says(page, "#sentence", re.compile(r"Vehicles corrected by hand: 1 dropped\."))
+    press(page, "large.png")
+    says(page, "#sentence", re.compile(r"^No ruler was found"))
+    press(page, "pool.png")
+    says(page, "#sentence", re.compile(r"Vehicles corrected by hand: 1 dropped\."))
+    press(page, "Take all back")
+    press(page, "Measure again")
+    says(page, "#sentence", re.compile(r"^(?!.*by hand).*safe to use"))
+
+
 def test_all_photographs_are_measured_into_a_table(page: Any, tmp_path: Path) -> None:
     press(page, "Measure all")
     says(page, "#sentence", re.compile(r"^\d photographs: \d with a usable scale\.$"))

@@ -1,0 +1,55 @@
+// ---- Known length: a drawn line and what it measures ----
+
+// Ask for the length of a drawn line, or for what it measures, then repeat all measurements with it.
+function lengthForm(record, words) {
+  const metres = html("input", { type: "number", min: "0.01", max: "100000", step: "any", "aria-label": "Metres between both ends" });
+  const things = byId("known-sizes").content.cloneNode(true);
+  const what = html("select", { "aria-label": "What the line measures" }, html("option", { value: "" }, "a length"), things);
+  const measured = html("input", { type: "checkbox" });
+  const basis = html("label", {}, measured, " measured by tape, plan or survey ");
+  const length = html("label", {}, metres, " m ");
+  const measure = html("button", { type: "button" }, "Measure again");
+  // No form element: hosts' sandboxes block forms.
+  const row = html("div", { class: "row asked", hidden: true }, what, " ", length, basis, measure);
+  what.addEventListener("change", () => { length.hidden = basis.hidden = Boolean(what.value); });
+  let line;
+  metres.addEventListener("keydown", (event) => {
+    if (event.key === "Enter") measure.click();
+  });
+  measure.addEventListener("click", async () => {
+    const value = Number(metres.value);
+    if (!what.value && !(value > 0)) {
+      words.textContent = "Enter the length in metres, or choose what the line measures.";
+      return;
+    }
+    const size = what.value ? { metres: what.value } : { metres: value, ...(measured.checked ? { basis: "measured" } : {}) };
+    measure.disabled = true;
+    words.textContent = "Measuring again.";
+    try {
+      await measureAgain(record, { known_lengths: [...(call.arguments.known_lengths ?? []), { ...lineOf(record, line), ...size }] });
+    } catch (error) {
+      measure.disabled = false;
+      words.textContent = `Not measured: ${error.message}`;
+    }
+  });
+  const ask = (ends) => {
+    line = ends;
+    row.hidden = false;
+    metres.focus();
+  };
+  return { row, ask, hide: () => { row.hidden = true; } };
+}
+
+// Size of the caller's units in image pixels, across and down.
+function callerUnits(record) {
+  const { frame, coordinates } = call.arguments ?? {};
+  const size = [record.image_width_px, record.image_height_px];
+  if (coordinates === "fraction") return size;
+  if (coordinates === "per_mille") return size.map((side) => side / 1000);
+  return frame ? [size[0] / frame.width_px, size[1] / frame.height_px] : [1, 1];
+}
+
+function lineOf(record, [one, other]) {
+  const [across, down] = callerUnits(record);
+  return { x1: one[0] / across, y1: one[1] / down, x2: other[0] / across, y2: other[1] / down };
+}

@@ -1,0 +1,60 @@
+// ---- All photographs: measured one after another, in a table ----
+
+const FIELDS = ["status", "gsd_m_per_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px", "confidence", "n_vehicles"];
+const pause = (ms) => new Promise((go) => setTimeout(go, ms));
+
+async function measureAll() {
+  leavePhotograph();
+  chosen = undefined;
+  for (const { button } of known.values()) button.setAttribute("aria-current", "false");
+  byId("status").hidden = true;
+  byId("panel").setAttribute("aria-busy", "true");
+  byId("subject").textContent = "all photographs";
+  const region = byId("region").value;
+  const body = html("tbody");
+  const rows = [];
+  const head = ["Photograph", "Metres per pixel", "95 % interval", "Confidence", "Status"].map((words) => html("th", { scope: "col" }, words));
+  const table = html("table", { class: "overview" }, html("thead", {}, html("tr", {}, ...head)), body);
+  const save = html("button", { type: "button", on: { click: () => download("scales.csv", csv(rows), "text/csv") } }, "Save table");
+  byId("sections").replaceChildren(html("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Scales" }, table), html("div", { class: "row" }, save));
+  progressed = () => {};
+  while (nextPage) await listPage(nextPage);
+  for (const path of [...known.keys()]) {
+    let result;
+    do {
+      while (running.size) await pause(100); // a person's own call comes first
+      if (!table.isConnected) return; // a photograph, or another table, has replaced it
+      say(`Measuring ${nameOf(path)}: ${rows.length + 1} of ${known.size}.`);
+      result = await estimated(path, region);
+    } while (!result);
+    const record = result.isError ? { status: "failed", error: textOf(result) } : recordOf(result);
+    rows.push({ file: path, ...record });
+    body.append(row(path, record));
+  }
+  if (!table.isConnected) return;
+  byId("panel").setAttribute("aria-busy", "false");
+  say(`${counted(rows.length, "photograph")}: ${rows.filter(({ status }) => status === "ok").length} with a usable scale.`);
+}
+
+function row(path, record) {
+  const known = typeof record.gsd_m_per_px === "number";
+  const [low, high] = [record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px];
+  return html(
+    "tr", {},
+    html("th", { scope: "row" }, html("button", { type: "button", title: path, on: { click: () => choose(path) } }, nameOf(path))),
+    html("td", {}, known ? number(record.gsd_m_per_px) : ""),
+    html("td", {}, known && typeof low === "number" ? `${number(low)} to ${number(high)}` : ""),
+    html("td", {}, typeof record.confidence === "number" ? record.confidence.toFixed(2) : ""),
+    html("td", {}, record.error ?? STATUS[record.status].words),
+  );
+}
+
+// A cell that a spreadsheet would run begins with an apostrophe.
+function csv(rows) {
+  const cell = (value) => {
+    const text = typeof value === "string" && /^[=+\-@\t\r]/.test(value) ? `'${value}` : String(value ?? "");
+    return /[",\n\r]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
+  };
+  const names = ["file", ...FIELDS, "error"];
+  return [names, ...rows.map((each) => names.map((name) => each[name]))].map((cells) => `${cells.map(cell).join(",")}\n`).join("");
+}
