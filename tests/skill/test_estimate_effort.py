@@ -9,7 +9,7 @@ import pytest
 
 from tests.models import blank_image, paint_vehicles, write_detector
 from vehanchor.detection.detector import Detector
-from vehanchor.engine.verbs import estimate_gsd
+from vehanchor.engine.verbs import analyse_scale, estimate_gsd
 from vehanchor.errors import InvalidParameterError
 
 if TYPE_CHECKING:
@@ -76,6 +76,18 @@ def test_a_photograph_ends_when_the_other_tiles_would_not_change_its_value(
     few = blank_image(2000, 1600)
     paint_vehicles(few, [[100 + 250 * k, 800, 30, 12, 0.4] for k in range(7)])
     assert estimate_gsd(few, detector=detector, **_TILES).stopped_because == "all_searched"
+
+
+def test_a_search_that_ends_early_tells_where_it_went(detector: Detector) -> None:
+    full, auto = (
+        analyse_scale(_town(), detector=detector, effort=effort, **_TILES).detections for effort in ("full", "auto")
+    )
+    assert full.areas is None
+    assert full.covers(10, 10)
+    assert auto.areas is not None
+    assert auto.areas.shape[1] == 4
+    assert all(auto.covers(x, y) for x, y in auto.boxes[:, :2])
+    assert not all(auto.covers(x, y) for x in range(64, 2000, 96) for y in range(64, 1600, 96))
 
 
 def test_auto_goes_on_while_a_doubt_is_open(detector: Detector) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vehanchor.detection.detections import Detections
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.rulers.bay_lines import thin_lines
 from vehanchor.rulers.bay_rows import BayRow, find_bay_rows
@@ -46,6 +47,19 @@ def test_lines_of_a_row_lie_in_the_car_park() -> None:
     for row in _found(scene):
         columns, rows = np.clip(np.rint(row.ends.mean(axis=1)), 0, 999).astype(int).T
         assert (scene.masks["parking-lot"][rows, columns] > 0).all()
+
+
+def test_rows_are_sought_only_where_the_search_went() -> None:
+    scene = _scene(0.1, 1000, 3)
+    tile = np.array([[0.0, 0.0, 600.0, 600.0]])
+    reached, elsewhere = (
+        Detections(np.zeros((0, 5)), np.zeros(0), areas=tile + shift, stopped_because="converged")
+        for shift in (0, 5000)
+    )
+    scale = Interval(0.1 / ROUGHLY, 0.1 * ROUGHLY)
+    with open_raster(scene.image) as raster:
+        assert len(find_bay_rows(raster, scale, reached.covers)) == len(_found(scene)) > 0
+        assert find_bay_rows(raster, scale, elsewhere.covers) == []
 
 
 @pytest.mark.parametrize("guess", [1 / 1.35, 1.35])
