@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.needs import needed_module
 from tests.sam_models import SamFiles
 from tests.server.app_page.conftest import PATIENCE_MS
 from tests.server.app_page.viewing import viewing
@@ -214,3 +215,37 @@ def test_all_photographs_are_measured_into_a_table(page: Any, tmp_path: Path) ->
     page.locator(".overview").get_by_role("button", name="pool.png").first.click()
     says(page, "#subject", "metric scale")
     assert page.locator(".overview").count() == 0
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("width", [400, 1280, 1920])
+def test_axe_finds_nothing_in_any_state(page: Any, width: int, theme: str) -> None:
+    axe = needed_module("axe_playwright_python.sync_playwright", "pip install -e '.[browser]'").Axe()
+    page.emulate_media(color_scheme=theme)
+    page.set_viewport_size({"width": width, "height": 800})
+
+    def check() -> None:
+        found = axe.run(page).response["violations"]
+        assert [(each["id"], [node["html"] for node in each["nodes"]]) for each in found] == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+    press(page, "pool.png")
+    says(page, "#status", "Safe to use")
+    check()
+    frame = page.locator(".frame")
+    for tool in ("Confirm", "Drop"):
+        press(page, tool)
+        for key in ("n", "n", "Enter"):
+            frame.press(key)
+    check()
+    press(page, "Draw a known length")
+    for key in ("Enter", *["ArrowRight"] * 5, "Enter"):
+        frame.press(key)
+    page.get_by_label("What the line measures").wait_for()
+    check()
+    press(page, "broken.png")
+    says(page, "#status", "No result")
+    check()
+    press(page, "Measure all")
+    says(page, "#sentence", re.compile("with a usable scale"))
+    check()
