@@ -1,6 +1,6 @@
 // ---- Calls to the program that serves this page, with progress ----
 
-const FRAME_MAX_PX = Math.max(360, window.innerHeight - 330); // below the readings, above the window's edge
+const FRAME_MAX_PX = Math.max(360, window.innerHeight - 375); // below the readings, above the legend and a row of buttons
 const SHARPENS = true;
 let progressed = () => {};
 canCallTools = true;
