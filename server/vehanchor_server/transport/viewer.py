@@ -230,7 +230,7 @@ async def _lines(client: Client, name: str, arguments: dict[str, Any]) -> AsyncI
         await sending.send({"result": result})
         sending.close()
 
-    async with anyio.create_task_group() as tasks, receiving:
+    async with sending, receiving, anyio.create_task_group() as tasks:  # closed also where the client disconnects
         tasks.start_soon(ask)
         async for line in receiving:
             yield json.dumps(line) + "\n"
