@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import re
@@ -55,6 +56,7 @@ def test_the_commands_options_and_variables_it_names_exist(document: Path) -> No
     measured = re.findall(r"`(\w+_(?:m|m2|px|m_per_px|m2|ci95_\w+))`", text)
     choices = {field.name for group in (Search, Lengths, Reference, Frame, Reading) for field in fields_of(group)}
     choices |= {*AreaKeywords.__annotations__, *KnownLength._fields}
+    choices |= set(json.loads((ROOT / "schemas/measure_area.input.json").read_text(encoding="utf-8"))["properties"])
     if document.name != "records-names.md":  # has former names; test_records_names.py reads it
         assert not set(measured) - records - choices
 
