@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from vehanchor.segmentation.prompt import Prompt
 
 _BOX_CONTEXT = 2.0  # side of the crop over the box's longer side
-_MIN_CROP_PX = 256  # also for points: a larger crop takes in neighbours
+_MIN_CROP_PX = 256
+_POINT_CROP_PX = 512  # for points, which do not show the object's size
 _ROWS_PER_STRIP = 1024
 _ROOM = 0.25  # of the box's longer side: least margin around it in another prompt's crop
 _MOST_WIDER = 1.25  # largest side of a shared crop over that of the prompt's own
@@ -27,7 +28,8 @@ _MOST_WIDER = 1.25  # largest side of a shared crop over that of the prompt's ow
 def crop_side(prompt: Prompt) -> int:
     """Compute the initial side of a prompt's crop, pixels."""
     x1, y1, x2, y2 = prompt.extent
-    return max(_MIN_CROP_PX, math.ceil(_BOX_CONTEXT * max(x2 - x1, y2 - y1)))
+    least = _POINT_CROP_PX if prompt.box is None else _MIN_CROP_PX
+    return max(least, math.ceil(_BOX_CONTEXT * max(x2 - x1, y2 - y1)))
 
 
 def crop_window(prompt: Prompt, image_width_px: int, image_height_px: int, side_px: int) -> Window:

@@ -2,7 +2,7 @@
 
 The model runs on a crop around the prompt: memory does not grow with the image, and small objects get the model's full
 resolution. The crop of a box has twice its longer side, at least 256 px. Points do not show the object's size: their
-crop has 256 px or twice their extent, and doubles while the mask touches an inner side of it.
+crop has 512 px or twice their extent, and doubles while the mask touches an inner side of it.
 """
 
 from __future__ import annotations

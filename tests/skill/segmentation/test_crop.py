@@ -50,11 +50,11 @@ def test_the_crop_is_a_square_around_the_prompt_inside_the_image(prompt: Prompt,
     [
         (Prompt(box=(1500.0, 1500.0, 1510.0, 1505.0)), 256),
         (Prompt(box=(1200.0, 1500.0, 1500.0, 1600.0)), 600),
-        (Prompt(points=((1500.0, 1500.0, True),)), 256),
+        (Prompt(points=((1500.0, 1500.0, True),)), 512),
         (Prompt(points=((1200.0, 1500.0, True), (1600.0, 1500.0, False))), 800),
     ],
 )
-def test_the_crop_is_twice_the_prompt_and_at_least_256_px(sam: Segmenter, prompt: Prompt, side: int) -> None:
+def test_the_crop_is_twice_the_prompt_and_at_least_256_px_or_512(sam: Segmenter, prompt: Prompt, side: int) -> None:
     image = blank_image(3000, 3000)
     x, y = (1500, 1500) if prompt.box is None else (int(prompt.box[0]), int(prompt.box[1]))
     image[y - 2 : y + 8, x - 302 : x + 8] = OBJECT_RGB
