@@ -59,7 +59,7 @@ from vehanchor_server.tools.target import MAX_POINTS, MAX_TARGETS
 _DESCRIPTION = (
     "Measures distances on the ground (metres) in a near-nadir aerial or satellite image: how wide, how long, how far. "
     "Give two points, or the vertices of a path in order. "
-    "{STATUS_RULES}"
+    f"{STATUS_RULES}"
 )
 
 
