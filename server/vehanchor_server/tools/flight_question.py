@@ -100,7 +100,8 @@ def estimate_with_flight(
     _refuse_duplicates(members)
     flight = conclude(photographs, detector.card, same_scale=question.same_scale)
     analysis = replace(members[0].analysis, estimate=_estimate_of_image(flight, asked))
-    with open_raster(source, limits=asked.reading.limits) if any(question.wanted) else nullcontext() as raster:
+    is_drawn = question.wanted.overlay or question.wanted.page
+    with open_raster(source, limits=asked.reading.limits) if is_drawn else nullcontext() as raster:
         return scale_answer(raster, analysis, question.wanted, job)
 
 

@@ -115,7 +115,6 @@ async def test_images_of_one_scale_put_their_vehicles_together(server: MCPServer
     assert among.structured_content["confidence"] > alone.structured_content["confidence"]
 
 
-@pytest.mark.xfail(strict=True, reason="since the early end of searches one image is opened once more")
 async def test_no_image_is_opened_again_where_no_picture_is_wanted(
     server: MCPServer[object], images: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
